@@ -1,4 +1,4 @@
-"""What is known about topics, services and actions: the hub's graph, and the workers' decisions."""
+"""Views of topics, services and actions: the hub's graph, and the workers' decisions."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PROVIDERS = (EndpointKind.PUBLISHER, EndpointKind.SERVER)
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What one worker decided about a topic; the fields are those of its answer to ``explain``."""
+    """One worker's decision on a topic; the fields are those of its answer to ``explain``."""
 
     daemon: str
     worker: str
@@ -36,7 +36,7 @@ class Decision:
     cure: str
 
     def as_dict(self) -> dict[str, str]:
-        """For ``--json``."""
+        """Return the object for ``--json``."""
         return {name: getattr(self, name) for name in self.__slots__}
 
     def __str__(self) -> str:
@@ -54,36 +54,36 @@ class GraphView:
     users: list[HubEndpoint] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
 
-    def add(self, found: HubEndpoint | Decision, type_name: str) -> None:
-        """Take up an endpoint or a decision, and its type unless that is empty."""
-        if isinstance(found, Decision):
-            self.decisions.append(found)
+    def add(self, item: HubEndpoint | Decision, type_name: str) -> None:
+        """Add an endpoint or a decision, and its type unless that is empty."""
+        if isinstance(item, Decision):
+            self.decisions.append(item)
         else:
-            (self.providers if found.kind in _PROVIDERS else self.users).append(found)
+            (self.providers if item.kind in _PROVIDERS else self.users).append(item)
         self.types |= {type_name} - {""}
 
     @property
     def ends(self) -> dict[str, list[HubEndpoint]]:
-        """The endpoints under the words that people use for this kind."""
-        one, other = ("publishers", "subscriptions") if self.kind == "topic" else ("servers", "clients")
-        return {one: self.providers, other: self.users}
+        """Return the endpoints under the names that ROS uses for this kind."""
+        providers, users = ("publishers", "subscriptions") if self.kind == "topic" else ("servers", "clients")
+        return {providers: self.providers, users: self.users}
 
     @property
     def sides(self) -> list[str]:
-        """The sides that it comes from."""
+        """Return the sides that it comes from."""
         decided = {d.worker for d in self.decisions if d.direction == "in" and d.decision != "own"}
         return sorted({origin_side(endpoint) for endpoint in self.providers} | decided)
 
     @property
     def state(self) -> str:
-        """One word: ``hub`` where it can be used on the hub, else what the workers decided."""
+        """Return ``hub`` if it can be used on the hub, else the workers' decisions."""
         if self.providers or (self.users and self.kind == "topic"):
             return "hub"
         decided = ", ".join(sorted({d.decision for d in self.decisions}))
         return decided if decided or self.kind == "topic" else "no server"
 
     def as_dict(self) -> dict[str, Any]:
-        """For ``--json``."""
+        """Return the object for ``--json``."""
         return {
             self.kind: self.name,
             "types": sorted(self.types),
@@ -98,49 +98,49 @@ Views = dict[str, GraphView]
 
 
 def absolute(topic: str) -> str:
-    """The topic's name with its leading slash."""
+    """Return the topic's name with its leading slash."""
     return topic if topic.startswith("/") else f"/{topic}"
 
 
 def ask_decisions(client: CliClient, topic: str, kind: str | None = "topic") -> list[Decision]:
-    """What every worker decided about a topic or service (None: either); an empty name asks for all of them."""
+    """Return every worker's decisions on a topic or service (None: on either); an empty name asks for all of them."""
     return decisions_in(client.ask("explain", {"topic": topic}), kind)
 
 
 def decisions_in(answers: Iterable[WorkerAnswer], kind: str | None = None) -> list[Decision]:
     """Return the decisions on topics or services (None: on both) in the workers' answers to ``explain``."""
-    found: list[Decision] = []
+    decisions: list[Decision] = []
     for answer in answers:
         for entry in answer.value if isinstance(answer.value, list) else ():
             if isinstance(entry, dict) and kind in (None, entry.get("kind", "topic")):
-                words = {name: str(entry.get(name, "")) for name in Decision.__slots__[2:]}
-                found.append(Decision(answer.daemon, answer.worker, **words))
-    return found
+                texts = {name: str(entry.get(name, "")) for name in Decision.__slots__[2:]}
+                decisions.append(Decision(answer.daemon, answer.worker, **texts))
+    return decisions
 
 
 def all_topics(client: CliClient) -> Views:
-    """Every topic of the hub and of the workers' sides, by name."""
+    """Return every topic of the hub and of the workers' sides, by name."""
     decisions = ask_decisions(client, "")
     client.settle()
     return _topics(client, decisions)
 
 
 def all_services(client: CliClient) -> Views:
-    """Every service of the hub and of the workers' sides by name, without the parts of actions."""
+    """Return every service of the hub and of the workers' sides by name, without the parts of actions."""
     views: Views = {}
-    for name, type_name, found in _calls(client, "srv"):
+    for name, type_name, item in _calls(client, "srv"):
         if not split(name)[1]:
-            views.setdefault(name, GraphView("service", name)).add(found, type_name)
+            views.setdefault(name, GraphView("service", name)).add(item, type_name)
     return views
 
 
 def all_actions(client: CliClient) -> Views:
-    """Every action of the hub and of the workers' sides, by name."""
+    """Return every action of the hub and of the workers' sides, by name."""
     views: Views = {}
-    for part_name, type_name, found in _calls(client, "action"):
+    for part_name, type_name, item in _calls(client, "action"):
         name, part = split(part_name)
         if part == "send_goal":
-            views.setdefault(name, GraphView("action", name)).add(found, type_name.removesuffix("_SendGoal"))
+            views.setdefault(name, GraphView("action", name)).add(item, type_name.removesuffix("_SendGoal"))
     return views
 
 
@@ -156,7 +156,7 @@ def _topics(client: CliClient, decisions: Iterable[Decision]) -> Views:
 
 
 def _calls(client: CliClient, middle: str) -> Iterator[tuple[str, str, HubEndpoint | Decision]]:
-    """Name and type of each service, those of actions included, with where it was found."""
+    """Yield name and type of each service, those of actions included, with its endpoint or decision."""
     decisions = ask_decisions(client, "", kind="service")
     client.settle()
     for endpoint in _on_hub(client, EndpointKind.SERVER, EndpointKind.CLIENT):
@@ -172,13 +172,13 @@ def _on_hub(client: CliClient, *kinds: EndpointKind) -> Iterator[HubEndpoint]:
 
 
 def known_names(client: CliClient, documents: Iterable[Any], decisions: Iterable[Decision]) -> set[str]:
-    """Names of known topics, for hints."""
+    """Return the names of known topics, for hints."""
     routes = (route for document in documents for route in route_list(document))
     return {*_topics(client, decisions), *(str(route.get("topic")) for route in routes)}
 
 
 def find(views: Mapping[str, GraphView], name: str, kind: Kind) -> GraphView:
-    """The view with a name on the hub or on a side; raises `CliError` where nobody knows it."""
+    """Return the view with a name on the hub or on a side; raises `CliError` if the name is unknown."""
     name = absolute(name)
     if name in views:
         return views[name]
@@ -189,14 +189,14 @@ def find(views: Mapping[str, GraphView], name: str, kind: Kind) -> GraphView:
 
 
 def unknown(kind: Kind, name: str, names: Iterable[str]) -> str:
-    """The words for a name that nobody knows, with the names that the user may have meant."""
+    """Return the error for an unknown name, with the names that the user may have meant."""
     meant = near(name, names)
     hint = f" Did you mean {', '.join(meant)}?" if meant else f" 'midspan {kind} list' shows all."
     return f"no {kind} {name} on the hub or on any side.{hint}"
 
 
 def endpoint_text(endpoint: HubEndpoint) -> str:
-    """One endpoint for people."""
+    """Return one endpoint as text."""
     if endpoint.origin is None:
         who = "maker not known yet" if endpoint.pending else "zenoh, on the hub itself"
     else:
@@ -205,7 +205,7 @@ def endpoint_text(endpoint: HubEndpoint) -> str:
 
 
 def endpoint_json(endpoint: HubEndpoint) -> dict[str, Any]:
-    """One endpoint as JSON."""
+    """Return one endpoint as a JSON object."""
     origin = endpoint.origin
     return {
         "node": node_name(endpoint),
@@ -222,5 +222,5 @@ def endpoint_json(endpoint: HubEndpoint) -> dict[str, Any]:
 
 
 def node_name(endpoint: HubEndpoint) -> str:
-    """The full name of an endpoint's node."""
+    """Return the full name of an endpoint's node."""
     return f"{endpoint.namespace.rstrip('/')}/{endpoint.node}"

@@ -1,4 +1,4 @@
-"""``midspan explain NAME``: why is this topic, service or action bridged, or why is it not?"""
+"""``midspan explain NAME``: why a topic, service or action is bridged, or why it is not."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from bridge.hub.graph import HubEndpoint
 from bridge.messages.actions import split
 from bridge.routing.rules import ENTRY, RuleSet
 
-_WORDS = {
+_VERDICTS = {
     "bridged": "crosses",
     "denied": "does not cross",
     "private": "does not cross",
@@ -38,8 +38,8 @@ _WORDS = {
 def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Says what every worker decided about a topic, service or action and why, and what the hub shows, with a cure"
-        " for each problem. Exit code 1 where nobody knows it."
+        "Shows each worker's decision on a topic, service or action with its reason, and the endpoints on the hub, with"
+        " a cure for each problem. Exit code 1 if the name is unknown."
     )
     parser.add_argument("topic", help="its name, on the hub or on a side; or that of a YARP port of ours")
     parser.add_argument("--json", action="store_true", help="print it as JSON")
@@ -49,7 +49,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """What is known of one topic: decisions with their routes' status, endpoints, notes, and YARP ports."""
+    """Decisions on one topic with their routes' status, and its endpoints, notes and YARP ports."""
 
     topic: str
     decisions: Sequence[tuple[Decision, Document | None]]
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def explain(client: CliClient, topic: str) -> Explanation:
-    """Gather what is known of a topic; raises `CliError` where nobody knows it."""
+    """Gather the decisions, endpoints and problems of a topic; raises `CliError` if the name is unknown."""
     answers, documents = _asked(client)
     everything = decisions_in(answers)
     decisions = _decisions(everything, topic)
@@ -79,8 +79,8 @@ def explain(client: CliClient, topic: str) -> Explanation:
     endpoints.sort(key=lambda e: (e.topic, e.kind))
     ports = [port for document in documents for port in port_list(document)]
     ports = [port for port in ports if names & {port.get("topic"), port.get("port")}]
-    away = planner_note(client.config, topic, client.hub.graph.endpoints(), documents)
-    planner = [] if away is None else [away]
+    missing_planner = planner_note(client.config, topic, client.hub.graph.endpoints(), documents)
+    planner = [] if missing_planner is None else [missing_planner]
     silent = _silent(client, documents)
     if not decisions and not endpoints and not ports:
         ruled = [Note(text) for text in by_rules(client.config, topic)]
@@ -112,10 +112,10 @@ def _asked(client: CliClient) -> tuple[list[WorkerAnswer], list[Document]]:
 
 
 def _decisions(everything: Sequence[Decision], topic: str) -> list[Decision]:
-    """What was decided of a topic; where it has another name on the hub, of what becomes of that too."""
+    """Return the decisions on a topic; if it has another name on the hub, also those on that name."""
 
     def of(name: str) -> list[Decision]:
-        return [d for d in everything if any(name in (each, split(each)[0]) for each in (d.topic, d.hub_topic))]
+        return [d for d in everything if any(name in (known, split(known)[0]) for known in (d.topic, d.hub_topic))]
 
     decisions = of(topic)
     renamed = {d.hub_topic for d in decisions if d.decision == "bridged" and d.direction == "in"} - {topic}
@@ -125,13 +125,13 @@ def _decisions(everything: Sequence[Decision], topic: str) -> list[Decision]:
 
 
 def _silent(client: CliClient, documents: Sequence[Document]) -> list[Note]:
-    """The workers that are there and did not answer: what they know is missing."""
+    """Return notes on the workers that are on the hub and did not answer, so that their decisions are missing."""
     answered = {document.get("zid") for document in documents}
     late = f"did not answer within {ASK_SECONDS:g} s, so what it knows is missing"
     return [
-        Note(f"{side_name(origin.side)} (daemon {clean(origin.daemon)}) {late}", "midspan status says how it is")
+        Note(f"{side_name(origin.side)} (daemon {clean(origin.daemon)}) {late}", "see `midspan status`")
         for zid, origin in client.hub.graph.origins().items()
-        # zenoh's worker has sessions of its own for its dialects
+        # the zenoh worker has further sessions for its dialects
         if zid not in answered and not origin.side.startswith("zenoh")
     ]
 
@@ -153,21 +153,21 @@ def _hub_notes(topic: str, endpoints: Sequence[HubEndpoint]) -> list[Note]:
     publishers = [e for e in endpoints if e.kind == "publisher"]
     subscriptions = [e for e in endpoints if e.kind == "subscription"]
     if subscriptions and not publishers:
-        notes.append(Note(f"nobody publishes {topic} on the hub; {hub_problems.nodes(subscriptions)} would listen"))
+        notes.append(Note(f"{topic} has no publisher on the hub; subscribed by {hub_problems.nodes(subscriptions)}"))
     waiting = [e for e in publishers if e.pending]
     if waiting:
         who = hub_problems.nodes(waiting)
-        notes.append(Note(f"it is not known yet which network {who} speaks for, so nothing of it crosses"))
+        notes.append(Note(f"it is not known yet which network {who} belongs to, so nothing of it crosses"))
     if publishers and not any(p.qos.latched for p in publishers) and any(s.qos.latched for s in subscriptions):
         who = hub_problems.nodes(s for s in subscriptions if s.qos.latched)
-        asks = f"{who} asks for earlier messages (transient local), but no publisher keeps them"
+        text = f"{who} asks for earlier messages (transient local), but no publisher keeps them"
         cure = "if the publisher cannot change, a rule with qos: {durability: transient_local} keeps its last message"
-        notes.append(Note(asks, cure))
+        notes.append(Note(text, cure))
     return notes
 
 
 def _warnings(names: set[str], documents: Sequence[Document]) -> list[Note]:
-    """The workers' warnings that begin with the topic's name: QoS mismatches, types that nobody defines."""
+    """Return the workers' warnings that begin with the topic's name: QoS mismatches, types without a definition."""
     return [
         Note(f"{side_name(document.get('side'))}: {warning}")
         for document in documents
@@ -215,7 +215,7 @@ def _sentences(explanation: Explanation) -> list[str]:
     return lines
 
 
-_KINDS = {"publisher": "published by", "subscription": "heard by", "server": "served by", "client": "called by"}
+_KINDS = {"publisher": "published by", "subscription": "subscribed by", "server": "served by", "client": "called by"}
 
 
 def _hub_lines(explanation: Explanation) -> list[str]:
@@ -230,12 +230,12 @@ def _hub_lines(explanation: Explanation) -> list[str]:
 
 
 def _decision_lines(decision: Decision, route: Document | None, whose: str) -> list[str]:
-    word = _WORDS.get(decision.decision, decision.decision)
+    verdict = _VERDICTS.get(decision.decision, decision.decision)
     name = decision.topic if decision.direction == "in" else decision.hub_topic
     lands = decision.hub_topic if decision.direction == "in" else decision.topic
     renamed = f" as {lands}" if decision.decision == "bridged" and name != lands else ""
     way = arrow(decision.worker, decision.direction)
-    text = f"{way}{whose}: {name} ({decision.type}) {word}{renamed}: {decision.why}."
+    text = f"{way}{whose}: {name} ({decision.type}) {verdict}{renamed}: {decision.why}."
     lines = [clean(text)]
     if decision.cure:
         lines.append(f"    cure: {clean(decision.cure)}")
@@ -272,11 +272,11 @@ def _as_json(explanation: Explanation) -> dict[str, Any]:
 
 def _calls(route: Document) -> str:
     if not route.get("messages"):
-        return "nobody has called yet"
+        return "no call yet"
     under_way = f", {route['pending']} under way" if route.get("pending") else ""
     return (
         f"{plural(route['messages'], 'call')}, the last one {duration(route.get('age'))} ago: {route.get('replies', 0)}"
-        f" replies, {route.get('errors', 0)} errors, {route.get('abandoned', 0)} given up by their callers{under_way}"
+        f" replies, {route.get('errors', 0)} errors, {route.get('abandoned', 0)} given up by their clients{under_way}"
     )
 
 
@@ -286,7 +286,7 @@ _EVERYTHING = (None, "**", "/**")
 def planner_note(
     config: Config, name: str, endpoints: Iterable[HubEndpoint], documents: Sequence[Document]
 ) -> Note | None:
-    """Where a name is the action of the chosen planner, on its side or on the hub: why that one is not there."""
+    """Return why the chosen planner is missing, if a name is its action on its side or on the hub."""
     section = config.navigation
     other = section.others.get(section.planner)
     if not section.planner or name not in (section.at(section.planner), other and other.action):

@@ -1,7 +1,7 @@
 """Commands and calls of other machines that a router refuses (`hub.open.trusted`).
 
-zenoh drops them at the door without a word, so it is told from who is where: which machines a router does not trust,
-which sessions are theirs, and what those publish and call.
+zenoh drops them at the external listener without a report. They are derived from the routers' status documents and the
+hub's graph: which machines a router does not trust, which sessions are theirs, and what those publish and call.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _QUESTIONS = [zenoh.KeyExpr(key) for key in QUESTIONS]
 class Refusal:
     """Commands on one topic, or calls of one service, of one machine, which another refuses.
 
-    ``daemon`` refuses; ``machine`` is the name in the certificate, "" without one; ``messages`` counts what its bridge
-    sent so far, None where no bridge counts.
+    ``daemon`` refuses; ``machine`` is the name in the certificate, "" without one; ``messages`` counts what its
+    bridge has sent, None if no bridge counts.
     """
 
     daemon: str
@@ -45,7 +45,7 @@ class Refusal:
 
     @property
     def text(self) -> str:
-        """For people."""
+        """Return the refusal as a sentence."""
         who = self.machine or "a machine without a certificate"
         one, what = ("call", "calls of {} to") if self.is_service else ("message", "commands of {} on")
         count = "" if self.messages is None else f"; {plural(self.messages, one)} so far"
@@ -53,16 +53,16 @@ class Refusal:
 
     @property
     def cure(self) -> str:
-        """What to do if they are meant to be obeyed."""
+        """Return what to change if the commands should be accepted."""
         name = f"name {self.machine!r}" if self.machine else "give it a certificate (midspan keys), and name that"
-        return f"where that is not meant, {name} in hub.open.trusted of {self.daemon} and reload"
+        return f"if that is not intended, {name} in hub.open.trusted of {self.daemon} and reload"
 
 
 def refusals(client: CliClient, documents: Iterable[Document]) -> list[Refusal]:
-    """What the doors refuse now, by the workers' status documents and the hub's graph, which has settled."""
+    """Return what routers refuse now, by the workers' status documents and the hub's graph, which has settled."""
     documents = list(documents)
     graph = client.hub.graph
-    found: list[Refusal] = []
+    refused: list[Refusal] = []
     for router in documents:
         distrusted = [machine for machine in dicts(router.get("machines")) if not machine.get("trusted")]
         if not distrusted:
@@ -73,10 +73,10 @@ def refusals(client: CliClient, documents: Iterable[Document]) -> list[Refusal]:
             served = {server.topic for server in graph.servers() if server.zid not in theirs}
             for endpoints, allowed in ((graph.publishers(), harmless), (graph.clients(), _QUESTIONS)):
                 groups = _by_topic(e for e in endpoints if e.zid in theirs)
-                refused = [group for group in groups if not _is_among(allowed, _key(group[0], client.hub.domain))]
-                told = (_refusal(router, machine, group, documents) for group in refused)
-                found += [one for one in told if not one.is_service or (one.topic in served and one.messages != 0)]
-    return found
+                barred = [group for group in groups if not _is_among(allowed, _key(group[0], client.hub.domain))]
+                reports = (_refusal(router, machine, group, documents) for group in barred)
+                refused += [r for r in reports if not r.is_service or (r.topic in served and r.messages != 0)]
+    return refused
 
 
 def warn_of_refusals(client: CliClient, published: Iterable[tuple[str, str, str]]) -> bool:
@@ -127,7 +127,7 @@ def _refusal(
 
 
 def _sessions(zid: str, documents: Iterable[Document]) -> set[str]:
-    """The sessions of the machine that a door is linked to: its own, or those of the router behind its own door."""
+    """Return the sessions of a connected machine: its own, or those of the router whose external listener it is."""
     behind = [document.get("members") or () for document in documents if document.get("door") == zid]
     return {zid} | {str(session) for members in behind for session in members}
 
@@ -140,13 +140,13 @@ def _by_topic(endpoints: Iterable[HubEndpoint]) -> Iterable[list[HubEndpoint]]:
 
 
 def _harmless(commanding: object) -> list[zenoh.KeyExpr]:
-    """The keys that a router lets everybody say, by the commands of its document."""
+    """Return the keys on which every machine may publish, by the commands of the router's document."""
     usual = commands(RoutingSection())
-    told = commanding.items() if isinstance(commanding, Mapping) else ()
-    table = usual | {str(name): frozenset(map(str, parts)) for name, parts in told if isinstance(parts, list)}
+    named = commanding.items() if isinstance(commanding, Mapping) else ()
+    table = usual | {str(name): frozenset(map(str, parts)) for name, parts in named if isinstance(parts, list)}
     try:
         return [zenoh.KeyExpr(key) for key in harmless_keys(table)]
-    except (HubWireError, zenoh.ZError):  # no types, or no names
+    except (HubWireError, zenoh.ZError):  # invalid types or names
         return [zenoh.KeyExpr(key) for key in harmless_keys(usual)]
 
 

@@ -1,4 +1,4 @@
-"""What a machine's door refuses, as status and explain tell it on a real hub."""
+"""Commands that a machine's router refuses, as status, explain and the publishing verbs report them on a real hub."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def router(daemon: str, **more: Any) -> dict[str, Any]:
 
 
 class Fleet:
-    """A robot whose door does not trust the operator, whose worker publishes commands and a scan."""
+    """A robot that does not trust the operator, whose worker publishes commands and a scan."""
 
     def __init__(self, network: HubNetwork, closing: list[Any], name: str = "operator1") -> None:
         self.worker = FakeWorker(network, "ros1", daemon="operator1", explain=[], status=lambda _: self.document)
@@ -52,7 +52,7 @@ def test_refused_commands_are_told_with_their_number_and_the_cure(
 ) -> None:
     Fleet(network, closing)
     told = "robot1 refuses the commands of operator1 on /cmd_vel (/midspan_ros1); 153 messages so far"
-    cure = "cure: where that is not meant, name 'operator1' in hub.open.trusted of robot1 and reload"
+    cure = "cure: if that is not intended, name 'operator1' in hub.open.trusted of robot1 and reload"
     for words in (midspan("explain", "/cmd_vel").out, midspan("status").out):
         assert told in " ".join(words.split())
         assert cure in " ".join(words.split())
@@ -79,8 +79,8 @@ def test_refused_calls_are_told_where_there_is_something_to_refuse(
             robot.kept.append(robot.hub.server(name, type_name, HASH, lambda _request, _done: lambda: None))
     words = " ".join(midspan("status").out.split())
     assert "robot1 refuses the calls of operator1 to /lamp (/midspan_ros1); 2 calls so far" in words
-    assert words.count("refuses the calls") == 1  # a question is answered, and what nobody calls is not told
-    assert "2 calls so far. cure: where that is not meant, name" in " ".join(midspan("explain", "/lamp").out.split())
+    assert words.count("refuses the calls") == 1  # GetPlan only reads, and /quiet and /gone have no refused calls
+    assert "2 calls so far. cure: if that is not intended, name" in " ".join(midspan("explain", "/lamp").out.split())
 
 
 def test_commands_of_a_trusted_machine_are_not(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
@@ -172,7 +172,7 @@ def test_halt_reports_a_machine_that_refuses_its_zeros(
 def test_commands_through_the_router_of_a_machine_that_is_not_trusted(
     door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The verb joins the hub of its own machine, whose door is connected to the robot's."""
+    """The verb joins its machine's hub, whose external listener is connected to the robot's."""
     hub = {"connect": [door.place], "keys": str(door.folder), "certificate": str(door.folder / "guest.pem")}
     with HubNetwork(run=False, door={**hub, "key": str(door.folder / "guest.key")}) as own:
         own.start_router()
