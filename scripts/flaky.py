@@ -74,7 +74,7 @@ def run_once(target: str, pytest: Sequence[str], seed: int, log: Path) -> Run:
     arguments = shlex.join([*pytest, f"--randomly-seed={seed}"]).replace("$", "$$")
     began = time.monotonic()
     with log.open("wb") as file:
-        command = ["make", "-C", str(ROOT), "--no-print-directory", target, f"ARGS={arguments}"]
+        command = ["make", "-C", str(ROOT), "--no-print-directory", target, "STRICT=1", f"ARGS={arguments}"]
         code = subprocess.run(command, stdout=file, stderr=subprocess.STDOUT, check=False).returncode
     text = log.read_text(errors="replace")
     failed = dict.fromkeys(test or left for test, left in _FAILED.findall(text))

@@ -1,7 +1,8 @@
-"""Runs what failed in a red `make test-all` once more, by itself; CI does so (CONTRIBUTING.md, "Unsteady tests").
+"""Runs the tests that failed in a run of `make test` or `make test-all` once more, one after the other.
 
-A test that fails again, or a run in which many failed, is red. One that passes by itself is unsteady: its traceback
-stands above, its name at the end. Each is a defect to mend, of the test or of Midspan.
+One that fails again, or a run in which many failed, is red. One that passes alone is UNSTEADY: its traceback is above,
+its name at the end, with the seed of the order that it failed in. Each is a defect, of the test or of Midspan.
+CONTRIBUTING.md ("Unsteady tests") has the rules.
 """
 
 from __future__ import annotations
@@ -12,21 +13,25 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / ".cache" / "pytest"
 """Pytest's ``cache_dir`` of the runs before."""
 
+SEED = "midspan/seed"
+"""Name of the order's seed in that cache; tests/conftest.py writes it."""
+
 MOST = 5
-"""Failed tests of a run that may be races; more are none."""
+"""So many failed tests of a run may be races."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run them; 1 where one fails again."""
-    parser = argparse.ArgumentParser(prog="scripts/unsteady.py", description="Run what failed once more, by itself.")
+    """Run them; return 1 if one fails again."""
+    parser = argparse.ArgumentParser(prog="scripts/unsteady.py", description="Run failed tests once more, alone.")
     parser.add_argument("--kept", type=Path, default=KEPT, help="pytest's cache_dir of the runs before")
-    file = parser.parse_args(arguments).kept / "v" / "cache" / "lastfailed"
-    failed = sorted(json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else []
+    values = parser.parse_args(arguments).kept / "v"
+    failed = sorted(_value(values / "cache" / "lastfailed") or ())
     if not 0 < len(failed) <= MOST:  # none: the run failed for another reason
         print(f"{len(failed)} tests failed", *failed, sep="\n  ")
         return 1
@@ -34,8 +39,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     pytest = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:randomly", *failed]
     if subprocess.run(pytest, cwd=ROOT, check=False).returncode:
         return 1
-    print(f"UNSTEADY, to be mended: {len(failed)} failed among the others and passed alone", *failed, sep="\n  ")
+    order = f"--randomly-seed={_value(values / SEED)}"
+    print(f"UNSTEADY, to be mended: {len(failed)} failed among the others ({order}) and passed alone", end="\n  ")
+    print(*failed, sep="\n  ")
     return 0
+
+
+def _value(file: Path) -> Any:
+    """Return a value of pytest's cache, None if it has none."""
+    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else None
 
 
 if __name__ == "__main__":

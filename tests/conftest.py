@@ -28,7 +28,7 @@ _LAST = "test_first_run.py"
 """A file that takes minutes: it begins first, by the process that takes files from the end on."""
 
 _LEFT_BEHIND = 10
-"""Exit code of such a run, which CI takes for no test that failed; see scripts/unsteady.py."""
+"""Exit code of such a run, for which no test is run again; see scripts/unsteady.py."""
 
 _LEFT = "LEFT BEHIND"
 _MARK = "MIDSPAN_TEST_RUN"
@@ -79,7 +79,10 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-def pytest_sessionstart() -> None:
+def pytest_sessionstart(session: pytest.Session) -> None:
+    cache = getattr(session.config, "cache", None)
+    if cache is not None and not hasattr(session.config, "workerinput"):
+        cache.set("midspan/seed", session.config.getoption("randomly_seed", None))  # for scripts/unsteady.py
     os.environ[_MARK] = _run
     _at_start.update(_threads())
     # a shell that runs this in the background lets it ignore Ctrl-C, and so would every program that a test starts

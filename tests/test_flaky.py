@@ -22,7 +22,8 @@ MAKE = f"""#!{sys.executable}
 import json, os, re, sys
 from pathlib import Path
 
-target, arguments = sys.argv[4:]
+target, strict, arguments = sys.argv[4:]
+assert strict == "STRICT=1"
 seed = int(re.search(r"--randomly-seed=(\\d+)", arguments)[1])
 parents = [stat.read_text().split(") ")[1].split()[1] for stat in Path("/proc").glob("[0-9]*/stat")]
 beside, cores = parents.count(str(os.getppid())) - 1, len(os.sched_getaffinity(0))

@@ -1,8 +1,9 @@
-"""`scripts/unsteady.py`: what failed before runs once more; many, or one that fails again, are red."""
+"""`scripts/unsteady.py`: failed tests run once more; many, or one that fails again, are red."""
 
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from scripts import unsteady
+from scripts.unsteady import ROOT
 
 pytestmark = pytest.mark.thorough
 
@@ -18,6 +20,8 @@ def run(tmp_path: Path, *failed: str) -> subprocess.CompletedProcess[str]:
     kept = tmp_path / "v" / "cache"
     kept.mkdir(parents=True)
     (kept / "lastfailed").write_text(json.dumps(dict.fromkeys(failed, True)))
+    (tmp_path / "v" / "midspan").mkdir()
+    (tmp_path / "v" / unsteady.SEED).write_text("7")
     command = [sys.executable, unsteady.__file__, "--kept", str(tmp_path)]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
 
@@ -33,7 +37,7 @@ def test_one_that_passes_by_itself_is_named(tmp_path: Path) -> None:
     done = run(tmp_path, f"{test}::test_it")
     assert done.returncode == 0, done.stdout
     assert done.stdout.splitlines()[-2:] == [
-        "UNSTEADY, to be mended: 1 failed among the others and passed alone",
+        "UNSTEADY, to be mended: 1 failed among the others (--randomly-seed=7) and passed alone",
         f"  {test}::test_it",
     ]
 
@@ -54,3 +58,24 @@ def test_many_are_red_at_once(tmp_path: Path) -> None:
     done = run(tmp_path, *(f"tests/test_a.py::test_{n}" for n in range(unsteady.MOST + 1)))
     assert done.returncode == 1
     assert "6 tests failed" in done.stdout
+
+
+@pytest.mark.parametrize(("strict", "code"), [("", 0), ("STRICT=1", 2)])
+def test_make_test_runs_failed_tests_once_more(tmp_path: Path, strict: str, code: int) -> None:
+    """A test that fails the first time only; the set-up is left out."""
+    test = tmp_path / "test_race.py"
+    test.write_text(
+        "from pathlib import Path\n\n\ndef test_it():\n    first = Path(__file__).with_name('first')\n"
+        "    again = first.exists()\n    first.touch()\n    assert again\n"
+    )
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    (tmp_path / "scripts").mkdir()
+    shutil.copy(ROOT / "scripts" / "unsteady.py", tmp_path / "scripts")
+    (tmp_path / "scripts" / "setup.sh").write_text("#!/bin/sh\n")
+    (tmp_path / "scripts" / "setup.sh").chmod(0o755)
+    done = subprocess.run(
+        ["make", "-C", str(tmp_path), f"BIN={Path(sys.executable).parent}", "test", strict or "STRICT=", "ARGS=-n0"],
+        capture_output=True, text=True, check=False, timeout=100,
+    )  # fmt: skip
+    assert done.returncode == code, done.stdout + done.stderr
+    assert ("UNSTEADY" in done.stdout) == (not strict)

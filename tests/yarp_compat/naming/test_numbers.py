@@ -67,6 +67,7 @@ def test_a_name_gets_its_number_again(server: RealNameServer) -> None:
     assert port.open().port == first
     port.close()
     with socket.socket() as other:
+        other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a connection of the port may be in TIME_WAIT
         other.bind(("127.0.0.1", first))
         other.listen()
         second = port.open().port
