@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 Run = Callable[[argparse.Namespace], int]
 
@@ -24,6 +24,7 @@ class VerbParser(argparse.ArgumentParser):
 
     Before Python 3.14 argparse does so for plain numbers such as ``-1.6`` only, and reports other words as unknown
     options. An option with several values also accepts the first one after ``=``: ``--points=-1.6,0.9 2,1 2,3``.
+    Errors about unknown verbs, choices and options name the nearest known ones.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -33,6 +34,40 @@ class VerbParser(argparse.ArgumentParser):
     def parse_known_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """Parse as argparse does, with each ``--option=VALUE`` of several values as two words."""
         return super().parse_known_args(list(self._split(sys.argv[1:] if args is None else args)), namespace)
+
+    def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
+        """Parse as argparse does; unknown arguments are errors of the verb that they were given to."""
+        words = list(sys.argv[1:] if args is None else args)
+        parsed, unknown = self.parse_known_args(words, namespace)
+        if unknown:
+            self._of_verb(words)._refuse(unknown)
+        return parsed
+
+    def _of_verb(self, words: Iterable[str]) -> VerbParser:
+        """Return the parser of the verb, or of its subverb, that a command line names."""
+        parser = self
+        for word in words:
+            below = next((a for a in parser._actions if isinstance(a, argparse._SubParsersAction)), None)
+            if below is not None and word in below.choices:
+                parser = below.choices[word]
+        return parser
+
+    def _refuse(self, unknown: Sequence[str]) -> NoReturn:
+        options = {option for option in self._option_string_actions if option.startswith("--")}
+        hints = [_meant(word.partition("=")[0], options) for word in unknown if word.startswith("--")]
+        self.error(f"unrecognized arguments: {' '.join(unknown)}{next(filter(None, hints), '')}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse an unknown verb or choice, and name those that may have been meant."""
+        if action.choices is None or value in action.choices:
+            return
+        known = list(map(str, action.choices))
+        if not isinstance(action, argparse._SubParsersAction):
+            text = f"invalid choice: {value!r} (choose from {', '.join(known)}){_meant(str(value), known)}"
+            raise argparse.ArgumentError(action, text)
+        described = {str(verb.dest): str(verb.help) for verb in action._choices_actions}
+        hint = _meant(str(value), known, described) or "."
+        raise argparse.ArgumentError(None, f"unknown verb {value!r}{hint} '{self.prog} --help' lists all verbs.")
 
     def _split(self, words: Iterable[str]) -> Iterator[str]:
         options = True
@@ -53,6 +88,21 @@ class VerbParser(argparse.ArgumentParser):
         }
         nargs = next(iter(actions.values())).nargs if len(actions) == 1 else None
         return nargs in ("+", "*") or (isinstance(nargs, int) and nargs > 1)
+
+
+def _meant(text: str, known: Iterable[str], described: Mapping[str, str] | None = None) -> str:
+    """Return ``. Did you mean status?``, "" if no known name is similar; ``described`` has the help of each verb.
+
+    A word of a verb's help also stands for the verb, as ``echo`` stands for ``topic``.
+    """
+    from bridge.cli.output import near  # needed only here
+
+    word = text.lower()
+    if len(word) < 3:
+        return ""
+    verbs = [verb for verb, about in (described or {}).items() if word in re.findall(r"\w+", about)]
+    names = list(dict.fromkeys([*verbs, *near(word, known, 2)]))[:3]
+    return f". Did you mean {', '.join(names)}?" if names else ""
 
 
 def add_verb(
@@ -83,7 +133,7 @@ def add_verbs(parser: argparse.ArgumentParser, description: str, metavar: str = 
 
 def add_config(parser: argparse._ActionsContainer) -> None:
     """The configuration file."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration file (default: the daemon's)")
+    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="configuration file (default: the daemon's)")
 
 
 def add_hub_arguments(parser: argparse.ArgumentParser) -> None:

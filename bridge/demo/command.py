@@ -44,7 +44,8 @@ def register(parser: argparse.ArgumentParser) -> None:
         "--to", nargs=3, metavar="ROOM", default=rooms, help=f"rooms: one for each client (default {' '.join(rooms)})"
     )
     parser.add_argument("--seconds", type=float, metavar="N", default=20.0, help="topics: least time (default 20)")
-    parser.add_argument("--config", **file, help="configuration (default configs/navigation.yaml or configs/demo.yaml)")
+    default = "configs/navigation.yaml or configs/demo.yaml"
+    parser.add_argument("-c", "--config", **file, help=f"configuration (default {default})")
     parser.set_defaults(run=run)
 
 

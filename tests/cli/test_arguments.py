@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from bridge.cli.main import VERBS, build_parser
+from bridge.cli.main import VERBS, build_parser, main
 from tests.cli.test_main import leaves, verbs_of
 
 NEGATIVE = ("-1.6", "-1.6,0.9", "-.5", "-2e-3", "-1.6,0.9,-0.5", "-inf")
@@ -74,3 +78,59 @@ def test_each_option_with_a_value_accepts_what_starts_like_a_negative_number(
                         error = capsys.readouterr().err.splitlines()[-1]
                         assert "expected" not in error, (parser.prog, words, error)
                         assert "unrecognized" not in error, (parser.prog, words, error)
+
+
+def error_of(*words: str) -> str:
+    """The last line of the error of a command line with wrong usage."""
+    printed = io.StringIO()
+    with contextlib.redirect_stderr(printed), pytest.raises(SystemExit) as ended:
+        main(list(words))
+    assert ended.value.code == 2
+    assert printed.getvalue().startswith("usage: midspan")
+    return printed.getvalue().splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("words", "where", "meant"),
+    [
+        (["stauts"], "midspan: error: unknown verb 'stauts'", "status"),
+        (["STATUS"], "midspan: error: unknown verb 'STATUS'", "status"),
+        (["--debug", "exlpain", "/scan"], "midspan: error: unknown verb 'exlpain'", "explain"),
+        (["echo", "/scan"], "midspan: error: unknown verb 'echo'", "topic"),
+        (["topic", "ecoh", "/scan"], "midspan topic: error: unknown verb 'ecoh'", "echo"),
+        (["map", "edit-flag"], "midspan map: error: unknown verb 'edit-flag'", "edit-flags"),
+        (["yarp", "nmae", "get"], "midspan yarp: error: unknown verb 'nmae'", "name"),
+        (["status", "--jsn"], "midspan status: error: unrecognized arguments: --jsn", "--json"),
+        (["topic", "echo", "/x", "--timout=3"], "midspan topic echo: error: unrecognized", "--timeout"),
+        (["--versoin"], "midspan: error: unrecognized arguments: --versoin", "--version"),
+        (
+            ["location", "list", "--kind", "locaton"],
+            "midspan location list: error: argument --kind: invalid",
+            "location",
+        ),
+        (["completion", "bsh"], "midspan completion: error: argument shell: invalid choice: 'bsh'", "bash"),
+    ],
+)
+def test_a_misspelled_verb_option_or_choice_has_its_nearest_name(words: list[str], where: str, meant: str) -> None:
+    error = error_of(*words)
+    assert error.startswith(where)
+    assert re.search(rf"\. Did you mean ([\w-]+, )*{meant}\b", error), error
+
+
+def test_what_resembles_no_name_has_no_hint() -> None:
+    assert error_of("zzz") == "midspan: error: unknown verb 'zzz'. 'midspan --help' lists all verbs."
+    for words in (["status", "--zzz"], ["goto", "kitchen", "-z"], ["status", "extra"], ["topic"]):
+        assert "Did you mean" not in error_of(*words)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_each_verb_with_a_configuration_has_its_short_option(verb: str) -> None:
+    for parser in of_verb(verb):
+        option = parser._option_string_actions.get("--config")
+        assert option is parser._option_string_actions.get("-c"), parser.prog
+
+
+def test_the_short_option_of_the_configuration() -> None:
+    for words in (["status"], ["run"], ["worker", "ros1"], ["topic", "list"], ["demo"], ["bag", "convert", "a", "b"]):
+        for short in (["-c", "my.yaml"], ["-cmy.yaml"]):
+            assert values(*words, *short).config == values(*words, "--config", "my.yaml").config == Path("my.yaml")
