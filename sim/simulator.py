@@ -17,6 +17,7 @@ from bridge.messages.registry import Registry
 from bridge.modules.endpoints import ModulePublisher
 from bridge.modules.host import Host, ModuleNode
 from bridge.modules.module import Module
+from bridge.modules.ports import ports_stay
 from bridge.modules.worker import Running
 from bridge.worker import Health, Worker
 from sim import messages
@@ -365,7 +366,7 @@ class SimWorker(Worker):
     def reload(self, config: Config) -> bool:
         """Restart the simulation with another section; return False if only a restart of the worker can apply it."""
         old, running = self._config, self._running
-        if old is None or running is None or not config.yarp.opens_as(old.yarp):
+        if old is None or running is None or not ports_stay(config, old):
             return False
         if any(getattr(config, part) != getattr(old, part) for part in _FIXED):
             return False

@@ -13,10 +13,12 @@ from bridge.routing.counters import Counters
 from bridge.state_file import worker_folder
 from yarp_compat.dev.server import Server
 from yarp_compat.dev.service import Service
+from yarp_compat.naming import config as conf
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.ports.connections import ConnectionEvent
 from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import NamingConfigError, NoNameServerError
 from yarp_compat.ports.port import PortCore
 from yarp_compat.pythonic import Content, Received, payload_of
 from yarp_compat.wire.errors import WireError
@@ -69,6 +71,15 @@ class HostedPort:
         return document
 
 
+class _SwitchedOff(NameClient):
+    """A client without a name server, for ``yarp.enabled: false``: every command fails at once."""
+
+    @property
+    def address(self) -> Address:
+        """Raise `NoNameServerError`."""
+        raise NoNameServerError("YARP is switched off (yarp.enabled: false)")
+
+
 class Ports:
     """The ports of one module. What a port calls runs on the thread of its connection, several at a time.
 
@@ -84,7 +95,8 @@ class Ports:
         self._config = config
         self._profile = Profile(config.yarp.profile)
         self.generations = config.yarp.generations()
-        self.naming = NameClient(
+        self._off = config.yarp.enabled is False
+        self.naming = (_SwitchedOff if self._off else NameClient)(
             _address(config), namespace=config.yarp.namespace, timeout=_ASK_SECONDS, numbers=config.yarp.numbers
         )
         self._ports: list[HostedPort] = []
@@ -144,7 +156,7 @@ class Ports:
 
     def status(self) -> list[dict[str, Any]]:
         """All ports, as they stand in the status document."""
-        return [port.status() for port in self._ports]
+        return [] if self._off else [port.status() for port in self._ports]
 
     def tick(self) -> None:
         """Count rates; called once a second."""
@@ -152,8 +164,19 @@ class Ports:
             port.counters.tick()
 
     def trouble(self) -> str:
-        """Why some port is not open, "" where all are."""
-        return next((f"{port.name}: {port.trouble}" for port in self._ports if port.trouble), "")
+        """Return why some port is not open; "" if all are, or if YARP is not used here."""
+        trouble = next((f"{port.name}: {port.trouble}" for port in self._ports if port.trouble), "")
+        return "" if trouble and self._unused() else trouble
+
+    def _unused(self) -> bool:
+        """Whether YARP is switched off, or neither the configuration nor a yarp.conf names a name server."""
+        section = self._config.yarp
+        if self._off or section.enabled is True or section.configured:
+            return self._off
+        try:
+            return conf.read(section.namespace) is None
+        except NamingConfigError:
+            return False
 
     def close(self) -> None:
         """Close all ports."""
@@ -179,6 +202,8 @@ class Ports:
         )
         port = HostedPort(core)
         self._ports.append(port)
+        if self._off:
+            return port
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name="midspan-ports", daemon=True)
             self._thread.start()
@@ -212,6 +237,12 @@ class Ports:
             port.trouble = ""
             if port.core.rpc:
                 self._callers.watch(port.core)
+
+
+def ports_stay(config: Config, old: Config) -> bool:
+    """Return whether ports that were opened with the old configuration are also right for a new one."""
+    switched = (config.yarp.enabled is False) != (old.yarp.enabled is False)
+    return not switched and config.yarp.opens_as(old.yarp)
 
 
 def _address(config: Config) -> Address | None:

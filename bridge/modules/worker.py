@@ -19,6 +19,7 @@ from bridge.messages.errors import MessageError
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from bridge.modules.module import Module, kind_of
+from bridge.modules.ports import ports_stay
 from bridge.modules.shared import Shared
 from bridge.progress import working
 from bridge.stores.entry import StoreError
@@ -218,7 +219,7 @@ class ModulesWorker(Worker):
     def reload(self, config: Config) -> bool:
         """Start, stop and reload the modules whose configuration changed."""
         old, registry, shared = self._config, self._registry, self._shared
-        if old is None or registry is None or shared is None or not config.yarp.opens_as(old.yarp):
+        if old is None or registry is None or shared is None or not ports_stay(config, old):
             return False
         if any(getattr(config, part) != getattr(old, part) for part in _FIXED):
             return False
