@@ -1,4 +1,4 @@
-"""A module's YARP ports: they are opened when a name server answers, and kept registered by `yarp_compat`."""
+"""A module's YARP ports: opened when a name server answers, then kept registered by `yarp_compat`."""
 
 from __future__ import annotations
 
@@ -36,29 +36,29 @@ Take = Callable[[Received], None]
 
 
 class HostedPort:
-    """One port. It may be written to before it is open; nobody hears it then."""
+    """One port. Messages that are written before it is open are dropped."""
 
     def __init__(self, core: PortCore, answers: Generations | None = None) -> None:
-        self.name = core.name  # as it is registered
+        self.name = core.name  # as registered
         self.core = core
         self.answers = answers
         self.counters = Counters()
-        self.trouble = "not opened yet"  # why it is not open, "" where it is
+        self.trouble = "not opened yet"  # why it is not open, "" if it is
 
     @property
     def heard(self) -> bool:
-        """Whether anybody is connected to its output."""
+        """Return whether a port is connected to its output."""
         return bool(self.core.connections.outputs)
 
     def write(self, content: Content, envelope: str = "") -> int:
-        """Send a message to all that are connected, waiting for nobody, also before it is open; how many took it."""
+        """Send a message to all connected ports without waiting; return how many accepted it."""
         took: int = self.core.write(payload_of(content), envelope, strict=False)
         if took:
             self.counters.crossed(0)
         return took
 
     def status(self) -> dict[str, Any]:
-        """The port, as it stands in the status document."""
+        """Return the port's entry in the status document."""
         document = {"port": self.name, "state": "waiting" if self.trouble else "open", **self.counters.as_dict()}
         if self.trouble:
             document["error"] = self.trouble
@@ -81,14 +81,14 @@ class _SwitchedOff(NameClient):
 
 
 class Ports:
-    """The ports of one module. What a port calls runs on the thread of its connection, several at a time.
+    """The ports of one module. Callbacks of a port run on the threads of its connections, several at a time.
 
     Args:
-        config: the configuration; its section ``yarp`` says which name server there is.
+        config: the configuration; its section ``yarp`` names the name server.
 
     Attributes:
-        naming: the name server.
-        generations: what the callers of served interfaces are answered in.
+        naming: the client of the name server.
+        generations: the YARP generation of each client of a served interface.
     """
 
     def __init__(self, config: Config, name: str) -> None:
@@ -118,7 +118,7 @@ class Ports:
         return port
 
     def respond(self, name: str, respond: Respond) -> HostedPort:
-        """Answer Bottles of words, as the modules' own RPC ports do; an exception answers ``[fail]`` and its text.
+        """Answer Bottles of values, as the RPC ports of YARP modules do; an exception answers ``[fail]`` and its text.
 
         An answer that begins with ``[many]``, ``[ok]`` and the like begins with that vocab: `yarp rpc` shows the texts
         after ``[many]`` as lines.
@@ -128,7 +128,7 @@ class Ports:
             received = Received(message, self._profile)
             try:
                 answer = respond(received.values)
-            except (ValueError, WireError, TimeoutError) as err:  # the last: of the module's thread
+            except (ValueError, WireError, TimeoutError) as err:  # TimeoutError: the module's thread is busy
                 answer = ["[fail]", str(err)]
             if message.wants_reply:
                 received.reply(answer if isinstance(answer, Portable) else begun_by_vocab(answer))
@@ -136,7 +136,7 @@ class Ports:
         return self._made(name, take, rpc=True, on_event=lambda _event: self._wake.set())
 
     def input(self, name: str, take: Take) -> HostedPort:
-        """Hear what YARP programs write to a port."""
+        """Receive the messages that YARP programs write to a port."""
 
         def taken(message: PortMessage) -> None:
             port.counters.crossed(len(message.payload))
@@ -151,11 +151,11 @@ class Ports:
         return port
 
     def output(self, name: str, type_name: str = "") -> HostedPort:
-        """Write to whoever connects."""
+        """Write to the ports that connect."""
         return self._made(name, None, is_input=False, type_name=type_name)
 
     def status(self) -> list[dict[str, Any]]:
-        """All ports, as they stand in the status document."""
+        """Return all ports' entries in the status document."""
         return [] if self._off else [port.status() for port in self._ports]
 
     def tick(self) -> None:
@@ -213,7 +213,7 @@ class Ports:
     def _run(self) -> None:
         while True:
             self._wake.clear()
-            if self._closed:  # looked at after the event is cleared: `close` sets it before the event
+            if self._closed:  # checked after the event is cleared: `close` sets it before the event
                 return
             waiting = [port for port in list(self._ports) if port.trouble]
             for port in waiting:
