@@ -26,6 +26,7 @@ from bridge.messages.registry import Registry
 
 POSE = "geometry_msgs/msg/PoseStamped"
 FEEDBACK = "nav2_msgs/action/NavigateToPose_FeedbackMessage"
+EVENT = "std_srvs/srv/SetBool_Event"
 ORIGIN = Origin("ros1", "run-1", "robot1")
 
 
@@ -50,6 +51,8 @@ def test_independent_readers_find_what_was_written(
         writer = McapWriter(stream, compression)
         poses = writer.channel(info(registry, "/pose", POSE, LATCHED, Qos(Reliability.BEST_EFFORT, deadline_ns=10**8)))
         feedbacks = writer.channel(info(registry, "/goto/_action/feedback", FEEDBACK))
+        events = writer.channel(info(registry, "/lamp/_service_event", EVENT))
+        writer.write(events, 4_000, 4_000, from_json(registry, EVENT, {"request": [{"data": True}]}))
         writer.write(poses, 2_000, 1_000, from_json(registry, POSE, pose), 7)
         writer.write(feedbacks, 3_000, 2_500, from_json(registry, FEEDBACK, feedback), 1)
         writer.finish()
@@ -61,6 +64,7 @@ def test_independent_readers_find_what_was_written(
     assert (connection.msgtype, time) == (POSE, 2_000)
     assert (message.header.frame_id, message.pose.position.x) == ("map", 1.5)
     assert found["/goto/_action/feedback"][2].feedback.distance_remaining == 2.5
+    assert found["/lamp/_service_event"][2].request[0].data is True
     assert isinstance(connection.ext, ConnectionExtRosbag2)
     first, second = connection.ext.offered_qos_profiles
     assert (first.durability, first.depth) == (QosDurability.TRANSIENT_LOCAL, 1)

@@ -17,14 +17,17 @@ from rosbags.highlevel import AnyReader
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
+from tests.bags.stock import member, rosbag, rosbags
 from tests.contract.side import CUSTOM_FOLDER
 from tests.interop.deployment import MIDSPAN, Deployment
+from tests.interop.hub_actions import HubActions
 from tests.record.robot import Contents, read
 from tests.support.process import Process
 from tests.support.wait import until
 from tests.support.yarp_programs import Definitions, Names, YarpProgram
 
 STRING = "std_msgs/String"
+NAVIGATE, FEEDBACK = "nav2_msgs/NavigateToPose", "move_base_msgs/MoveBaseActionFeedback"
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +97,48 @@ def test_what_programs_of_all_sides_say_is_read_by_rosbags_and_by_mcaps_decoder(
     assert {side: decoded[f"/from_{side}"][0] for side in programs} == {side: side for side in programs}
     assert {decoded[f"/from_{side}"][1].data for side in programs} == set(programs)
     assert decoded["/kept"][1].pose.position.x == 1.5
+
+
+GOAL: dict[str, Any] = {"pose": {"header": {"frame_id": "map"}, "pose": {"orientation": {"w": 1.0}}}}
+PLACE = {"pose": {"position": {"x": 1.5}}}
+
+
+def test_a_recorded_goal_is_converted_for_rosbag_and_for_rosbags(recorded: Deployment, tmp_path: Path) -> None:
+    """A goal of each world: ROS 1's ``move_base`` and a Nav2 planner on the hub, recorded and converted."""
+    ros1, hub = recorded.ros1(), recorded.keep(HubActions(recorded.settings("planner")))
+    ros1.ask("act", action="/move_base", type="move_base_msgs/MoveBase", feedback=[{"base_position": PLACE}])
+    hub.ask("act", action="/navigate_to_pose", type=NAVIGATE, feedback=[{"current_pose": PLACE}])
+    goals = {
+        "/move_base": (hub, {"type": NAVIGATE, "goal": GOAL}),
+        "/navigate_to_pose": (ros1, {"type": "move_base_msgs/MoveBase", "goal": {"target_pose": GOAL["pose"]}}),
+    }
+    topics = [f"{action}/_action/{part}" for action in goals for part in ("feedback", "status")]
+
+    def recorded_goals() -> bool:
+        """Send a goal of each: feedback is not latched, and the recorder may have missed that of the first."""
+        for action, (client, asked) in goals.items():
+            goal = client.ask("send_goal", action=action, seconds=30.0, **asked)["id"]
+            client.ask("goal", id=goal, until={"accepted": True, "feedback": 1, "status": 4}, seconds=30.0)
+        return written(recorded, *topics) is not None
+
+    until(recorded_goals, "each topic has a message that is written", 40, every=0.5)
+    assert recorded.command("record", "--daemon", "split").returncode == 0
+    file = recorded.worker("record")["recording"]["file"]
+    for name in ("new.mcap", "new.db3", "new.bag"):
+        done = recorded.command("bag", "convert", file, str(tmp_path / name), "--config", str(recorded.file))
+        assert done.returncode == 0, done.stderr
+    for path in (Path(file), tmp_path / "new.mcap", tmp_path / "new.db3"):
+        found = {topic: message for topic, _, message in rosbags(path)}
+        for action in goals:
+            assert member(found[f"{action}/_action/feedback"], "feedback.current_pose.pose.position.x") == 1.5
+            assert member(found[f"{action}/_action/status"], "status_list.0.status") in (1, 2, 4)
+    (messages,) = rosbag([tmp_path / "new.bag"])
+    assert not isinstance(messages, str), messages
+    types = {topic: type_name for topic, type_name, _ in messages}
+    places = {topic: member(m, "feedback.base_position.pose.position.x") for topic, t, m in messages if t == FEEDBACK}
+    for action in goals:
+        assert types[f"{action}/status"] == "actionlib_msgs/GoalStatusArray"
+        assert places[f"{action}/feedback"] == 1.5
 
 
 def test_what_stays_at_home_is_recorded_of_its_side(recorded: Deployment, tmp_path: Path) -> None:

@@ -13,12 +13,16 @@ from typing import Any
 
 import pytest
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Writer1
 
+from bridge.bags.mcap_writer import ChannelInfo, McapWriter
 from bridge.cli.main import main
+from bridge.hub.graph.tokens import Origin
 from tests.bags.written import START, long_mcap, mcap_bytes, mcap_file, nobody_knows, ros1_bag
 from tests.support.wait import until
 
 SECOND = 1_000_000_000
+STRING_MD5 = "992ce8a1687cec8c8bd883ec73ca41d1"
 
 
 @pytest.fixture(autouse=True)
@@ -41,6 +45,36 @@ def test_info_tells_what_is_in_a_bag(capsys: pytest.CaptureFixture[str]) -> None
     assert (told["messages"], told["unfinished"], told["start"]) == (21, False, START / SECOND)
     assert {topic["name"]: topic["latched"] for topic in told["topics"]} == {"/map_name": True, "/pose": False}
     assert told["topics"][0]["metadata"]["daemon"] == "robot1"
+
+
+def test_info_names_the_side_of_each_topic(capsys: pytest.CaptureFixture[str]) -> None:
+    origins = {
+        "/own": ("zenoh", None), "/json": ("zenoh_json", Origin("zenoh_json", "n", "robot1")),
+        "/yarp": ("yarp", Origin("yarp", "n", "robot2")), "/foreign": ("", None),
+    }  # fmt: skip
+    with Path("run.mcap").open("wb", buffering=0) as stream:
+        writer = McapWriter(stream)
+        for topic, (side, origin) in origins.items():
+            writer.channel(
+                ChannelInfo(topic, "std_msgs/msg/String", definition="string data\n", side=side, origin=origin)
+            )
+        writer.finish()
+    assert main(["bag", "info", "run.mcap"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("/")]
+    assert {topic: words for topic, _, _, _, *words in lines} == {
+        "/own": ["hub"], "/json": ["zenoh_json", "of", "robot1"], "/yarp": ["yarp", "of", "robot2"],
+        "/foreign": ["ROS", "2"],
+    }  # fmt: skip
+
+
+def test_convert_prints_the_names_that_it_changes(capsys: pytest.CaptureFixture[str]) -> None:
+    with Writer1("old.bag") as writer:
+        topic = writer.add_connection("/camera/1", "std_msgs/msg/String", msgdef="string data\n", md5sum=STRING_MD5)
+        writer.write(topic, START, b"\2\0\0\0hi")
+    assert main(["bag", "convert", "old.bag", "new.mcap"]) == 0
+    assert "renamed: /camera/1 is /camera/n1 in the new file" in capsys.readouterr().out
+    assert main(["bag", "convert", "old.bag", "new.db3", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["renamed"] == {"/camera/1": "/camera/n1"}
 
 
 def test_a_bag_is_converted_and_cut(capsys: pytest.CaptureFixture[str]) -> None:
