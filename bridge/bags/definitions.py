@@ -18,7 +18,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from bridge.messages.definitions.hashes import EMPTY_MEMBER
@@ -30,6 +32,9 @@ from bridge.messages.errors import MessageTypeError
 
 MSG, IDL = "ros2msg", "ros2idl"
 _LINE = "=" * 80
+_CACHED = 500
+"""Definitions that are not parsed again: thousands of topics may share a type."""
+
 _IDL_NAMES = {
     "bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double",
 }  # fmt: skip
@@ -43,38 +48,48 @@ class StoredDefinition(NamedTuple):
     text: str = ""
 
 
+@lru_cache(maxsize=_CACHED)
 def stored_definition(type_name: str, definition: str) -> StoredDefinition:
-    """Return a full definition in the encoding that other readers decode; a text that is no definition stays as is."""
+    """Return a full definition in the encoding that other readers decode; empty if they would refuse the whole file."""
     if not definition:
         return StoredDefinition()
     try:
         schema = full_schema(type_name, definition)
     except MessageTypeError:
-        return StoredDefinition(MSG, definition)
+        return StoredDefinition(MSG, definition) if _rosbags_types(type_name, definition) else StoredDefinition()
     if any("/srv/" in name for name in schema.types):
         return StoredDefinition(IDL, _idl_text(schema))
     return StoredDefinition(MSG, full_text(without_char(schema)))
 
 
-def rosbags_reads(type_name: str, definition: str, type_hash: str) -> bool:
-    """Whether rosbags parses the stored definition, and computes the hash from it that is stored beside it."""
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+@lru_cache(maxsize=_CACHED)
+def hashed_definition(type_name: str, definition: str, type_hash: str) -> str:
+    """Return the text of a definition from which rosbags computes ``type_hash``, "" if it computes another one."""
+    from rosbags.typesys import Stores, get_typestore
 
-    encoding, text = stored_definition(type_name, definition)
-    if not text:
-        return False
-    store = get_typestore(Stores.EMPTY)
+    for text in (definition, stored_definition(type_name, definition).text):
+        store = get_typestore(Stores.EMPTY)
+        with suppress(Exception):  # a type that rosbags does not support ends in a KeyError
+            store.register(_rosbags_types(type_name, text))
+            if store.hash_rihs01(type_name) == type_hash:
+                return text
+    return ""
+
+
+def _rosbags_types(type_name: str, text: str) -> Any:
+    """Return the types of a definition as rosbags' reader parses them; empty if it cannot."""
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
     try:
-        if encoding == MSG:
-            store.register(get_types_from_msg(text, type_name))
-        else:
-            sections = (section.partition("\n")[2] for section in text.split(f"{_LINE}\n")[1:])
-            store.register({name: kind for section in sections for name, kind in get_types_from_idl(section).items()})
-        return store.hash_rihs01(type_name) == type_hash
-    except Exception:  # a type that it does not support ends in a KeyError
-        return False
+        if not text.startswith(f"{_LINE}\nIDL: "):
+            return get_types_from_msg(text, type_name)
+        sections = [section.partition("\n")[2] for section in text.split(f"{_LINE}\n")[1:]]
+        return {name: kind for section in sections for name, kind in get_types_from_idl(section).items()}
+    except Exception:  # its parser raises more than its own error for bad input
+        return {}
 
 
+@lru_cache(maxsize=_CACHED)
 def full_schema(type_name: str, definition: str) -> Schema:
     """Parse a full definition of a ROS 2 type; raises `MessageTypeError` if it is invalid or incomplete."""
     types = parse_full(definition, type_name, World.ROS2)

@@ -15,7 +15,7 @@ from typing import Any
 
 from bridge.bags.bag import BagError, BagTopic, Kind
 from bridge.bags.conversion import TopicForm
-from bridge.bags.definitions import rosbags_reads, stored_definition
+from bridge.bags.definitions import hashed_definition
 from bridge.bags.qos import rosbag2_time
 from bridge.hub.wire.qos import Qos
 from yarp_compat.file_names import forbidden
@@ -135,8 +135,8 @@ class Db3(BagWriter):
     def _connect(self) -> None:
         stored: dict[str, tuple[str, str]] = {}
         for form, _ in self._topics.values():
-            if form.type_name not in stored and rosbags_reads(form.type_name, form.definition, form.type_hash):
-                stored[form.type_name] = stored_definition(form.type_name, form.definition).text, form.type_hash
+            if form.definition and (text := hashed_definition(form.type_name, form.definition, form.type_hash)):
+                stored.setdefault(form.type_name, (text, form.type_hash))
         for (name, type_name), (form, offered) in self._topics.items():
             text, type_hash = stored.get(type_name, ("", form.type_hash))
             if not text:  # an empty text would be read as a message without fields

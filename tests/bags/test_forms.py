@@ -164,7 +164,7 @@ UNKNOWN = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("target", ["b.db3", "b"])
+@pytest.mark.parametrize("target", ["b.mcap", "b.db3", "b"])
 @pytest.mark.parametrize("case", UNKNOWN)
 def test_a_definition_that_readers_refuse_costs_no_other_topic(case: str, target: str, tmp_path: Path) -> None:
     text, data = UNKNOWN[case]
@@ -259,8 +259,8 @@ def test_a_definition_in_idl_is_read(tmp_path: Path) -> None:
     same = (
         f"int8 ROUND=3\nfloat32[2] size\nCorner[<=4] corners\nstring<=5 name\nbool closed\n{LINE}MSG: my_msgs/Corner\n"
     )
-    found, wanted = (full_schema("my_msgs/msg/Shape", each) for each in (text, same))
-    assert (rihs01(found), found.root.constants) == (rihs01(wanted), wanted.root.constants)
+    idl, msg = (full_schema("my_msgs/msg/Shape", each) for each in (text, same))
+    assert (rihs01(idl), idl.root.constants) == (rihs01(msg), msg.root.constants)
     registry = Registry()
     registry.learn_ros2("my_msgs/msg/Shape", text)
     data = from_json(registry, "my_msgs/msg/Shape", {"size": [1.0, 2.0], "name": "box"})
