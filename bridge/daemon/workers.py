@@ -99,7 +99,7 @@ def _of_side(side: Side) -> WorkerKind:
 _WEB = ("starlette", "uvicorn", "websockets")
 
 WORKERS = (
-    WorkerKind("router", "bridge.hub.router:RouterWorker", outlives=True),
+    WorkerKind("router", "bridge.hub.router:create_router", outlives=True),
     *map(_of_side, all_sides()),
     WorkerKind(
         "modules",

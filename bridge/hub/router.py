@@ -26,6 +26,8 @@ from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.graph.tokens import MIDSPAN_SPACE
 from bridge.hub.links import MEMBERS
 from bridge.hub.security.door import HubDoor, KeyWatch, check_closed, has_tls, key_files
+from bridge.hub.security.endpoints import closed_endpoints
+from bridge.hub.security.zenoh_log import ZenohLog
 from bridge.hub.zenoh_config import MAX_PAYLOAD, client_session_config, connect_endpoint, make_config, router_tree
 from bridge.worker import Health, Worker, costs
 
@@ -93,6 +95,11 @@ def port_held(endpoint: str) -> bool:
         return False
 
 
+def create_router() -> RouterWorker:
+    """Make the worker in a process of its own, whose standard output zenoh's log may use."""
+    return RouterWorker(ZenohLog.capture())
+
+
 class RouterWorker(Worker):
     """Runs a router at ``hub.listen``.
 
@@ -101,11 +108,13 @@ class RouterWorker(Worker):
     this machine's programs have their router all the same, and it is tried again.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, zenoh_log: ZenohLog | None = None) -> None:
+        self._zenoh_log = zenoh_log
         self._config: Config | None = None
         self._door: HubDoor | None = None
         self._keys: KeyWatch | None = None
         self._door_trouble = ""
+        self._door_since = 0.0
         self._door_again = 0.0
         self._session: zenoh.Session | None = None
         self._control: Control | None = None
@@ -170,16 +179,19 @@ class RouterWorker(Worker):
             control.close()
         if session is not None:
             session.close()  # type: ignore[no-untyped-call]
+        if self._zenoh_log is not None:
+            self._zenoh_log.release()
 
     def _open_door(self, config: Config) -> None:
         if not config.hub.open.opened:
             return
         try:
             self._keys = KeyWatch(key_files(config)) if has_tls(config.hub.open) else None
-            self._door = HubDoor(config)
+            self._door = HubDoor(config, self._zenoh_log)
         except HubError as err:
             if str(err) != self._door_trouble:
                 _log.error("hub.open: %s", err)
+                self._door_since = time.time()
             self._door_trouble = str(err)
             self._door_again = time.monotonic() + _DOOR_SECONDS
             return
@@ -203,7 +215,10 @@ class RouterWorker(Worker):
     def _door_text(self) -> str:
         if self._door_trouble:
             return f"; closed to other machines: {self._door_trouble}"
-        return "" if self._door is None else f"; {len(self._door.machines())} other machines"
+        if self._door is None:
+            return ""
+        bad = [f"; {status}" for status in self._door.endpoints() if not status.good]
+        return f"; {len(self._door.machines())} other machines{''.join(bad)}"
 
     def _take_over(self, config: Config) -> zenoh.Session | None:
         if not port_held(config.hub.listen):
@@ -259,13 +274,19 @@ class RouterWorker(Worker):
         }
 
     def _door_status(self) -> dict[str, Any]:
-        """The machines at the door, and the commands that it accepts from trusted ones alone."""
+        """Return the other machines, the endpoints by which they join, and the commands that need ``trusted``."""
         door, config = self._door, self._config
-        if door is None or config is None:
-            return {"machines": []}
+        if config is None:
+            return {"machines": [], "endpoints": []}
+        if door is None:
+            given = config.hub.open
+            closed = closed_endpoints(given.listen, given.connect, self._door_trouble, self._door_since)
+            return {"machines": [], "endpoints": [asdict(status) for status in closed]}
         return {
             "door": door.zid,
             "machines": [asdict(machine) for machine in door.machines()],
+            "endpoints": [asdict(status) for status in door.endpoints()],
+            "refused_connections": door.refused(),
             "commands": {name: sorted(parts) for name, parts in commands(config.rules).items()},
         }
 

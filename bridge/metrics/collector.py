@@ -12,6 +12,7 @@ from prometheus_client.registry import Collector
 
 from bridge import __version__
 from bridge.daemon.query import Phase
+from bridge.hub.security.reasons import EndpointState
 from bridge.metrics.families import Families, Family, Kind
 from bridge.metrics.routes import RouteTeller
 from bridge.metrics.source import AT_REST, Document, Snapshot, Source
@@ -23,6 +24,7 @@ MOST_OWN = 50
 _OWN_NAME = re.compile(r"[a-z][a-z0-9_]{0,60}")
 _PHASES = tuple(phase.value for phase in Phase if phase.value not in AT_REST)
 _STATES = ("running", "waiting", "standby")
+_ENDPOINT_STATES = frozenset(EndpointState)
 _MODULE_STATES = ("running", "waiting", "standby", "stopped")
 
 
@@ -110,6 +112,19 @@ def _router(families: Families, document: Document) -> None:
         for trusted in (True, False):
             count = sum(isinstance(one, dict) and bool(one.get("trusted")) is trusted for one in machines)
             families.put("midspan_router_machines", count, str(trusted).lower())
+    families.put("midspan_router_refused_connections_total", document.get("refused_connections"))
+    endpoints = document.get("endpoints")
+    for one in endpoints if isinstance(endpoints, list) else ():
+        if isinstance(one, dict) and one.get("state") in _ENDPOINT_STATES:
+            _endpoint(families, one)
+
+
+def _endpoint(families: Families, one: Document) -> None:
+    place, state = (str(one.get("way")), str(one.get("endpoint"))), EndpointState(one["state"])
+    families.put("midspan_router_endpoint_up", state.good and state is not EndpointState.CONNECTING, *place)
+    for each in EndpointState:
+        families.put("midspan_router_endpoint_state", each is state, *place, each)
+    families.put("midspan_router_endpoint_since_timestamp_seconds", one.get("since"), *place)
 
 
 def _module(families: Families, document: Document) -> None:

@@ -36,6 +36,7 @@ class Family(NamedTuple):
 _ROUTE = ("side", "direction", "kind", "topic", "type")
 _WORKER = ("worker",)
 _SIDE = ("side",)
+_ENDPOINT = ("way", "endpoint")
 
 FAMILIES = (
     Family("midspan_build_info", "gauge", "Always 1; which Midspan it is, and of which daemon.", ("version", "daemon")),
@@ -54,6 +55,10 @@ FAMILIES = (
     Family("midspan_worker_open_fds", "gauge", "Open file descriptors of the process.", _WORKER),
     Family("midspan_router_sessions", "gauge", "Sessions that are linked with the hub's router."),
     Family("midspan_router_machines", "gauge", "Other machines at the hub's door.", ("trusted",)),
+    Family("midspan_router_endpoint_up", "gauge", "Whether the endpoint of hub.open is as it should be.", _ENDPOINT),
+    Family("midspan_router_endpoint_state", "gauge", "1 for the endpoint's state.", (*_ENDPOINT, "state")),
+    Family("midspan_router_endpoint_since_timestamp_seconds", "gauge", "Begin of the endpoint's state.", _ENDPOINT),
+    Family("midspan_router_refused_connections_total", "counter", "Connections refused because of a certificate."),
     Family("midspan_module_state", "gauge", "1 for the state that the hosted module is in.", ("module", "state")),
     Family("midspan_side_state", "gauge", "1 for the state that the side is in.", ("side", "state")),
     Family("midspan_side_lease", "gauge", "Whether this daemon carries between the side's network and the hub.", _SIDE),

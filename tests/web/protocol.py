@@ -142,6 +142,17 @@ class Machine(Model):
     trusted: bool | None
 
 
+class Endpoint(Model):
+    daemon: str
+    way: str | None
+    endpoint: str | None
+    state: str | None
+    reason: str | None
+    cure: str | None
+    machine: str | None
+    since: float | None
+
+
 class Route(Model):
     daemon: str
     side: str | None
@@ -172,6 +183,7 @@ class Refused(Model):
 class Status(Model):
     workers: list[Worker]
     machines: list[Machine]
+    endpoints: list[Endpoint]
     routes: list[Route]
     refused: list[Refused]
 

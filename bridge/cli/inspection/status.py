@@ -170,6 +170,9 @@ def _show_worker(console: Console, document: Document, elsewhere: Container[str]
         console.print(Text(f"           {clean(text)}", "yellow"))
         if cure:
             console.print(Text(f"             cure: {clean(cure)}"))
+    for endpoint in dicts(document.get("endpoints")):
+        for line in _endpoint(endpoint):
+            console.print(line)
     for machine in dicts(document.get("machines")):
         console.print(_machine(machine))
     for connected in connected_lines(port_list(document)):
@@ -190,6 +193,20 @@ def _refused(document: Document) -> list[tuple[str, str]]:
         text = f"refused {way} {topic} ({type_name}): {reason}"
         groups.setdefault((cause(text), cause(cure)), []).append((text, cure))
     return [(one_line([text for text, _ in group]), group[0][1]) for group in groups.values()]
+
+
+def _endpoint(endpoint: Document) -> list[Text]:
+    """Return the lines of one endpoint of hub.open: its state, and the cure if other machines cannot join by it."""
+    way, place, state = (clean(endpoint.get(key, "?")) for key in ("way", "endpoint", "state"))
+    since = endpoint.get("since")
+    age = f" for {duration(max(time.time() - since, 0.0))}" if is_number(since) else ""
+    machine = f" to {clean(endpoint['machine'])}" if state == "connected" and endpoint.get("machine") else ""
+    reason = f": {clean(endpoint['reason'])}" if endpoint.get("reason") else ""
+    good = state in ("connected", "connecting", "listening")
+    lines = [Text(f"           hub.open.{way} {place} {state}{machine}{age}{reason}", "" if good else "yellow")]
+    if endpoint.get("cure"):
+        lines.append(Text(f"             cure: {clean(endpoint['cure'])}"))
+    return lines
 
 
 def _machine(machine: Document) -> Text:

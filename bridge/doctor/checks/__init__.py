@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from bridge.doctor.check import Check
-from bridge.doctor.checks import bridges, console, cyclone, hub, machine, sharedmemory, types
+from bridge.doctor.checks import bridges, connections, console, cyclone, hub, machine, sharedmemory, types
 from bridge.sides import all_sides, imported
 
 CHECKS: tuple[Check, ...] = (
     Check("config", "the configuration", hub.look_at_config),
     Check("daemon", "the daemon and its workers", hub.look_at_workers),
     Check("router-port", "the router's port", hub.look_at_port),
-    Check("keys", "the certificates by which machines join (`hub.open`)", hub.look_at_keys),
+    Check(
+        "keys",
+        "the certificates and connections of other machines (`hub.open`)",
+        connections.look_at_connections,
+        seconds=connections.SECONDS,
+    ),
     Check("console", "the certificate of the console (`web`)", console.look_at_certificate),
     Check("kernels", "the compiled kernels", machine.look_at_kernels),
     Check("wheels", "libraries that have no wheel on this system", machine.look_at_wheels),

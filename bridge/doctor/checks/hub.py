@@ -15,8 +15,8 @@ from bridge.doctor.daemon_state import START
 from bridge.doctor.hub_problems import absence
 from bridge.hub.errors import HubConfigError, HubError
 from bridge.hub.router import port_held, probe_router
-from bridge.hub.security.certificates import Certificate, CertificateError, read_certificate, signed_by
-from bridge.hub.security.door import KeyFiles, has_tls, key_files
+from bridge.hub.security.certificates import Certificate, CertificateError, KeyFiles, read_certificate, signed_by
+from bridge.hub.security.door import has_tls, key_files
 from bridge.hub.zenoh_config import connect_endpoint
 
 _LOG = "see its log: journalctl -u midspan"

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import ssl
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,10 @@ from bridge.config.sections.section import is_loopback
 from bridge.hub.errors import HubConfigError, HubError, zenoh_reason
 from bridge.hub.links import LinkLimits
 from bridge.hub.security.access import ANYBODY, access_control
+from bridge.hub.security.certificates import KeyFiles, trouble
+from bridge.hub.security.endpoints import EndpointMonitor, EndpointStatus
+from bridge.hub.security.handshake import Identity
+from bridge.hub.security.zenoh_log import ZenohLog
 from bridge.hub.zenoh_config import MAX_PAYLOAD, connect_endpoint, make_config, router_tree
 from yarp_compat.file_names import escaped
 
@@ -32,23 +35,6 @@ KEYS = Path("/etc/midspan/keys")
 
 _TIMEOUT_MS = 3000
 """How long a connection may take to be made; then it is tried again."""
-
-
-@dataclass(frozen=True, slots=True)
-class KeyFiles:
-    """The files by which a machine shows who it is."""
-
-    ca: Path
-    certificate: Path
-    key: Path
-
-    def check(self) -> None:
-        """Raises `HubConfigError` where one is missing or cannot be read."""
-        for file in (self.ca, self.certificate, self.key):
-            if not file.exists():
-                raise HubConfigError(f"there is no {file}; 'midspan keys make' makes it, and says what to copy here")
-            if not os.access(file, os.R_OK):
-                raise HubConfigError(f"{file} cannot be read by this process's user; give it to that user (chown)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,15 +61,26 @@ class HubDoor:
         HubError: it cannot be opened; the reason is a plain one.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, zenoh_log: ZenohLog | None = None) -> None:
         self._open = config.hub.open
         self._here = connect_endpoint(config.hub.listen)
+        zenoh_config = make_config(door_tree(config), self._open.zenoh)
+        identity = Identity.of(zenoh_config)
         try:
-            self._session = zenoh.open(make_config(door_tree(config), self._open.zenoh))
+            self._session = zenoh.open(zenoh_config)
         except zenoh.ZError as err:
             places = ", ".join((*self._open.listen, *self._open.connect))
             raise HubError(f"cannot open {places}: {zenoh_reason(err)}") from None
         self._limits = LinkLimits()
+        files = key_files(config) if has_tls(self._open) else None
+        self._endpoints = EndpointMonitor(
+            self._session,
+            self._open.listen,
+            self._open.connect,
+            identity,
+            zenoh_log,
+            (lambda: trouble(files)) if files is not None else None,
+        )
 
     @property
     def zid(self) -> str:
@@ -100,8 +97,17 @@ class HubDoor:
             if address != self._here
         ]
 
+    def endpoints(self) -> list[EndpointStatus]:
+        """Return the state of each endpoint of ``hub.open``."""
+        return self._endpoints.statuses()
+
+    def refused(self) -> int:
+        """Return how many connections were refused because of a certificate."""
+        return self._endpoints.refused()
+
     def close(self) -> None:
         """Cut all machines off."""
+        self._endpoints.close()
         self._limits.close()
         self._session.close()  # type: ignore[no-untyped-call]
 

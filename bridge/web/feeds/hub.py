@@ -27,6 +27,7 @@ STATUS_SECONDS = 1.0
 _ASK_SECONDS = 1.0
 _NOT_HERE = {phase.value for phase in Phase} - {Phase.OFF.value, Phase.UP.value}
 _ROUTE = ("direction", "topic", "hub_topic", "type", "kind", "state", "rate", "bytes", "error", "way", "why")
+_ENDPOINT = ("way", "endpoint", "state", "reason", "cure", "machine", "since")
 _DECISION = ("daemon", "direction", "decision", "why", "cure")
 
 
@@ -102,6 +103,7 @@ def ask_status(client: CliClient) -> dict[str, Any]:
     return {
         "workers": [_worker(document, said, restarts) for document in (*documents, *silent)],
         "machines": [_machine(document, one) for document in documents for one in dicts(document.get("machines"))],
+        "endpoints": [_endpoint(document, one) for document in documents for one in dicts(document.get("endpoints"))],
         "routes": [_route(document, route) for document in documents for route in route_list(document)],
         "refused": [_refused(document, one) for document in documents for one in dicts(document.get("refused"))],
     }
@@ -121,6 +123,10 @@ def _worker(document: Document, said: Document, restarts: Mapping[int, int]) -> 
 
 def _machine(document: Document, one: Document) -> dict[str, Any]:
     return {"daemon": document.get("daemon"), **{key: one.get(key) for key in ("name", "address", "trusted")}}
+
+
+def _endpoint(document: Document, one: Document) -> dict[str, Any]:
+    return {"daemon": document.get("daemon"), **{key: one.get(key) for key in _ENDPOINT}}
 
 
 def _route(document: Document, route: Document) -> dict[str, Any]:

@@ -31,9 +31,11 @@ export function statusView(root, socket) {
   };
   const why = el("p", { class: "empty" });
   const network = networkGraph(() => socket.hello?.daemon);
+  const endpoints = endpointList();
   root.append(
     why,
     refused.element,
+    endpoints.element,
     block("Network", "network", network.element),
     block("Workers", "workers", workers.element),
     block("Routes", "routes", routes.element, found, search),
@@ -50,6 +52,7 @@ export function statusView(root, socket) {
         routes.fill(status.routes, "No routes.");
         refused.fill(status.refused);
         network.fill(status);
+        endpoints.fill(status.endpoints);
         told();
       });
     },
@@ -158,6 +161,30 @@ function refusedList(socket) {
       rows(list, refused, (each) => JSON.stringify([each.side, each.topic, each.reason, each.cure]), refusal, () => {});
     },
   };
+}
+
+const JOINED = new Set(["connected", "connecting", "listening"]);
+
+/** The endpoints of hub.open by which no machine joins, why, and the cure; hidden if there are none. */
+function endpointList() {
+  const list = el("ul", { class: "refusals" });
+  const element = block("Other machines cannot join", "endpoints", list);
+  element.hidden = true;
+  return {
+    element,
+    fill(endpoints) {
+      const failing = endpoints.filter(({ state }) => !JOINED.has(state));
+      element.hidden = !failing.length;
+      rows(list, failing, (each) => JSON.stringify([each.daemon, each.way, each.endpoint, each.state, each.reason, each.cure, each.since]), failure, () => {});
+    },
+  };
+}
+
+function failure({ daemon, way, endpoint, state, reason, cure, since }) {
+  return el("li", {},
+    el("p", {}, el("strong", { text: endpoint }), ` ${state} since ${new Date(since * 1000).toLocaleTimeString()} (hub.open.${way} of ${daemon})`),
+    el("p", { class: "reason", text: reason }),
+    cureLine(cure, endpoint));
 }
 
 function refusal({ side, topic, reason, cure }) {

@@ -1,0 +1,93 @@
+"""The connections to other machines (``hub.open``): certificates, a test of each endpoint, and the router's report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from bridge.concurrency import WorkerPool
+from bridge.doctor.check import Finding, Findings, Result, fail, ok, warn
+from bridge.doctor.checks.hub import look_at_keys
+from bridge.doctor.context import CheckContext
+from bridge.hub.errors import HubError
+from bridge.hub.security.door import door_tree, has_tls
+from bridge.hub.security.handshake import HostPort, Identity, attempt
+from bridge.hub.security.reasons import EndpointState, Reason
+from bridge.hub.zenoh_config import connect_endpoint, make_config
+
+_AT_ONCE = 8
+"""Endpoints that are tested at the same time."""
+
+SECONDS = 20.0
+"""Limit of the check: one test takes 10 s at most for each address."""
+
+
+def look_at_connections(context: CheckContext) -> Findings:
+    """The certificates of ``hub.open``, and whether each of its endpoints connects."""
+    opened = context.config.hub.open
+    keys = look_at_keys(context)
+    findings = [keys] if isinstance(keys, Finding) else list(keys)
+    if not opened.opened:
+        return findings
+    if not has_tls(opened):
+        findings = []
+    try:
+        identity = Identity.of(make_config(door_tree(context.config), opened.zenoh))
+    except HubError:  # the keys' findings name the file
+        identity = None
+    reported = _reported(context)
+    if has_tls(opened) and identity is None:
+        return [*findings, *(_of_router(one) for one in reported.values() if not _good(one))]
+    ends = [("connect", endpoint) for endpoint in opened.connect] + [("listen", endpoint) for endpoint in opened.listen]
+    pool = WorkerPool(_AT_ONCE, "doctor-endpoints")  # daemon threads: the resolver may hang at the command's end
+    tests = [pool.submit(partial(_tested, way, place, identity, reported.get((way, place)))) for way, place in ends]
+    return [*findings, *(test.result() for test in tests)]
+
+
+def _tested(way: str, endpoint: str, identity: Identity | None, reported: Mapping[str, Any] | None) -> Finding:
+    """Test one endpoint; what the router reports counts for what a test cannot show."""
+    name = f"hub.open.{way} {endpoint}"
+    place = HostPort.of(connect_endpoint(endpoint))
+    if place is None or not place.can_be_tested:
+        return ok(f"{name}: only the router can test it") if reported is None else _of_router(reported)
+    if way == "listen" and reported is None:
+        return Finding(Result.SKIP, f"{name}: the router does not run")
+    if way == "listen" and identity is not None:
+        identity = replace(identity, verify_name=False)  # the certificate names this machine as others reach it
+    result = attempt(place, identity)
+    if result.reason.state is not EndpointState.CONNECTING:
+        return _finding(f"{name}: {result.reason.state}: {result.reason.text}", result.reason)
+    if reported is not None and not _good(reported):
+        return _of_router(reported)
+    tls = f"TLS with {result.machine or 'the other machine'} succeeds" if place.protocol == "tls" else "it answers"
+    state = "" if reported is None else f", and the router reports {reported.get('state')}"
+    return ok(f"{name}: {tls}{state}")
+
+
+def _finding(seen: str, reason: Reason) -> Finding:
+    """A refusal does not end by itself; a machine may just be switched off."""
+    return fail(seen, reason.cure) if reason.state is EndpointState.REFUSED else warn(seen, reason.cure)
+
+
+def _reported(context: CheckContext) -> dict[tuple[str, str], Mapping[str, Any]]:
+    """Return the endpoints in the status document of this daemon's router."""
+    documents = context.hub.of_side("router", context.config.name)
+    endpoints = [one for document in documents for one in _dicts(document.get("endpoints"))]
+    return {(str(one.get("way")), str(one.get("endpoint"))): one for one in endpoints}
+
+
+def _dicts(value: object) -> Sequence[Mapping[str, Any]]:
+    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []
+
+
+def _good(one: Mapping[str, Any]) -> bool:
+    return one.get("state") in [state for state in EndpointState if state.good]
+
+
+def _of_router(one: Mapping[str, Any]) -> Finding:
+    seen = f"hub.open.{one.get('way')} {one.get('endpoint')}: {one.get('state')}"
+    if _good(one):
+        return ok(f"{seen}, by the router's report")
+    return warn(f"{seen}: {one.get('reason')}", str(one.get("cure", "")))

@@ -1,0 +1,347 @@
+"""The state of each endpoint of ``hub.open``, with the reason if other machines are not connected by it.
+
+zenoh reports links, so an endpoint with a link is connected. Why one has none comes from a test connection
+(`bridge.hub.security.handshake`) at a bounded rate, and for protocols that cannot be tested from zenoh's log. Why a
+listener refuses a machine stands in zenoh's log alone (`bridge.hub.security.zenoh_log`).
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import threading
+import time
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import psutil
+
+from bridge.concurrency import WorkerPool
+from bridge.hub.security.handshake import Attempt, HostPort, Identity, attempt, resolved
+from bridge.hub.security.reasons import EndpointState, Reason, refusal_in_log
+from bridge.hub.security.zenoh_log import ZenohLog
+
+_log = logging.getLogger(__name__)
+
+POLL_SECONDS = 1.0
+FIRST_SECONDS = 2.0
+"""Time without a link before the first test; zenoh connects within this time if nothing is wrong."""
+
+TEST_SECONDS = 10.0
+"""Time between two tests of one endpoint."""
+
+REFUSAL_SECONDS = 15.0
+"""A listener counts as refusing for this time after its last refusal; zenoh's doors connect again at least each 4 s."""
+
+_ADDRESS_SECONDS = 3.0
+"""Time that the refused machine's address may take to be found before the refusal is reported without it."""
+
+_PASSES = 2
+"""Successful tests without a link before the endpoint counts as one that opens no session: zenoh may be connecting."""
+
+_TROUBLE_SECONDS = 60.0
+"""Time between two checks whether this machine's certificate has expired."""
+
+_THREADS = 4
+_MOST_CAUSES, _MOST_CALLERS = 8, 5
+
+
+class ZenohLink(Protocol):
+    """What is used of a `zenoh.Link`."""
+
+    @property
+    def dst(self) -> str:
+        """Locator of the other end, an address and a port."""
+
+    @property
+    def auth_identifier(self) -> str | None:
+        """Name in the other's certificate."""
+
+
+@dataclass(frozen=True, slots=True)
+class EndpointStatus:
+    """One endpoint as the router's status document has it.
+
+    Attributes:
+        way: ``connect`` or ``listen``.
+        machine: the name in the other machine's certificate, "" if it is not known; "" of a listener.
+        since: system time at which the state began, in s.
+    """
+
+    endpoint: str
+    way: str
+    state: str
+    reason: str
+    cure: str
+    machine: str
+    since: float
+
+    @property
+    def good(self) -> bool:
+        """Whether nothing needs to be done."""
+        return EndpointState(self.state).good
+
+    def __str__(self) -> str:
+        """For people, without the time."""
+        text = f"hub.open.{self.way} {self.endpoint}: {self.state}"
+        if self.reason:
+            return f"{text}: {self.reason}"
+        return f"{text} to {self.machine}" if self.machine else text
+
+
+def closed_endpoints(listen: Sequence[str], connect: Sequence[str], reason: str, since: float) -> list[EndpointStatus]:
+    """Return the endpoints of a router that could not open them."""
+    places = [(place, "listen") for place in listen] + [(place, "connect") for place in connect]
+    return [EndpointStatus(place, way, EndpointState.CLOSED, reason, "", "", since) for place, way in places]
+
+
+class _Endpoint:
+    """The state of one endpoint."""
+
+    def __init__(self, endpoint: str, way: str, state: EndpointState) -> None:
+        self.status = EndpointStatus(endpoint, way, state, "", "", "", time.time())
+        self.place = HostPort.of(endpoint)
+
+    @property
+    def has_tls(self) -> bool:
+        """Whether it shows and asks for certificates."""
+        return self.place is not None and self.place.protocol in ("tls", "quic")
+
+    def set(self, reason: Reason, machine: str = "") -> bool:
+        """Enter a state, or give it another reason; return False if nothing has changed."""
+        before = self.status
+        since = before.since if reason.state == before.state else time.time()
+        self.status = EndpointStatus(
+            before.endpoint, before.way, reason.state, reason.text, reason.cure, machine, since
+        )
+        return self.status != before
+
+
+class _Connect(_Endpoint):
+    """An endpoint that the router connects to."""
+
+    def __init__(self, endpoint: str, identity: Identity | None) -> None:
+        super().__init__(endpoint, "connect", EndpointState.CONNECTING)
+        self._identity = identity
+        self._addresses: Collection[str] = frozenset()
+        self._machine = ""
+        self._test: Future[Attempt] | None = None
+        self._unlinked = self._due = time.monotonic()
+        self._passes = 0
+        self._reported = ""
+
+    def poll(self, links: Collection[ZenohLink], pool: WorkerPool, zenoh_log: ZenohLog | None, now: float) -> None:
+        """Compare the endpoint with the links, and test it if it has had none for a while."""
+        if self.place is None:
+            return
+        if self._test is not None and self._test.done():
+            test, self._test = self._test, None
+            self._addresses = test.result().addresses or self._addresses
+        else:
+            test = None
+        link = self._link(links)
+        if link is not None:
+            self._unlinked, self._passes = now, 0
+            self._due = now + FIRST_SECONDS
+            self._enter(Reason(EndpointState.CONNECTED), str(link.auth_identifier or ""))
+            return
+        if self.status.state == EndpointState.CONNECTED:
+            self._machine = ""
+            self._enter(Reason(EndpointState.CONNECTING))
+        if test is not None:
+            self._judge(test.result(), links, zenoh_log, now)
+        elif self._test is None and now >= self._due:
+            self._start_test(pool, now)
+
+    def _link(self, links: Collection[ZenohLink]) -> ZenohLink | None:
+        """Return the endpoint's link, or another one to the same machine: zenoh makes one link in each direction."""
+        own = (link for link in links if re.split(r"[?#]", link.dst)[0] in self._addresses)
+        others = (link for link in links if self._machine and link.auth_identifier == self._machine)
+        return next(own, None) or next(others, None)
+
+    def _start_test(self, pool: WorkerPool, now: float) -> None:
+        place, identity = self.place, self._identity
+        assert place is not None
+        if now < self._unlinked + FIRST_SECONDS or not place.can_be_tested:
+            self._test = pool.submit(lambda: resolved(place))
+        else:
+            self._test = pool.submit(lambda: attempt(place, identity))
+        self._due = self._unlinked + FIRST_SECONDS if now < self._unlinked + FIRST_SECONDS else now + TEST_SECONDS
+
+    def _judge(self, result: Attempt, links: Collection[ZenohLink], zenoh_log: ZenohLog | None, now: float) -> None:
+        """Enter the state that a test shows."""
+        assert self.place is not None
+        if result.reason.state is not EndpointState.CONNECTING:
+            self._passes = 0
+            self._enter(result.reason, result.machine)
+            return
+        if now < self._unlinked + FIRST_SECONDS:
+            return
+        self._machine = result.machine
+        if (link := self._link(links)) is not None:
+            self._enter(Reason(EndpointState.CONNECTED), str(link.auth_identifier))
+            return
+        self._passes += 1
+        if self._passes >= _PASSES:
+            logged = zenoh_log.failure(self.status.endpoint, now - TEST_SECONDS) if zenoh_log is not None else ""
+            state = EndpointState.NO_SESSION if self.place.can_be_tested else EndpointState.NOT_ANSWERING
+            self._enter(Reason(state, logged or result.reason.text), result.machine)
+
+    def _enter(self, reason: Reason, machine: str = "") -> None:
+        """Enter a state, and log it once."""
+        if not self.set(reason, machine) or reason.state is EndpointState.CONNECTING:
+            return
+        text = str(self.status)
+        if text != self._reported:
+            level = logging.INFO if reason.state.good else logging.WARNING
+            _log.log(level, "%s%s", text, f"; {reason.cure}" if reason.cure else "")
+        self._reported = text
+
+
+@dataclass(slots=True)
+class _Refusals:
+    """The refusals of one listener for one cause."""
+
+    error: str
+    first: float
+    last: float
+    callers: set[str] = field(default_factory=set)
+
+    def reason(self) -> Reason | None:
+        """Return the cause with the callers' addresses."""
+        return refusal_in_log(self.error, ", ".join(sorted(self.callers)))
+
+
+class _Listen(_Endpoint):
+    """An endpoint that other machines connect to."""
+
+    def __init__(self, endpoint: str) -> None:
+        super().__init__(endpoint, "listen", EndpointState.LISTENING)
+        self.refused = 0
+        self._read = time.monotonic()
+        self._active: dict[str, _Refusals] = {}
+        self._closed: set[tuple[str, int]] | None = None
+        self._logged: set[str] = set()
+
+    def poll(self, zenoh_log: ZenohLog | None, own_trouble: Reason | None, now: float) -> None:
+        """Read the refusals since the last call."""
+        protocol = self.place.protocol if self.place is not None else ""
+        errors = set()
+        for refusal in zenoh_log.refusals(self._read) if zenoh_log is not None else ():
+            self._read = refusal.at
+            reason = refusal_in_log(refusal.error) if refusal.protocol == protocol else None
+            if reason is not None and (reason.text in self._active or len(self._active) < _MOST_CAUSES):
+                self.refused += 1
+                active = self._active.setdefault(reason.text, _Refusals(refusal.error, now, now))
+                active.last = now
+                errors.add(reason.text)
+        if errors:
+            self._note_callers([self._active[text] for text in errors])
+        self._active = {text: each for text, each in self._active.items() if now < each.last + REFUSAL_SECONDS}
+        due = [each for each in self._active.values() if each.callers or now > each.first + _ADDRESS_SECONDS]
+        for each in due:
+            self._log_refusals(each)
+        self._enter([own_trouble] if own_trouble else [reason for each in due if (reason := each.reason())])
+
+    def _log_refusals(self, refusals: _Refusals) -> None:
+        """Log a cause once, and again for each further machine that it is found for."""
+        key, reason = f"{refusals.error} {sorted(refusals.callers)[1:]}", refusals.reason()
+        if reason is not None and key not in self._logged:
+            self._logged.add(key)
+            _log.warning("hub.open.listen %s: %s; %s", self.status.endpoint, reason.text, reason.cure)
+
+    def _enter(self, reasons: Sequence[Reason]) -> None:
+        if reasons:
+            cures = "; ".join(dict.fromkeys(reason.cure for reason in reasons if reason.cure))
+            self.set(Reason(reasons[0].state, "; ".join(reason.text for reason in reasons), cures))
+        elif self.set(Reason(EndpointState.LISTENING)):
+            _log.info("hub.open.listen %s: no machine is refused any longer", self.status.endpoint)
+        if not self._active:
+            self._logged.clear()
+            self._closed = None
+
+    def _note_callers(self, active: Sequence[_Refusals]) -> None:
+        """Find who was refused: zenoh does not log it, but the system remembers connections that this end closed."""
+        closed, before = self._closed_connections(), self._closed
+        self._closed = closed
+        if before is None or len(active) != 1:
+            return
+        for host, _ in sorted(closed - before):
+            if len(active[0].callers) < _MOST_CALLERS:
+                active[0].callers.add(host)
+
+    def _closed_connections(self) -> set[tuple[str, int]]:
+        if self.place is None or self.place.protocol != "tls":
+            return set()
+        try:
+            table = psutil.net_connections("tcp")
+        except (psutil.Error, OSError):
+            return set()
+        return {
+            (str(each.raddr[0]).removeprefix("::ffff:"), int(each.raddr[1]))
+            for each in table
+            if each.status == psutil.CONN_TIME_WAIT and each.raddr and tuple(each.laddr)[1:2] == (self.place.port,)
+        }
+
+
+class EndpointMonitor:
+    """Watches the endpoints of one session, on a thread of its own.
+
+    Args:
+        session: the `zenoh.Session`, asked for its links.
+        identity: what TLS connects with.
+        zenoh_log: zenoh's log, None where this process does not capture it.
+        own_trouble: returns why no machine accepts this machine's certificate, "" if they do.
+    """
+
+    def __init__(
+        self, session: Any, listen: Sequence[str], connect: Sequence[str], identity: Identity | None = None,
+        zenoh_log: ZenohLog | None = None, own_trouble: Callable[[], str] | None = None,
+    ) -> None:  # fmt: skip
+        self._session, self._zenoh_log, self._own_trouble = session, zenoh_log, own_trouble
+        self._listen = [_Listen(endpoint) for endpoint in listen]
+        self._connect = [_Connect(endpoint, identity) for endpoint in connect]
+        self._trouble: Reason | None = None
+        self._trouble_due = 0.0
+        self._pool = WorkerPool(_THREADS, "hub-endpoint-test")
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="hub-endpoints", daemon=True)
+        self._thread.start()
+
+    def statuses(self) -> list[EndpointStatus]:
+        """Return the state of each endpoint."""
+        return [endpoint.status for endpoint in (*self._listen, *self._connect)]
+
+    def refused(self) -> int:
+        """Return how many connections the listeners refused because of a certificate."""
+        return sum(endpoint.refused for endpoint in self._listen)
+
+    def close(self) -> None:
+        """End the thread; a test that is under way ends by itself."""
+        self._end.set()
+        self._pool.close()
+        self._thread.join(2.0)
+
+    def _run(self) -> None:
+        while not self._end.is_set():
+            try:
+                self._poll(time.monotonic())
+            except Exception:
+                if not self._end.is_set():  # closing the session ends its answers first
+                    _log.exception("hub.open: cannot check the endpoints")
+            self._end.wait(POLL_SECONDS)
+
+    def _poll(self, now: float) -> None:
+        links = self._session.info.links()
+        if self._own_trouble is not None and now >= self._trouble_due:
+            self._trouble_due = now + _TROUBLE_SECONDS
+            text = self._own_trouble()
+            self._trouble = (
+                Reason(EndpointState.REFUSED, text, "'midspan doctor --only keys' checks the files") if text else None
+            )
+        for connect in self._connect:
+            connect.poll(links, self._pool, self._zenoh_log, now)
+        for listen in self._listen:
+            listen.poll(self._zenoh_log, self._trouble if listen.has_tls else None, now)

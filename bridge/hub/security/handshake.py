@@ -1,0 +1,258 @@
+"""A connection to an endpoint of ``hub.open`` as a test: TCP, then TLS with this machine's certificate.
+
+zenoh reports the links that it has, never why one fails, so this asks the endpoint. The handshake runs to its end and
+the connection is closed in order: zenoh's listener then logs nothing above its debug level. In TLS 1.3 a listener
+refuses a client's certificate only after the client considers the handshake complete (RFC 8446, 4.4.2.4 and 6.2), so
+the test reads once before it closes. zenoh accepts one handshake at a time: each step has a short limit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import socket
+import ssl
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import zenoh
+
+from bridge.hub.security.reasons import EndpointState, Reason, refused_by_other, refused_certificate, unreachable
+
+_CONNECT_SECONDS = 3.0
+_HANDSHAKE_SECONDS = 3.0
+_ALERT_SECONDS = 0.7
+"""Time for the other machine's alert to arrive; zenoh's listener waits for the first message meanwhile."""
+
+_MOST_ADDRESSES = 4
+"""Addresses of one host name that are tried."""
+
+_SAYS_NOTHING = "the program there accepts connections, but opens no zenoh session"
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What TLS connects with: the authority's certificate, and this machine's certificate and key."""
+
+    ca: Path
+    certificate: Path | None
+    key: Path | None
+    verify_name: bool = True
+
+    @classmethod
+    def of(cls, config: zenoh.Config) -> Identity | None:
+        """Return the identity in zenoh's final configuration; None if it has no files for TLS."""
+        tls = json.loads(config.get_json("transport/link/tls"))
+        ca, certificate, key = (
+            tls.get(name) for name in ("root_ca_certificate", "connect_certificate", "connect_private_key")
+        )
+        if not ca:
+            return None
+        mutual = bool(tls.get("enable_mtls")) and certificate and key
+        return cls(
+            Path(ca),
+            Path(certificate) if mutual else None,
+            Path(key) if mutual else None,
+            tls.get("verify_name_on_connect") is not False,
+        )
+
+    def context(self) -> ssl.SSLContext:
+        """Make a context that verifies the other machine; raises `OSError` for files that cannot be used."""
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        context.check_hostname = self.verify_name
+        context.load_verify_locations(self.ca)
+        if self.certificate is not None:
+            context.load_cert_chain(self.certificate, self.key, password="")
+        return context
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """The result of one test connection.
+
+    Attributes:
+        reason: of the state; ``connecting`` if TCP and TLS succeeded.
+        machine: the name in the other machine's certificate, "" if it is not known.
+        addresses: addresses of the endpoint, as zenoh writes them (``tls/192.168.1.20:7448``).
+    """
+
+    reason: Reason
+    machine: str = ""
+    addresses: frozenset[str] = field(default_factory=frozenset)
+
+
+@dataclass(frozen=True, slots=True)
+class HostPort:
+    """A zenoh endpoint's protocol, host and port."""
+
+    protocol: str
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        """``host:port``, with IPv6 addresses in brackets."""
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
+    @classmethod
+    def of(cls, endpoint: str) -> HostPort | None:
+        """Return the parts of an endpoint; None if it is not of the form ``protocol/host:port``."""
+        protocol, _, rest = endpoint.partition("/")
+        host, _, port = re.split(r"[?#]", rest)[0].rpartition(":")
+        if not host or not port.isdecimal() or int(port) > 65535:
+            return None
+        return cls(protocol, host.strip("[]"), int(port))
+
+    @property
+    def can_be_tested(self) -> bool:
+        """Whether `attempt` can connect to it: QUIC and UDP have no connection that this module could make."""
+        return self.protocol in ("tls", "tcp")
+
+
+def resolve(place: HostPort) -> list[HostPort]:
+    """Return the place by each of its addresses; raises `OSError` if its name cannot be resolved."""
+    found = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)
+    addresses = dict.fromkeys(str(address[0]) for *_, address in found)
+    return [HostPort(place.protocol, address, place.port) for address in addresses][:_MOST_ADDRESSES]
+
+
+def resolved(place: HostPort) -> Attempt:
+    """Return the addresses of a place alone, without a connection to it."""
+    try:
+        places = resolve(place)
+    except OSError as err:
+        return Attempt(unreachable(err, str(place)))
+    reason = Reason(EndpointState.CONNECTING, f"there is no link, and zenoh does not report why over {place.protocol}")
+    return Attempt(reason, "", frozenset(f"{place.protocol}/{each}" for each in places))
+
+
+def attempt(place: HostPort, identity: Identity | None, name: str = "") -> Attempt:
+    """Connect to a place once and close the connection again; takes at most some 10 s for each of its addresses.
+
+    ``name`` is the name to verify in the other's certificate, by default the place's host.
+    """
+    try:
+        places = resolve(place)
+    except OSError as err:
+        return Attempt(unreachable(err, str(place)))
+    addresses = frozenset(f"{place.protocol}/{each}" for each in places)
+    reason, machine = Reason(EndpointState.UNREACHABLE, f"the name {place.host} has no address"), ""
+    for each in places:
+        try:
+            if place.protocol == "tcp" or identity is None:
+                _connect(each).close()
+                reason = Reason(EndpointState.CONNECTING, _SAYS_NOTHING)
+            else:
+                reason, machine = _handshake(each, identity, name or place.host)
+        except OSError as err:
+            reason = unreachable(err, str(place))
+            continue
+        break
+    return Attempt(reason, machine, addresses)
+
+
+def _connect(place: HostPort) -> socket.socket:
+    return socket.create_connection((place.host, place.port), timeout=_CONNECT_SECONDS)
+
+
+def _handshake(place: HostPort, identity: Identity, name: str) -> tuple[Reason, str]:
+    """Return the reason and the other's name; raises `OSError` if not even TCP connects."""
+    try:
+        context = identity.context()
+    except OSError as err:  # ssl.SSLError is one
+        text = f"this machine's certificate files cannot be used: {err}"
+        return Reason(EndpointState.REFUSED, text, "'midspan doctor --only keys' names the file"), ""
+    with _connect(place) as plain:
+        plain.settimeout(_HANDSHAKE_SECONDS)
+        try:
+            tls = context.wrap_socket(plain, server_hostname=name)
+        except ssl.SSLCertVerificationError as err:
+            refusal = f"{err.verify_message} ({err.verify_code})"
+        except OSError as err:
+            return _broken(err, place), ""
+        else:
+            with tls:
+                subject = tls.getpeercert() or {}
+                return _after_handshake(tls, place), _common_name(subject)
+    return _details(place, identity, name, refusal)
+
+
+def _after_handshake(tls: ssl.SSLSocket, place: HostPort) -> Reason:
+    """Read once, for the alert of a listener that does not accept this machine's certificate."""
+    tls.settimeout(_ALERT_SECONDS)
+    try:
+        tls.recv(1)
+    except TimeoutError:
+        pass  # the listener waits for the first message: it accepted the certificate
+    except OSError as err:
+        return _broken(err, place)
+    with contextlib.suppress(OSError):
+        tls.unwrap()  # close_notify, so that the other end sees an orderly close
+    return Reason(EndpointState.CONNECTING, _SAYS_NOTHING)
+
+
+def _broken(err: OSError, place: HostPort) -> Reason:
+    """Return the reason of a handshake that the other end broke off."""
+    if isinstance(err, ssl.SSLError) and "ALERT" in (err.reason or ""):
+        return refused_by_other(str(err.reason))
+    if isinstance(err, TimeoutError):
+        text = f"{place} accepts the connection, but does not answer TLS within {_HANDSHAKE_SECONDS:g} s"
+        return Reason(EndpointState.NOT_ANSWERING, text, "compare the port with hub.open.listen there")
+    if isinstance(err, ssl.SSLError) and err.reason in ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE"):
+        text = f"the program at {place} does not speak TLS"
+        return Reason(EndpointState.NOT_ANSWERING, text, "compare the port with hub.open.listen there")
+    text = f"{place} closes the connection during the TLS handshake ({err})"
+    return Reason(
+        EndpointState.REFUSED, text, "see the log of the router there: it may refuse this machine's certificate"
+    )
+
+
+def _details(place: HostPort, identity: Identity, name: str, refusal: str) -> tuple[Reason, str]:
+    """Ask for the refused certificate once more without verifying it, to report its names and dates.
+
+    Nothing is sent over this connection. It shows as well whether the other machine refuses ours.
+    """
+    context = identity.context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    try:
+        with _connect(place) as plain:
+            plain.settimeout(_HANDSHAKE_SECONDS)
+            with context.wrap_socket(plain, server_hostname=name) as tls:
+                certificate = tls.getpeercert(binary_form=True) or b""
+                theirs = _after_handshake(tls, place)
+    except OSError:
+        return refused_certificate(refusal), ""
+    detail, machine = _described(certificate, refusal)
+    reason = refused_certificate(refusal, detail)
+    if theirs.state is EndpointState.REFUSED:
+        return Reason(reason.state, f"{reason.text}; {theirs.text}", reason.cure), machine
+    return reason, machine
+
+
+def _described(certificate: bytes, refusal: str) -> tuple[str, str]:
+    """Return what of a certificate explains its refusal, and its common name."""
+    from cryptography import x509
+
+    try:
+        content = x509.load_der_x509_certificate(certificate)
+        names = [str(name.value) for name in content.subject.get_attributes_for_oid(x509.NameOID.COMMON_NAME)]
+        try:
+            alternatives = content.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        except x509.ExtensionNotFound:
+            alternatives = x509.SubjectAlternativeName([])
+        hosts = ", ".join(str(each.value) for each in alternatives)
+    except ValueError:
+        return "", ""
+    machine = names[0] if names else ""
+    if "mismatch" in refusal:
+        return f", but for {hosts or 'none'}", machine
+    if "expired" in refusal:
+        return f" on {content.not_valid_after_utc:%Y-%m-%d}", machine
+    if "not yet valid" in refusal:
+        return f", but from {content.not_valid_before_utc:%Y-%m-%d}", machine
+    return f" (it names the machine {machine!r})" if machine else "", machine
+
+
+def _common_name(certificate: object) -> str:
+    subject = certificate.get("subject", ()) if isinstance(certificate, dict) else ()
+    return next((str(value) for part in subject for key, value in part if key == "commonName"), "")

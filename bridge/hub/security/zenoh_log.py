@@ -1,0 +1,99 @@
+"""zenoh's own log in the router's process: the only place where it writes why a connection fails.
+
+zenoh (1.10) writes its log to the standard output, and only there. So the router's process, which has no other use for
+its standard output, puts a pipe in that place and reads it. `zenoh_link_tls` logs each connection that its listener
+refuses (without the caller's address), the orchestrator each failed attempt to connect. A user's ``RUST_LOG`` replaces
+the filter, and then every line goes on to stderr.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+
+import zenoh
+
+from bridge.hub.errors import zenoh_reason
+
+_log = logging.getLogger(__name__)
+
+_FILTER = "off,zenoh_link_tls=warn,zenoh_link_commons=warn,zenoh::net::runtime::orchestrator=debug"
+_COLORS = re.compile(r"\x1b\[[0-9;]*m")
+_REFUSED = re.compile(
+    r"WARN .*?(zenoh_link_(?:tls|quic|commons)\S*): (?:QUIC acceptor failed: )?(.*?)(?:\. Hint: .*)?$"
+)
+_FAILED = re.compile(r"DEBUG .*? Unable to connect to configured peer (\S+)! (.*?)(?:\.? Retry in \S+)?$")
+_LONGEST = 64 << 10
+_MOST_REFUSALS = 100
+_MOST_ENDPOINTS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedRefusal:
+    """A connection that a listener refused; ``at`` is on the monotonic clock, ``protocol`` is ``tls`` or ``quic``."""
+
+    at: float
+    protocol: str
+    error: str
+
+
+class ZenohLog:
+    """Collects what zenoh's log says of connections."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._refusals: deque[LoggedRefusal] = deque(maxlen=_MOST_REFUSALS)
+        self._failures: dict[str, tuple[float, str]] = {}
+
+    @classmethod
+    def capture(cls) -> ZenohLog:
+        """Take over this process's standard output; call it once, before the first session opens."""
+        log = cls()
+        output, to_log = os.pipe()
+        os.set_blocking(to_log, False)  # a full pipe must not stop zenoh's acceptor: it drops the line
+        os.dup2(to_log, 1)
+        os.close(to_log)
+        threading.Thread(target=log._run, args=(output,), name="hub-zenoh-log", daemon=True).start()
+        zenoh.init_log_from_env_or(_FILTER)
+        return log
+
+    @staticmethod
+    def release() -> None:
+        """Give the standard output back, as another name of stderr; the thread ends."""
+        os.dup2(2, 1)
+
+    def feed(self, line: str) -> None:
+        """Take in one line of the log."""
+        text = _COLORS.sub("", line).strip()
+        if match := _REFUSED.search(text):
+            protocol = "tls" if match[1].startswith("zenoh_link_tls") else "quic"
+            with self._lock:
+                self._refusals.append(LoggedRefusal(time.monotonic(), protocol, zenoh_reason(Exception(match[2]))))
+        elif match := _FAILED.search(text):
+            with self._lock:
+                if match[1] in self._failures or len(self._failures) < _MOST_ENDPOINTS:
+                    self._failures[match[1]] = (time.monotonic(), zenoh_reason(Exception(match[2])).strip(". "))
+
+    def refusals(self, since: float) -> list[LoggedRefusal]:
+        """Return the refusals after a time on the monotonic clock, oldest first."""
+        with self._lock:
+            return [refusal for refusal in self._refusals if refusal.at > since]
+
+    def failure(self, endpoint: str, since: float) -> str:
+        """Return zenoh's reason why it could not connect to an endpoint after a time; "" if there is none."""
+        with self._lock:
+            at, reason = self._failures.get(endpoint, (float("-inf"), ""))
+        return reason if at > since else ""
+
+    def _run(self, output: int) -> None:
+        pass_on = bool(os.environ.get("RUST_LOG"))
+        with os.fdopen(output, "rb") as lines:
+            while line := lines.readline(_LONGEST):
+                self.feed(line.decode(errors="replace"))
+                if pass_on:
+                    os.write(2, line)
