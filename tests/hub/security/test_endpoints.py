@@ -1,0 +1,276 @@
+"""The states of the endpoints of `hub.open`: real doors over TLS, their logs, and the rate of the tests."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Self
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.hub.router import RouterWorker
+from bridge.hub.security import endpoints
+from bridge.hub.security.certificates import Authority
+from bridge.hub.security.handshake import Attempt
+from bridge.hub.security.reasons import EndpointState, Reason
+from bridge.hub.security.zenoh_log import ZenohLog
+from tests.support.ports import free_port
+from tests.support.wait import until
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("keys")
+    for fleet in ("a", "b"):
+        authority = Authority(folder / fleet)
+        authority.make()
+        for name in ("robot1", "operator1"):
+            authority.issue(name, ["127.0.0.1"])
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten times as fast as on a robot."""
+    monkeypatch.setattr(endpoints, "POLL_SECONDS", 0.1)
+    monkeypatch.setattr(endpoints, "FIRST_SECONDS", 0.5)
+    monkeypatch.setattr(endpoints, "TEST_SECONDS", 1.0)
+
+
+class Machine:
+    """A router worker with its door."""
+
+    def __init__(self, name: str, keys: Path, **door: Any) -> None:
+        hub = {"listen": f"tcp/127.0.0.1:{free_port()}", "open": {"keys": str(keys), **door}}
+        self.router = RouterWorker()
+        self.config = Config.model_validate({"name": name, "hub": hub})
+
+    def __enter__(self) -> Self:
+        self.router.start(self.config)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.router.stop()
+
+    def statuses(self) -> list[endpoints.EndpointStatus]:
+        door = self.router._door
+        assert door is not None
+        return door.endpoints()
+
+    def wait(self, state: EndpointState, number: int = 0) -> endpoints.EndpointStatus:
+        return until(lambda: (one := self.statuses()[number]).state == state and one, f"{state}: {self.statuses()}")
+
+
+@pytest.fixture
+def port() -> int:
+    return free_port()
+
+
+def test_connected(keys: Path, port: int) -> None:
+    with (
+        Machine("robot1", keys / "a", listen=[f"tls/127.0.0.1:{port}"]) as robot,
+        Machine("operator1", keys / "a", connect=[f"tls/127.0.0.1:{port}"]) as operator,
+    ):
+        status = operator.wait(EndpointState.CONNECTED)
+        assert (status.way, status.machine, status.reason) == ("connect", "robot1", "")
+        assert abs(status.since - time.time()) < 60
+        assert robot.wait(EndpointState.LISTENING).way == "listen"
+        assert operator.router.health().text.endswith("; 1 other machines")
+
+
+def test_a_foreign_authority_and_recovery(keys: Path, port: int, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "bridge.hub.security")
+    place = f"tls/127.0.0.1:{port}"
+    with Machine("operator1", keys / "b", connect=[place]) as operator:
+        with Machine("robot1", keys / "a", listen=[place]):
+            refused = operator.wait(EndpointState.REFUSED)
+            assert "other machine's certificate is from another authority" in refused.reason
+            assert refused.machine == "robot1"
+            assert "midspan keys" in refused.cure
+            health = operator.router.health()
+            assert health.state == "running"
+            assert f"hub.open.connect {place}: refused: the other" in health.text
+            (answer,) = operator_status(operator)
+            assert answer["state"] == "refused"
+            assert answer["since"] == refused.since
+        operator.wait(EndpointState.NOT_ANSWERING)
+        with Machine("robot1", keys / "b", listen=[place]):
+            assert operator.wait(EndpointState.CONNECTED).machine == "robot1"
+        operator.wait(EndpointState.NOT_ANSWERING)
+    lines = [record.getMessage() for record in caplog.records if "hub.open.connect" in record.getMessage()]
+    assert [line.partition(f"{place}: ")[2].partition(":")[0] for line in lines] == [
+        "refused", "not answering", "connected to robot1", "not answering",
+    ], lines  # fmt: skip
+
+
+def operator_status(machine: Machine) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = machine.router._door_status()["endpoints"]
+    return found
+
+
+def test_each_endpoint_has_its_own_state(keys: Path, port: int) -> None:
+    """A good one, another one of the same machine, a wrong port and an unknown name."""
+    wrong = free_port()
+    connect = [f"tls/127.0.0.1:{port}", f"tls/localhost:{port}", f"tls/127.0.0.1:{wrong}", "tls/robot9.invalid:7448"]
+    authority = Authority(keys / "a")
+    authority.issue("robot1", ["127.0.0.1", "localhost"], replace=True)
+    with (
+        Machine("robot1", keys / "a", listen=[connect[0]]),
+        Machine("operator1", keys / "a", connect=connect) as operator,
+    ):
+        for number in (0, 1):
+            assert operator.wait(EndpointState.CONNECTED, number).machine == "robot1"
+        assert "nothing listens" in operator.wait(EndpointState.NOT_ANSWERING, 2).reason
+        assert "cannot be resolved" in operator.wait(EndpointState.UNREACHABLE, 3).reason
+
+
+def test_both_connect_to_each_other(keys: Path, port: int) -> None:
+    places = [f"tls/127.0.0.1:{port}", f"tls/127.0.0.1:{free_port()}"]
+    with (
+        Machine("robot1", keys / "a", listen=[places[0]], connect=[places[1]]) as robot,
+        Machine("operator1", keys / "a", listen=[places[1]], connect=[places[0]]) as operator,
+    ):
+        for machine, name in ((robot, "operator1"), (operator, "robot1")):
+            machine.wait(EndpointState.LISTENING)
+            assert machine.wait(EndpointState.CONNECTED, 1).machine == name
+
+
+def test_without_tls(keys: Path, port: int) -> None:
+    place = f"tcp/127.0.0.1:{port}"
+    with Machine("operator1", keys / "a", connect=[place], insecure=True) as operator:
+        operator.wait(EndpointState.NOT_ANSWERING)
+        with Machine("robot1", keys / "a", listen=[place], insecure=True):
+            assert operator.wait(EndpointState.CONNECTED).machine == ""
+
+
+def test_a_program_that_is_not_zenoh(keys: Path, port: int) -> None:
+    import socket
+
+    with (
+        socket.create_server(("127.0.0.1", port)),
+        Machine("operator1", keys / "a", connect=[f"tcp/127.0.0.1:{port}"], insecure=True) as operator,
+    ):
+        assert "opens no zenoh session" in operator.wait(EndpointState.NO_SESSION).reason
+
+
+def test_a_door_that_is_closed(keys: Path, tmp_path: Path) -> None:
+    with Machine("robot1", tmp_path, listen=["tls/127.0.0.1:0"], connect=["tls/127.0.0.1:1"]) as robot:
+        found = robot.router._door_status()["endpoints"]
+    assert [(one["way"], one["state"]) for one in found] == [("listen", "closed"), ("connect", "closed")]
+    assert all("there is no" in one["reason"] for one in found)
+
+
+def test_an_own_certificate_that_has_expired(tmp_path: Path, port: int) -> None:
+    Authority(tmp_path).make()
+    Authority(tmp_path).issue("robot1", ["127.0.0.1"], days=-1)
+    with Machine("robot1", tmp_path, listen=[f"tls/127.0.0.1:{port}"]) as robot:
+        assert "robot1.pem expired on" in robot.wait(EndpointState.REFUSED).reason
+
+
+def test_a_resolver_that_hangs_blocks_nothing(keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hangs, entered = threading.Event(), threading.Event()
+
+    def resolve(*_: object, **__: object) -> list[Any]:
+        entered.set()
+        hangs.wait(30.0)
+        return []
+
+    monkeypatch.setattr("bridge.hub.security.handshake.socket.getaddrinfo", resolve)
+    with Machine("operator1", keys / "a", connect=["tls/robot1.invalid:7448"]) as operator:
+        assert entered.wait(10.0)
+        before = time.monotonic()
+        assert operator.router.health().state == "running"
+        assert operator_status(operator)[0]["state"] == "connecting"
+        operator.router.stop()
+        assert time.monotonic() - before < 5.0
+    hangs.set()
+
+
+class Pool:
+    """Finishes each job at once, and counts them."""
+
+    def __init__(self, result: Attempt) -> None:
+        self.result, self.jobs = result, 0
+
+    def submit(self, _job: Callable[[], Attempt]) -> Future[Attempt]:
+        self.jobs += 1
+        done: Future[Attempt] = Future()
+        done.set_result(self.result)
+        return done
+
+
+@pytest.fixture
+def slow(monkeypatch: pytest.MonkeyPatch) -> float:
+    monkeypatch.setattr(endpoints, "FIRST_SECONDS", 2.0)
+    monkeypatch.setattr(endpoints, "TEST_SECONDS", 10.0)
+    return time.monotonic()
+
+
+@pytest.mark.parametrize("state", [EndpointState.REFUSED, EndpointState.CONNECTING, EndpointState.UNREACHABLE])
+def test_the_rate_of_the_tests_is_bounded(slow: float, state: EndpointState) -> None:
+    endpoint = endpoints._Connect("tls/10.0.0.9:7448", None)
+    pool: Any = Pool(Attempt(Reason(state, "why")))
+    for second in range(601):
+        endpoint.poll([], pool, None, slow + second)
+    assert 55 <= pool.jobs <= 62
+
+
+def test_a_linked_endpoint_is_not_tested(slow: float) -> None:
+    endpoint = endpoints._Connect("tls/10.0.0.9:7448", None)
+    link: Any = SimpleNamespace(dst="tls/10.0.0.9:7448", auth_identifier="robot1")
+    pool: Any = Pool(Attempt(Reason(EndpointState.CONNECTING), "", frozenset({"tls/10.0.0.9:7448"})))
+    for second in range(100):
+        endpoint.poll([link], pool, None, slow + second)
+    assert pool.jobs == 1, "the addresses alone"
+    assert endpoint.status.state == EndpointState.CONNECTED
+
+
+REFUSED = (
+    "\x1b[2m2026-11-26T01:39:43Z\x1b[0m \x1b[33m WARN\x1b[0m acc-0 \x1b[2mzenoh_link_tls::unicast\x1b[0m: {}. Hint: x."
+)
+
+
+def test_a_listener_logs_each_cause_once_and_recovers(slow: float, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "bridge.hub.security")
+    log, listener = ZenohLog(), endpoints._Listen("tls/0.0.0.0:1")
+    for second in range(40):
+        log.feed(REFUSED.format("invalid peer certificate: UnknownIssuer"))
+        if second > 20:
+            log.feed(REFUSED.format("received fatal alert: CertificateExpired"))
+        log.feed(REFUSED.format("tls handshake eof"))
+        listener.poll(log, None, slow + second)
+    assert listener.status.state == EndpointState.REFUSED
+    assert "a machine is refused: its certificate is from another authority" in listener.status.reason
+    assert "this machine's certificate: it has expired" in listener.status.reason
+    assert listener.refused == 40 + 19
+    listener.poll(log, None, slow + 50)
+    assert listener.status.state == EndpointState.REFUSED
+    listener.poll(log, None, slow + 60)
+    assert listener.status.state == EndpointState.LISTENING
+    messages = [record.getMessage() for record in caplog.records]
+    assert [("another authority" in m, "expired" in m, "any longer" in m) for m in messages] == [
+        (True, False, False), (False, True, False), (False, False, True),
+    ], messages  # fmt: skip
+
+
+def test_zenohs_reason_for_what_cannot_be_tested(slow: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.hub.security.zenoh_log.time", SimpleNamespace(monotonic=lambda: slow + 31))
+    endpoint, log = endpoints._Connect("quic/10.0.0.9:7448", None), ZenohLog()
+    pool: Any = Pool(Attempt(Reason(EndpointState.CONNECTING, "zenoh does not report why over quic")))
+    for second in range(40):
+        if second > 30:
+            log.feed(
+                "2026 DEBUG net-0 zenoh::net::runtime::orchestrator: Unable to connect to configured peer"
+                " quic/10.0.0.9:7448! deadline has elapsed at /root/x/manager.rs:901.. Retry in 250ms."
+            )
+        endpoint.poll([], pool, log, slow + second)
+        if second == 30:
+            assert endpoint.status.reason == "zenoh does not report why over quic"
+    assert endpoint.status.state == EndpointState.NOT_ANSWERING
+    assert endpoint.status.reason == "deadline has elapsed"

@@ -1,0 +1,90 @@
+"""Two daemons whose certificates are from different authorities: each end reports it, once, and forgets it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.hub.security.certificates import Authority
+from tests.interop.several import MIDSPAN
+from tests.support.forks import DAEMON
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.wait import until
+
+OFF = {"enabled": False}
+
+
+class Daemon:
+    """`midspan run`, or the router's worker alone as systemd runs it."""
+
+    def __init__(self, folder: Path, name: str, keys: Path, run: list[str], **door: Any) -> None:
+        self.name = name
+        self.file = folder / f"{name}.yaml"
+        sides = dict.fromkeys(("ros1", "ros2", "yarp"), OFF)
+        hub = {"listen": f"tcp/127.0.0.1:{free_port()}", "open": {"keys": str(keys), **door}}
+        self.file.write_text(json.dumps({"name": name, "state": str(folder / f"state-{name}"), **sides, "hub": hub}))
+        self.process = Process([*MIDSPAN, *run, "--config", self.file], imports=DAEMON)
+
+    def midspan(self, *words: str) -> str:
+        command = [*MIDSPAN, *words, "--config", str(self.file)]
+        return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60).stdout
+
+    def endpoint(self) -> dict[str, Any]:
+        documents = json.loads(self.midspan("status", "--json") or "[]")
+        return next(
+            (one["endpoints"][0] for one in documents if one.get("worker") == "router" and one["endpoints"]), {}
+        )
+
+    def lines(self, text: str) -> list[str]:
+        return [line for line in self.process.output().splitlines() if text in line]
+
+
+@pytest.fixture
+def short() -> Iterator[Path]:
+    """A folder whose name leaves room for the names of Unix sockets."""
+    with tempfile.TemporaryDirectory(prefix="midspan-") as folder:
+        yield Path(folder)
+
+
+@pytest.mark.parametrize(
+    "run",
+    [pytest.param(["run"], id="daemon"), pytest.param(["worker", "router"], id="service", marks=pytest.mark.thorough)],
+)
+def test_both_ends_report_a_foreign_authority(short: Path, run: list[str]) -> None:
+    for fleet in ("a", "b"):
+        Authority(short / fleet).make()
+        for name in ("robot1", "operator1"):
+            Authority(short / fleet).issue(name, ["127.0.0.1"])
+    place = f"tls/127.0.0.1:{free_port()}"
+    robot = Daemon(short, "robot1", short / "a", run, listen=[place])
+    operator = Daemon(short, "operator1", short / "b", run, connect=[place])
+    with robot.process, operator.process:
+        until(lambda: operator.lines(f"hub.open.connect {place}: refused: the other machine's certificate"), "operator")
+        until(lambda: robot.lines(f"hub.open.listen {place}: a machine"), "the robot's log")
+        assert until(lambda: robot.endpoint().get("state") == "refused" and robot.endpoint(), "status")["cure"]
+        assert operator.endpoint()["state"] == "refused"
+        text = robot.midspan("status")
+        assert f"hub.open.listen {place} refused for " in text
+        assert "from another authority" in text
+        assert f"hub.open.connect {place} refused for " in operator.midspan("status")
+        assert "FAIL" in operator.midspan("doctor", "--only", "keys")
+        assert "from another authority" in robot.midspan("doctor", "--only", "keys")
+        assert len(operator.lines("hub.open.connect")) == 1
+        assert len(robot.lines("hub.open.listen")) <= 2, "refused, and refused by the other machine"
+        operator.process.stop()
+        until(lambda: robot.lines("no machine is refused any longer"), "the robot forgets it")
+        assert robot.endpoint()["state"] == "listening"
+        joined = Daemon(short, "operator1", short / "a", run, connect=[place])
+        with joined.process:
+            until(lambda: joined.lines(f"hub.open.connect {place}: connected to robot1"), "the operator joins")
+            assert f"hub.open.connect {place} connected to robot1 for " in joined.midspan("status")
+            assert f"{place}: TLS with robot1 succeeds, and the router reports connected" in joined.midspan(
+                "doctor", "--only", "keys"
+            )
