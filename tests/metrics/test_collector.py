@@ -147,6 +147,25 @@ def test_the_store_the_goals_the_modules_and_the_router() -> None:
     assert scrape.value("midspan_router_machines", trusted="false") == 1
 
 
+def test_the_endpoints_of_the_router() -> None:
+    endpoints = [
+        {"way": "connect", "endpoint": "tls/r:7448", "state": "refused", "reason": "why", "since": 1.5e9},
+        {"way": "listen", "endpoint": "tls/0.0.0.0:7448", "state": "listening", "reason": "", "since": 1.6e9},
+        {"way": "connect", "endpoint": "tls/s:7448", "state": "connecting", "reason": "", "since": 1.6e9},
+        {"way": "connect", "endpoint": "tls/t:7448", "state": "of a later version"},
+        "rubbish",
+    ]
+    scrape = Scrape({"worker": "router", "side": "router", "endpoints": endpoints, "refused_connections": 3})
+    assert {e: scrape.value("midspan_router_endpoint_up", endpoint=e) for e in ("tls/r:7448", "tls/0.0.0.0:7448")} == {
+        "tls/r:7448": 0, "tls/0.0.0.0:7448": 1,
+    }  # fmt: skip
+    assert scrape.value("midspan_router_endpoint_up", endpoint="tls/s:7448") == 0
+    assert scrape.value("midspan_router_endpoint_state", endpoint="tls/r:7448", way="connect", state="refused") == 1
+    assert scrape.value("midspan_router_endpoint_state", endpoint="tls/r:7448", state="connected") == 0
+    assert scrape.value("midspan_router_endpoint_since_timestamp_seconds", endpoint="tls/r:7448") == 1.5e9
+    assert scrape.value("midspan_router_refused_connections_total") == 3
+
+
 def test_more_routes_than_are_told_of_are_counted_and_who_is_told_of_stays_so() -> None:
     scrape = Scrape(side(*(route(f"/t{n}") for n in range(5, 9))), most=3)
     told = lambda: {s.labels["topic"] for s in scrape.families()["midspan_route_bytes"].samples}  # noqa: E731

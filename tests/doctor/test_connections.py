@@ -1,0 +1,106 @@
+"""The doctor's check of `hub.open`: it connects to each endpoint, and adds what the router reports."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.doctor.check import Finding, Result
+from bridge.doctor.checks.connections import look_at_connections
+from bridge.hub.security.certificates import Authority
+from tests.doctor.parts import around, every, hub
+from tests.hub.security.test_endpoints import Machine
+from tests.support.ports import free_port
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("keys")
+    for fleet in ("a", "b"):
+        Authority(folder / fleet).make()
+        for name in ("robot1", "operator1"):
+            Authority(folder / fleet).issue(name, ["127.0.0.1"])
+    return folder
+
+
+def looked_at(keys: Path, *reported: dict[str, Any], **door: Any) -> list[Finding]:
+    documents = [{"worker": "router", "side": "router", "endpoints": list(reported)}] if reported else []
+    return list(every(look_at_connections(around({"hub": {"open": {"keys": str(keys), **door}}}, hub=hub(*documents)))))
+
+
+def report(way: str, endpoint: str, state: str, reason: str = "") -> dict[str, Any]:
+    return {"way": way, "endpoint": endpoint, "state": state, "reason": reason, "cure": "cure" if reason else ""}
+
+
+def test_a_closed_hub_is_skipped() -> None:
+    assert [finding.result for finding in every(look_at_connections(around({})))] == [Result.SKIP]
+
+
+def test_it_connects(keys: Path) -> None:
+    place, wrong = f"tls/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"
+    with Machine("operator1", keys / "a", listen=[place]):
+        own, good, bad = looked_at(keys / "a", connect=[place, wrong])
+        assert own.result is good.result is Result.OK
+        assert good.seen == f"hub.open.connect {place}: TLS with operator1 succeeds"
+        assert (bad.result, bad.seen.startswith(f"hub.open.connect {wrong}: not answering: nothing listens")) == (
+            Result.WARN, True,
+        )  # fmt: skip
+        assert bad.cure
+        foreign = looked_at(keys / "b", connect=[place])[-1]
+        assert foreign.result is Result.FAIL
+        assert "from another authority" in foreign.seen
+
+
+def test_a_listener_of_this_machine(keys: Path) -> None:
+    """It is tested at loopback, by whichever names its certificate has."""
+    Authority(keys / "a").issue("far", ["10.9.9.9"])
+    port = free_port()
+    place = f"tls/0.0.0.0:{port}"
+    far = {"certificate": str(keys / "a" / "far.pem"), "key": str(keys / "a" / "far.key")}
+    with Machine("robot1", keys / "a", listen=[place], **far):
+        finding = looked_at(keys / "a", report("listen", place, "listening"), listen=[place], **far)[-1]
+        assert finding.result is Result.OK
+        assert finding.seen == f"hub.open.listen {place}: TLS with far succeeds, and the router reports listening"
+        refusing = report("listen", place, "refused", "a machine is refused")
+        finding = looked_at(keys / "a", refusing, listen=[place], **far)[-1]
+        assert (finding.result, finding.cure) == (Result.WARN, "cure")
+        assert finding.seen == f"hub.open.listen {place}: refused: a machine is refused"
+    finding = looked_at(keys / "a", report("listen", place, "listening"), listen=[place], **far)[-1]
+    assert "nothing listens" in finding.seen
+    assert looked_at(keys / "a", listen=[place], **far)[-1].result is Result.SKIP, "the router does not run"
+
+
+def test_the_routers_report_counts_if_the_doctor_may_not_read_the_keys(tmp_path: Path) -> None:
+    places = ["tls/10.9.9.9:7448", "tls/10.9.9.8:7448"]
+    reported = [report("connect", places[0], "refused", "why"), report("connect", places[1], "connected")]
+    files, router = looked_at(tmp_path, *reported, connect=places)
+    assert files.result is Result.FAIL
+    assert (router.result, router.seen) == (Result.WARN, f"hub.open.connect {places[0]}: refused: why")
+
+
+def test_without_tls(keys: Path) -> None:
+    place = f"tcp/127.0.0.1:{free_port()}"
+    assert "nothing listens" in looked_at(keys, connect=[place], insecure=True)[0].seen
+    with Machine("operator1", keys, listen=[place], insecure=True):
+        (finding,) = looked_at(keys, connect=[place], insecure=True)
+    assert (finding.result, finding.seen) == (Result.OK, f"hub.open.connect {place}: it answers")
+
+
+def test_quic_is_the_routers_to_test(keys: Path) -> None:
+    place = "quic/10.9.9.9:7448"
+    assert looked_at(keys / "a", connect=[place])[-1].seen.endswith("only the router can test it")
+    reported = report("connect", place, "not answering", "deadline has elapsed")
+    assert looked_at(keys / "a", reported, connect=[place])[-1].result is Result.WARN
+
+
+def test_the_test_leaves_no_session(keys: Path) -> None:
+    place = f"tls/127.0.0.1:{free_port()}"
+    with Machine("operator1", keys / "a", listen=[place]) as operator:
+        for _ in range(3):
+            assert looked_at(keys / "a", connect=[place])[-1].result is Result.OK
+        door = operator.router._door
+        assert door is not None
+        assert door.machines() == []
+        assert door.endpoints()[0].state == "listening"
