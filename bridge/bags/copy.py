@@ -1,4 +1,4 @@
-"""Copies a bag: into another format, a part of it, or what is left of a damaged one."""
+"""Copies a bag into another format, or a part of it, or the readable rest of a damaged one."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _FOREVER = 1 << 64
 
 @dataclass(frozen=True)
 class BagSelection:
-    """Which messages are copied.
+    """The messages to copy.
 
     Attributes:
-        names: of topics.
+        names: a filter of topic names.
         start_ns, end_ns: ``start_ns <= time < end_ns``.
-        latched: what latched topics said last before the start comes too, with the start's time.
+        latched: also copy the last messages of latched topics before the start, with the start's time.
     """
 
     names: NameFilter | None = None
@@ -39,7 +39,7 @@ class BagSelection:
     latched: bool = False
 
     def chosen(self, bag: Bag) -> list[BagTopic]:
-        """The topics of a bag; raises `BagError` where a name stands for none."""
+        """Return the selected topics of a bag; raises `BagError` for a name that matches none."""
         if self.names is None:
             return list(bag.topics)
         for name in self.names.idle(topic.name for topic in bag.topics):
@@ -49,15 +49,16 @@ class BagSelection:
 
 @dataclass
 class Copied:
-    """What was copied.
+    """The result of a copy.
 
     Attributes:
-        messages: how many.
-        data: bytes of them, as read.
-        unknown: topics whose type has no counterpart, which were left out, with the reason.
-        refused: messages whose bytes are not what their type says, by topic; they were left out.
-        lost: fields of ROS 1 types that ROS 2 has none for, by type.
-        damage: what could not be read.
+        messages: number of copied messages.
+        data: their bytes, as read.
+        unknown: topics that were left out because the format has no place for them, with the reason.
+        refused: number of messages by topic that were left out because their bytes do not match their type.
+        lost: fields of ROS 1 types without a counterpart in ROS 2, by type.
+        damage: the damaged places that were skipped.
+        renamed: new names of topics, by their names in the bag.
     """
 
     messages: int = 0
@@ -72,11 +73,11 @@ class Copied:
 Convert = Callable[[bytes], bytes]
 
 Told = Callable[[int, int], None]
-"""Told of progress: messages and bytes so far."""
+"""Receives the progress: messages and bytes so far."""
 
 
 def _quiet(_messages: int, _data: int) -> None:
-    """Tells nobody."""
+    """Ignore the progress."""
 
 
 def convert(
@@ -85,8 +86,8 @@ def convert(
 ) -> Copied:  # fmt: skip
     """Copy a bag into any format, by the bridge's conversions between ROS 1 and ROS 2.
 
-    Raises `BagError`: a type has no counterpart (unless ``skip_unknown``), a message is not what its type says
-    (unless ``skip_bad``), the bag is damaged, the target exists or cannot be written.
+    Raises `BagError` for a topic that the format cannot hold (unless ``skip_unknown``), a message that does not match
+    its type (unless ``skip_bad``), a damaged bag, and a target that exists or cannot be written.
     """
     done = Copied()
     _check_sound(bag)
@@ -122,7 +123,7 @@ def cut(
 ) -> Copied:  # fmt: skip
     """Copy a part of a bag into the same format, its messages and types as they are.
 
-    With ``mend`` what is damaged is left out, and told of in `Copied.damage`. Raises `BagError`.
+    With ``mend``, damaged data is left out and listed in `Copied.damage`. Raises `BagError`.
     """
     done = Copied()
     if not mend:
@@ -145,7 +146,7 @@ def cut(
                 return done
         writer = copier if isinstance(bag, McapBag) else _writer(making, bag.kind, compression or usual)
         _copy(bag, writer, forms, _mended(columns, done.damage) if mend else columns, done, told=told)
-    done.damage[:] = {str(err): err for err in done.damage}.values()  # of a chunk that was looked at twice
+    done.damage[:] = {str(err): err for err in done.damage}.values()  # a chunk that was read twice is listed twice
     return done
 
 
@@ -154,7 +155,7 @@ def _writer(path: Path, kind: Kind, compression: str) -> BagWriter:
 
 
 def _check_sound(bag: Bag) -> None:
-    """Raises what is wrong with a bag; what only lacks its end is read up to there."""
+    """Raise the error of a damaged bag; one that only lacks its end is read up to there."""
     if bag.trouble is not None and not bag.unfinished:
         raise BagError(bag.trouble.path, bag.trouble.what, bag.trouble.offset, "'midspan bag mend' saves the rest")
 
@@ -162,7 +163,7 @@ def _check_sound(bag: Bag) -> None:
 def _copy_chunks(
     bag: McapBag, copier: McapCopy, choice: BagSelection, compression: str, done: Copied, told: Told
 ) -> None:
-    """Copy all channels, also those that only others understand; what lies within the times stays packed."""
+    """Copy all channels, even those of other encodings; chunks within the times stay compressed."""
     start = 0 if choice.start_ns is None else choice.start_ns
     end = _FOREVER if choice.end_ns is None else choice.end_ns
     try:
@@ -237,7 +238,7 @@ def _copy(
 
 
 def _converted(some: Columns, changes: Mapping[BagTopic, Convert | None]) -> list[bytes]:
-    """The data of messages in the form of their topics; raises `ConversionError`."""
+    """Return the messages' data in the forms of their topics; raises `ConversionError`."""
     each = zip(map(changes.__getitem__, some.topics), some.data, strict=True)
     return [data if change is None else change(data) for change, data in each]
 
@@ -245,7 +246,7 @@ def _converted(some: Columns, changes: Mapping[BagTopic, Convert | None]) -> lis
 def _sound(
     bag: Bag, some: Columns, changes: Mapping[BagTopic, Convert | None], done: Copied, *, skip_bad: bool
 ) -> tuple[Columns, list[bytes]]:
-    """What fits its types, and their data in the forms of their topics; others are left out, or raise."""
+    """Return the messages that match their types, and their converted data; leave out the others, or raise."""
     sound, made = list[BagMessage](), list[bytes]()
     for message in map(BagMessage, *some):
         topic, change = message.topic, changes[message.topic]

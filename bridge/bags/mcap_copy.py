@@ -1,7 +1,7 @@
-"""Writes MCAP from other bags; chunks of MCAP that come whole are not packed again.
+"""Writes MCAP from other bags; complete chunks of MCAP are copied without being compressed again.
 
-`mcap`'s own writer takes single messages only, and copies each several times; here chunks are put together. The library
-writes all records that are not messages (https://mcap.dev/spec).
+The writer of the library `mcap` accepts single messages only and copies each several times; here whole chunks are
+assembled. The library writes all records other than messages (https://mcap.dev/spec).
 """
 
 from __future__ import annotations
@@ -47,21 +47,21 @@ _HEAD = np.dtype(
         ("publish_time", "<u8"),
     ]
 )  # fmt: skip
-"""A message record, but for its data."""
+"""A message record without its data."""
 
 _RECORD, _CHUNK = struct.Struct("<BQ"), struct.Struct("<QQQII")
 _INDEX = struct.Struct("<BQHI")
 _FOOTER = struct.Struct("<BQQQ")
 _PACKERS = 3
-"""Threads that pack: of each chunk one waits some milliseconds for Python's lock, while the others pack."""
+"""Threads that compress: for each chunk one waits some milliseconds for Python's lock, while the others compress."""
 
 _AHEAD = 8
-"""Chunks that may be packed, or wait for it, while others are read; less of them where they are large."""
+"""Chunks that may be in compression, or wait for it, while others are read; fewer if they are large."""
 
 _AHEAD_BYTES = 64 << 20
 
 _BODY = 22
-"""Bytes of a message record's body beside its data."""
+"""Bytes of a message record's body without its data."""
 
 
 class ChunkedMcap(BagWriter):
@@ -85,7 +85,7 @@ class ChunkedMcap(BagWriter):
         self._record(Header(profile=profile, library=library))
 
     def add_channel(self, channel: Channel, schema: Schema | None) -> None:
-        """Add a channel and its schema, where they are not there yet."""
+        """Add a channel and its schema, unless they exist."""
         if schema is not None and schema.id not in self._schemas:
             self._schemas[schema.id] = schema
             self._record(schema)
@@ -118,7 +118,7 @@ class ChunkedMcap(BagWriter):
                 self._close_chunk()
 
     def take(self, chunk: WholeChunk) -> None:
-        """Add a chunk of the source as it is, with its indexes."""
+        """Copy a chunk of the source with its indexes."""
         self._write_chunks()
         self._put(chunk)
 
@@ -170,7 +170,7 @@ class ChunkedMcap(BagWriter):
         self._file.close()
 
     def abandon(self) -> None:
-        """Let go of the file."""
+        """Close the file without its summary."""
         self._packer.shutdown(cancel_futures=True)
         self._file.close()
 
@@ -180,7 +180,7 @@ class ChunkedMcap(BagWriter):
         self._file.write(_bytes(builder))
 
     def _close_chunk(self) -> None:
-        """Have the chunk packed beside what goes on here; some may be under way, and are written in their order."""
+        """Compress the chunk on another thread; several may be in compression, and are written in their order."""
         if self._parts:
             task = self._packer.submit(_pack, self._compression, b"".join(self._parts))
             self._packing.append((task, np.concatenate(self._heads), self._size))
@@ -214,7 +214,7 @@ class ChunkedMcap(BagWriter):
 
 
 class McapCopy(ChunkedMcap):
-    """Writes a part of another MCAP file, with its channels as they are."""
+    """Writes a part of another MCAP file with the same channels."""
 
     def __init__(self, path: Path, compression: str, source: McapBag) -> None:
         super().__init__(path, compression, source.profile, source.library)
@@ -253,7 +253,7 @@ class Ros2Mcap(ChunkedMcap):
 
 
 def _message_indexes(heads: NDArray[Any]) -> tuple[bytes, dict[int, int], dict[int, int]]:
-    """The records of a chunk's indexes, where each channel's begins, and how many messages each has."""
+    """Return the records of a chunk's indexes, the offset of each channel's record, and its number of messages."""
     sizes = heads["length"] + (_HEAD.itemsize - _BODY)
     entries = np.stack((heads["time"], np.cumsum(sizes) - sizes), axis=1, dtype="<u8")
     entries = entries[np.argsort(heads["channel"], kind="stable")]
@@ -269,12 +269,12 @@ def _message_indexes(heads: NDArray[Any]) -> tuple[bytes, dict[int, int], dict[i
 
 
 def _bytes(builder: RecordBuilder) -> bytes:
-    """What was built, which is empty then."""
+    """Return the built bytes and clear the builder."""
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
 def _pack(compression: str, plain: bytes) -> tuple[bytes, int]:
-    """A chunk's data, and the checksum of what it was before."""
+    """Return a chunk's compressed data, and the checksum of the uncompressed data."""
     packed = plain
     if compression == "zstd":
         import zstandard

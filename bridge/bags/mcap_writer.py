@@ -1,9 +1,9 @@
-"""How Midspan writes MCAP: the hub's CDR as it is, in the form that ROS 2's tools and Foxglove read.
+"""Writes MCAP: the hub's CDR as it is, in the form that ROS 2's tools and Foxglove read.
 
 Facts from the format (https://mcap.dev/spec, https://mcap.dev/spec/registry): profile ``ros2``, message encoding
-``cdr``, schema encoding ``ros2msg`` with the full definition. The channel metadata ``offered_qos_profiles`` and
-``topic_type_hash`` are those of rosbag2's storage plugin (rosbag2_storage_mcap, mcap_storage.cpp); ``side`` and
-``origin`` are Midspan's own. A type whose definition is not known has an empty schema, as there.
+``cdr``, schema encoding ``ros2msg`` or ``ros2idl`` with the full definition (`bridge.bags.definitions`). The channel
+metadata ``offered_qos_profiles`` and ``topic_type_hash`` are those of rosbag2's storage plugin (rosbag2_storage_mcap,
+mcap_storage.cpp), as is the empty schema of a type without a known definition; Midspan adds ``side`` and ``origin``.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ Compression = Literal["zstd", "lz4", "none"]
 
 PROFILE = "ros2"
 CHUNK_BYTES = 1 << 20
-"""Uncompressed bytes from which a chunk is closed; one larger message makes a chunk of its own."""
+"""Uncompressed bytes from which a chunk is closed; a larger message fills a separate chunk."""
 
 _COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 _UNBOUNDED = 1 << 62
 _RECORD = 31
-"""Bytes of a message record beside its data: opcode, length, channel, sequence and two times."""
+"""Bytes of a message record without its data: opcode, length, channel, sequence and two times."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,11 @@ class ChannelInfo:
 
     Attributes:
         type_name: as ROS 2 spells it, ``std_msgs/msg/String``.
-        type_hash: ``RIHS01_...``, "" where it is not known.
-        definition: the full definition, ros2msg; None where it is not known.
-        qos: what the publishers offer, one for each.
-        side: the side that it came from: ``ros1``, ``ros2``, ``yarp``, ``zenoh``; "" where it is not known.
-        origin: the foreign network that it came from, None for a native participant of the hub.
+        type_hash: ``RIHS01_...``, "" if unknown.
+        definition: the full definition as ``.msg`` text; None if unknown.
+        qos: the offered profile of each publisher.
+        side: the side that it comes from: ``ros1``, ``ros2``, ``yarp``, ``zenoh``; "" if unknown.
+        origin: the foreign network that it comes from, None for a native participant of the hub.
         more: further metadata.
     """
 
@@ -65,20 +65,20 @@ class ChannelInfo:
 
 
 class McapWriter:
-    """Writes one MCAP file onto a stream, which stays open. Not safe to use from several threads.
+    """Writes one MCAP file to a stream, which stays open. Not safe to use from several threads.
 
     Args:
-        stream: its ``write`` takes all that it is given.
+        stream: its ``write`` must accept all bytes at once.
         compression: of the chunks.
         chunk_bytes: see `CHUNK_BYTES`.
 
     Attributes:
-        pending: bytes that are not written yet: the chunk that is being made, uncompressed.
-        messages: those that were given to `write`.
+        pending: uncompressed bytes of the open chunk, which are not written yet.
+        messages: number of messages passed to `write`.
     """
 
     def __init__(self, stream: BinaryIO, compression: Compression = "zstd", chunk_bytes: int = CHUNK_BYTES) -> None:
-        # the library is never to close a chunk by itself: what is written is to be known here
+        # the library must not close a chunk by itself, so that this class knows what is written
         self._writer = Writer(stream, _UNBOUNDED, _COMPRESSIONS[compression])
         self._chunk_bytes = chunk_bytes
         self._schemas: dict[tuple[str, str], int] = {}
@@ -86,7 +86,7 @@ class McapWriter:
         self._writer.start(PROFILE, f"midspan {__version__}")
 
     def channel(self, info: ChannelInfo) -> int:
-        """A new channel; its number is for `write`. A file has at most 65,535."""
+        """Add a channel and return its number for `write`. A file has at most 65,535."""
         encoding, text = stored_definition(info.type_name, info.definition or "")
         if info.definition == "":
             encoding = MSG
@@ -98,14 +98,14 @@ class McapWriter:
         return self._writer.register_channel(info.topic, "cdr", schema, info.metadata())
 
     def metadata(self, name: str, values: dict[str, str]) -> None:
-        """Add a record of metadata, apart from the chunks."""
+        """Add a metadata record outside of the chunks."""
         self._writer.add_metadata(name, values)
 
     def write(self, channel: int, log_time: int, publish_time: int, data: bytes, sequence: int = 0) -> bool:
         """Add a message: CDR with its header; times in nanoseconds since 1970. Raises `OSError` of the stream.
 
         Returns:
-            Whether that closed the chunk, so that all up to here is written.
+            Whether this closed the chunk, so that all messages so far are written.
         """
         self._writer.add_message(channel, log_time, data, publish_time, sequence & 0xFFFFFFFF)
         self.messages += 1
@@ -116,16 +116,16 @@ class McapWriter:
         return closed
 
     def closes(self, size: int) -> bool:
-        """Whether a message of so many bytes would close the chunk."""
+        """Whether a message of ``size`` bytes would close the chunk."""
         return self.pending + _RECORD + size > self._chunk_bytes
 
     def flush(self) -> None:
-        """Close the chunk: all that was given is on the stream, and can be read even if nothing follows."""
+        """Close the chunk: all messages are on the stream, and readable even if nothing follows."""
         self._writer.flush()  # type: ignore[no-untyped-call]
         self.pending = 0
 
     def finish(self) -> None:
-        """Write the summary, with which readers find their way; nothing can be added then."""
+        """Write the summary, the index for readers; nothing can be added afterwards."""
         self._writer.finish()  # type: ignore[no-untyped-call]
-        self._writer.flush()  # type: ignore[no-untyped-call]  # of the stream; there is no chunk any more
+        self._writer.flush()  # type: ignore[no-untyped-call]  # flushes the stream; the last chunk is closed
         self.pending = 0

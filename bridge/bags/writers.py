@@ -1,6 +1,6 @@
-"""Writes ROS's own bags by `rosbags`: ROS 1's, and rosbag2's SQLite files; and what writers of all formats share.
+"""Writes the bags of ROS 1 and the SQLite files of rosbag2 with `rosbags`; and the base of all writers.
 
-A bag is written in a folder beside its place, and comes to its place when it is whole; else nothing is left.
+A bag is written in a temporary folder next to its target, and moved there when it is complete.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from yarp_compat.file_names import forbidden
 COMPRESSIONS: dict[Kind, tuple[str, ...]] = {
     "mcap": ("zstd", "lz4", "none"), "bag": ("none", "lz4", "bz2"), "db3": ("none",),
 }  # fmt: skip
-"""What each format can be compressed by, the usual one first; SQLite files of rosbag2 are not compressed here."""
+"""The compressions of each format, the default first; SQLite files of rosbag2 are not compressed here."""
 
 _MAX_SECONDS = 1 << 32
 _UNKNOWN_HASH = "INVALID"
-"""What rosidl's own text of a type hash is where there is none (rosidl_runtime_c, type_hash.c)."""
+"""The text of an unset type hash in rosidl (rosidl_runtime_c, type_hash.c)."""
 
 _NS = 1_000_000_000
 
@@ -37,7 +37,7 @@ class BagWriter(ABC):
 
     @abstractmethod
     def add(self, topic: BagTopic, form: TopicForm) -> Any:
-        """Add a topic as ``form`` says; what comes back is for `write`."""
+        """Add a topic in its form; returns the place for `write`."""
 
     @abstractmethod
     def write(
@@ -49,8 +49,8 @@ class BagWriter(ABC):
     def finish(self) -> None:
         """Write what closes the bag."""
 
-    def abandon(self) -> None:  # noqa: B027 - most have nothing to let go
-        """Let go of the file, which will be removed."""
+    def abandon(self) -> None:  # noqa: B027 - most hold nothing
+        """Release the file, which will be removed."""
 
 
 class Ros1(BagWriter):
@@ -60,7 +60,7 @@ class Ros1(BagWriter):
         from rosbags.rosbag1 import Writer as Writer1
 
         class Frugal(Writer1):
-            """Keeps of each chunk that is written how many messages it has, and not where each stands."""
+            """Stores the number of messages of each written chunk instead of the offset of each message."""
 
             def write_chunk(self, chunk: Any) -> None:
                 super().write_chunk(chunk)
@@ -118,7 +118,7 @@ class Db3(BagWriter):
         self._connections: dict[tuple[str, str], Any] = {}
 
     def add(self, topic: BagTopic, form: TopicForm) -> Any:
-        """See `BagWriter.add`: a topic is one connection, with what each of its publishers offered."""
+        """See `BagWriter.add`: a topic is one connection with the QoS of each of its publishers."""
         key = form.name or topic.name, form.type_name
         self._topics.setdefault(key, (form, {}))[1].update(dict.fromkeys(topic.profiles))
         return key
@@ -174,50 +174,52 @@ def _profile(qos: Qos) -> Any:
 
 
 def kind_of(path: Path) -> Kind:
-    """The format that a file's ending asks for; a name without one is a folder of rosbag2. Raises `BagError`."""
+    """Return the format of a file name's ending; a name without one is a folder of rosbag2. Raises `BagError`."""
     kinds: dict[str, Kind] = {".mcap": "mcap", ".db3": "db3", ".bag": "bag", "": "db3"}
     kind = kinds.get(path.suffix.lower())
     if kind is None:
-        raise BagError(path, "says no format", None, "name it .mcap, .bag or .db3, or without an ending: a folder")
+        raise BagError(
+            path, "has an unknown ending", None, "name it .mcap, .bag or .db3, or without an ending: a folder"
+        )
     return kind
 
 
 def check_compression(path: Path, kind: Kind, compression: str) -> None:
-    """Raises `BagError` for a compression that the format has not."""
+    """Raise `BagError` for a compression that the format does not support."""
     if compression not in COMPRESSIONS[kind]:
         msg = f"cannot be compressed by {compression}"
         raise BagError(path, msg, None, f"{kind} has {', '.join(COMPRESSIONS[kind])}")
 
 
 def open_writer(path: Path, kind: Kind, compression: str) -> BagWriter:
-    """A writer of one of ROS's own formats, of which MCAP is none."""
+    """Return a writer of a ``.bag`` or a folder of rosbag2."""
     assert kind != "mcap"
     return Ros1(path, compression) if kind == "bag" else Db3(path)
 
 
 @contextmanager
 def written_whole(target: Path, kind: Kind) -> Iterator[Path]:
-    """Where to write a bag that comes to ``target`` at the end, or not at all; raises `BagError`."""
+    """Yield the path to write a bag to, which is moved to ``target`` at the end; raises `BagError`."""
     if why := forbidden(target.name):
         raise BagError(target, why)
     if target.exists():
-        raise BagError(target, "is there already", None, "remove it, or take another name")
+        raise BagError(target, "exists already", None, "remove it, or choose another name")
     making = target.parent / f".{target.name}.{secrets.token_hex(4)}"
     try:
-        making.mkdir(0o700)  # here, since a signal may come as soon as it is there
+        making.mkdir(0o700)  # inside `try`, since a signal may come as soon as it exists
         made = making / target.name
         yield made
-        if kind == "db3" and target.suffix:  # the file alone, without its folder
+        if kind == "db3" and target.suffix:  # only the file, without its folder
             made = made / f"{made.name}.db3"
         made.rename(target)
     except (BagError, MemoryError):
         raise
     except OSError as err:
         raise BagError(target, f"cannot be written: {err.strerror or err}") from err
-    except Exception as err:  # libraries raise what they like: sqlite3.Error for a full disk
+    except Exception as err:  # libraries raise errors of their own: sqlite3.Error for a full disk
         raise BagError(target, f"cannot be written: {type(err).__name__}: {err}") from err
     finally:
         try:
             shutil.rmtree(making, ignore_errors=True)
-        finally:  # a signal may have come meanwhile, and raised what ends the program
+        finally:  # a signal during the removal may have raised SystemExit
             shutil.rmtree(making, ignore_errors=True)

@@ -69,7 +69,7 @@ def test_a_bag_goes_round_all_formats_and_stays_the_same(registry: Registry, tmp
     for source, target in pairwise(steps):
         assert copied(source, target, registry).messages == 21
     first, last = heard(steps[0]), heard(steps[-1])
-    assert str(first) == str(last)  # each bag has classes of its own
+    assert str(first) == str(last)  # each bag has separate classes
     assert len(first) == 21
     for path in steps[1:4]:
         for (topic, time, message), (topic2, time2, message2) in zip(first, heard(path), strict=True):
@@ -111,7 +111,7 @@ def test_large_and_nested_messages_go_both_ways(registry: Registry, tmp_path: Pa
 
 
 def custom_bag(path: Path) -> Path:
-    """A bag with a type of its own beside one that everybody knows."""
+    """A bag with a type that is only defined there, and one that is installed."""
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg("int32 number\nstd_msgs/String[] texts\n", "odd_msgs/msg/Odd"))
     odd = store.types["odd_msgs/msg/Odd"](7, [store.types[STRING]("a")])
@@ -156,7 +156,7 @@ def test_a_message_that_is_not_of_its_type_is_named_or_left_out(registry: Regist
 def test_what_cannot_be_written_leaves_nothing(registry: Registry, tmp_path: Path) -> None:
     source = mcap_file(tmp_path / "a.mcap")
     (tmp_path / "there.bag").write_text("mine")
-    for name, words in {"there.bag": "is there already", "gone/b.bag": "cannot be written"}.items():
+    for name, words in {"there.bag": "exists already", "gone/b.bag": "cannot be written"}.items():
         with pytest.raises(BagError, match=words):
             copied(source, tmp_path / name, registry)
     with pytest.raises(BagError, match="bag has none, lz4, bz2"):

@@ -88,7 +88,7 @@ ASK = "int32 a\n---\nint32 b\n"
 
 @pytest.fixture(scope="module")
 def registry() -> Registry:
-    """A registry that knows the types of the sources; the conversions have registries of their own."""
+    """A registry with the types of the sources; each conversion has a new one."""
     made = Registry()
     made.learn_ros1("my_msgs/Own", OWN)
     made.learn_ros2("my_msgs/msg/Own", OWN)

@@ -1,4 +1,4 @@
-"""The daemon records what real programs of all four sides say, and independent readers find it in the files."""
+"""The daemon records real programs of all four sides, and independent readers decode the files."""
 
 from __future__ import annotations
 

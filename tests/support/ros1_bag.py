@@ -1,4 +1,4 @@
-"""Writes and reads ROS 1 bags with ROS 1's own ``rosbag``; runs on the system's Python alone.
+"""Writes and reads ROS 1 bags with ``rosbag`` of ROS 1; needs only the system's Python.
 
 ``ros1_bag.py write`` reads ``{file: [[topic, type, definition, values], ...], ...}`` from standard input.
 ``ros1_bag.py read FILE...`` prints ``[[[topic, type, values], ...], ...]``, with the error in place of a file's list.

@@ -131,8 +131,8 @@ def test_a_file_of_a_folder_that_cannot_be_opened_is_named(capsys: pytest.Captur
     [
         ("info gone.mcap", "gone.mcap: there is no such file"),
         ("info text.bag", "text.bag, byte 0: is neither MCAP nor a bag"),
-        ("convert a.mcap b.zip", "b.zip: says no format"),
-        ("convert a.mcap a.mcap", "a.mcap: is there already"),
+        ("convert a.mcap b.zip", "b.zip: has an unknown ending"),
+        ("convert a.mcap a.mcap", "a.mcap: exists already"),
         ("convert a.mcap b.bag --topics /gone", "a.mcap: has no topic /gone"),
         ("cut a.mcap b.bag", "use 'midspan bag convert'"),
         ("cut a.mcap b.mcap --start 2s --end 1s", "--end is not after --start"),
