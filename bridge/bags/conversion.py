@@ -125,9 +125,9 @@ class FileTopics:
         for name, members in types.items():
             known, other = self._types.get(name, (members, ""))
             if known != members:
-                what = f"{topic.name} has another definition of {name.split()[0]} than {other}; ROS 2 knows one a file"
-                cure = "" if other == topic.name else "--topics and -x convert the topics into several files"
-                raise BagError(self._path, what, None, cure)
+                what = f"{topic.name} has another definition of {name.split()[0]} than {other}"
+                where = "a .bag has room for both" if other == topic.name else "convert them into several files with -x"
+                raise BagError(self._path, f"{what}, and a file of ROS 2 has one for each type", None, where)
         self._names[form.name] = topic.name
         for name, members in types.items():
             self._types.setdefault(name, (members, topic.name))

@@ -32,8 +32,12 @@ from bridge.messages.errors import MessageTypeError
 
 MSG, IDL = "ros2msg", "ros2idl"
 _LINE = "=" * 80
+_IDL_START = f"{_LINE}\nIDL: "
 _CACHED = 500
 """Definitions that are not parsed again: thousands of topics may share a type."""
+
+LARGEST = 256 << 10
+"""Characters of a definition that rosbags' parser gets: it parses some 150,000 a second."""
 
 _IDL_NAMES = {
     "bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double",
@@ -77,16 +81,20 @@ def hashed_definition(type_name: str, definition: str, type_hash: str) -> str:
 
 
 def _rosbags_types(type_name: str, text: str) -> Any:
-    """Return the types of a definition as rosbags' reader parses them; empty if it cannot."""
+    """Return the types of a definition as rosbags parses them; empty if it cannot."""
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
-    try:
-        if not text.startswith(f"{_LINE}\nIDL: "):
-            return get_types_from_msg(text, type_name)
-        sections = [section.partition("\n")[2] for section in text.split(f"{_LINE}\n")[1:]]
-        return {name: kind for section in sections for name, kind in get_types_from_idl(section).items()}
-    except Exception:  # its parser raises more than its own error for bad input
+    if len(text) > LARGEST:
         return {}
+    types: dict[str, Any] = {}
+    with suppress(Exception):  # its parser raises more than its own error for bad input
+        if not text.startswith(_IDL_START):
+            return get_types_from_msg(text, type_name)
+        for section in text.split(f"{_LINE}\n")[1:]:
+            body = re.sub(r"(?m)^\s*#.*$", "", section.partition("\n")[2])  # it does not parse #include
+            types.update(get_types_from_idl(body))
+        return types
+    return {}
 
 
 @lru_cache(maxsize=_CACHED)
@@ -96,6 +104,7 @@ def full_schema(type_name: str, definition: str) -> Schema:
     return closure(types[type_name], types)
 
 
+@lru_cache(maxsize=_CACHED)
 def full_definition(type_name: str, encoding: str, text: str) -> str:
     """Return the definition that a bag stores for a ROS 2 type as full ``.msg`` text, "" if it cannot be parsed.
 
@@ -180,23 +189,12 @@ def _idl_field(name: str, kind: Any) -> str:
 
 def _text_of_idl(type_name: str, text: str) -> str:
     """Return the ``.msg`` text of types in IDL, "" if rosbags cannot parse them or the type is missing."""
-    from rosbags.typesys import get_types_from_idl
-
-    types: dict[str, tuple[Any, Any]] = {}
-    try:
-        for section in text.split(f"{_LINE}\n"):
-            body = section.partition("\n")[2] if section.startswith("IDL:") else section
-            body = re.sub(r"(?m)^\s*#.*$", "", body)  # rosbags does not parse #include
-            if body.strip():
-                types.update(get_types_from_idl(body))
-        constants, fields = types.pop(type_name)
-        rest = (
-            f"{_LINE}\nMSG: {name.replace('/msg/', '/')}\n{''.join(_msg_lines(*members))}"
-            for name, members in types.items()
-        )
-        return "".join((*_msg_lines(constants, fields), *rest))
-    except Exception:  # whatever rosbags' parser raises for bad input, which is not limited to its own error
+    types = _rosbags_types(type_name, text if text.startswith(_IDL_START) else f"{_IDL_START}{type_name}\n{text}")
+    if type_name not in types:
         return ""
+    constants, fields = types.pop(type_name)
+    rest = (f"{_LINE}\nMSG: {name.replace('/msg/', '/')}\n{''.join(_msg_lines(*types[name]))}" for name in types)
+    return "".join((*_msg_lines(constants, fields), *rest))
 
 
 def _msg_lines(constants: Any, fields: Any) -> Iterator[str]:

@@ -41,7 +41,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         " and types become those of ROS 1 or ROS 2 as the bridge itself converts them. OUT appears when it is whole.",
         example="midspan bag convert old.bag new.mcap", hub=False,
     )  # fmt: skip
-    convert.add_argument("--skip-unknown", action="store_true", help="leave out topics whose type has no counterpart")
+    convert.add_argument("--skip-unknown", action="store_true", help="leave out topics that the new format cannot hold")
     convert.add_argument("--skip-bad", action="store_true", help="leave out messages that do not match their type")
     add_config(convert)
     cut = add_verb(
