@@ -30,6 +30,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from bridge.cli.main import VERBS, build_parser  # noqa: E402
+from bridge.daemon.install import UNITS  # noqa: E402
 from scripts import dist, lock, manual  # noqa: E402
 
 EXTRAS = ("ros2", "web", "foxglove")
@@ -37,7 +38,6 @@ EXTRAS = ("ros2", "web", "foxglove")
 
 PRIVATE = Path("opt/midspan")
 CONFFILES = ("etc/midspan/midspan.yaml", "etc/midspan/environment")
-UNITS = ("midspan-router.service", "midspan.service")
 _SOURCE = ROOT / "packaging" / "debian"
 
 

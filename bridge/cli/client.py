@@ -10,13 +10,14 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import zenoh
 
 from bridge.cli.output import CliError
 from bridge.config.document import ConfigError
-from bridge.config.load import load
+from bridge.config.load import find, load
 from bridge.config.model import Config
 from bridge.doctor.daemon_state import DaemonState, Life, daemon_state, describe
 from bridge.hub.control import WorkerAnswer
@@ -50,16 +51,18 @@ class CliClient:
     Attributes:
         where: the hub's name for messages.
         here: whether the hub is that of this machine's daemon.
+        file: the configuration's file.
     """
 
     hub: Hub
     config: Config
     where: str
     here: bool = True
+    file: Path | None = None
 
     def daemon(self, documents: Iterable[Mapping[str, Any]] = ()) -> DaemonState:
         """Return the state of this machine's daemon, unknown on another hub; the documents are those of the hub."""
-        return daemon_state(self.config, documents) if self.here else DaemonState(self.config.name)
+        return daemon_state(self.config, documents, self.file) if self.here else DaemonState(self.config.name)
 
     def ask(
         self, verb: str, params: dict[str, Any] | None = None, *, worker: str = "*", timeout: float = ASK_SECONDS
@@ -89,6 +92,12 @@ class CliClient:
                 changed.clear()
         finally:
             close()
+
+
+def config_file(args: argparse.Namespace) -> Path | None:
+    """Return the configuration file that a verb uses, None if there is none."""
+    file: Path | None = args.config or find()
+    return file
 
 
 def client_config(args: argparse.Namespace) -> Config:
@@ -124,7 +133,7 @@ def open_client(args: argparse.Namespace, *, warn: bool = True, watches: bool = 
     """
     config = client_config(args)
     with _connected(args, config) as client:
-        client = replace(client, here=of_this_machine(args))
+        client = replace(client, here=of_this_machine(args), file=config_file(args))
         reported = warn_of_daemon(args, config, workers=watches) if warn else []
         try:
             yield client
@@ -143,7 +152,7 @@ def _connected(args: argparse.Namespace, config: Config) -> Iterator[CliClient]:
         try:
             client = stack.enter_context(connect(config))
         except UnreachableHubError as err:
-            state = daemon_state(config) if of_this_machine(args) else DaemonState("")
+            state = daemon_state(config, file=config_file(args)) if of_this_machine(args) else DaemonState("")
             missing = state.why_missing("router", config) or _report(state)
             if not missing:
                 raise
@@ -165,7 +174,7 @@ def warn_of_daemon(args: argparse.Namespace, config: Config, *, workers: bool = 
     """Report on stderr that this machine's daemon, or some of its workers, do not run; returns the lines."""
     if not of_this_machine(args):
         return []
-    state = daemon_state(config)
+    state = daemon_state(config, file=config_file(args))
     lines = [f"{state.trouble}; {state.cure}"] if state.trouble else []
     lines += state.absences() if workers else []
     for line in lines:

@@ -10,7 +10,7 @@ from pathlib import Path
 from bridge.config import generate
 from bridge.shipped import shipped_folder
 
-UNITS = ("midspan-router.service", "midspan.service")
+UNITS = ("midspan-router.service", "midspan.service", "midspan-router@.service", "midspan@.service")
 UNIT_FOLDER = Path("etc/systemd/system")
 OWN_USER = "midspan"
 
@@ -62,6 +62,8 @@ class Installation:
             "  systemctl daemon-reload",
             "  systemctl enable --now midspan-router midspan",
             "  systemctl status midspan                 # and after changes: systemctl reload midspan",
+            "For another daemon (second robot or ROS domain), write /etc/midspan/NAME.yaml with its own 'name', then:",
+            "  systemctl enable --now midspan-router@NAME midspan@NAME",
         ]
 
     def _write(self, file: InstalledFile) -> str:
@@ -109,10 +111,15 @@ class Installation:
             *lines,
             "",
             "Next:",
-            "  systemctl disable --now midspan midspan-router",
+            f"  systemctl disable --now {' '.join(['midspan', 'midspan-router', *self._instances()])}",
             "  systemctl daemon-reload",
             "  rm -r /etc/midspan /var/lib/midspan /var/cache/midspan /var/log/midspan   # if you want none of it",
         ]
+
+    def _instances(self) -> list[str]:
+        """Return the enabled instances of the template units, daemons before their routers."""
+        links = (self._root / UNIT_FOLDER).glob("*.wants/midspan*@*.service")
+        return sorted({link.stem for link in links}, reverse=True)
 
 
 def midspan_command() -> str:

@@ -76,6 +76,7 @@ class CheckContext:
     daemon: DaemonState = field(default_factory=lambda: DaemonState(""))
     shm: Path = Path("/dev/shm")  # noqa: S108  where the system keeps it
     proc: Path = Path("/proc")
+    root: Path = Path("/")
     _lock: Lock = field(default_factory=Lock, repr=False)
 
     @property

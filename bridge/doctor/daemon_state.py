@@ -19,14 +19,13 @@ import psutil
 
 from bridge import state_file
 from bridge.config.model import Config
+from bridge.daemon import units
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.daemon.workers import worker_kinds
 from bridge.state_file import state_folder
 
 Document = Mapping[str, Any]
 
-START = "start the daemon: 'midspan run' (or 'systemctl start midspan'); 'journalctl -u midspan' shows why it ended"
-_LOG = "see its log: journalctl -u midspan"
 _LOOPS = 3
 """Restarts from which a worker that does not run counts as crash-looping."""
 _SILENT_SECONDS = 2.0
@@ -53,6 +52,7 @@ class DaemonState:
         pid: the daemon's process; of the one that ended if the daemon is down; 0 if unknown.
         router: the process of its router if that runs without the daemon, else 0.
         document: the daemon's own report (`bridge.daemon.query.ask_daemon`).
+        unit: the systemd unit of its configuration, for cures.
     """
 
     name: str
@@ -60,6 +60,7 @@ class DaemonState:
     pid: int = 0
     router: int = 0
     document: Document = field(default_factory=dict)
+    unit: str = "midspan"
 
     @property
     def trouble(self) -> str:
@@ -75,7 +76,7 @@ class DaemonState:
     def cure(self) -> str:
         """What helps against `trouble`."""
         silent = f"wait, or end process {self.pid} and start the daemon again: 'midspan run'"
-        return {Life.DOWN: START, Life.SILENT: silent}.get(self.life, "")
+        return {Life.DOWN: units.start_hint(self.unit), Life.SILENT: silent}.get(self.life, "")
 
     @property
     def workers(self) -> list[Document]:
@@ -97,19 +98,34 @@ class DaemonState:
         return [_why(self.name, document) for document in self.workers if document["phase"] in absent]
 
 
-def daemon_state(config: Config, documents: Iterable[Document] = ()) -> DaemonState:
-    """Find out whether a configuration's daemon runs, given the status documents on its hub."""
-    document = ask_daemon(config)
-    if document is not None:
-        return DaemonState(config.name, Life.RUNNING, int(document.get("pid", 0)), document=document)
-    config = config.model_copy(update={"state": state_folder(config).absolute()})
-    lock = state_file.daemon_lock(config)
-    pid = _holder(lock)
-    if pid:
-        life = Life.SILENT if _holds(pid, lock) else Life.DOWN
-        return DaemonState(config.name, life, pid, router=_outliving(config) if life is Life.DOWN else 0)
+def daemon_state(config: Config, documents: Iterable[Document] = (), file: Path | None = None) -> DaemonState:
+    """Find out whether a configuration's daemon runs, given its file and the status documents on its hub."""
+    unit, down = units.unit_of(file), None
+    places = _places(config)
+    for place in places:
+        document = ask_daemon(place)
+        if document is not None:
+            unit = units.unit_of(document.get("config") or file)
+            return DaemonState(config.name, Life.RUNNING, int(document.get("pid", 0)), document=document, unit=unit)
+    for place in places:
+        lock = state_file.daemon_lock(place)
+        pid = _holder(lock)
+        if pid and _holds(pid, lock):
+            return DaemonState(config.name, Life.SILENT, pid, unit=unit)
+        if pid and down is None:
+            down = DaemonState(config.name, Life.DOWN, pid, router=_outliving(place), unit=unit)
+    if down is not None:
+        return down
     orphan = _orphan([document for document in documents if document.get("daemon") == config.name], config)
-    return DaemonState(config.name, Life.DOWN if orphan else Life.UNKNOWN, router=orphan)
+    return DaemonState(config.name, Life.DOWN if orphan else Life.UNKNOWN, router=orphan, unit=unit)
+
+
+def _places(config: Config) -> list[Config]:
+    """Return the configuration with each state folder that its daemon may have: this user's, and the services'."""
+    folders = [state_folder(config).absolute()]
+    if config.state is None and units.STATE not in folders:
+        folders.append(units.STATE)
+    return [config.model_copy(update={"state": folder}) for folder in folders]
 
 
 def describe(document: Document) -> str:
@@ -150,10 +166,10 @@ def _not_loaded(daemon: Document, document: Document, config: Config) -> str:
     kind = worker_kinds().get(str(document["worker"]))
     if document["phase"] != Phase.OFF.value or kind is None or not kind.enabled(config):
         return ""
-    file = daemon.get("config") or "its defaults"
+    file, unit = daemon.get("config") or "its defaults", units.unit_of(daemon.get("config"))
     return (
         f"the daemon {daemon.get('daemon')} runs without the worker '{document['worker']}': it has not loaded this"
-        f" configuration (it runs {file}; reload it: 'systemctl reload midspan', or SIGHUP)"
+        f" configuration (it runs {file}; reload it: 'systemctl reload {unit}', or SIGHUP)"
     )
 
 

@@ -27,6 +27,9 @@ NEXT = "99.0.0"
 """The version of the upgrade."""
 
 GAP = ROOT / "tests" / "support" / "zenoh_gap.py"
+SECOND = "name: second\nhub: {listen: tcp/127.0.0.1:7448}\nros1: {enabled: false}\nros2: {domain: 9}\n"
+"""The configuration of another daemon on the same machine."""
+
 RELEASES = [
     "bookworm",
     pytest.param(
@@ -142,6 +145,13 @@ def test_a_package_is_installed_runs_is_upgraded_and_purged(place: Place, tmp_pa
     tree.run("systemctl", "reload", "midspan")
     until(lambda: add_kitchen(place), "the store takes a location", 60)
 
+    second = ("midspan-router@second", "midspan@second")
+    (tree.folder / "etc/midspan/second.yaml").write_text(SECOND)
+    tree.run("systemctl", "enable", "--now", *second)
+    assert tree.run("systemctl", "is-active", *second).split() == ["active", "active"]
+    until(lambda: "ros2 running" in status_of(place, "midspan@second"), "the second daemon runs", 60)
+    before = [tree.run("systemctl", "show", "-P", "MainPID", unit) for unit in second]
+
     gap = Process(tree.machine.command(sys.executable, GAP, "tcp/127.0.0.1:7447"), pipes=True)
     with gap:
         longest(gap)
@@ -153,6 +163,12 @@ def test_a_package_is_installed_runs_is_upgraded_and_purged(place: Place, tmp_pa
     assert tree.run("dpkg-query", "-W", "-f", "${Version}", "midspan") == f"{NEXT}{place.release.suffix}"
     assert "# ours" in config.read_text()
     assert "kitchen" in tree.run("midspan", "location", "list")
+    assert tree.run("systemctl", "is-active", *second).split() == ["active", "active"]
+    after = [tree.run("systemctl", "show", "-P", "MainPID", unit) for unit in second]
+    assert not set(before) & set(after), "both processes are of the new version"
+    until(lambda: "ros2 running" in status_of(place, "midspan@second"), "the second daemon runs again", 60)
+    services = tree.run("midspan", "doctor", "--only", "services")
+    assert "midspan@second is the daemon second (/etc/midspan/second.yaml)" in " ".join(services.split())
 
     tree.run("apt-get", "purge", "-y", "midspan", seconds=300)
     assert left_behind(tree, installed) == []
@@ -161,6 +177,11 @@ def test_a_package_is_installed_runs_is_upgraded_and_purged(place: Place, tmp_pa
     )
     assert "midspan" not in named
     tree.run("pgrep", "-f", "midspan", code=1)
+
+
+def status_of(place: Place, unit: str) -> str:
+    """Return the status line of a unit."""
+    return place.tree.run("systemctl", "show", "--property=StatusText", "--value", unit)
 
 
 def add_kitchen(place: Place) -> bool:

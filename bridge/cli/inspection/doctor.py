@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.text import Text
 
 from bridge.cli.arguments import add_hub_arguments
-from bridge.cli.client import CliClient, client_config, connect, of_this_machine
+from bridge.cli.client import CliClient, client_config, config_file, connect, of_this_machine
 from bridge.cli.inspection.status import absent, document_of, with_silent
 from bridge.cli.output import CliError, clean, make_console, print_json
 from bridge.config.document import ConfigError
@@ -70,7 +70,7 @@ def _look_around(args: argparse.Namespace) -> CheckContext:
         hub = HubSnapshot("the hub was not asked: the configuration cannot be used")
         return CheckContext(config_text=str(err), config_good=False, environ=environ, hub=hub)
     hub = _look_at_hub(config)
-    state = daemon_state(config, hub.documents) if of_this_machine(args) else DaemonState("")
+    state = daemon_state(config, hub.documents, config_file(args)) if of_this_machine(args) else DaemonState("")
     documents = with_silent(hub.documents, absent(state.document, looping=True))
     hub = dataclasses.replace(hub, documents=documents)
     text, good = _checked(args.config)
@@ -79,7 +79,7 @@ def _look_around(args: argparse.Namespace) -> CheckContext:
 
 def look_from(client: CliClient, file: Path | None) -> CheckContext:
     """Return what the checks examine, for a program of the daemon that is on the hub; ``file``: the configuration."""
-    environ, hub, state = dict(os.environ), snapshot(client), daemon_state(client.config)
+    environ, hub, state = dict(os.environ), snapshot(client), daemon_state(client.config, file=file)
     documents = with_silent(hub.documents, absent(state.document, looping=True))
     hub = dataclasses.replace(hub, documents=documents)
     text, good = _checked(file)

@@ -14,7 +14,7 @@ from rich.live import Live
 from rich.text import Text
 
 from bridge.cli.arguments import add_hub_arguments, number_in
-from bridge.cli.client import CliClient, client_config, of_this_machine, open_client
+from bridge.cli.client import CliClient, client_config, config_file, of_this_machine, open_client
 from bridge.cli.documents import Document, arrow, connected_lines, dicts, port_list, route_list, routes_table, texts
 from bridge.cli.inspection.refusals import Refusal, refusals
 from bridge.cli.output import CliError, clean, duration, is_number, make_console, plural, print_json, side_name, size
@@ -44,7 +44,7 @@ def register_status(parser: argparse.ArgumentParser) -> None:
 def run_status(args: argparse.Namespace) -> int:
     """Show the status once."""
     documents, refused = list[Document](), list[Refusal]()
-    state = daemon_state(client_config(args)) if of_this_machine(args) else DaemonState("")
+    state = daemon_state(client_config(args), file=config_file(args)) if of_this_machine(args) else DaemonState("")
     silent, joined = absent(state.document, looping=True), False
     try:
         with open_client(args, warn=False) as client:
@@ -59,7 +59,7 @@ def run_status(args: argparse.Namespace) -> int:
         if not joined:
             print(f"midspan: warning: {err}", file=sys.stderr)
     if state.life is Life.UNKNOWN and of_this_machine(args):
-        state = daemon_state(client_config(args), documents)
+        state = daemon_state(client_config(args), documents, config_file(args))
     documents = [*with_silent(documents, silent), *of_daemon(state)]
     documents.sort(key=lambda document: (str(document["daemon"]), document["worker"] != DAEMON))
     if args.json:

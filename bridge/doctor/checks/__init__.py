@@ -9,6 +9,7 @@ from bridge.sides import all_sides, imported
 CHECKS: tuple[Check, ...] = (
     Check("config", "the configuration", hub.look_at_config),
     Check("daemon", "the daemon and its workers", hub.look_at_workers),
+    Check("services", "several daemons on this machine (`midspan@.service`)", hub.look_at_services),
     Check("router-port", "the router's port", hub.look_at_port),
     Check(
         "keys",

@@ -7,11 +7,14 @@ from collections.abc import Container, Sequence
 
 import psutil
 
+from bridge.config.document import ConfigError
+from bridge.config.load import load
+from bridge.config.model import Config
 from bridge.daemon.query import Phase
+from bridge.daemon.units import start_hint, units_in_use
 from bridge.doctor.causes import cause, grouped, shared
 from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext, Document
-from bridge.doctor.daemon_state import START
 from bridge.doctor.hub_problems import absence
 from bridge.hub.errors import HubConfigError, HubError
 from bridge.hub.router import port_held, probe_router
@@ -19,7 +22,6 @@ from bridge.hub.security.certificates import Certificate, CertificateError, KeyF
 from bridge.hub.security.door import has_tls, key_files
 from bridge.hub.zenoh_config import connect_endpoint
 
-_LOG = "see its log: journalctl -u midspan"
 _COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}
 """What the daemon says of a worker that does not answer on the hub yet."""
 
@@ -36,13 +38,48 @@ def look_at_config(context: CheckContext) -> Findings:
     return findings
 
 
+def look_at_services(context: CheckContext) -> Findings:
+    """Daemons of this machine that are services: their configurations, and what two of them cannot share."""
+    units = units_in_use(context.root)
+    if len(units) < 2:
+        return skip("not more than one daemon is a service here")
+    findings: list[Finding] = []
+    claims: dict[str, list[str]] = {}
+    for unit, file in units.items():
+        try:
+            config = load(file)
+        except ConfigError as err:
+            findings += [fail(f"{unit}: {line}", f"midspan config check {file}") for line in str(err).splitlines()]
+            continue
+        findings.append(ok(f"{unit} is the daemon {config.name} ({file})"))
+        for claim in _claims(config):
+            claims.setdefault(claim, []).append(unit)
+    for claim, owners in claims.items():
+        if len(owners) > 1:
+            key = claim.partition(":")[0]
+            findings.append(fail(f"{' and '.join(owners)} have the same {claim}", f"give each of them its own {key}"))
+    return findings
+
+
+def _claims(config: Config) -> list[str]:
+    """Return the settings of a daemon that no other one on the machine may have: its name and its ports."""
+    listeners = [
+        ("web", config.web.enabled, config.web.listen),
+        ("metrics", config.metrics.enabled, config.metrics.listen),
+        ("foxglove", config.foxglove.enabled, config.foxglove.listen),
+        *(("hub.open", True, place) for place in config.hub.open.listen),
+    ]
+    places = [f"{section}.listen: {place}" for section, enabled, place in listeners if enabled]
+    return [f"name: {config.name}", *places]
+
+
 def look_at_workers(context: CheckContext) -> Findings:
     """The daemon itself, and the state of each worker."""
     hub, state = context.hub, context.daemon
     gone = [fail(state.trouble, state.cure)] if state.trouble else []
     if hub.error:
         absent = [_worker(context, document) for document in hub.documents]
-        cure = "" if absent or gone else "start the daemon: midspan run (or systemctl start midspan)"
+        cure = "" if absent or gone else start_hint(state.unit)
         return [*gone, warn(hub.error.splitlines()[0], cure), *absent]
     if not hub.documents:
         listen, domain = context.config.hub.listen, context.config.hub.domain
@@ -64,7 +101,7 @@ def _alone(context: CheckContext, daemon: str, workers: Sequence[Document]) -> l
     if daemon == context.config.name or [document.get("worker") for document in workers] != ["router"]:
         return []
     seen = f"only the router of {daemon} answers: the daemon is down, or runs nothing else"
-    return [warn(seen, f"on its machine: 'midspan status'; {START}")]
+    return [warn(seen, f"on its machine: 'midspan status'; {start_hint('midspan')}")]
 
 
 def warnings_of(document: Document) -> list[str]:
@@ -76,11 +113,11 @@ def warnings_of(document: Document) -> list[str]:
 def _worker(context: CheckContext, document: Document, elsewhere: Container[str] = ()) -> Finding:
     """The state of a worker, without the warnings whose causes are in ``elsewhere``."""
     name = f"{document.get('daemon')}/{document.get('worker')}"
-    state = document.get("state")
+    state, log = document.get("state"), f"see its log: journalctl -u {context.daemon.unit}"
     if document.get("error"):
-        return fail(f"{name} does not answer: {document['error']}", _LOG)
+        return fail(f"{name} does not answer: {document['error']}", log)
     if document.get("loops"):
-        return fail(f"{name} crashes again and again, now it is {state}: {document.get('text')}", _LOG)
+        return fail(f"{name} crashes again and again, now it is {state}: {document.get('text')}", log)
     warnings = [text for text in warnings_of(document) if cause(text) not in elsewhere]
     if warnings:
         return warn(f"{name} is {state}, and warns: {'; '.join(grouped(warnings))}")
@@ -89,10 +126,10 @@ def _worker(context: CheckContext, document: Document, elsewhere: Container[str]
     if state in ("running", "standby"):
         return ok(f"{name} is {state}")
     if state == Phase.FAILED.value:
-        return fail(f"{name} {state}: {document.get('text')}", _LOG)
+        return fail(f"{name} {state}: {document.get('text')}", log)
     if state in _COMES:
         crashed = state == Phase.PAUSED.value or document.get("restarts")
-        return warn(f"{name} is {state}: {document.get('text')}", _LOG if crashed else "wait")
+        return warn(f"{name} is {state}: {document.get('text')}", log if crashed else "wait")
     return skip(f"{name} reports {state}")
 
 

@@ -1,0 +1,38 @@
+"""The systemd units of Midspan's daemons: which one runs a configuration, and which are in use on this machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+SETTINGS = Path("/etc/midspan")
+STATE = Path("/var/lib/midspan")
+"""State folder of all units (``StateDirectory=midspan``)."""
+
+_MAIN = "midspan"
+_LINKS = ("etc/systemd/system/*.wants/midspan*.service", "run/systemd/units/invocation:midspan*.service")
+"""Links of the units that are enabled, and of those that are active."""
+
+
+def unit_of(file: Path | str | None) -> str:
+    """Return the unit that runs a file: ``midspan@robot2`` for /etc/midspan/robot2.yaml, ``midspan`` for any other."""
+    path = SETTINGS if file is None else Path(file).absolute()
+    instance = path.parent == SETTINGS and path.suffix == ".yaml" and path.stem != _MAIN
+    return f"{_MAIN}@{path.stem}" if instance else _MAIN
+
+
+def start_hint(unit: str) -> str:
+    """Return how to start the daemon of a unit, and where its log is."""
+    command = f"systemctl start {unit}"
+    how = f"'midspan run' (or '{command}')" if unit == _MAIN else f"'{command}'"
+    return f"start the daemon: {how}; 'journalctl -u {unit}' shows why it ended"
+
+
+def units_in_use(root: Path = Path("/")) -> dict[str, Path]:
+    """Return the daemons' units that are enabled or active, with the configuration of each."""
+    names = {link.stem.removeprefix("invocation:") for pattern in _LINKS for link in root.glob(pattern)}
+    files: dict[str, Path] = {}
+    for name in sorted(names):
+        unit, _, instance = name.partition("@")
+        if unit == _MAIN:
+            files[name] = root / SETTINGS.relative_to("/") / f"{instance or _MAIN}.yaml"
+    return files
