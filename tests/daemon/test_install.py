@@ -1,4 +1,4 @@
-"""The systemd services: what is put in place, and what systemd itself says of it."""
+"""The systemd services: the installed files, and systemd's own checks of them."""
 
 from __future__ import annotations
 
@@ -71,6 +71,70 @@ def test_another_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert not (tmp_path / "etc/sysusers.d").exists()
     assert main(["install", "--root", str(tmp_path), "--user", "no\nExecStart=/bin/sh"]) == 1
     assert "is not a user's name" in capsys.readouterr().err
+
+
+TEMPLATES = {"midspan@.service": "midspan.service", "midspan-router@.service": "midspan-router.service"}
+
+
+def test_an_instance_runs_the_configuration_of_its_name(tmp_path: Path) -> None:
+    """Template and main unit differ in these lines only, so that neither is forgotten in a change."""
+    main(["install", "--root", str(tmp_path)])
+    folder = tmp_path / UNIT_FOLDER
+    for template, single in TEMPLATES.items():
+        own, others = (
+            {line for line in (folder / name).read_text().splitlines() if not line.startswith(("#", "Description="))}
+            for name in (template, single)
+        )
+        command = next(line for line in own if line.startswith("ExecStart="))
+        router = "router" in template
+        assert command.endswith(f"--config /etc/midspan/%i.yaml{'' if router else ' --adopt router'}")
+        assert own - others - {command} == {
+            "AssertPathExists=/etc/midspan/%i.yaml",
+            "EnvironmentFile=-/etc/midspan/%i.environment",
+            "LogsDirectory=midspan/%i",
+            "Environment=ROS_LOG_DIR=/var/log/midspan/%i",
+            *(
+                ()
+                if router
+                else (f"{key}=network-online.target midspan-router@%i.service" for key in ("Wants", "After"))
+            ),
+        }
+        assert {line.partition("=")[0] for line in others - own} <= {
+            "ExecStart", "LogsDirectory", "Environment", "RuntimeDirectory", "Wants", "After",
+        }  # fmt: skip
+        assert "EnvironmentFile=-/etc/midspan/environment" in own & others
+
+
+def test_the_services_name_all_four_sides(tmp_path: Path) -> None:
+    main(["install", "--root", str(tmp_path)])
+    for name in ("midspan.service", "midspan@.service"):
+        (line,) = re.findall(r"^Description=(.+)$", (tmp_path / UNIT_FOLDER / name).read_text(), re.MULTILINE)
+        assert all(side in line for side in ("ROS 1", "ROS 2", "YARP", "zenoh"))
+
+
+def test_systemd_accepts_instances(tmp_path: Path) -> None:
+    """`systemd-analyze verify` of a name loads the unit as `systemctl start` does, with the instance in its place."""
+    main(["install", "--root", str(tmp_path)])
+    for instance in ("robot2", "robot-3", "my_bridge_domain2"):
+        for template in TEMPLATES:
+            done = analyze(tmp_path, "verify", "--man=no", template.replace("@", f"@{instance}"))
+            assert (done.returncode, [line for line in done.stderr.splitlines() if "midspan" in line]) == (0, [])
+
+
+def test_uninstall_names_the_instances_to_disable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["install", "--root", str(tmp_path)])
+    assert "systemctl enable --now midspan-router@NAME midspan@NAME" in capsys.readouterr().out
+    wants = tmp_path / UNIT_FOLDER / "multi-user.target.wants"
+    wants.mkdir()
+    for name in ("midspan@robot2", "midspan-router@robot2", "midspan"):
+        (wants / f"{name}.service").symlink_to("/nowhere")
+    own = tmp_path / "etc/midspan/robot2.yaml"
+    own.write_text("name: robot2\n")
+    main(["install", "--root", str(tmp_path), "--uninstall"])
+    printed = capsys.readouterr().out
+    assert "systemctl disable --now midspan midspan-router midspan@robot2 midspan-router@robot2" in printed
+    assert own.exists()
+    assert not list((tmp_path / UNIT_FOLDER).glob("midspan*@*"))
 
 
 def test_units_keep_what_the_middlewares_need(tmp_path: Path) -> None:

@@ -1,0 +1,206 @@
+"""The systemd units of several daemons on one machine: their names, their state, and the doctor's check of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.cli.main import main
+from bridge.config.load import load
+from bridge.daemon import units
+from bridge.daemon.units import start_hint, unit_of, units_in_use
+from bridge.doctor.check import Result
+from bridge.doctor.checks.hub import look_at_services
+from bridge.doctor.daemon_state import Life, daemon_state
+from tests.cli.daemons import RobotDaemon
+from tests.doctor.parts import around, every, only
+from tests.support.wait import until
+
+
+def test_the_unit_of_a_configuration() -> None:
+    assert unit_of("/etc/midspan/robot2.yaml") == "midspan@robot2"
+    assert unit_of(Path("/etc/midspan/robot-3.yaml")) == "midspan@robot-3"
+    for file in (None, "/etc/midspan/midspan.yaml", "robot2.yaml", "/home/a/robot2.yaml", "/etc/midspan/keys/a.yaml"):
+        assert unit_of(file) == "midspan"
+    assert start_hint("midspan@robot2") == (
+        "start the daemon: 'systemctl start midspan@robot2'; 'journalctl -u midspan@robot2' shows why it ended"
+    )
+
+
+class System:
+    """A root folder with configurations, and systemd's links of enabled and active units."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.wants = root / "etc/systemd/system/multi-user.target.wants"
+        for folder in (self.wants, root / "etc/midspan", root / "run/systemd/units"):
+            folder.mkdir(parents=True)
+
+    def enable(self, unit: str) -> None:
+        (self.wants / f"{unit}.service").symlink_to(f"/etc/systemd/system/{unit}.service")
+
+    def activate(self, unit: str) -> None:
+        (self.root / "run/systemd/units" / f"invocation:{unit}.service").symlink_to("9a0e")
+
+    def configure(self, instance: str, /, **sections: Any) -> Path:
+        file = self.root / f"etc/midspan/{instance}.yaml"
+        file.write_text(json.dumps(sections))
+        return file
+
+    def findings(self) -> list[tuple[Result, str, str]]:
+        found = every(look_at_services(around(root=self.root)))
+        return [(finding.result, finding.seen, finding.cure) for finding in found]
+
+
+@pytest.fixture
+def system(tmp_path: Path) -> System:
+    return System(tmp_path)
+
+
+def test_units_in_use_are_enabled_or_active(system: System) -> None:
+    for unit in ("midspan", "midspan-router", "midspan-router@robot2", "midspan@robot2"):
+        system.enable(unit)
+    for unit in ("midspan@robot2", "midspan@by-hand", "midspan-router@by-hand"):
+        system.activate(unit)
+    folder = system.root / "etc/midspan"
+    assert units_in_use(system.root) == {
+        "midspan": folder / "midspan.yaml",
+        "midspan@by-hand": folder / "by-hand.yaml",
+        "midspan@robot2": folder / "robot2.yaml",
+    }
+    assert units_in_use(system.root / "nowhere") == {}
+
+
+def test_the_doctor_compares_the_services(system: System) -> None:
+    assert only(look_at_services(around(root=system.root))).result is Result.SKIP
+    system.enable("midspan")
+    system.configure("midspan", name="robot1")
+    assert only(look_at_services(around(root=system.root))).result is Result.SKIP
+    system.enable("midspan@robot2")
+    second = system.configure("robot2", name="robot2", ros2={"domain": 2})
+    assert system.findings() == [
+        (Result.OK, f"midspan is the daemon robot1 ({system.root}/etc/midspan/midspan.yaml)", ""),
+        (Result.OK, f"midspan@robot2 is the daemon robot2 ({second})", ""),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "shared", "key"),
+    [
+        ({"name": "robot1"}, {"name": "robot1"}, "name: robot1", "name"),
+        (
+            {"name": "a", "web": {"enabled": True}},
+            {"name": "b", "web": {"enabled": True}},
+            "web.listen: 127.0.0.1:",
+            "web.listen",
+        ),
+        (
+            {"name": "a", "hub": {"open": {"listen": ["tls/0.0.0.0:7448"]}}},
+            {"name": "b", "hub": {"open": {"listen": ["tls/0.0.0.0:7449", "tls/0.0.0.0:7448"]}}},
+            "hub.open.listen: tls/0.0.0.0:7448",
+            "hub.open.listen",
+        ),
+    ],
+    ids=["name", "console", "listener"],
+)
+def test_the_doctor_finds_what_two_services_cannot_share(
+    system: System, first: dict[str, Any], second: dict[str, Any], shared: str, key: str
+) -> None:
+    for name, sections in (("one", first), ("two", second)):
+        system.enable(f"midspan@{name}")
+        system.configure(name, **sections)
+    ((_, seen, cure),) = [finding for finding in system.findings() if finding[0] is Result.FAIL]
+    assert seen.startswith(f"midspan@one and midspan@two have the same {shared}")
+    assert cure == f"give each of them its own {key}"
+
+
+def test_the_doctor_names_broken_and_missing_configurations(system: System) -> None:
+    for name in ("good", "broken", "missing"):
+        system.enable(f"midspan@{name}")
+    system.configure("good", name="good")
+    broken = system.configure("broken", nmae="x", ros2={"domain": "seven"})
+    fails = [(seen, cure) for result, seen, cure in system.findings() if result is Result.FAIL]
+    assert [cure for _, cure in fails].count(f"midspan config check {broken}") == 2
+    assert any(seen.startswith("midspan@missing: ") and "no such file" in seen for seen, _ in fails)
+
+
+@pytest.fixture
+def service(tmp_path: Path) -> Iterator[RobotDaemon]:
+    """A daemon with the state folder that systemd gives to its unit."""
+    robot = RobotDaemon(tmp_path, navigation={}, modules={}, state=None)
+    robot.env |= {"STATE_DIRECTORY": str(tmp_path / "state"), "XDG_STATE_HOME": str(tmp_path / "own")}
+    yield robot
+    robot.close()
+
+
+def test_the_command_line_finds_the_state_of_a_service(
+    service: RobotDaemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "own"))
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setattr(units, "STATE", tmp_path / "state")
+    config = load(service.file)
+    assert daemon_state(config).life is Life.UNKNOWN
+    service.start()
+    state = until(lambda: (found := daemon_state(config)).life is Life.RUNNING and found, "the daemon is found", 40)
+    assert service.daemon is not None
+    assert state.pid == service.daemon.pid
+    until(lambda: main(["status", "-c", str(service.file)]) == 0, "the router answers", 40)
+    service.daemon.popen.kill()
+    service.daemon.popen.wait(20)
+    instance = Path("/etc/midspan/robot2.yaml")
+    down = daemon_state(config, file=instance)
+    assert (down.life, down.pid) == (Life.DOWN, service.daemon.pid)
+    assert down.cure.startswith("start the daemon: 'systemctl start midspan@robot2'; 'journalctl -u midspan@robot2'")
+    assert daemon_state(config.model_copy(update={"state": tmp_path / "none"})).life is Life.UNKNOWN
+
+
+def test_two_daemons_share_the_state_folder_and_the_hub(tmp_path: Path) -> None:
+    """As two instances of the template units do: one router serves both, the other one stands by."""
+    robots = [RobotDaemon(tmp_path / name, navigation={}, modules={}, state=None) for name in folders(tmp_path)]
+    try:
+        for robot, name in zip(robots, ("one", "two"), strict=True):
+            robot.configure(
+                name=name, navigation={}, modules={}, state=None, store={"enabled": True},
+                hub={"listen": f"tcp/127.0.0.1:{robots[0].port}"},
+            )  # fmt: skip
+            robot.env["STATE_DIRECTORY"] = str(tmp_path / "state")
+            robot.process("worker", "router", "--control")
+            robot.process("run", "--adopt", "router")
+        shown = until(lambda: both(robots[0]), "both daemons are on the hub", 60)
+        assert shown.count("store    running") == 2
+    finally:
+        for robot in robots:
+            robot.close()
+
+
+def folders(root: Path) -> list[str]:
+    for name in ("one", "two"):
+        (root / name).mkdir()
+    return ["one", "two"]
+
+
+def both(robot: RobotDaemon) -> str:
+    """The status with both daemons; "" before."""
+    done = robot("status")
+    return done.stdout if {"one", "two"} <= set(done.stdout.splitlines()) else ""
+
+
+def test_the_state_folder_of_services_is_not_asked_with_a_state_of_ones_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Path | None] = []
+    monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda config: asked.append(config.state))
+    file = tmp_path / "midspan.yaml"
+    file.write_text(json.dumps({"name": "a", "state": str(tmp_path / "mine")}))
+    daemon_state(load(file))
+    assert asked == [tmp_path / "mine"]
+    asked.clear()
+    file.write_text(json.dumps({"name": "a"}))
+    monkeypatch.setenv("STATE_DIRECTORY", str(units.STATE))
+    daemon_state(load(file))
+    assert asked == [units.STATE]
