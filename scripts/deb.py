@@ -1,8 +1,8 @@
-"""Builds the Debian package of a release, from the wheels of `make dist` and what is locked (`make deb`).
+"""Builds the Debian package of a release, from the wheels of `make dist` and the locked libraries (`make deb`).
 
-The package has a private environment below /opt/midspan, laid out as a virtual environment of the release's own
-Python. What is compiled is for that Python, so each release has a package of its own; pip finds wheels for a Python
-that this machine has not. The units, the configuration and the user are those of `midspan install`.
+The package has a private environment below /opt/midspan, laid out as a virtual environment of the release's Python.
+Compiled files are for that Python, so each release has its own package; pip finds wheels for a Python that is not
+installed on this machine. The units, the configuration and the user are those of `midspan install`.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ RELEASES = {"bookworm": Release("~deb12", 11, 36), "noble": Release("~ubuntu24.0
 
 
 def libraries() -> list[str]:
-    """What Midspan needs with its extras, as locked and so as it is installed here (tests/setup/test_lock.py)."""
+    """Return the locked libraries of Midspan and its extras, as installed here (tests/setup/test_lock.py)."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     wanted = [*project["dependencies"], *(text for extra in EXTRAS for text in project["optional-dependencies"][extra])]
     found: dict[str, dict[str, Any]] = {
@@ -88,7 +88,7 @@ def stage(release: Release, wheels: Sequence[Path], root: Path) -> None:
 
 
 def _download(release: Release, to: Path) -> list[Path]:
-    """Let pip choose wheels for the release's Python; what is published as source alone is pure, and built here."""
+    """Let pip choose wheels for the release's Python; pure libraries that have only a source release are built here."""
     pip = [sys.executable, "-m", "pip", "-q", "--disable-pip-version-check"]
     command = [*pip, "download", "--no-deps", "-d", str(to), "--implementation", "cp"]
     command += ["--python-version", f"3.{release.python}"]
@@ -131,7 +131,7 @@ def _write(path: Path, text: str, mode: int = 0o644) -> None:
 
 
 def _environment(release: Release, root: Path) -> None:
-    """What makes the folder an environment of the system's Python, and the command."""
+    """Write the files that make the folder an environment of the system's Python, and the command."""
     python = f"/usr/bin/python3.{release.python}"
     _write(
         root / PRIVATE / "pyvenv.cfg", f"home = /usr/bin\ninclude-system-site-packages = false\nexecutable = {python}\n"
@@ -169,14 +169,14 @@ def _write_packed(path: Path, text: str) -> None:
 
 
 def pack(release: Release, root: Path, to: Path, version: str | None = None, *, quick: bool = False) -> Path:
-    """Make the package of the files; returns it.
+    """Build the package from the files; return its path.
 
     Args:
-        release: what it is for.
-        root: the files; their modes are set, and what dpkg wants to know is written beside them.
+        release: the release that it is for.
+        root: folder of the files; their modes are set, and dpkg's control files are added.
         to: folder for the package.
         version: without the release's suffix; default: this checkout's.
-        quick: press it less.
+        quick: compress it less.
     """
     full = f"{version or dist.version()}{release.suffix}"
     _write_packed(root / "usr/share/doc/midspan/changelog.gz", _changelog(full))

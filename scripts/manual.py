@@ -1,4 +1,4 @@
-"""The man page midspan(1), made of what the command line says of itself: `python scripts/manual.py`.
+"""The man page midspan(1), generated from the parsers of the command line: `python scripts/manual.py`.
 
 It is in man(7)'s macros. The Debian package has it (scripts/deb.py).
 """
@@ -17,18 +17,21 @@ _FILES = """.SH FILES
 .I /etc/midspan/midspan.yaml
 The services' configuration; \\fBmidspan config example\\fR shows every key.
 .TP
+.I /etc/midspan/NAME.yaml
+The configuration of another daemon, the service midspan@NAME.
+.TP
 .I /etc/midspan/environment
-The services' environment, such as ROS_MASTER_URI.
+The services' environment, such as ROS_MASTER_URI; NAME.environment overrides it for midspan@NAME.
 .TP
 .I /var/lib/midspan
 The services' state: maps, places, latched messages.
 .SH EXIT STATUS
-0 done, 1 failed, 2 wrong usage, 3 done in part (\\fBmidspan import\\fR alone), 130 interrupted.
+0 done, 1 failed, 2 wrong usage, 3 done in part (only \\fBmidspan import\\fR), 130 interrupted.
 """
 
 
 def page(version: str) -> str:
-    """The whole page."""
+    """Return the whole page."""
     parser = build_parser(VERBS)
     lines = [f'.TH MIDSPAN 1 "" "Midspan {roff(version)}" "User Commands"', ".SH NAME"]
     lines += ["midspan \\- bridge daemon for mobile robots: ROS 1, ROS 2, YARP and zenoh"]
@@ -40,13 +43,13 @@ def page(version: str) -> str:
 
 
 def roff(text: str) -> str:
-    """A text in which nothing is a request or an escape of roff's (groff(7))."""
+    """Escape a text so that it has no request or escape of roff (groff(7))."""
     text = " ".join(text.split()).replace("\\", "\\e").replace("-", "\\-")
     return re.sub(r"^(?=[.'])", "\\\\&", text)
 
 
 def verbs(parser: argparse.ArgumentParser) -> Mapping[str, argparse.ArgumentParser]:
-    """What a parser has below it, by name."""
+    """Return the subparsers of a parser, by name."""
     found = [action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
     return found[0] if found else {}
 

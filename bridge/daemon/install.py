@@ -1,4 +1,4 @@
-"""The files of the systemd services: where they go, and what is written into them."""
+"""The files of the systemd services, their places and their contents."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ OWN_USER = "midspan"
 
 @dataclass(frozen=True, slots=True)
 class InstalledFile:
-    """One file below the root; where ``kept`` it is the administrator's own, and is never overwritten or removed."""
+    """One file below the root; a ``kept`` one belongs to the administrator, and is never overwritten or removed."""
 
     path: Path
     text: str
@@ -26,7 +26,7 @@ class InstalledFile:
 
 
 class Installation:
-    """The services below a root folder; with ``dry_run`` it only says what it would do."""
+    """The services below a root folder; with ``dry_run`` it only reports what it would do."""
 
     def __init__(self, root: Path, user: str = OWN_USER, *, dry_run: bool = False) -> None:
         self._root = root.absolute()
@@ -34,7 +34,7 @@ class Installation:
         self._dry_run = dry_run
 
     def files(self) -> list[InstalledFile]:
-        """All files."""
+        """Return all files."""
         files = [InstalledFile(UNIT_FOLDER / name, self._unit(name)) for name in UNITS]
         if self._user == OWN_USER:
             files.append(InstalledFile(Path("etc/sysusers.d/midspan.conf"), _template("packaging/midspan.sysusers")))
@@ -51,11 +51,11 @@ class Installation:
         return text.replace(f"\nUser={OWN_USER}\n", f"\nUser={self._user}\n")
 
     def install(self) -> list[str]:
-        """Write what is not there as it should be; returns what was done and what to do next, for people."""
+        """Write the files that are missing or differ; return what was done and what to do next, as lines."""
         lines = [self._write(file) for file in self.files()]
         lines += ["", *self._warnings(), "Next:"]
         if self._user == OWN_USER:
-            lines.append("  systemd-sysusers                         # makes the user midspan")
+            lines.append("  systemd-sysusers                         # creates the user midspan")
         return [
             *lines,
             "  midspan config check /etc/midspan/midspan.yaml",
@@ -93,7 +93,7 @@ class Installation:
         ]
 
     def uninstall(self) -> list[str]:
-        """Remove what `install` wrote, but the administrator's own files."""
+        """Remove the files that `install` wrote, except the administrator's."""
         lines = []
         for file in self.files():
             path = self._root / file.path
@@ -123,7 +123,7 @@ class Installation:
 
 
 def midspan_command() -> str:
-    """The command of a unit's ExecStart: the script beside this Python, else this Python with our module."""
+    """Return the command of a unit's ExecStart: the script next to this Python, else this Python itself."""
     script = Path(sys.executable).absolute().with_name("midspan")
     if script.exists():
         return _quoted(str(script))
@@ -131,12 +131,12 @@ def midspan_command() -> str:
 
 
 def _quoted(word: str) -> str:
-    """A word of ExecStart: systemd reads quotes as a shell does, and % and $ in its own way."""
+    """Quote a word of ExecStart: systemd reads quotes as a shell does, and expands % and $."""
     return shlex.quote(word.replace("%", "%%").replace("$", "$$"))
 
 
 def _closed_folder(folder: Path) -> Path | None:
-    """The outermost folder on the way that other users cannot enter."""
+    """Return the outermost parent folder that other users cannot enter, None without one."""
     for part in reversed([folder, *folder.parents]):
         if not part.stat().st_mode & 0o001:
             return part
@@ -144,5 +144,5 @@ def _closed_folder(folder: Path) -> Path | None:
 
 
 def _template(name: str) -> str:
-    """A file that comes with Midspan."""
+    """Return the text of a file that comes with Midspan."""
     return (shipped_folder() / name).read_text(encoding="utf-8")

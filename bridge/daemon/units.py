@@ -1,4 +1,4 @@
-"""The systemd units of Midspan's daemons: which one runs a configuration, and which are in use on this machine."""
+"""The daemons' systemd units: which one runs a configuration, and which are in use on this machine."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def unit_of(file: Path | str | None) -> str:
 
 
 def start_hint(unit: str) -> str:
-    """Return how to start the daemon of a unit, and where its log is."""
+    """Return the commands that start the daemon of a unit and show its log."""
     command = f"systemctl start {unit}"
     how = f"'midspan run' (or '{command}')" if unit == _MAIN else f"'{command}'"
     return f"start the daemon: {how}; 'journalctl -u {unit}' shows why it ended"

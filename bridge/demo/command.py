@@ -22,11 +22,11 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
         "rooms: a YARP, a ROS 1 and a ROS 2 client in turn send the R1 to named rooms of a simulated apartment, with"
-        " nothing but Midspan in between (configs/navigation.yaml); shows the map and the way. topics: a roscore, the"
+        " nothing but Midspan in between (configs/navigation.yaml); shows the map and the path. topics: a roscore, the"
         " simulated R1 as a ROS 1 robot, the daemon, and real rclpy, zenoh and YARP programs that listen and drive;"
-        " shows every route, and checks by the programs' own reports that everything crossed. Both use ports and a ROS"
-        " domain of their own, and leave nothing behind. Exit code 1 where a room was not reached, or something did not"
-        " cross."
+        " shows every route, and checks by the programs' own reports that everything crossed. Both use their"
+        " own ports and ROS domain, and leave no process or file on the machine. Exit code 1 if a room was not"
+        " reached, or something did not cross."
     )
     parser.add_argument("what", nargs="?", choices=("rooms", "topics"), default="rooms", help="default rooms")
     stay = os.environ.get("STAY", "") not in ("", "0")
@@ -38,7 +38,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         "--json", **file, default=os.environ.get("JSON") or None, help="write what was seen (JSON=FILE)"
     )
     png = os.environ.get("PNG") or Path("midspan-demo.png")
-    parser.add_argument("--png", **file, default=png, help="rooms: the drawn way (default midspan-demo.png; PNG=FILE)")
+    parser.add_argument("--png", **file, default=png, help="rooms: the drawn path (default midspan-demo.png; PNG=FILE)")
     rooms = ("kitchen", "corridor", "bathroom")
     parser.add_argument(
         "--to", nargs=3, metavar="ROOM", default=rooms, help=f"rooms: one for each client (default {' '.join(rooms)})"
@@ -50,7 +50,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the demo; 0 where everything went well."""
+    """Run the demo; return 0 if everything went well."""
     from bridge.demo.shutdown import INTERRUPTED, Shutdown
 
     logging.basicConfig(format="%(message)s", level=logging.WARNING)
@@ -87,7 +87,7 @@ def _rooms(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitS
             result = demo.run(course, args.to)
             view.show(result, course)
             _draw(course, Path(args.png))
-            view.say(f"{result.seconds:.0f} s; the way is drawn in {args.png}")
+            view.say(f"{result.seconds:.0f} s; the path is drawn in {args.png}")
             if args.json is not None:
                 _write(args.json, result.as_dict())
             if args.stay:
@@ -106,7 +106,7 @@ def _rooms(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitS
 def _sandbox(
     shutdown: Shutdown, stack: contextlib.ExitStack, template: Path | None, more: dict[str, Any], *, ports: bool
 ) -> Sandbox:
-    """A sandbox for the run, which is left as it was found whatever happens."""
+    """Return a sandbox for the run; the machine is left unchanged whatever happens."""
     from bridge.demo.leftovers import erase
     from bridge.demo.sandbox import Sandbox
 

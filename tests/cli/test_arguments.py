@@ -18,7 +18,7 @@ NEGATIVE = ("-1.6", "-1.6,0.9", "-.5", "-2e-3", "-1.6,0.9,-0.5", "-inf")
 
 
 def values(*words: str) -> Any:
-    """What a verb's parser reads from these words."""
+    """Parse these words as the verb's parser does."""
     return build_parser([words[0]]).parse_args(list(words))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -171,8 +172,7 @@ def test_two_daemons_share_the_state_folder_and_the_hub(tmp_path: Path) -> None:
             robot.env["STATE_DIRECTORY"] = str(tmp_path / "state")
             robot.process("worker", "router", "--control")
             robot.process("run", "--adopt", "router")
-        shown = until(lambda: both(robots[0]), "both daemons are on the hub", 60)
-        assert shown.count("store    running") == 2
+        until(lambda: both(robots[0]), "both daemons are on the hub with their stores", 60)
     finally:
         for robot in robots:
             robot.close()
@@ -184,10 +184,10 @@ def folders(root: Path) -> list[str]:
     return ["one", "two"]
 
 
-def both(robot: RobotDaemon) -> str:
-    """The status with both daemons; "" before."""
-    done = robot("status")
-    return done.stdout if {"one", "two"} <= set(done.stdout.splitlines()) else ""
+def both(robot: RobotDaemon) -> bool:
+    """Return whether the status has both daemons, each with its store."""
+    lines = robot("status").stdout.splitlines()
+    return {"one", "two"} <= set(lines) and sum("store    running" in line for line in lines) == 2
 
 
 def test_the_state_folder_of_services_is_not_asked_with_a_state_of_ones_own(
@@ -204,3 +204,33 @@ def test_the_state_folder_of_services_is_not_asked_with_a_state_of_ones_own(
     monkeypatch.setenv("STATE_DIRECTORY", str(units.STATE))
     daemon_state(load(file))
     assert asked == [units.STATE]
+
+
+BRIDGE = """
+name: my_bridge
+from_domain: 2
+to_domain: 3
+topics:
+  chatter: {type: example_interfaces/msg/String}
+"""
+
+
+def test_the_files_of_an_imported_domain_bridge_are_instances(system: System, tmp_path: Path) -> None:
+    """As docs/start/migrating.md shows it: two domains, two daemons, one unit."""
+    (tmp_path / "bridge_config.yaml").write_text(BRIDGE)
+    assert main(["import", "domain_bridge", str(tmp_path / "bridge_config.yaml"), "-o", f"{tmp_path}/etc/midspan"]) == 0
+    names = ["my_bridge_domain2", "my_bridge_domain3"]
+    for name in names:
+        system.enable(f"midspan@{name}")
+    assert [(result, seen) for result, seen, _ in system.findings()] == [
+        (Result.OK, f"midspan@{name} is the daemon my_bridge_{name[-1]} ({tmp_path}/etc/midspan/{name}.yaml)")
+        for name in names
+    ]
+
+
+def test_the_configuration_that_the_docs_show_is_good(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs/operate/service.md").read_text()
+    (text,) = re.findall(r"<<'END'\n(.*?)^END$", page, re.MULTILINE | re.DOTALL)
+    (tmp_path / "robot2.yaml").write_text(text)
+    config = load(tmp_path / "robot2.yaml")
+    assert (config.name, config.ros2.domain) == ("robot2", 2)

@@ -53,7 +53,7 @@ def test_recommended_is_what_set_up_installs_of_ros1() -> None:
 
 @dataclass
 class Place:
-    """A system with two versions of the package in its root's home, and what lintian says of the first."""
+    """A system with two versions of the package in its root's home, and lintian's report on the first."""
 
     tree: Tree
     release: deb.Release
@@ -67,7 +67,7 @@ class Place:
         )
 
     def status(self) -> str:
-        """The line by which systemd tells of the daemon."""
+        """Return the daemon's status line."""
         return self.tree.run("systemctl", "show", "--property=StatusText", "--value", "midspan")
 
     def nodes(self) -> list[str]:
@@ -75,7 +75,7 @@ class Place:
         return self.tree.machine.run("sh", "-c", "rosnode list || true", env=self.environ).split()
 
     def joined(self) -> bool:
-        """Whether the master lists the bridge; Ubuntu 24.04's archive has no rospy, so there ROS 2 alone is joined."""
+        """Whether the master lists the bridge; Ubuntu 24.04's archive has no rospy, so only ROS 2 is joined there."""
         if self.release is deb.RELEASES["noble"]:
             return "ros2 running" in self.status()
         return "/midspan" in self.nodes() and "ros1 running" in self.status()
@@ -88,7 +88,7 @@ OTHERS = re.compile(
 
 
 def packages(release: deb.Release, folder: Path) -> list[Path]:
-    """This version's package, and another whose number alone differs; little compressed."""
+    """This version's package, and another that differs only in its number; little compressed."""
     for name, lay_out in (("yarp_compat", dist.lay_out_yarp_compat), ("midspan", dist.lay_out_midspan)):
         source = folder / name / "source"
         source.mkdir(parents=True)
@@ -105,7 +105,7 @@ def packages(release: deb.Release, folder: Path) -> list[Path]:
 
 @pytest.fixture(scope="module", params=RELEASES)
 def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    """Booted, with the packages that ours asks for at hand but not installed, and a roscore that is there already."""
+    """Booted, with ours and its dependencies downloaded but not installed, and a roscore that already runs."""
     for reason in (DEBIAN, COMPILER, ROS1):
         need(reason)
     release, folder = deb.RELEASES[request.param], tmp_path_factory.mktemp("deb")
@@ -156,7 +156,7 @@ def test_a_package_is_installed_runs_is_upgraded_and_purged(place: Place, tmp_pa
     with gap:
         longest(gap)
         place.install(NEXT)
-        until(place.joined, "the bridge has joined the master anew", 60)
+        until(place.joined, "the bridge has joined the master again", 60)
         cut = longest(gap)
         print(f"the upgrade cut two clients of the router for {cut:.2f} s")
         assert cut < 3
@@ -194,7 +194,7 @@ def add_kitchen(place: Place) -> bool:
 
 
 def longest(gap: Process) -> float:
-    """Seconds for which the two did not hear each other since it was asked before."""
+    """Return the longest time in seconds without a message between the two since the last call."""
     assert gap.popen.stdin is not None
     assert gap.popen.stdout is not None
     gap.popen.stdin.write("\n")
@@ -203,7 +203,7 @@ def longest(gap: Process) -> float:
 
 
 def left_behind(tree: Tree, installed: set[str]) -> list[str]:
-    """Files that are named for Midspan, came later than it, or belong to a user who is no more."""
+    """Files that are named for Midspan, came later than it, or belong to a user that no longer exists."""
     files = tree.files()
     left = {path for path in files if "midspan" in path and not OTHERS.search(path)}
     left |= {path for path in files - installed if not OTHERS.search(path)}

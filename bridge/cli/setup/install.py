@@ -15,8 +15,9 @@ DEFAULT_USER = "midspan"
 def register_install(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Puts the systemd units, a first configuration and the services' user in place. Never overwrites or removes"
-        " your own files in /etc/midspan. Runs no command, and prints what to do next."
+        "Puts the systemd units, a first configuration and the services' user in place: midspan, and midspan@NAME for"
+        " further daemons with /etc/midspan/NAME.yaml. Never overwrites or removes your files in /etc/midspan. Runs no"
+        " command, and prints what to do next."
     )
     parser.add_argument(
         "--root", "--prefix", type=Path, default=Path("/"), metavar="DIR", help="install below this folder (default: /)"
@@ -24,8 +25,8 @@ def register_install(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--user", default=DEFAULT_USER, metavar="NAME", help=f"user of the services (default: {DEFAULT_USER}, made new)"
     )
-    parser.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
-    parser.add_argument("--uninstall", action="store_true", help="take the services away again")
+    parser.add_argument("--dry-run", action="store_true", help="print what would be done, and do nothing")
+    parser.add_argument("--uninstall", action="store_true", help="remove the services")
     parser.set_defaults(run=run_install)
 
 
