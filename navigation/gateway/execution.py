@@ -212,7 +212,10 @@ class Execution:
             why = f"the planner {self._planner} was not available for {patience:g} s"
             if not drive.begun:
                 why += ": ask again when it is"
-            self.finish(drive, GoalState.ABORTED, Fault.NO_NAVIGATOR, why)
+            if drive.begun and self._motion.base() is Base.MOVING:
+                self._abort_moving(drive, Fault.NO_NAVIGATOR, why)
+            else:
+                self.finish(drive, GoalState.ABORTED, Fault.NO_NAVIGATOR, why)
 
     def poll(self) -> None:
         """Act on what is known now; called about ten times a second."""
@@ -252,7 +255,7 @@ class Execution:
             if order.confirmed or not order.state.open:
                 self.finish(drive, GoalState.ABORTED, code, why)
             elif order.age > GIVE_UP_SECONDS:
-                self.finish(drive, GoalState.ABORTED, code, f"{why}; {self._unconfirmed()}")
+                self.finish(drive, GoalState.ABORTED, code, why, self._unconfirmed())
         elif drive.released:
             self.finish(drive, GoalState.CANCELED, Fault.OTHER, why)
         elif order.confirmed:
@@ -383,7 +386,11 @@ class Execution:
         """End a drive that the planner gave up, after what still moves the base for it, such as Nav2's controller."""
         if self._motion.base() is Base.STANDING or self._link.foreign or not self._link.may_move:
             self.finish(drive, GoalState.ABORTED, code, why)
-            return
+        else:
+            self._abort_moving(drive, code, why)
+
+    def _abort_moving(self, drive: ClientDrive, code: int, why: str) -> None:
+        """Stop the base first: the end is reported when it stands."""
         drive.aborted, drive.why, drive.released = (code, why), why, False
         drive.machine.on(DriveEvent.STOP)
         self.cancel(drive)
@@ -402,8 +409,11 @@ class Execution:
             if drive.machine.on(DriveEvent.NEXT):
                 self._send(drive, None)
 
-    def finish(self, drive: ClientDrive, status: GoalState, code: int, why: str) -> None:
-        """End a drive; a stop goes on if the planner has not released its goal, or the base still moves."""
+    def finish(self, drive: ClientDrive, status: GoalState, code: int, why: str, unconfirmed: str = "") -> None:
+        """End a drive; a stop goes on if the planner has not released its goal, or the base still moves.
+
+        ``unconfirmed`` goes to the client only: the gateway's own status shows it for as long as it is true.
+        """
         if self.drive is not drive:
             return
         self.drive, self.ended_at = None, time.monotonic()
@@ -422,7 +432,7 @@ class Execution:
         self._link.foreign_goals.end = None
         if status is GoalState.ABORTED:
             self._host.log.warning("the goal of %s is aborted: %s", drive.who, why)
-        drive.end(status, code, why)
+        drive.end(status, code, f"{why}; {unconfirmed}" if unconfirmed else why)
         self.advance()
         self.settle()
         self._changed()

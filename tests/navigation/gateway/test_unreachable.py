@@ -320,6 +320,24 @@ def test_an_end_for_want_of_a_planner_names_the_past_once_it_is_back(robot: Scen
         rig.worker.reload(rig.configured(patience=60.0))
 
 
+def test_a_goal_whose_planner_stays_away_ends_when_the_base_stands(robot: Scene) -> None:
+    rig = robot.rig
+    rig.worker.reload(rig.configured(patience=0.3))
+    try:
+        asked = robot.drive()
+        begin = len(rig.statuses)
+        robot.planner.withdraw()
+        why = f"the planner {PLANNER} was not available for 0.3 s"
+        rig.state(State.MOVING, f"stopping: {why}")
+        assert not asked.ended
+        robot.base.speed = 0.0
+        assert asked.end() == ("ABORTED", why)
+        rig.state(State.ABORTED, why)
+        assert robot.states(begin) == {State.MOVING, State.ABORTED}
+    finally:
+        rig.worker.reload(rig.configured(patience=60.0))
+
+
 def test_lost_localization_is_named_while_a_foreign_planner_drives(robot: Scene) -> None:
     rig = robot.rig
     status = rig.far.advertise("/localization/status", "std_msgs/String", latched=True)
