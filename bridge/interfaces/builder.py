@@ -1,10 +1,10 @@
 """Builds ROS 2 message packages from their definitions, without cmake, ament or colcon.
 
-What it takes: ROS 2's generators (they come with the wheels and with /opt/ros/jazzy), gcc and g++. First it plans what
-has to be built, in which order and under which key, from the definitions and what is installed.
+It needs ROS 2's generators (part of the wheels and of /opt/ros/jazzy), gcc and g++. First it plans the packages, their
+order and their keys, from the definitions and the installed packages.
 
 A package that a process has imported cannot be loaded again with more types: Python's module and the shared libraries
-stay as they are. Build first, then import; a process that is too late has to be started anew (`activate` tells).
+stay as they are. Build first, then import; otherwise the process has to be restarted (`activate` names such packages).
 """
 
 from __future__ import annotations
@@ -27,19 +27,18 @@ from bridge.interfaces.definition import (
     Form,
     InterfaceFile,
     Reference,
-    bundled_files,
-    bundled_packages,
     read_package,
 )
+from bridge.interfaces.folders import bundled_files, bundled_packages
 from bridge.interfaces.generate import Request
 from bridge.interfaces.ros2 import GENERATORS, Ros2
 
-RECIPE = "1"  # raise it when what the builder makes of the same definitions changes
+RECIPE = "1"  # increment it when the builder's output for the same definitions changes
 
 
 @dataclass(frozen=True, slots=True)
 class BuildStep:
-    """One package to build, with the steps of all packages that it needs, also indirectly."""
+    """One package to build, with the steps of all packages that it depends on, also indirectly."""
 
     package: str
     definitions: tuple[InterfaceFile, ...]
@@ -48,7 +47,7 @@ class BuildStep:
 
 
 class PackageResolver:
-    """Resolves packages: what is given first, then what is installed, then Midspan's own definitions."""
+    """Resolves packages: first the given ones, then the installed ones, then Midspan's own definitions."""
 
     def __init__(self, given: Mapping[str, Mapping[str, str]], ros2: Ros2, cache: BuildCache) -> None:
         self._given = given
@@ -58,16 +57,16 @@ class PackageResolver:
         self._definitions: dict[str, tuple[InterfaceFile, ...]] = {}
 
     def steps(self) -> list[BuildStep]:
-        """The steps for all given packages and what they need, each after those it needs."""
+        """Return the steps for all given packages and their dependencies, in build order."""
         for package in self._given:
             self._step(package, ())
         return [step for step in self._steps.values() if step is not None]
 
     def _step(self, package: str, asking: tuple[str, ...]) -> BuildStep | None:
-        """The step that builds a package; None where the installed one serves."""
+        """Return the step that builds a package; None if the installed one is used."""
         if package in asking:
             circle = " -> ".join((*asking[asking.index(package) :], package))
-            raise BuildError(f"packages need each other in a circle: {circle}", cure="Move the shared types to a third")
+            raise BuildError(f"packages depend on each other: {circle}", cure="Move the shared types to a third")
         if package not in self._steps:
             self._steps[package] = None if self._is_installed(package) else self._new_step(package, asking)
         return self._steps[package]
@@ -109,7 +108,7 @@ class PackageResolver:
 
     def _read(self, package: str) -> tuple[InterfaceFile, ...]:
         if package not in self._definitions:
-            # a given package with the name of one of ours adds to it, so that both stay usable
+            # a given package with the name of a bundled one adds to it, so that both stay usable
             self._definitions[package] = read_package(
                 package, bundled_files(package) | dict(self._given.get(package, {}))
             )
@@ -142,7 +141,7 @@ def _unknown_package(name: str, definitions: tuple[InterfaceFile, ...]) -> Build
 
 
 def _unknown_type(definition: InterfaceFile, reference: Reference) -> BuildError:
-    cure = "ROS 2 calls it std_msgs/Header" if reference.name == "Header" else "Look for a slip in the name"
+    cure = "ROS 2 calls it std_msgs/Header" if reference.name == "Header" else "Check the name for a typing error"
     return BuildError(
         f"unknown type {reference.package}/{reference.name}", where=definition.where(reference.line), cure=cure
     )
@@ -155,13 +154,12 @@ Progress = Callable[[str], None]
 def build(
     packages: Mapping[str, Mapping[str, str]], cache: Path | None = None, progress: Progress | None = None
 ) -> Path:
-    """Build message packages and return a prefix with all of them and what they need.
+    """Build message packages and return a prefix with all of them and their dependencies.
 
-    What an installed ROS 2 already has is not built; what was built before, by any process, is found in the cache
-    (default $MIDSPAN_CACHE or ~/.cache/midspan/interfaces). Needed packages are looked for among those given, those
-    installed, and Midspan's own (`bundled_packages`). Definitions come by package and path: ``{"my_msgs":
-    {"msg/Name.msg": "string data"}}``; ``progress`` gets a line for each thing that takes time. Raises `BuildError`
-    with the place in the definition, or what is missing, and the cure.
+    Packages of the installed ROS 2, and packages in the cache (default $MIDSPAN_CACHE or ~/.cache/midspan/interfaces),
+    are not built again. Dependencies are resolved among the given packages, the installed ones, and Midspan's own
+    (`bundled_packages`). Definitions are texts by package and path: ``{"my_msgs": {"msg/Name.msg": "string data"}}``;
+    ``progress`` receives a line for each slow step. Raises `BuildError` with the place and the cure.
     """
     ros2 = Ros2.find()
     built = BuildCache(cache or default_cache())
@@ -173,7 +171,7 @@ def build(
 
 
 def build_bundled(cache: Path | None = None, progress: Progress | None = None) -> Path:
-    """Build Midspan's own packages as far as the installed ROS 2 lacks them; returns the prefix."""
+    """Build those of Midspan's own packages that the installed ROS 2 lacks; return the prefix."""
     installed = Ros2.find().packages
     wanted = {name: bundled_files(name) for name in bundled_packages() if name not in installed}
     return build(wanted, cache, progress)
@@ -224,7 +222,7 @@ def _share(prefix: Path, package: str) -> Path:
 
 
 def _generate(step: BuildStep, job: Job, prefix: Path, ros2: Ros2) -> None:
-    """Run the generators, in a process of their own."""
+    """Run the generators in a separate process."""
     source = job.work / "source"
     for definition in step.definitions:
         _write(source / definition.path, definition.bare)
@@ -242,7 +240,7 @@ def _generate(step: BuildStep, job: Job, prefix: Path, ros2: Ros2) -> None:
     }
     file = job.work / "request.json"
     file.write_text(json.dumps(request), encoding="utf-8")
-    # the order of the #include lines hangs on Python's hash seed; fixed, so that equal input gives equal output
+    # the order of the #include lines depends on Python's hash seed; fixed, so that equal input gives equal output
     environment = os.environ | {"PYTHONHASHSEED": "0"}
     command = [sys.executable, "-P", str(Path(__file__).with_name("generate.py")), str(file)]
     try:
@@ -264,7 +262,7 @@ def _generate(step: BuildStep, job: Job, prefix: Path, ros2: Ros2) -> None:
 
 
 def _install(step: BuildStep, job: Job, prefix: Path) -> None:
-    """Put what is neither compiled nor linked into its place."""
+    """Install the files that are neither compiled nor linked."""
     headers = prefix / "include" / step.package
     for root in job.roots.values():
         for file in sorted(root.rglob("*.h")):

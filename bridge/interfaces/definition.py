@@ -1,19 +1,18 @@
-"""Interface definition texts (.msg, .srv, .action): what they need, and whether ROS 2 would take them.
+"""Interface definition texts (.msg, .srv, .action): the packages that they need, and whether ROS 2 accepts them.
 
-The generators of ROS 2 fail late and without a line number, and trip over comments; so each text is checked here first,
-and handed on without comments. The rules are those of ROS 2 Jazzy's interface language (docs.ros.org, "Interfaces");
-the patterns of names are those that `rosidl_adapter` 4.6 applies. Texts come from folders of message packages, and from
-those that Midspan brings itself (bundled packages).
+ROS 2's generators fail late and without a line number, and comments can break them. So each text is checked here first,
+and the generators get it without comments. The rules are those of ROS 2 Jazzy's interface language (docs.ros.org,
+"Interfaces"); the patterns of names are those of `rosidl_adapter` 4.6.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from functools import cache
-from pathlib import Path
+
+from bridge.interfaces.values import string_value
 
 
 class BuildError(Exception):
@@ -35,16 +34,16 @@ ROS1_TYPES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces
 _PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
 _TYPE = re.compile(r"[A-Z][A-Za-z0-9]*")
 _CONSTANT = re.compile(r"[A-Z](?:_?[A-Z0-9])*")
-_VALUE = re.compile(r"[ -\[\]-~]*")  # printable ASCII but the backslash: rosidl garbles the rest on the way to C
+_VALUE = re.compile(r"[ -\[\]-~]*")  # printable ASCII without the backslash
 _FIELD_TYPE = re.compile(r"(?P<base>[A-Za-z0-9_/]+)(?P<bound><=[1-9]\d*)?(?P<array>\[(?:(?:<=)?[1-9]\d*)?\])?")
 
 
 MAX_TEXT = 1_000_000
-"""Characters that a package's definitions may have: they may come from the network, and are compiled."""
+"""Largest number of characters in a package's definitions, which may come from the network and are compiled."""
 
 
 class Form(Enum):
-    """The kinds of interface file: the folder's name, and how many parts ``---`` cuts the file into."""
+    """The kinds of interface file, by the name of their folder."""
 
     MSG = "msg"
     SRV = "srv"
@@ -52,7 +51,7 @@ class Form(Enum):
 
     @property
     def parts(self) -> int:
-        """How many field lists a file of this kind has."""
+        """The number of field lists in a file of this kind."""
         return {Form.MSG: 1, Form.SRV: 2, Form.ACTION: 3}[self]
 
 
@@ -61,12 +60,12 @@ IMPLICIT = {
     Form.SRV: frozenset({"builtin_interfaces", "service_msgs"}),
     Form.ACTION: frozenset({"action_msgs", "builtin_interfaces", "service_msgs", "unique_identifier_msgs"}),
 }
-"""Packages that what the generators add to a service or an action refers to."""
+"""Packages of the fields that the generators add to services and actions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """A message type that a definition's field names, and the line (from 1) where it does."""
+    """A message type that a field of a definition has, and its line (from 1)."""
 
     package: str
     name: str
@@ -75,7 +74,7 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class InterfaceFile:
-    """One checked definition; ``bare`` is its text without comments and with full names of types."""
+    """One checked definition; ``bare`` is its text for the generators: without comments, with full names of types."""
 
     package: str
     path: str
@@ -86,12 +85,12 @@ class InterfaceFile:
 
     @property
     def needs(self) -> frozenset[str]:
-        """Names of the packages, other than its own, that the definition needs directly."""
+        """The names of the other packages that the definition needs directly."""
         named = {reference.package for reference in self.references}
         return frozenset(named | IMPLICIT[self.form]) - {self.package}
 
     def where(self, line: int) -> str:
-        """Place of a line, for an error."""
+        """Return the place of a line for an error."""
         return f"{self.package}/{self.path}:{line}"
 
 
@@ -120,20 +119,26 @@ def _read(package: str, path: str, text: str) -> InterfaceFile:
     form = forms[folder]
     if bare.count("---") != form.parts - 1:
         raise BuildError(
-            f"{bare.count('---')} lines '---' where a .{suffix} has {form.parts - 1}", where=f"{package}/{path}"
+            f"{bare.count('---')} lines '---', a .{suffix} has {form.parts - 1}", where=f"{package}/{path}"
         )
+    # the programs of ROS 2 that read the installed text, such as `ros2 interface show`, know no other separator
+    text = _SEPARATOR.sub("---", text)
     return InterfaceFile(package, path, form, text, "".join(f"{line}\n" for line in bare), tuple(reader.references))
 
 
+_SEPARATOR = re.compile(r"^[ \t]*---[^\r\n]*", re.MULTILINE)
+
+
 def _lines(text: str) -> Iterator[tuple[int, str]]:
+    """Yield the lines without comments; a separator is any line that begins with ``---``, as genmsg reads it."""
     for number, line in enumerate(text.splitlines(), start=1):
-        content = " ".join(line.split("#", 1)[0].split())
+        content = line.split("#", 1)[0].replace("\t", " ").strip()
         if content:
-            yield number, content
+            yield number, "---" if content.startswith("---") else content
 
 
 class _Reader:
-    """Reads the lines of one definition; remembers the names of the part it is in."""
+    """Reads the lines of one definition, and collects the names of the current part."""
 
     def __init__(self, package: str, path: str) -> None:
         self.package = package
@@ -143,7 +148,7 @@ class _Reader:
         self._part = 1
 
     def line(self, number: int, content: str) -> str:
-        """Check one line without comment; returns it as the generators want it."""
+        """Check one line without comment; returns it as the generators need it."""
         if content == "---":
             self._names.clear()
             self._part += 1
@@ -153,11 +158,16 @@ class _Reader:
             raise self._fault(number, f"'{content}' is neither 'type name' nor 'TYPE NAME=value'")
         name, value, is_constant = _split(rest)
         self._check_name(number, name, is_constant=is_constant)
-        if not _VALUE.fullmatch(value):
-            raise self._fault(number, "the value has a backslash, or a character that is not plain ASCII")
         spelt = self._check_type(number, field_type, is_constant=is_constant)
+        if value and re.split(r"[<[]", field_type)[0] in ("string", "wstring"):
+            try:
+                value = string_value(value, is_array="[" in field_type)
+            except ValueError as err:
+                raise self._fault(number, f"the text {value} cannot be built: {err}") from None
+        elif not _VALUE.fullmatch(value):
+            raise self._fault(number, "the value has a backslash, or a character that is not plain ASCII")
         if is_constant:
-            # rosidl's parser takes equal constants of two parts for one, unless their comments differ
+            # rosidl's parser merges equal constants of two parts unless their comments differ
             return f"{spelt} {name}={value}  # part {self._part}"
         return f"{spelt} {name} {value}" if value else f"{spelt} {name}"
 
@@ -169,7 +179,7 @@ class _Reader:
                 number, f"'{name}' is not a field's name in ROS 2", "Use small letters, digits and underscores"
             )
         if name in self._names:
-            raise self._fault(number, f"'{name}' is there twice")
+            raise self._fault(number, f"the name '{name}' is used twice")
         self._names.add(name)
 
     def _check_type(self, number: int, field_type: str, *, is_constant: bool) -> str:
@@ -178,7 +188,7 @@ class _Reader:
             raise self._fault(number, f"'{field_type}' is not a type")
         base, bound, array = match["base"], match["bound"] or "", match["array"] or ""
         if bound and base not in ("string", "wstring"):
-            raise self._fault(number, f"'{field_type}': only strings have a bound of their own")
+            raise self._fault(number, f"'{field_type}': only strings and arrays have a bound")
         if is_constant and (base not in PRIMITIVES or bound or array):
             raise self._fault(number, f"a constant cannot be of type '{field_type}'", "Use one of the plain types")
         if base not in PRIMITIVES:
@@ -187,7 +197,7 @@ class _Reader:
 
     def _refer(self, number: int, base: str) -> str:
         if base in ROS1_TYPES:
-            raise self._fault(number, f"'{base}' is ROS 1's", f"ROS 2 calls it {ROS1_TYPES[base]}")
+            raise self._fault(number, f"'{base}' is a type of ROS 1", f"In ROS 2 it is {ROS1_TYPES[base]}")
         parts = base.split("/")
         if len(parts) == 3 and parts[1] == "msg":
             del parts[1]
@@ -202,57 +212,10 @@ class _Reader:
 
 
 def _split(rest: str) -> tuple[str, str, bool]:
-    """Cut what follows the type into name, value, and whether it is a constant rather than a default."""
+    """Split the text after the type into name, value, and whether it is a constant rather than a default."""
+    rest = rest.lstrip()
     name, equals, value = rest.partition("=")
     if equals and " " not in name.strip():
         return name.strip(), value.strip(), True
     name, _, value = rest.partition(" ")
-    return name, value, False
-
-
-def read_package_folder(folder: Path) -> dict[str, str]:
-    """Definitions of a package's folder, text by path (``msg/Name.msg``); ``.msg`` files may lie in it directly."""
-    files = {f"{form.value}/{file.name}": file for form in Form for file in folder.glob(f"{form.value}/*.{form.value}")}
-    files |= {f"msg/{file.name}": file for file in folder.glob("*.msg")}
-    return {path: _text(file) for path, file in sorted(files.items())}
-
-
-def read_folders(folders: Iterable[Path]) -> dict[str, dict[str, str]]:
-    """Definitions by package and path; each folder is a package's, or holds such. `BuildError` for none, or two."""
-    found: dict[str, dict[str, str]] = {}
-    for folder in folders:
-        whole = folder.resolve()
-        candidates = [whole, *sorted(entry for entry in whole.iterdir() if entry.is_dir())] if whole.is_dir() else []
-        packages = {entry.name: files for entry in candidates if (files := read_package_folder(entry))}
-        if not packages:
-            raise BuildError(
-                f"no .msg, .srv or .action files in {folder}",
-                cure="Name a package's folder (my_msgs with my_msgs/msg/Name.msg), or one that holds such folders",
-            )
-        for package, files in packages.items():
-            if package in found:
-                raise BuildError(f"package {package} is there twice", cure="Leave out one of these folders")
-            found[package] = files
-    return found
-
-
-def _text(file: Path) -> str:
-    try:
-        return file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as err:
-        raise BuildError(f"cannot be read: {err}", where=str(file)) from None
-
-
-DEFINITIONS = Path(__file__).parent / "definitions"
-"""Folder with their definitions; its README says where the field lists come from."""
-
-
-@cache
-def bundled_packages() -> tuple[str, ...]:
-    """Names of the packages whose definitions come with Midspan."""
-    return tuple(sorted(entry.name for entry in DEFINITIONS.iterdir() if entry.is_dir()))
-
-
-def bundled_files(package: str) -> dict[str, str]:
-    """A bundled package's definitions by path, as `bridge.interfaces.builder.build` takes them; {} for any other."""
-    return read_package_folder(DEFINITIONS / package) if package in bundled_packages() else {}
+    return name, value.strip(), False

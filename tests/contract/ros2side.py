@@ -11,7 +11,7 @@ from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
 from bridge.interfaces.builder import build
 from bridge.interfaces.cache import environment
-from bridge.interfaces.definition import read_folders
+from bridge.interfaces.folders import read_folders
 from tests.contract.side import CUSTOM_FOLDER, Side, WorkerProcess
 from tests.support.hub import HubNetwork
 from tests.support.missing import ROS2, need

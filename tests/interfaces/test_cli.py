@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
 import sysconfig
 from pathlib import Path
@@ -11,7 +13,8 @@ import pytest
 
 from bridge.cli.main import main
 from bridge.interfaces import bundled_packages
-from bridge.interfaces.cache import SITE, link_into_venv
+from bridge.interfaces.cache import SITE, environment, link_into_venv
+from bridge.messages.registry import Registry
 from tests.support.missing import COMPILER, needs
 
 
@@ -40,6 +43,48 @@ def test_build_and_list(folder: Path, cache: Path, capsys: pytest.CaptureFixture
     states = {(row["package"], row["state"]) for row in json.loads(capsys.readouterr().out)}
     assert {("midspan_one_msgs", "built"), ("std_msgs", "installed")} <= states
     assert set(bundled_packages()) <= {package for package, _ in states}
+
+
+TEXTS = {
+    "msg/Say.msg": r'string greeting "say \"hi\" and \"bye\""' + "\n",
+    "msg/Umlaut.msg": 'string greeting "grüß  dich_"\nstring NAME=日本\nwstring wide "é😀"\n',
+    "msg/Words.msg": r"""string[] words ["say \"hi\"", 'it\'s', "grüß, dich", plain]""" + "\n",
+    "srv/Ask.srv": "string query \"a=b\"\n------\nstring<=9 reply 'it\\'s'\n",
+}
+SHOW = """
+from renamed_msgs.msg import Say, Umlaut, Words
+from renamed_msgs.srv import Ask
+print([Say().greeting, Umlaut().greeting, Umlaut.NAME, Umlaut().wide, Words().words, Ask.Request().query,
+       Ask.Response().reply])
+"""
+
+
+@needs(COMPILER)
+def test_a_packages_own_folder_with_texts_of_all_kinds(
+    tmp_path: Path, cache: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its name is that of its package.xml, whatever the checkout is called."""
+    folder = tmp_path / "checkout-main"
+    for path, text in TEXTS.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_text(text, encoding="utf-8")
+    (folder / "package.xml").write_text('<package format="3"><name>renamed_msgs</name></package>')
+    assert main(["interfaces", "build", str(folder), "--cache", str(cache), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["packages"] == ["renamed_msgs"]
+    env = os.environ | environment([Path(result["prefix"])])
+    done = subprocess.run(
+        [sys.executable, "-c", SHOW], env=env, capture_output=True, text=True, check=False, timeout=60
+    )
+    words = ['say "hi"', "it's", "grüß, dich", "plain"]
+    values = ['say "hi" and "bye"', "grüß  dich_", "日本", "é😀", words, "a=b", "it's"]
+    assert done.stdout == f"{values}\n", done.stderr
+    share = Path(result["prefix"]) / "share" / "renamed_msgs"
+    assert (share / "srv" / "Ask.srv").read_text().splitlines()[1] == "---"
+    assert (share / "msg" / "Say.msg").read_text() == TEXTS["msg/Say.msg"]
+    own = Registry(folders=[folder.parent], prefixes=[Path(result["prefix"])])
+    assert own.schema("renamed_msgs/msg/Words").root.fields[0].default == tuple(words)
+    assert own.schema("renamed_msgs/msg/Say").root.fields[0].default == values[0]
 
 
 def test_a_fault_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

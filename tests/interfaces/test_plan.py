@@ -8,7 +8,8 @@ import pytest
 
 from bridge.interfaces.builder import BuildStep, PackageResolver
 from bridge.interfaces.cache import BuildCache
-from bridge.interfaces.definition import BuildError, bundled_files
+from bridge.interfaces.definition import BuildError
+from bridge.interfaces.folders import bundled_files
 from bridge.interfaces.ros2 import Ros2
 
 Packages = dict[str, dict[str, str]]

@@ -15,7 +15,7 @@ import yaml
 from bridge.hub.session import Hub, HubSettings
 from bridge.interfaces.builder import build
 from bridge.interfaces.cache import environment
-from bridge.interfaces.definition import read_folders
+from bridge.interfaces.folders import read_folders
 from bridge.messages.registry import Registry
 from tests.contract.rmwside import RmwSide
 from tests.contract.side import CUSTOM_FOLDER, CUSTOM_TYPES

@@ -1,4 +1,4 @@
-"""``midspan interfaces``: builds ROS 2 message packages, and lists those that there are."""
+"""``midspan interfaces``: builds ROS 2 message packages, and lists the existing ones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from bridge.cli.arguments import add_verb, add_verbs
 from bridge.cli.output import CliError, make_console, print_json
 from bridge.interfaces.builder import build, build_bundled
 from bridge.interfaces.cache import BuildCache, default_cache, environment, link_into_venv, members
-from bridge.interfaces.definition import BuildError, bundled_packages, read_folders
+from bridge.interfaces.definition import BuildError
+from bridge.interfaces.folders import bundled_packages, read_folders
 from bridge.interfaces.ros2 import Ros2
 
 
@@ -18,14 +19,15 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     verbs = add_verbs(
         parser,
-        "Builds ROS 2 message packages from .msg, .srv and .action files with gcc alone, into a cache that all programs"
-        " of this user share ($MIDSPAN_CACHE, else ~/.cache/midspan/interfaces).",
+        "Builds ROS 2 message packages from .msg, .srv and .action files with gcc and without colcon, into a cache that"
+        " all programs of this user share ($MIDSPAN_CACHE, else ~/.cache/midspan/interfaces).",
         dest="action",
     )
     make = add_verb(
         verbs, "build", run, "build packages; without a folder, those that Midspan always needs",
-        "Builds the packages of the folders and what they need. Without a folder: tf2_msgs, nav2_msgs and the others"
-        " that come with Midspan, and makes them importable in this virtual environment.", hub=False,
+        "Builds the packages of the folders and their dependencies, and prints the `export` lines for programs that use"
+        " them. Without a folder: builds tf2_msgs, nav2_msgs and the others that come with Midspan, and makes them"
+        " importable in this virtual environment.", hub=False,
     )  # fmt: skip
     make.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help="a package's folder, or a folder of such")
     show = add_verb(verbs, "list", run, "list the message packages that are installed or built", hub=False)
@@ -46,10 +48,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _build(args: argparse.Namespace) -> int:
     if args.folders:
-        prefix = build(read_folders(args.folders), args.cache, _tell)
+        prefix = build(read_folders(args.folders), args.cache, _report)
         linked = None
     else:
-        prefix = build_bundled(args.cache, _tell)
+        prefix = build_bundled(args.cache, _report)
         linked = link_into_venv(prefix)
     packages = sorted(members(prefix))
     if args.json:
@@ -64,7 +66,7 @@ def _build(args: argparse.Namespace) -> int:
     return 0
 
 
-def _tell(line: str) -> None:
+def _report(line: str) -> None:
     print(f"interfaces: {line}", file=sys.stderr, flush=True)
 
 
