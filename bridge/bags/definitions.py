@@ -194,7 +194,7 @@ def _text_of_idl(type_name: str, text: str) -> str:
         return ""
     constants, fields = types.pop(type_name)
     rest = (f"{_LINE}\nMSG: {name.replace('/msg/', '/')}\n{''.join(_msg_lines(*types[name]))}" for name in types)
-    return "".join((*_msg_lines(constants, fields), *rest))
+    return "".join((*_msg_lines(constants, fields), *rest)) or "\n"  # of an empty message
 
 
 def _msg_lines(constants: Any, fields: Any) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""What a recorder hears is in its files as it came, latched state first in each; what cannot be written is counted."""
+"""Recorders write messages as received, latched ones at the start of each file, and count what they cannot write."""
 
 from __future__ import annotations
 
@@ -23,6 +23,12 @@ from bridge.record.ring import Ring
 from tests.record.robot import Robot, await_topics, await_written, read, recording
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
+
+PARTS = {
+    "/go/_action/feedback": "nav2_msgs/action/NavigateToPose_FeedbackMessage",
+    "/go/_action/send_goal/_service_event": "nav2_msgs/action/NavigateToPose_SendGoal_Event",
+    "/lamp/_service_event": "std_srvs/srv/SetBool_Event",
+}
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +103,21 @@ def test_each_file_of_a_split_begins_with_what_is_latched(hubs: QuickHub, robot:
     with AnyReader([tmp_path / "run"]) as any_bag:
         words = [any_bag.deserialize(raw, c.msgtype) for c, _, raw in any_bag.messages() if c.topic == "/said"]
     assert [word.data for word in words] == ["first", "second"]  # type: ignore[attr-defined]
+
+
+def test_rosbags_opens_a_folder_with_the_parts_of_actions_and_services(
+    hubs: QuickHub, robot: Robot, tmp_path: Path
+) -> None:
+    """The reader computes the hash of each definition, and refuses the folder if one differs from the metadata's."""
+    ends = {type_name: robot.publisher(topic, LATCHED, type_name) for topic, type_name in PARTS.items()}
+    for type_name, end in ends.items():
+        end.put(robot.message(type_name, {}))
+    with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as made:
+        made.recorder.begin()
+        await_written(made, len(PARTS))
+    with AnyReader([tmp_path / "run"]) as bag:
+        found = {c.topic: type(bag.deserialize(raw, c.msgtype)).__name__ for c, _, raw in bag.messages()}
+    assert found == {topic: type_name.replace("/", "__") for topic, type_name in PARTS.items()}
 
 
 def test_the_metadata_of_a_folder_have_the_qos_of_all_publishers(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
