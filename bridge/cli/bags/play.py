@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from bridge.cli.arguments import add_exclude, add_hub_arguments, number_in, span
 from bridge.cli.client import CliClient, open_client
+from bridge.cli.inspection.refusals import warn_of_refusals
 from bridge.cli.output import CliError, clean, plural, print_json
 
 if TYPE_CHECKING:
@@ -144,7 +145,10 @@ def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: t
     client.settle()
     output = HubOutput(client.hub, registry, topics, clock=bool(args.clock))
     timeline = Timeline(args.rate, paused=args.paused, clock_hz=args.clock)
-    moves = any(topic.command for topic in topics)
+    moving = [(topic.name, topic.type_name, topic.type_hash) for topic in topics if topic.command]
+    moves = bool(moving)
+    if moves:
+        warn_of_refusals(client, moving)
     services = PlayServices(client.hub, registry, timeline, commands=moves)
     player = Player(source, output, timeline, loop=args.loop, tell=_say)
     if services.taken:

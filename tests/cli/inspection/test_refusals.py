@@ -12,6 +12,7 @@ import pytest
 from bridge.config.rules import ALWAYS
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
+from tests.bags.playing import Said, write_bag
 from tests.cli.conftest import Midspan, Outcome
 from tests.cli.workers import FakeWorker, config_file, route, status
 from tests.hub.machines import Machines, make_keys
@@ -167,6 +168,21 @@ def test_halt_reports_a_machine_that_refuses_its_zeros(
         subscription.close()
     assert done.code == 1
     assert "test refuses the commands of guest on /cmd_vel (this command)" in done.err
+
+
+def test_play_reports_a_machine_that_refuses_its_commands(
+    door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    moves = [Said(0.1, topic, "geometry_msgs/Twist", {}) for topic in ("/cmd_vel", "/base/drive")]
+    bag = write_bag(tmp_path / "run.bag", [Said(0.0, "/said", "std_msgs/String", {"data": "hi"}), *moves])
+    play = ("play", str(bag), "--settle", "0s", "--commands")
+    done = commander(door, "guest", tmp_path, capsys)(*play)
+    refused = [line for line in done.err.splitlines() if "refuses" in line]
+    assert sorted(line.partition(" (")[0] for line in refused) == [
+        f"midspan: warning: test refuses the commands of guest on {topic}" for topic in ("/base/drive", "/cmd_vel")
+    ]
+    for name, words in (("friend", play), ("guest", play[:-1])):
+        assert "refuses" not in commander(door, name, tmp_path, capsys)(*words).err
 
 
 def test_commands_through_the_router_of_a_machine_that_is_not_trusted(
