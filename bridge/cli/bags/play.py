@@ -1,4 +1,4 @@
-"""``midspan play``: bags onto the hub, so that each side hears them in its own wire."""
+"""``midspan play``: bags onto the hub, so that each side receives them in its own wire format."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ While it plays in a terminal: space pauses and goes on, '.' or 's' plays one mes
 Without one: the services /midspan/play/pause (std_srvs/SetBool) and /midspan/play/step (std_srvs/Trigger).
 
 examples:
-  midspan play run.bag                                   # a ROS 1 bag, heard by ROS 2, YARP and zenoh too
+  midspan play run.bag                                   # a ROS 1 bag, also for ROS 2, YARP and zenoh
   midspan play run.mcap --clock --rate 2 --loop
   midspan play run_0.mcap run_1.mcap --start 30 --duration 10
   midspan play ros2_folder --topics /scan '/tf*' --remap /scan:=/laser/scan
 """
 _LINGER_SECONDS = 0.3
-"""So long the publishers stay after the last message, so that it gets through before they are gone."""
+"""Seconds for which the publishers stay after the last message, so that it arrives."""
 
 _LOOK_SECONDS = 0.1
 _END_SECONDS = 0.5
@@ -46,8 +46,8 @@ _REMAP = re.compile(r"(?P<old>[^:=\s]+):=(?P<new>[^:=\s]+)")
 def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Plays bags onto the hub: MCAP, ROS 2's .db3 and folders, ROS 1's .bag. The rules say where each topic crosses."
-        " Velocities, goals and cancels are left out unless --commands."
+        "Plays bags onto the hub: MCAP, ROS 2's .db3 and folders, ROS 1's .bag. The rules decide to which sides"
+        " each topic crosses. Velocities, goals and cancels are left out unless --commands."
     )
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -66,12 +66,12 @@ def register(parser: argparse.ArgumentParser) -> None:
     when = parser.add_argument_group("when")
     when.add_argument("--rate", type=number_in(0.01, 100), default=1.0, metavar="R", help="times as fast (default 1)")
     when.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
-    when.add_argument("--start", type=span, default=0.0, metavar="TIME", help="begin so far into the bags")
-    when.add_argument("--duration", type=span, metavar="TIME", help="play so much of them")
+    when.add_argument("--start", type=span, default=0.0, metavar="TIME", help="begin at this time into the bags")
+    when.add_argument("--duration", type=span, metavar="TIME", help="play this much of them")
     when.add_argument("--paused", action="store_true", help="begin paused")
     when.add_argument(
         "--clock", type=number_in(1, 1000), nargs="?", const=CLOCK_HZ, default=0.0, metavar="HZ",
-        help=f"say the bags' time on /clock so often a second (default {CLOCK_HZ:g}); it stands still while paused",
+        help=f"publish the bags' time on /clock at this rate (default {CLOCK_HZ:g}); it stands still while paused",
     )  # fmt: skip
     when.add_argument("--settle", type=span, default=1.0, metavar="TIME", help="for listeners to connect (default 1s)")
     parser.add_argument("--json", action="store_true", help="print what was played as JSON, at the end")
@@ -80,13 +80,13 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def remapping(text: str) -> tuple[str, str]:
-    """``/scan:=/laser/scan``."""
+    """Parse a remapping such as ``/scan:=/laser/scan``."""
     from bridge.cli.graph.view import absolute
 
-    found = _REMAP.fullmatch(text)
-    if found is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no remapping: write it as /scan:=/laser/scan")
-    return absolute(found["old"]), absolute(found["new"])
+    match = _REMAP.fullmatch(text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a remapping: write it as /scan:=/laser/scan")
+    return absolute(match["old"]), absolute(match["new"])
 
 
 def run(args: argparse.Namespace) -> int:
@@ -116,7 +116,7 @@ def _opened(files: list[Path], stack: ExitStack) -> list[Bag]:
 
 @contextmanager
 def _signals() -> Iterator[threading.Event]:
-    """Set by Ctrl-C and SIGTERM."""
+    """Yield an event that Ctrl-C and SIGTERM set."""
     ended = threading.Event()
     before = {number: signal.signal(number, lambda *_: ended.set()) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -139,7 +139,7 @@ def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: t
     names = NameFilter(args.topics or ["/**"], args.exclude)
     wanted = PlayChoice(names.wants, dict(args.remap), args.commands, bool(args.clock))
     chosen, left = choose(bags, registry, client.config, wanted)
-    topics = [topic for found in chosen.values() for topic in found]
+    topics = [topic for of_bag in chosen.values() for topic in of_bag]
     _tell_choice(topics, left, args.rate)
     source = PlaySource(chosen, PlayPart(args.start, args.duration))
     client.settle()
@@ -181,17 +181,21 @@ def _tell_choice(topics: list[PlayTopic], left: list[LeftOut], rate: float) -> N
     if not topics:
         raise CliError("there is nothing to play: no topic is left" + ("" if left else " by --topics and --exclude"))
     for name in sorted(twice(topics)):
-        _say(f"{name} has several types in the bags: who subscribes hears one of them")
+        _say(f"{name} has several types in the bags: a subscriber receives one of them")
     if moving := sorted({topic.name for topic in topics if topic.command}):
         _say(f"commands are played, the robot may move: {', '.join(moving)}")
         if rate != 1.0:
-            _say(f"at a rate of {rate:g} each velocity lasts {1 / rate:.2g} times as long: another way is driven")
+            _say(
+                f"at a rate of {rate:g} each velocity lasts {1 / rate:.2g} times as long: the robot drives another path"
+            )
 
 
 def _begin(args: argparse.Namespace, output: Any, ended: threading.Event) -> None:
     """Warn of a live robot, and let listeners connect."""
     for name, nodes in output.others().items():
-        _say(f"{name} has a publisher already, {', '.join(sorted(set(nodes)))}: listeners hear both (a live robot?)")
+        _say(
+            f"{name} has a publisher already, {', '.join(sorted(set(nodes)))}: subscribers receive both (a live robot?)"
+        )
     if output.await_listeners(MATCH_SECONDS, ended):
         # the workers listen; those on their sides are still connecting to the publishers that the workers made
         ended.wait(args.settle)
@@ -200,7 +204,7 @@ def _begin(args: argparse.Namespace, output: Any, ended: threading.Event) -> Non
 def _follow(
     args: argparse.Namespace, player: Player, source: PlaySource, ended: threading.Event
 ) -> BaseException | None:
-    """Play on a thread of its own; keys, progress and signals are heard here. Returns what playing raised."""
+    """Play on another thread and handle keys, progress and signals here; return the exception that playing raised."""
     from bridge.cli.bags.play_screen import Screen
     from bridge.cli.keyboard import AVAILABLE
 
