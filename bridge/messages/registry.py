@@ -87,23 +87,25 @@ class Registry:
         with self._lock:
             return self._messages.find_ros1(name, md5)
 
-    def learn_ros1(self, name: str, definition: str, md5: str = "") -> None:
-        """Take up the full definition from a ROS 1 connection header."""
+    def learn_ros1(self, name: str, definition: str, md5: str = "") -> str:
+        """Add the full definition from a ROS 1 connection header or a bag, and return its md5."""
         with self._lock:
             if not is_ros1_name(name):
                 raise MessageTypeError(f"{name!r} is not a ROS 1 message type")
             if md5 not in ANY_MD5 and md5 in self._ros1.fingerprints(name):
-                return
-            self._ros1.learn(name, definition, "" if md5 in ANY_MD5 else md5)
+                return md5
+            known = self._ros1.learn(name, definition, "" if md5 in ANY_MD5 else md5)
             self._forget()
+            return known
 
-    def learn_ros2(self, name: str, definition: str) -> None:
-        """Take up the full definition of a ROS 2 type that the hub announced."""
+    def learn_ros2(self, name: str, definition: str) -> str:
+        """Add the full definition of a ROS 2 type from the hub or a bag, and return its hash."""
         with self._lock:
             if not is_ros2_name(name):
                 raise MessageTypeError(f"{name!r} is not a ROS 2 message type")
-            self._ros2.learn(name, definition)
+            known = self._ros2.learn(name, definition)
             self._forget()
+            return known
 
     def ros1_to_hub(self, name: str, md5: str = "", definition: str = "") -> Conversion:
         """How a ROS 1 publisher's bytes become the hub's; an md5 of "" or "*" means any.

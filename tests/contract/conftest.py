@@ -18,7 +18,7 @@ from tests.contract.ownside import OwnSide
 from tests.contract.rmwside import RmwSide
 from tests.contract.ros1side import Ros1Side
 from tests.contract.ros2side import Ros2Side
-from tests.contract.side import CUSTOM_FOLDER, Bridge, Side
+from tests.contract.side import CUSTOM_FOLDER, OWN_FOLDER, PEER_FOLDERS, Bridge, Side
 from tests.contract.yarpside import YarpSide
 from tests.contract.zenohside import Ros1KeysSide, Ros2ddsSide
 from tests.support.hub import HubNetwork
@@ -93,7 +93,7 @@ def far(request: pytest.FixtureRequest, hubs: HubNetwork, tmp_path: Path, *, lan
     """The far end of every route: a node of rmw_zenoh, or, in tests of the lane, a session on the daemon's lanes."""
     folder = tmp_path / "state" / "contract" / "lane"
     hub = Hub.open(hubs.settings("far", lane=folder if lane else None))
-    registry = Registry(folders=[CUSTOM_FOLDER])
+    registry = Registry(folders=PEER_FOLDERS)
     on_lane = hasattr(request.node, "callspec") and request.node.callspec.params.get("lane", False)
     end = HubSide(hub, registry) if on_lane else RmwSide(hub, registry, hubs.endpoint)
     try:
@@ -105,6 +105,7 @@ def far(request: pytest.FixtureRequest, hubs: HubNetwork, tmp_path: Path, *, lan
 @pytest.fixture
 def config(side: Side, hubs: HubNetwork, tmp_path: Path, *, lane: bool) -> Callable[..., Config]:
     """Makes configurations for the side under test: ``config(rules=[...], default="allow")``."""
+    folders = [CUSTOM_FOLDER] if side.tells_empty_types else [CUSTOM_FOLDER, OWN_FOLDER]
 
     def make(**routing: Any) -> Config:
         return Config.model_validate(
@@ -112,7 +113,7 @@ def config(side: Side, hubs: HubNetwork, tmp_path: Path, *, lane: bool) -> Calla
                 "name": "contract",
                 "state": str(tmp_path / "state"),
                 "hub": {"listen": hubs.endpoint, "domain": hubs.domain, "lane": lane},
-                "types": {"folders": [str(CUSTOM_FOLDER)]},
+                "types": {"folders": [str(folder) for folder in folders]},
                 "routing": routing,
                 **side.config(),
             }

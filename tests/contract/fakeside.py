@@ -16,7 +16,7 @@ from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
 from bridge.state_file import lane_folder
 from tests.contract.hubside import ros2_name, service_name
-from tests.contract.side import CUSTOM_FOLDER, Side
+from tests.contract.side import PEER_FOLDERS, Side
 from tests.support.calls import Calling, Serving
 from tests.support.fake import FakeEdge, FakeNetwork, Reader, Server, Writer
 from tests.support.hub import HubNetwork
@@ -145,7 +145,7 @@ class FakeSide(Side):
         super().__init__()
         self._hubs = hubs
         self._network = FakeNetwork()
-        self._registry = Registry(folders=[CUSTOM_FOLDER])
+        self._registry = Registry(folders=PEER_FOLDERS)
         self._restarts = itertools.count(2)
 
     def peer(self) -> FakePeer:

@@ -15,7 +15,7 @@ from bridge.config.model import Config
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from tests.contract.hubside import ros2_name
-from tests.contract.side import CUSTOM_FOLDER, Side, WorkerProcess
+from tests.contract.side import PEER_FOLDERS, Side, WorkerProcess
 from tests.support.hub import HubNetwork
 
 PACKAGE = Path(__file__).parents[2] / "examples" / "own_side"
@@ -110,7 +110,7 @@ class OwnSide(Side):
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()
         self._group = free_group()
-        self._registry = Registry(folders=[CUSTOM_FOLDER])
+        self._registry = Registry(folders=PEER_FOLDERS)
 
     def peer(self) -> OwnPeer:
         peer = OwnPeer(self._group, self._registry, f"/peer{next(self._names)}")

@@ -8,7 +8,7 @@ from typing import Any
 from bridge.adapters.ros1.environment import worker_environment
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
-from tests.contract.side import CUSTOM_FOLDER, CUSTOM_TYPES, Side, WorkerProcess
+from tests.contract.side import CUSTOM_TYPES, PEER_FOLDERS, Side, WorkerProcess
 from tests.support.hub import HubNetwork
 from tests.support.peer import Peer
 from tests.support.ros1 import RosMaster
@@ -19,10 +19,11 @@ class Ros1Side(Side):
 
     name = "ros1"
     has_services = True
+    tells_empty_types = True
 
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()
-        self._registry = Registry(folders=[CUSTOM_FOLDER])
+        self._registry = Registry(folders=PEER_FOLDERS)
         self._master = RosMaster()
         self._master.start()
 
@@ -30,7 +31,8 @@ class Ros1Side(Side):
         peer = self._master.peer(f"peer{next(self._names)}")
         self._open.append(peer)
         for name in CUSTOM_TYPES:
-            peer.ask("define", type=name, definition=self._registry.ros1(name).definition)
+            # genpy's text of an empty message has no character
+            peer.ask("define", type=name, definition=self._registry.ros1(name).definition.rstrip("\n"))
         return peer
 
     def bridge(self, config: Config) -> WorkerProcess:

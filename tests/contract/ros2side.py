@@ -12,7 +12,7 @@ from bridge.config.model import Config
 from bridge.interfaces.builder import build
 from bridge.interfaces.cache import environment
 from bridge.interfaces.folders import read_folders
-from tests.contract.side import CUSTOM_FOLDER, Side, WorkerProcess
+from tests.contract.side import PEER_FOLDERS, Side, WorkerProcess
 from tests.support.hub import HubNetwork
 from tests.support.missing import ROS2, need
 from tests.support.peer import Peer
@@ -54,7 +54,7 @@ class Ros2Side(Side):
 @functools.cache
 def _custom_prefix() -> Path:
     """The suite's own message packages, built as a user of them would have them."""
-    return build(read_folders([CUSTOM_FOLDER]))
+    return build(read_folders(PEER_FOLDERS))
 
 
 def _custom_environment() -> dict[str, str]:

@@ -20,10 +20,14 @@ from tests.support.process import Process
 from tests.support.wait import until
 
 CUSTOM_FOLDER = Path(__file__).parent / "msgs"
+OWN_FOLDER = Path(__file__).parent / "own"
+"""Types that the bridge gets no folder for, if the side's wire tells enough of them: an empty message."""
+
+PEER_FOLDERS = (CUSTOM_FOLDER, OWN_FOLDER)
 IMPORTS = ("bridge.cli.daemon.run", "bridge.daemon.process", "bridge.adapters.worker")
 """What a worker of each side imports."""
 
-CUSTOM_TYPES = ("contract_msgs/Thing", "octomap_msgs/Octomap")
+CUSTOM_TYPES = ("contract_msgs/Thing", "octomap_msgs/Octomap", "own_msgs/Ping")
 
 
 class PeerLike(Protocol):
@@ -58,6 +62,7 @@ class Side(ABC):
     tells_errors: ClassVar[bool] = True
     tells_death: ClassVar[bool] = True
     tells_listeners: ClassVar[bool] = True
+    tells_empty_types: ClassVar[bool] = False
 
     def __init__(self) -> None:
         self._names = itertools.count(1)

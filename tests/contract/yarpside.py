@@ -9,7 +9,7 @@ from typing import Any
 from bridge.adapters.worker import Crossing, make_edges
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
-from tests.contract.side import CUSTOM_FOLDER, Side
+from tests.contract.side import PEER_FOLDERS, Side
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 from tests.support.yarp_programs import Definitions, Names, YarpProgram
@@ -47,7 +47,7 @@ class YarpSide(Side):
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()
         self._names_server = Names()
-        self._definitions = Definitions((CUSTOM_FOLDER,))
+        self._definitions = Definitions(PEER_FOLDERS)
 
     def peer(self) -> YarpProgram:
         peer = YarpProgram(self._names_server, f"/peer{next(self._names)}", self._definitions)

@@ -15,7 +15,7 @@ from bridge.adapters.worker import Crossing, make_edges
 from bridge.adapters.zenoh import edge, ros1_discovery
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
-from tests.contract.side import CUSTOM_FOLDER, Side
+from tests.contract.side import PEER_FOLDERS, Side
 from tests.support.hub import HubNetwork
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
@@ -95,7 +95,7 @@ class Ros2ddsSide(ZenohSide):
     tells_errors = False
 
     def peer(self) -> Ros2ddsBridge:
-        messages = Messages(ros1=False, folders=(CUSTOM_FOLDER,), texts=service_texts())
+        messages = Messages(ros1=False, folders=PEER_FOLDERS, texts=service_texts())
         peer = Ros2ddsBridge(self._router.endpoint, messages)
         self._open.append(peer)
         return peer
@@ -110,13 +110,14 @@ class Ros1KeysSide(ZenohSide):
     name = "zenoh_ros1"
     tells_latching = False
     has_services = True
+    tells_empty_types = True
 
     def __init__(self, hubs: HubNetwork) -> None:
         super().__init__(hubs)
         self._patch.setattr(ros1_discovery, "PERIOD", PERIOD)
 
     def peer(self) -> Ros1Bridge:
-        messages = Messages(ros1=True, folders=(CUSTOM_FOLDER,), texts=service_texts())
+        messages = Messages(ros1=True, folders=PEER_FOLDERS, texts=service_texts())
         peer = Ros1Bridge(self._router.endpoint, messages, period=PERIOD)
         self._open.append(peer)
         return peer

@@ -18,7 +18,7 @@ from bridge.interfaces.cache import environment
 from bridge.interfaces.folders import read_folders
 from bridge.messages.registry import Registry
 from tests.contract.rmwside import RmwSide
-from tests.contract.side import CUSTOM_FOLDER, CUSTOM_TYPES
+from tests.contract.side import CUSTOM_FOLDER, CUSTOM_TYPES, PEER_FOLDERS
 from tests.support.forks import DAEMON
 from tests.support.hub import SDK_PROGRAM
 from tests.support.lane import LANE
@@ -53,7 +53,7 @@ class Deployment:
         """So many of these are the deployment's own."""
         self._names = 0
         self._watch: Hub | None = None
-        self._registry = Registry(folders=[CUSTOM_FOLDER])
+        self._registry = Registry(folders=PEER_FOLDERS)
 
     def configure(self, **sections: Any) -> None:
         """Write the configuration file."""

@@ -381,3 +381,57 @@ def header_section(*, seq: bool = False) -> str:
     if not seq:
         text += f"{SEPARATOR}MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
     return text
+
+
+EMPTY_MD5 = "d41d8cd98f00b204e9800998ecf8427e"
+
+
+def test_the_md5_of_an_empty_type_is_its_definition():
+    there = Registry().ros1_to_hub("my_robot/ping_me", EMPTY_MD5)
+    assert there.convert is not None
+    assert (there.target.name, there.convert(b"")) == ("my_robot/msg/PingMe", b"\0\1\0\0\0")
+    with pytest.raises(MessageTypeError, match="no definition of the ROS 1 type my_robot/ping_me"):
+        Registry().ros1_to_hub("my_robot/ping_me", "*")
+
+
+def test_the_hash_of_an_empty_type_is_its_definition():
+    known = Registry().ros1_to_hub("my_robot/Ping", EMPTY_MD5).target
+    assert known.type_id == "RIHS01_eef277e8c43c810b6f9f3378ae352539907bf99f1913b118990412f01114ed5a"  # by rosbags
+    back = Registry().hub_to_ros1("my_robot/msg/Ping", known.type_id)
+    assert back.convert is not None
+    assert (back.target.name, back.target.type_id) == ("my_robot/Ping", EMPTY_MD5)
+    assert back.convert(b"\0\1\0\0\0") == b""
+    with pytest.raises(MessageTypeError, match="my_robot/msg/Pong"):  # the hash covers the name
+        Registry().hub_to_ros1("my_robot/msg/Pong", known.type_id)
+
+
+def test_an_empty_version_stands_beside_the_installed_one(tmp_path: Path):
+    folder = tmp_path / "my_robot" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Ping.msg").write_text("int32 number\n")
+    registry = Registry(folders=[tmp_path])
+    empty = registry.ros1_schema("my_robot/Ping", EMPTY_MD5)
+    assert not empty.root.fields
+    assert [field.name for field in registry.schema("my_robot/msg/Ping").root.fields] == ["number"]
+
+
+def test_fingerprints_of_empty_services_are_their_definitions():
+    service = Registry().service_ros1_to_hub("my_robot/Reset", EMPTY_MD5)
+    assert service.hub.name == "my_robot/srv/Reset"
+    assert service.request_to_hub is not None
+    assert service.request_to_hub(b"") == b"\0\1\0\0\0"
+    back = Registry().service_hub_to_ros1("my_robot/srv/Reset", service.hub.type_id)
+    assert (back.side.name, back.side.type_id) == ("my_robot/Reset", EMPTY_MD5)
+    with pytest.raises(MessageTypeError, match="my_robot/Reset"):
+        Registry().service_ros1_to_hub("my_robot/Reset", "0" * 32)
+
+
+def test_a_nested_empty_type_has_a_line_of_text():
+    """Genpy takes the name of a nested type up to the end of its line (genpy/dynamic.py)."""
+    registry = Registry()
+    text = f"Ping ping\nFlag flag\n{SEPARATOR}MSG: my_robot/Ping\n{SEPARATOR}MSG: my_robot/Flag\nbool on\n"
+    registry.learn_ros1("my_robot/Both", text)
+    written = registry.ros1("my_robot/Both").definition
+    assert f"MSG: my_robot/Ping\n\n{SEPARATOR}MSG: my_robot/Flag\n" in written
+    again = Registry()
+    assert again.learn_ros1("my_robot/Both", written) == registry.ros1("my_robot/Both").type_id

@@ -15,6 +15,9 @@ from bridge.messages.definitions.schema import Field, Schema, Shape
 EMPTY_MEMBER = "structure_needs_at_least_one_member"
 """Name of the one-byte field that ROS 2 gives to a message without fields."""
 
+EMPTY_MD5 = hashlib.md5(b"", usedforsecurity=False).hexdigest()
+"""The md5 of every ROS 1 message without fields and constants, and of every service of two such messages."""
+
 _TYPE_IDS = {
     "int8": 2, "uint8": 3, "int16": 4, "uint16": 5, "int32": 6, "uint32": 7, "int64": 8, "uint64": 9, "float32": 10,
     "float64": 11, "char": 3, "bool": 15, "byte": 16, "string": 17, "wstring": 18,

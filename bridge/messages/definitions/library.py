@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from bridge.messages.definitions.hashes import md5_sum, rihs01
-from bridge.messages.definitions.parts import parse_announced
+from bridge.messages.definitions.names import is_ros1_name, is_ros2_name
+from bridge.messages.definitions.parts import is_service, parse_announced
 from bridge.messages.definitions.schema import Definition, Schema, World
 from bridge.messages.definitions.sources import DefinitionSource, find_first
 from bridge.messages.definitions.text import MAX_DEPTH, closure
@@ -35,8 +36,8 @@ class DefinitionLibrary:
         """Return the schema's md5 or RIHS01 hash."""
         return md5_sum(schema) if self.world is World.ROS1 else rihs01(schema)
 
-    def learn(self, name: str, text: str, announced: str = "") -> None:
-        """Keep a full definition that the network announced; raises `MessageTypeError`."""
+    def learn(self, name: str, text: str, announced: str = "") -> str:
+        """Keep a full definition from the network or a bag, and return its fingerprint; raises `MessageTypeError`."""
         found = parse_announced(text, name, self.world)
         if len(found) > MAX_NESTED:
             raise MessageTypeError(f"the definition of {name} nests more than {MAX_NESTED} types")
@@ -47,7 +48,7 @@ class DefinitionLibrary:
             raise MessageTypeError(msg, f"build the publisher again with the right version of {name.split('/')[0]}")
         if fingerprint in self._learned.get(name, {}):
             self._learned[name][fingerprint] = self._learned[name].pop(fingerprint)
-            return
+            return fingerprint
         if len(self._learned) >= MAX_NAMES or len(text) > self._room:
             msg = f"the definition of {name} is not stored: too many definitions were learned already"
             raise MessageTypeError(msg, "restart the worker if the network's types are meant to change so often")
@@ -58,6 +59,7 @@ class DefinitionLibrary:
             del variants[next(iter(variants))]
         if len(self._nested) < MAX_NAMES:
             self._nested.update(found)
+        return fingerprint
 
     def find(self, name: str, fingerprint: str = "", *, newest: bool = False) -> Schema | None:
         """Return the schema of ``name`` with a fingerprint ("" for any); None if no such definition is known.
@@ -69,7 +71,9 @@ class DefinitionLibrary:
             if fingerprint in variants:
                 return variants[fingerprint]
             schema = self.installed(name)
-            return schema if schema is not None and self.fingerprint(schema) == fingerprint else None
+            if schema is not None and self.fingerprint(schema) == fingerprint:
+                return schema
+            return self._empty(name, fingerprint)
         last = next(reversed(variants.values()), None)
         if newest and last is not None:
             return last
@@ -104,6 +108,21 @@ class DefinitionLibrary:
                 return None
             self._found[name] = self._close(name, found)
         return self._found[name]
+
+    def _empty(self, name: str, fingerprint: str) -> Schema | None:
+        """The schema of a type without fields and constants, if ``fingerprint`` is that of such a type.
+
+        ROS 1's connection headers and ROS 2's tokens carry no text for it: the fingerprint is its whole definition.
+        """
+        if self.world is World.ROS1:
+            legal, text = is_ros1_name(name), ""
+        else:
+            legal = is_ros2_name(name)
+            text = "---\n" if legal and is_service(name) else ""
+        if not legal or fingerprint != self.fingerprint(self._close(name, parse_announced(text, name, self.world))):
+            return None
+        self.learn(name, text)
+        return self._learned[name][fingerprint]
 
     def _from_nested(self, name: str) -> Schema | None:
         definition = self._nested.get(name)

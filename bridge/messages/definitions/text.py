@@ -13,6 +13,7 @@ import re
 from collections.abc import Iterator
 
 from bridge.messages.definitions.constants import constant_value, is_readable
+from bridge.messages.definitions.hashes import EMPTY_MEMBER
 from bridge.messages.definitions.names import is_legal_constant, is_legal_field, is_legal_type
 from bridge.messages.definitions.schema import (
     PRIMITIVE_SIZES,
@@ -66,6 +67,8 @@ def parse_definition(text: str, name: str, world: World) -> Definition:
         if field.name in seen:
             raise MessageTypeError(f"the definition of {name} has two fields named {field.name!r}")
         seen.add(field.name)
+    if world is World.ROS2 and seen == {EMPTY_MEMBER}:
+        fields = []  # an empty message as IDL has it
     return Definition(name, world, tuple(fields), tuple(constants), text if native else "")
 
 
@@ -256,9 +259,12 @@ def own_text(definition: Definition) -> str:
 
 def full_text(schema: Schema) -> str:
     """The type's own definition, then each nested type's after a line of ``=`` and ``MSG: package/Name``."""
-    parts = [own_text(schema.root)]
-    parts += [f"{_NESTED_LINE}\nMSG: {_short(n)}\n{own_text(schema.types[n])}" for n in schema.nested_order()]
-    return "\n".join(part.rstrip("\n") for part in parts) + "\n"
+    parts = [own_text(schema.root).rstrip("\n")]
+    for name in schema.nested_order():
+        own = own_text(schema.types[name]).rstrip("\n")
+        # of an empty type, genpy wants the line of its text, too (genpy/dynamic.py)
+        parts.append(f"{_NESTED_LINE}\nMSG: {_short(name)}\n{own}")
+    return "\n".join(parts) + "\n"
 
 
 def _constant(constant: Constant, world: World) -> str:

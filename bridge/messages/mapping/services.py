@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from bridge.messages.definitions.hashes import md5_sum, rihs01
+from bridge.messages.definitions.hashes import EMPTY_MD5, md5_sum, rihs01
 from bridge.messages.definitions.names import is_ros1_name, is_ros2_name, legal_type, split_part
 from bridge.messages.definitions.parts import CANCEL_GOAL, CONTENTS, is_service, made_parts
-from bridge.messages.definitions.schema import Schema, World
+from bridge.messages.definitions.schema import Definition, Schema, World
 from bridge.messages.definitions.text import closure, full_text
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.mapping.fields import says_the_same
@@ -65,6 +65,8 @@ class ServiceMapping:
                 if derived is not None and derived.name == name:
                     found = derived
                     break
+        if md5 == EMPTY_MD5 and (found is None or found.type_id != md5):
+            found = self._empty_ros1(name)
         if found is None or md5 not in ("", found.type_id):
             raise unknown_type(name, World.ROS1, md5, "" if found is None else found.type_id)
         return found
@@ -147,6 +149,12 @@ class ServiceMapping:
         base = name.replace("/", "/srv/", 1)
         request, response = (self._messages.ros1.installed(f"{base}_{part}") for part in CONTENTS["srv"])
         return ros1_service(name, request, response) if request is not None and response is not None else None
+
+    def _empty_ros1(self, name: str) -> ServiceSchema:
+        """A service whose md5 shows that neither its request nor its response has a field."""
+        base = name.replace("/", "/srv/", 1)
+        request, response = (Definition(f"{base}_{part}", World.ROS1, ()) for part in CONTENTS["srv"])
+        return ros1_service(name, closure(request, {}), closure(response, {}))
 
     def _find_ros2(self, name: str, type_hash: str = "") -> ServiceSchema | None:
         root = self._messages.ros2.find(name, type_hash)
