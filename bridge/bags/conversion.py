@@ -23,14 +23,14 @@ from bridge.adapters.ros1.actions.wire import (
 from bridge.adapters.ros1.names import hub_name
 from bridge.bags.bag import BagError, BagTopic
 from bridge.bags.definitions import full_schema, without_char
+from bridge.bags.known_types import FOLDERS, ros1_md5, ros2_type, typed
 from bridge.messages import actions
 from bridge.messages.actions import GoalState
-from bridge.messages.definitions.names import is_ros1_name, is_ros2_name
 from bridge.messages.definitions.schema import World
-from bridge.messages.definitions.text import full_text
 from bridge.messages.errors import MessageTypeError
+from bridge.messages.mapping.messages import ANY_MD5
 from bridge.messages.registry import Registry
-from bridge.messages.transcode.conversion import Conversion, SideType
+from bridge.messages.transcode.conversion import Conversion
 
 _STATUSES = "actionlib_msgs/GoalStatusArray"
 _FEEDBACK = actions.ENDINGS[actions.FEEDBACK]
@@ -62,21 +62,19 @@ def to_hub(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> Top
 
     A name that ROS 2 forbids becomes the name that the ROS 1 side uses on the hub (`bridge.adapters.ros1.names`).
     """
-    topic = _typed(topic, path)
+    topic = typed(topic, path)
     name = hub_name(topic.name)
     if topic.world is World.ROS1:
         try:
-            conversion = registry.ros1_to_hub(topic.type_name, topic.type_hash, topic.definition)
+            conversion = registry.ros1_to_hub(topic.type_name, ros1_md5(registry, topic))
         except MessageTypeError as err:
             raise _refusal(path, topic, err) from None
         return replace(_form(conversion), name=name)
-    known = _learn(registry, topic)
-    if known is None:  # CDR is copied without knowing its type
+    try:
+        known = ros2_type(registry, topic)
+    except MessageTypeError:  # CDR is copied without knowing its type
         return TopicForm(topic.type_name, topic.type_hash, topic.definition, None, name=name)
-    return TopicForm(
-        topic.type_name, topic.type_hash or known.type_id, _full_text(registry, known) or topic.definition, None,
-        name=name,
-    )  # fmt: skip
+    return TopicForm(topic.type_name, known.type_id, known.definition, None, name=name)
 
 
 def to_ros1(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> TopicForm:
@@ -84,18 +82,16 @@ def to_ros1(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> To
 
     Feedback and status of a ROS 2 action become those of actionlib, as the ROS 1 side publishes them.
     """
-    topic = _typed(topic, path)
+    topic = typed(topic, path)
     if topic.world is World.ROS2 and "/msg/" not in topic.type_name and not topic.type_name.endswith(_FEEDBACK):
         err = MessageTypeError("it is part of a service, and ROS 1 has no messages for the calls of services")
         raise _refusal(path, topic, err)
     try:
         if topic.world is World.ROS1:
-            source = registry.ros1_to_hub(topic.type_name, topic.type_hash, topic.definition).source
-            return TopicForm(
-                topic.type_name, topic.type_hash or source.type_id, topic.definition or source.definition, None
-            )
-        known = _learn(registry, topic)
-        type_hash = "" if known is None else known.type_id
+            source = registry.ros1_to_hub(topic.type_name, ros1_md5(registry, topic)).source
+            md5 = source.type_id if topic.type_hash in ANY_MD5 else topic.type_hash
+            return TopicForm(topic.type_name, md5, topic.definition or source.definition, None)
+        type_hash = ros2_type(registry, topic).type_id
         if topic.type_name == actions.STATUSES:
             return _statuses(registry, topic.name, type_hash)
         if topic.type_name.endswith(_FEEDBACK):
@@ -143,29 +139,6 @@ def _members(form: TopicForm) -> dict[str, object]:
     return found
 
 
-def _learn(registry: Registry, topic: BagTopic) -> SideType | None:
-    """Return the ROS 2 type as the bag defines it, None if it is unknown."""
-    with suppress(MessageTypeError):
-        if topic.type_hash:
-            registry.schema(topic.type_name, topic.type_hash)
-            return SideType(topic.type_name, topic.type_hash, topic.definition)
-    if topic.definition:
-        with suppress(MessageTypeError):
-            registry.learn_ros2(topic.type_name, topic.definition)
-            if topic.type_hash:
-                registry.schema(topic.type_name, topic.type_hash)
-                return SideType(topic.type_name, topic.type_hash, topic.definition)
-    with suppress(MessageTypeError):
-        return registry.ros2(topic.type_name)
-    return None
-
-
-def _full_text(registry: Registry, known: SideType) -> str:
-    with suppress(MessageTypeError):
-        return full_text(registry.schema(known.name, known.type_id))
-    return ""
-
-
 def _form(conversion: Conversion) -> TopicForm:
     target = conversion.target
     return TopicForm(target.name, target.type_id, target.definition, conversion.convert, conversion.left_out)
@@ -204,17 +177,7 @@ def _actionlib_name(name: str) -> str:
     return f"{action}/{part}" if part else name
 
 
-def _typed(topic: BagTopic, path: Path) -> BagTopic:
-    """Return the topic with its type as its world spells it; some writers of MCAP leave ``/msg/`` out."""
-    if not topic.type_name:
-        raise BagError(path, f"{topic.name} has no type: its channel has no schema")
-    is_name = is_ros1_name if topic.world is World.ROS1 else is_ros2_name
-    if is_name(topic.type_name):
-        return topic
-    if topic.world is World.ROS2 and is_ros1_name(topic.type_name):
-        return replace(topic, type_name=topic.type_name.replace("/", "/msg/"))
-    raise BagError(path, f"{topic.name} has type {topic.type_name!r}, which is not a type of {topic.world.value}")
-
-
 def _refusal(path: Path, topic: BagTopic, err: MessageTypeError) -> BagError:
-    return BagError(path, f"{topic.name} has type {topic.type_name}, which cannot be converted: {err}", None, err.cure)
+    # without a definition, the version that was recorded is missing here, not on another machine
+    cure = err.cure if topic.definition or topic.type_hash in ANY_MD5 else FOLDERS
+    return BagError(path, f"{topic.name} has type {topic.type_name}, which cannot be converted: {err}", None, cure)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from bridge.bags.bag import Bag, BagError, BagMessage, BagTopic, Columns, Kind, in_columns
 from bridge.bags.conversion import FileTopics, TopicForm, to_hub, to_ros1
+from bridge.bags.known_types import misfits
 from bridge.bags.mcap_copy import McapCopy, Ros2Mcap
 from bridge.bags.mcap_reader import McapBag
 from bridge.bags.writers import COMPRESSIONS, BagWriter, check_compression, open_writer, written_whole
@@ -93,8 +94,12 @@ def convert(
     _check_sound(bag)
     forms: dict[BagTopic, TopicForm] = {}
     topics = FileTopics(bag.path)
-    for topic in choice.chosen(bag):
+    chosen = choice.chosen(bag)
+    unfit = misfits(bag, chosen, registry)
+    for topic in chosen:
         try:
+            if topic in unfit:
+                raise unfit[topic]
             form = (to_ros1 if kind == "bag" else to_hub)(registry, topic, bag.path)
             if kind != "bag":
                 topics.add(topic, form)

@@ -14,8 +14,9 @@ from typing import Any, Literal
 from urllib.parse import quote
 
 from bridge.bags.bag import MAX_CHUNK, MAX_TOPICS, Bag, BagError, BagMessage, BagTopic, Kind, reading
-from bridge.bags.definitions import full_definition
+from bridge.bags.packed import ZSTD, unpacked_message
 from bridge.bags.qos import merged_qos, parse_qos
+from bridge.bags.stored import ros2_definition, stored_hash
 from bridge.messages.definitions.schema import World
 
 MAGIC = b"SQLite format 3\0"
@@ -37,10 +38,16 @@ class Db3Bag(Bag):
         try:
             with reading(path), self._bounded():
                 self._topic_of = self._read_topics()
+                self.compression = "zstd" if self._first().startswith(ZSTD) else "none"
         except BaseException:
             self.close()
             raise
         self.topics = tuple(self._topic_of.values())
+
+    def _first(self) -> bytes:
+        """Return the data of a message, b"" if there is none."""
+        row = self._file.execute("SELECT data FROM messages LIMIT 1").fetchone()
+        return b"" if row is None else _blob(row[0])
 
     def _read_topics(self) -> dict[int, BagTopic]:
         tables = {name for (name,) in self._file.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
@@ -62,20 +69,22 @@ class Db3Bag(Bag):
             if encoding != "cdr":
                 left_out.append(f"{name} ({str(encoding)[:20]})")
                 continue
-            definition = definitions.get(type_name, "")
+            definition = ""
+            if type_name in definitions:
+                definition = ros2_definition(type_name, *definitions[type_name], _text(hashed))
             count = int(counts.get(number, 0))
             profiles = parse_qos(_text(offered))
             found[number] = BagTopic(
-                _text(name), _text(type_name), World.ROS2, definition, _text(hashed), merged_qos(profiles), count,
-                offered=profiles,
+                _text(name), _text(type_name), World.ROS2, definition, stored_hash(_text(hashed)), merged_qos(profiles),
+                count, offered=profiles,
             )  # fmt: skip
         self.left_out = tuple(left_out)
         return found
 
-    def _read_definitions(self) -> dict[str, str]:
+    def _read_definitions(self) -> dict[str, tuple[str, str]]:
         query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
         rows = [tuple(map(_text, row)) for row in self._file.execute(query)]
-        return {name: full_definition(name, encoding, text) for name, encoding, text in rows}
+        return {name: (encoding, text) for name, encoding, text in rows}
 
     def messages(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
@@ -103,7 +112,7 @@ class Db3Bag(Bag):
                 if row[0] not in chosen:
                     continue
                 time = int(row[1])
-                message = BagMessage(chosen[row[0]], time, time, _blob(row[2]))
+                message = BagMessage(chosen[row[0]], time, time, unpacked_message(_blob(row[2])))
             yield message
 
     @contextlib.contextmanager

@@ -3,60 +3,55 @@
 from __future__ import annotations
 
 import heapq
-import shutil
-import tempfile
 from collections import deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bridge.bags.bag import MAX_CHUNK, Bag, BagError, BagMessage, BagTopic, reading
+from bridge.bags.bag import Bag, BagError, BagMessage, BagTopic, reading
+from bridge.bags.packed import ENDINGS, unpacked_file
 from bridge.bags.qos import load_yaml
 
 METADATA = "metadata.yaml"
 _LARGEST_METADATA = 4 << 20
-_PACKED = (".zstd", ".zst")
-_ZSTD = b"\x28\xb5\x2f\xfd"
-"""So begins a message that is compressed by itself, which only the metadata tell; CDR begins with 0."""
-
-_MOST_PACKED = 200
-"""How many times larger than its compressed file a file of a folder may be."""
 
 
-class FolderBag(Bag):
-    """A folder of rosbag2; topics that several of its files have are one. What cannot be opened is its `trouble`.
+class FilesBag(Bag):
+    """Files that are one bag; topics that several of them have are one. What cannot be opened is its `trouble`.
 
     Args:
+        files: of any format, compressed or not.
         open_file: opens one file.
+        broken: what is known to be lost already.
     """
 
     _on_damage: Callable[[BagError], None] | None = None
 
-    def __init__(self, path: Path, open_file: Callable[[Path], Bag]) -> None:
+    def __init__(
+        self, path: Path, files: Sequence[Path], open_file: Callable[[Path], Bag], broken: Sequence[BagError] = ()
+    ) -> None:
         super().__init__(path)
-        self._broken: list[BagError] = []
-        try:
-            metadata = _metadata(path)
-        except BagError as err:
-            metadata = {}
-            self._broken.append(err)
-        with reading(path):
-            files = _files(path, metadata)
-        if not files:
-            raise next(iter(self._broken), BagError(path, f"is no bag: it has no {METADATA}, no .mcap and no .db3"))
-        self.unfinished = not metadata
-        self._packed = str(metadata.get("compression_mode", "")).lower() == "message"
+        self._broken = list(broken)
         self._parts: list[Bag] = []
+        packed = False
         with ExitStack() as stack:
             for file in files:
                 try:
-                    self._parts.append(stack.enter_context(open_file(_unpacked(file, stack))))
-                    self.size += file.stat().st_size
+                    with reading(file):
+                        plain = unpacked_file(file, stack)
+                    part = stack.enter_context(open_file(plain))
                 except BagError as err:
-                    cure = err.cure or "'midspan bag mend' saves the other files"
+                    cure = err.cure or ("'midspan bag mend' saves the other files" if len(files) > 1 else "")
                     self._broken.append(BagError(file, err.what, err.offset, cure))
+                    continue
+                part.path = file  # its errors name the file that the user has
+                if part.trouble is not None:
+                    part.trouble = BagError(file, part.trouble.what, part.trouble.offset, part.trouble.cure)
+                packed |= plain != file
+                self._parts.append(part)
+                self.size += file.stat().st_size
             if not self._parts:
                 raise self._broken[-1]
             self._stack = stack.pop_all()
@@ -67,10 +62,8 @@ class FolderBag(Bag):
         troubles = [part.trouble for part in self._parts if part.trouble is not None]
         damage = [*self._broken, *(part.trouble for part in self._parts if part.trouble and not part.unfinished)]
         self.trouble = next(iter([*damage, *troubles]), None)
-        self.unfinished = not damage and (self.unfinished or any(part.unfinished for part in self._parts))
-        told = {part.compression for part in self._parts}
-        packed = self._packed or any(file.name.endswith(_PACKED) for file in files)
-        self.compression = "zstd" if packed else ",".join(sorted(told))
+        self.unfinished = not damage and any(part.unfinished for part in self._parts)
+        self.compression = "zstd" if packed else ",".join(sorted({part.compression for part in self._parts}))
         more = (f"{err.path.name} ({err.what})" for err in self._broken[1:])
         self.left_out = (*dict.fromkeys(name for part in self._parts for name in part.left_out), *more)
 
@@ -125,11 +118,7 @@ class FolderBag(Bag):
     ) -> Iterator[BagMessage]:
         mine = None if wanted is None else [topic for topic in part.topics if self._topic_of[topic] in wanted]
         for message in part.messages(mine, start_ns, end_ns):
-            data = message.data
-            if self._packed or data.startswith(_ZSTD):
-                with reading(part.path):
-                    data = _unzstd(data)
-            yield message._replace(topic=self._topic_of[message.topic], data=data)
+            yield message._replace(topic=self._topic_of[message.topic])
 
     def skip_damage(self, told: Callable[[BagError], None]) -> None:
         """See `Bag.skip_damage`: of a file that cannot skip anything, the rest is left out."""
@@ -142,6 +131,32 @@ class FolderBag(Bag):
     def close(self) -> None:
         """See `Bag.close`."""
         self._stack.close()
+
+
+class FolderBag(FilesBag):
+    """A folder of rosbag2: its files are those in ``metadata.yaml``, else all that end as bags."""
+
+    def __init__(self, path: Path, open_file: Callable[[Path], Bag]) -> None:
+        broken: list[BagError] = []
+        metadata: dict[str, Any] = {}
+        try:
+            metadata = _metadata(path)
+        except BagError as err:
+            broken.append(err)
+        with reading(path):
+            files = _files(path, metadata)
+        if not files:
+            raise next(iter(broken), BagError(path, f"is no bag: it has no {METADATA}, no .mcap and no .db3"))
+        by_message = str(metadata.get("compression_mode", "")).lower() == "message"
+        packing = str(metadata.get("compression_format", "")) if by_message else ""
+        if packing not in ("", "zstd"):
+            what = f"its messages are compressed by {packing!r}; only zstd is read"
+            raise BagError(path, what, None, "convert it with 'ros2 bag convert' where that plugin is installed")
+        super().__init__(path, files, open_file, broken)
+        if not metadata and not self._broken:
+            self.unfinished = True
+        if packing:
+            self.compression = packing
 
 
 def _metadata(path: Path) -> dict[str, Any]:
@@ -164,37 +179,6 @@ def _files(path: Path, metadata: dict[str, Any]) -> list[Path]:
     if isinstance(listed, list) and listed:
         files = [path / Path(str(name)).name for name in listed]  # nothing outside of the folder
     else:
-        ends = (".mcap", ".db3", *(f"{kind}{end}" for kind in (".mcap", ".db3") for end in _PACKED))
+        ends = (".mcap", ".db3", *(f"{kind}{end}" for kind in (".mcap", ".db3") for end in ENDINGS))
         files = sorted(file for file in path.iterdir() if file.name.endswith(ends))
     return files
-
-
-def _unpacked(file: Path, stack: ExitStack) -> Path:
-    """The file itself, or for a compressed one what it holds, in a temporary folder that goes with the bag."""
-    if not file.name.endswith(_PACKED):
-        return file
-    import zstandard
-
-    folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="midspan-bag-")))
-    target = folder / file.name.rpartition(".")[0]
-    room = min(file.stat().st_size * _MOST_PACKED + (1 << 20), shutil.disk_usage(folder).free * 9 // 10)
-    with reading(file), file.open("rb") as packed, target.open("wb") as plain:
-        source = zstandard.ZstdDecompressor().stream_reader(packed)
-        while piece := source.read(1 << 20):
-            room -= len(piece)
-            if room < 0:
-                cure = f"unpack it by hand with 'zstd -d', or give TMPDIR a larger disk than that of {folder.parent}"
-                what = f"unpacks to more than {_MOST_PACKED} times its size, or than the disk"
-                raise BagError(file, what, None, cure)
-            plain.write(piece)
-    return target
-
-
-def _unzstd(data: bytes) -> bytes:
-    import zstandard
-
-    told = zstandard.frame_content_size(data)
-    if told > MAX_CHUNK:
-        msg = f"a message declares {told} bytes, which is more than the {MAX_CHUNK} that are read"
-        raise ValueError(msg)
-    return zstandard.ZstdDecompressor().decompress(data, max_output_size=MAX_CHUNK if told < 0 else told)

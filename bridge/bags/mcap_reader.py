@@ -21,11 +21,11 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
 from bridge.bags.bag import MAX_TOPICS, BagError, BagTopic, Kind, reading
-from bridge.bags.definitions import full_definition
 from bridge.bags.qos import merged_qos, parse_qos
 from bridge.bags.rows import Rows
 from bridge.bags.spans import FileSpan, SpanBag, count_rows, unpack
 from bridge.bags.split import new_table, split_mcap
+from bridge.bags.stored import ros1_definition, ros2_definition, stored_hash
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.definitions.schema import World
 
@@ -38,6 +38,7 @@ _LARGEST_TABLE = 16 << 20
 _RUN = 1 << 20
 """Bytes of messages outside of chunks that are read at once."""
 
+_TEXTS = {"ros1msg", "ros2msg"}
 _WORLDS = {"cdr": World.ROS2, "ros1": World.ROS1}
 _TABLES = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS}
 _MOST_METADATA, _LARGEST_METADATA = 1000, 1 << 16
@@ -236,22 +237,27 @@ class McapBag(SpanBag):
             self._left_out[number] = f"{channel.topic} ({channel.message_encoding or 'no encoding'})"
             return
         more = dict(channel.metadata)
-        offered, md5 = parse_qos(more.pop("offered_qos_profiles", "")), more.pop("md5sum", "")
+        offered = parse_qos(more.pop("offered_qos_profiles", ""))
+        fingerprint = more.pop("md5sum", "") if world is World.ROS1 else more.pop("topic_type_hash", "")
         if world is World.ROS1:
             qos = LATCHED if more.pop("latching", "") in ("1", "true") else Qos()
         else:
             qos = merged_qos(offered)
         for name in ("topic", "type", "message_definition"):
             more.pop(name, None)
-        definition = "" if schema is None else schema.data.decode(errors="replace")
-        if schema is not None and schema.encoding != "ros1msg":
-            definition = full_definition(schema.name, schema.encoding, definition)
+        definition = ""
+        if schema is not None:
+            text = schema.data.decode(errors="replace")
+            if world is World.ROS1:
+                definition = ros1_definition(text if schema.encoding in _TEXTS else "", fingerprint)
+            else:
+                definition = ros2_definition(schema.name, schema.encoding, text, fingerprint)
         self.topic_of[number] = BagTopic(
             channel.topic,
             "" if schema is None else schema.name,
             world,
             definition,
-            md5 if world is World.ROS1 else more.pop("topic_type_hash", ""),
+            fingerprint if world is World.ROS1 else stored_hash(fingerprint),
             qos,
             count,
             more,

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from bridge.bags.bag import Bag, BagError, BagMessage, BagTopic, reading
+from bridge.bags.packed import ZSTD, unpacker
 
 __all__ = ["Bag", "BagError", "BagMessage", "BagTopic", "open_bag"]
 
@@ -17,6 +18,12 @@ def open_bag(path: Path) -> Bag:
             from bridge.bags.folder import FolderBag
 
             return FolderBag(path, _open_file)
+        with path.open("rb") as file:
+            packed = file.read(len(ZSTD)) == ZSTD
+        if packed:
+            from bridge.bags.folder import FilesBag
+
+            return FilesBag(path, [path], _open_file)
         return _open_file(path)
 
 
@@ -53,4 +60,6 @@ def _open_content(path: Path, file: BinaryIO) -> Bag:
         return Db3Bag(path)
     if not start:
         raise BagError(path, "is empty", None, "its recorder was killed before it wrote anything")
-    raise BagError(path, "is neither MCAP nor a bag of ROS 1 or ROS 2", 0)
+    program = unpacker(start)
+    cure = f"it is compressed: unpack it with '{program}' first" if program else ""
+    raise BagError(path, "is neither MCAP nor a bag of ROS 1 or ROS 2", 0, cure)

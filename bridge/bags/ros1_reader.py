@@ -19,6 +19,7 @@ from bridge.bags.bag import MAX_TOPICS, BagError, BagTopic, Kind, reading
 from bridge.bags.rows import Rows
 from bridge.bags.spans import FileSpan, SpanBag, count_rows, unpack, unpack_part
 from bridge.bags.split import new_table, split_ros1
+from bridge.bags.stored import ros1_definition
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.definitions.schema import World
 
@@ -259,12 +260,14 @@ def _time(value: bytes) -> int:
 
 def _topic(record: Fields, header: Fields, count: int) -> BagTopic:
     caller = header.get(b"callerid", b"").decode(errors="replace")
+    type_name, md5 = header[b"type"].decode(), header.get(b"md5sum", b"").decode()
+    text = header.get(b"message_definition", b"").decode(errors="replace")
     return BagTopic(
         record[b"topic"].decode(),
-        header[b"type"].decode(),
+        type_name,
         World.ROS1,
-        header.get(b"message_definition", b"").decode(errors="replace"),
-        header.get(b"md5sum", b"").decode(),
+        ros1_definition(text, md5),
+        md5,
         LATCHED if header.get(b"latching") == b"1" else Qos(),
         count,
         {"callerid": caller} if caller else {},

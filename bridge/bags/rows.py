@@ -89,6 +89,13 @@ class Rows(NamedTuple):
         data = self.data
         return [data[begin : begin + size] for begin, size in self.table[:, 3:].tolist()]
 
+    def that_start_with(self, start: bytes) -> list[int]:
+        """Places of the messages whose data start with these bytes."""
+        data, sizes = np.frombuffer(self.data, np.uint8), self.table[:, 4]
+        places = np.flatnonzero(sizes >= len(start))
+        places = places[data[self.table[places, 3].astype(np.intp)] == start[0]]
+        return [place for place in places.tolist() if self.data.startswith(start, int(self.table[place, 3]))]
+
     def lists(self) -> tuple[list[int], list[int], list[int], list[bytes]]:
         """Channels, times, publish times and data."""
         numbers, times, publish_times = self.table[:, :3].T.tolist()

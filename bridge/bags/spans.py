@@ -12,8 +12,10 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from bridge.bags.bag import MAX_CHUNK, Bag, BagError, BagMessage, BagTopic, Columns, reading
+from bridge.bags.packed import ZSTD, unpacked_message
 from bridge.bags.rows import Rows
 from bridge.bags.split import new_table
+from bridge.messages.definitions.schema import World
 
 _MORE = 4 << 20
 """Bytes that a chunk may be longer in the file: its header, and what packing adds to bytes that cannot be packed."""
@@ -73,7 +75,7 @@ class SpanBag(Bag):
             if place + 1 < len(spans):
                 due = _due(rows, spans[place + 1].start)
             for block in rows.take(slice(due)).blocks():
-                yield block.columns(self.topic_of)
+                yield self._columns(block)
             waiting = rows.take(slice(due, None)).compact() if due < len(rows.table) else None
 
     def messages(
@@ -82,6 +84,18 @@ class SpanBag(Bag):
         """See `Bag.messages` and `columns`."""
         for columns in self.columns(topics, start_ns, end_ns):
             yield from map(BagMessage, *columns)
+
+    def _columns(self, block: Rows) -> Columns:
+        """Messages of a block, those of ROS 2 without a compression of their own."""
+        columns = block.columns(self.topic_of)
+        packed = [place for place in block.that_start_with(ZSTD) if columns.topics[place].world is World.ROS2]
+        if not packed:
+            return columns
+        data = list(columns.data)
+        with reading(self.path):
+            for place in packed:
+                data[place] = unpacked_message(data[place])
+        return columns._replace(data=data)
 
     def _read_span(self, span: FileSpan) -> Rows:
         try:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from bridge.bags.bag import Bag, BagError, BagTopic
 from bridge.bags.conversion import to_hub
+from bridge.bags.known_types import misfits
 from bridge.clock import CLOCK_TOPIC
 from bridge.config.model import Config
 from bridge.config.rules import EVERY, commands
@@ -133,10 +134,10 @@ def choose(
     left: dict[LeftOut, None] = {}
     for bag in bags:
         found[bag] = []
-        for topic in bag.topics:
-            if not wanted.name(_absolute(topic.name)):
-                continue
-            made = _made(bag.path, topic, registry, moving, wanted)
+        chosen = [topic for topic in bag.topics if wanted.name(_absolute(topic.name))]
+        unfit = misfits(bag, chosen, registry)
+        for topic in chosen:
+            made = _made(bag.path, topic, registry, moving, wanted, unfit.get(topic))
             if isinstance(made, PlayTopic):
                 found[bag].append(made)
             else:
@@ -149,7 +150,7 @@ def _absolute(name: str) -> str:
 
 
 def _made(
-    path: Path, topic: BagTopic, registry: Registry, moving: CommandTopics, wanted: PlayChoice
+    path: Path, topic: BagTopic, registry: Registry, moving: CommandTopics, wanted: PlayChoice, unfit: BagError | None
 ) -> PlayTopic | LeftOut:
     source = _absolute(topic.name)
     name = wanted.remap.get(source, source)
@@ -162,6 +163,8 @@ def _made(
     if name.startswith(TAPS) or not ROS2_NAME.fullmatch(name):
         return left("it is no name of a topic: letters, digits and underscores make its parts; --remap gives another")
     try:
+        if unfit is not None:
+            raise unfit
         form = to_hub(registry, topic, path)
     except BagError as err:
         return left(err.what + (f"; {err.cure}" if err.cure else ""))
