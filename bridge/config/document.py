@@ -7,7 +7,7 @@ text). Tags, merge keys, dates, a second document and a key given twice are refu
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +23,7 @@ class Problem:
     """One mistake in a file.
 
     Line and column count from 1; line 0: no place in the file. ``key`` is a path such as ``routing.rules[2].topic``, ""
-    for the whole file; ``text`` says what is wrong and how to mend it.
+    for the whole file; ``text`` has the problem and its cure.
     """
 
     file: Path
@@ -143,10 +143,10 @@ def key_text(path: KeyPath) -> str:
     return text
 
 
-def read(file: Path, *, repeating: KeyPath | None = None) -> Document:
-    """Read a file; raises `ConfigError` where it is unreadable, too large, or not the YAML allowed here.
+def read(file: Path, *, repeating: Collection[KeyPath] = ()) -> Document:
+    """Read a file; raises `ConfigError` if it is unreadable, too large, or not the YAML that is allowed here.
 
-    The keys of the map at ``repeating`` may come several times; it becomes a list of maps with one key each.
+    The keys of the maps at ``repeating`` may occur several times; each becomes a list of maps with one key each.
     """
     return parse(file, text_of(file), repeating=repeating)
 
@@ -172,7 +172,7 @@ def text_of(file: Path) -> str:
         raise ConfigError([Problem(file, line, column, "", f"is not UTF-8: byte 0x{raw[err.start]:02x}")]) from err
 
 
-def parse(file: Path, text: str, *, repeating: KeyPath | None = None) -> Document:
+def parse(file: Path, text: str, *, repeating: Collection[KeyPath] = ()) -> Document:
     """Parse a file's text; see `read`."""
     try:
         loader = Yaml12Loader(text)
@@ -195,9 +195,9 @@ def parse(file: Path, text: str, *, repeating: KeyPath | None = None) -> Documen
 
 
 class _Reader:
-    """Turns nodes into data, and gathers the problems on the way."""
+    """Turns nodes into data, and collects the problems."""
 
-    def __init__(self, loader: Yaml12Loader, document: Document, repeating: KeyPath | None) -> None:
+    def __init__(self, loader: Yaml12Loader, document: Document, repeating: Collection[KeyPath]) -> None:
         self._construct = loader.construct_object
         self._document = document
         self._repeating = repeating
@@ -212,7 +212,7 @@ class _Reader:
             problem = document.problem(path, "the document is too large or nested too deeply (or holds itself)")
             raise ConfigError([problem])
         match node:
-            case MappingNode() if path == self._repeating:
+            case MappingNode() if path in self._repeating:
                 return [self._single(pair, (*path, index)) for index, pair in enumerate(node.value)]
             case MappingNode():
                 return {name: self.value(child, (*path, name)) for name, child in self._items(node.value, path)}

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.thorough
 STRING = "std_msgs/String"
 TF = "tf2_msgs/TFMessage"
 
-# the example of ros1_bridge's README, and its advice for /tf_static
+# the example in the README of ros1_bridge, and its advice for /tf_static
 PARAMETERS = """\
 topics:
   -
@@ -41,6 +41,10 @@ services_2_to_1:
   -
     service: /add_two_ints  # ROS 1 service name
     type: roscpp_tutorials/TwoInts  # The ROS 1 service type name
+  - {service: /lamp, type: std_srvs/SetBool}
+services_1_to_2:
+  - {service: /door, type: std_srvs/srv/SetBool}
+  - {service: /gate, type: std_srvs/srv/SetBool}
 """
 
 DOMAINS = """\
@@ -57,11 +61,21 @@ topics:
   latched:
     type: std_msgs/msg/String
     reversed: True
+services:
+  lamp:
+    type: std_srvs/srv/SetBool
+    remap: first/lamp
+actions:
+  go:
+    type: nav2_msgs/action/NavigateToPose
+    reversed: True
 """
+SERVICE = "std_srvs/SetBool"
+ACTION = "nav2_msgs/NavigateToPose"
 
 
 def imported(peer: str, file: Path, folder: Path) -> list[Path]:
-    """Import a file by the command; what it wrote."""
+    """Import a file by the command; return the written files."""
     output = folder / "imported.yaml" if peer == "ros1_bridge" else folder
     done = subprocess.run(
         [*MIDSPAN, "import", peer, str(file), "-o", str(output)],
@@ -96,10 +110,31 @@ def test_the_example_of_ros1_bridge(deployment: Deployment, tmp_path: Path) -> N
     ros1.publish(ros1.advertise("/tf_static", TF, latched=True), frames)
     late = ros2.subscribe("/tf_static", TF, latched=True)
     assert ros2.wait(late, 1)[0]["transforms"][0]["child_frame_id"] == "laser"
+    for server, client, service in ((ros1, ros2, "/lamp"), (ros2, ros1, "/door")):
+        served(server, client, service, service)
+    # a service crosses one way only
+    for server, service in ((ros1, "/gate"), (ros2, "/add_two_ints")):
+        server.ask("serve", service=service, type=SERVICE)
+        until(lambda name=service: "no rule allows it" in str(deployment.explain(name)), f"{service} is refused", 20)
     # what the file does not name stays
     ros1.advertise("/other", STRING)
     until(lambda: "no rule allows it" in str(deployment.explain("/other")), "the other is decided on", 20)
     assert deployment.route("ros1", "/other", "in") is None
+
+
+def served(server: Peer, client: Peer, name: str, called: str) -> None:
+    """A server replies to a client that calls it by another name."""
+    reply = {"success": True, "message": name}
+    server.ask("serve", service=name, type=SERVICE, reply=reply)
+
+    def answered() -> bool:
+        try:
+            call = client.ask("call", service=called, type=SERVICE, request={"data": True}, seconds=5.0)["id"]
+            return bool(client.ask("result", id=call, seconds=5.0)["reply"] == reply)
+        except AssertionError:  # the service is not offered yet
+            return False
+
+    until(answered, f"{called} is answered", 40, every=0.1)
 
 
 class TwoDomains:
@@ -154,6 +189,10 @@ def test_a_domain_bridge(two_domains: TwoDomains) -> None:
     first.publish(stays, {"data": "stays"})
     assert second.wait(unnamed, 1, 0.3) == []
     assert second.wait(kept, 1, 0.1) == []
-    # one copy of each, whatever the daemons hear of each other
+    served(first, second, "/lamp", "/first/lamp")
+    second.ask("act", action="/go", type=ACTION)
+    goal = first.ask("send_goal", action="/go", type=ACTION, goal={"behavior_tree": "x"}, seconds=40.0)["id"]
+    assert first.ask("goal", id=goal, until={"status": 4}, seconds=40.0)["accepted"]
+    # one copy of each, although each daemon sees the other
     topics = second.graph()["topics"]
     assert [name for name in topics if "domain" in name] == []

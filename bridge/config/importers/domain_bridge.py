@@ -1,13 +1,13 @@
 """From domain_bridge to Midspan: one daemon for each ROS 2 domain, all on one hub.
 
-What the keys mean was read from domain_bridge's ``doc/design.md``, ``parse_domain_bridge_yaml_config.cpp`` and
+The meaning of the keys is from domain_bridge's ``doc/design.md``, ``parse_domain_bridge_yaml_config.cpp`` and
 ``domain_bridge.cpp`` (https://github.com/ros2/domain_bridge, main of 2025-01-09): ``topics`` may have a name several
-times, ``reversed`` swaps the domains, ``remap`` names the topic in the domain that it goes to (in both directions where
-it is ``bidirectional``), ``~`` stands for the bridge's name, and a second bridge of the same topic and domains is
-ignored.
+times, ``reversed`` swaps the domains, ``remap`` is the topic's name in the target domain (in both directions if it is
+``bidirectional``), ``~`` is the bridge's name, and a second bridge of the same topic and domains is ignored.
+``services`` and ``actions`` have the same keys but ``qos``, and their server is in ``from_domain``.
 
 On the hub a topic carries the domain that it comes from in its name, ``/domain2/chatter``. So one name of two domains
-stays two topics, and each daemon's rules say what leaves to its domain.
+stays two topics, and each daemon's rules list the topics that leave to its domain. Services and actions are alike.
 """
 
 from __future__ import annotations
@@ -21,17 +21,19 @@ from typing import Any, Literal
 from pydantic import Field
 
 from bridge.config.document import ConfigError, Document, KeyPath, Problem, read
-from bridge.config.importers.draft import NOT_CARRIED, Draft, RuleDraft, checked, missing, topic_name, type_name
+from bridge.config.importers.draft import NOT_CARRIED, Draft, Kind, RuleDraft, checked, missing, topic_name, type_name
 from bridge.config.sections.section import Section
 
 MAX_DEPTH = 100_000
 
 _HEAD = (
-    "One daemon joins one domain to the hub, where each topic's name begins with its domain's. The daemons run side by"
-    " side and find each other at hub.listen; others join domain"
+    "One daemon joins one domain to the hub, on which each name begins with its domain's. The daemons run side by side"
+    " and find each other at hub.listen; others join domain"
 )
+_LISTS: dict[Kind, str] = {"topic": "topics", "service": "services", "action": "actions"}
+"""The file's maps, by the kind of their entries."""
 _NEUTRAL = (None, "automatic", "system_default")
-_KEYS = ("name", "from_domain", "to_domain", "mode", "topics")
+_KEYS = ("name", "from_domain", "to_domain", "mode", *_LISTS.values())
 
 
 class DomainBridgeQos(Section):
@@ -48,7 +50,7 @@ class DomainBridgeQos(Section):
 
 
 class DomainBridgeTopic(Section):
-    """One topic."""
+    """One topic, service or action."""
 
     type: str
     from_domain: int | None = Field(default=None, ge=0, le=232)
@@ -60,7 +62,7 @@ class DomainBridgeTopic(Section):
 
 
 class Top(Section):
-    """The file without its topics."""
+    """The file without its topics, services and actions."""
 
     name: str = "domain_bridge"
     from_domain: int | None = Field(default=None, ge=0, le=232)
@@ -73,8 +75,9 @@ class Top(Section):
 
 @dataclass(frozen=True, slots=True)
 class _Way:
-    """One topic's way from one domain to another."""
+    """The bridging of one topic, service or action from one domain to another."""
 
+    kind: Kind
     topic: str
     type: str
     origin: int
@@ -87,6 +90,11 @@ class _Way:
     def hub_topic(self) -> str:
         return f"/domain{self.origin}{self.topic}"
 
+    def matching(self, topic: str) -> dict[str, Any]:
+        """Return the first keys of a rule for this name; rules of topics need no kind."""
+        kind = {} if self.kind == "topic" else {"kind": self.kind}
+        return {**kind, "topic": topic, "type": self.type, "from": "ros2"}
+
 
 @dataclass(slots=True)
 class _Import:
@@ -98,7 +106,7 @@ class _Import:
 
     @property
     def node(self) -> str:
-        """The bridge's name as ROS 2 takes one."""
+        """The bridge's name with the characters that ROS 2 allows."""
         name = re.sub(r"[^A-Za-z0-9_]", "_", self.top.name)
         return name if name[:1].isalpha() else f"bridge_{name}"
 
@@ -107,15 +115,19 @@ class _Import:
 
 
 def drafts(file: Path) -> tuple[list[Draft], list[Problem]]:
-    """A configuration for each domain, and notes on what has no counterpart; raises `ConfigError` with all mistakes."""
-    document = read(file, repeating=("topics",))
+    """Return a configuration for each domain, and notes on entries without a counterpart.
+
+    Raises `ConfigError` with all mistakes.
+    """
+    document = read(file, repeating=[(key,) for key in _LISTS.values()])
     if not isinstance(document.data, dict) or not document.data.keys() & set(_KEYS):
         raise ConfigError([document.problem((), f"has none of domain_bridge's keys: {', '.join(_KEYS)}")])
     job = _Import(document, *checked(document, (), Top))
     _remarks(job)
     ways = _once(job, list(_ways(job)))
     if not ways and not job.problems:
-        job.problems.append(document.problem(("topics",), "has no topic that goes from one domain to another"))
+        text = "has no topic, service or action that goes from one domain to another"
+        job.problems.append(document.problem(("topics",), text))
     if job.problems:
         raise ConfigError(job.problems)
     domains = sorted({domain for way in ways for domain in (way.origin, way.target)})
@@ -124,48 +136,55 @@ def drafts(file: Path) -> tuple[list[Draft], list[Problem]]:
 
 
 def _remarks(job: _Import) -> None:
-    """What concerns the whole file."""
+    """Note the keys for the whole file that have no counterpart."""
     if job.top.mode != "normal":
         text = "Midspan leaves messages as they are (zenoh can compress: hub.zenoh, transport/unicast/compression)"
         job.notes.append(job.note(("mode",), text))
-    for key in ("services", "actions"):
-        if getattr(job.top, key):
-            job.notes.append(job.note((key,), f"Midspan carries topics, {key} do not cross"))
 
 
 def _ways(job: _Import) -> Iterator[_Way]:
-    entries = job.document.data.get("topics") or []
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        job.problems.append(job.document.problem(("topics",), "must be a map of topic names"))
-        return
-    for index, entry in enumerate(entries):
-        for name in entry:
-            try:
-                yield from _entry(job, ("topics", index, name), name)
-            except ConfigError as err:
-                job.problems += err.problems
+    for kind, key in _LISTS.items():
+        entries = job.document.data.get(key) or []
+        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+            job.problems.append(job.document.problem((key,), f"must be a map of {kind} names"))
+            continue
+        for index, entry in enumerate(entries):
+            for name in entry:
+                try:
+                    yield from _entry(job, (key, index, name), name, kind)
+                except ConfigError as err:
+                    job.problems += err.problems
 
 
-def _entry(job: _Import, path: KeyPath, name: str) -> Iterator[_Way]:
-    """The ways of one entry of ``topics``: one, or two where it is bidirectional."""
+def _entry(job: _Import, path: KeyPath, name: str, kind: Kind) -> Iterator[_Way]:
+    """Yield the ways of one entry: one, or two if it is bidirectional."""
     entry, notes = checked(job.document, path, DomainBridgeTopic)
-    topic = topic_name(job.document, path, _expanded(job, name))
-    new_name = topic_name(job.document, (*path, "remap"), _expanded(job, entry.remap)) if entry.remap else topic
-    type_ = type_name(job.document, (*path, "type"), entry.type)
+    topic = topic_name(job.document, path, _expanded(job, name), kind)
+    new_name = topic_name(job.document, (*path, "remap"), _expanded(job, entry.remap), kind) if entry.remap else topic
+    type_ = type_name(job.document, (*path, "type"), entry.type, kind)
     first, second = (_domain(job, path, entry, key) for key in ("from_domain", "to_domain"))
     if first == second:
         raise ConfigError([job.document.problem(path, f"goes from domain {first} to itself; give two domains")])
     if entry.reversed:
         first, second = second, first
-    for key in ("deadline", "lifespan", "liveliness", "liveliness_lease_duration"):
-        value = getattr(entry.qos, key)
-        if value not in _NEUTRAL and not (isinstance(value, int) and value < 0):  # below 0: for ever
-            notes.append(job.note((*path, "qos", key), f"Midspan's publishers on ROS 2 have no {key}"))
+    rule: dict[str, Any] = {}
+    if kind == "topic":
+        notes += _without_counterpart(job, path, entry.qos)
+        rule = _options(entry.qos)
+    elif entry.qos != DomainBridgeQos():
+        notes.append(job.note((*path, "qos"), "a rule's depth and QoS are for topics only"))
     job.by_way[path] = notes
-    rule = _options(entry.qos)
-    yield _Way(topic, type_, first, second, new_name, rule, path)
+    yield _Way(kind, topic, type_, first, second, new_name, rule, path)
     if entry.bidirectional:
-        yield _Way(topic, type_, second, first, new_name, rule, path)
+        yield _Way(kind, topic, type_, second, first, new_name, rule, path)
+
+
+def _without_counterpart(job: _Import, path: KeyPath, qos: DomainBridgeQos) -> Iterator[Problem]:
+    """Yield notes on the QoS policies that Midspan's publishers do not have."""
+    for key in ("deadline", "lifespan", "liveliness", "liveliness_lease_duration"):
+        value = getattr(qos, key)
+        if value not in _NEUTRAL and not (isinstance(value, int) and value < 0):  # below 0: infinite
+            yield job.note((*path, "qos", key), f"Midspan's publishers on ROS 2 have no {key}")
 
 
 def _expanded(job: _Import, name: str) -> str:
@@ -189,10 +208,10 @@ def _options(qos: DomainBridgeQos) -> dict[str, Any]:
 
 
 def _once(job: _Import, ways: list[_Way]) -> list[_Way]:
-    """The ways without those that would take a topic to the same domain a second time."""
-    kept: dict[tuple[str, str, int, int], _Way] = {}
+    """Return the ways without those that would bring a topic to the same domain a second time."""
+    kept: dict[tuple[str, str, str, int, int], _Way] = {}
     for way in ways:
-        first = kept.setdefault((way.topic, way.type, way.origin, way.target), way)
+        first = kept.setdefault((way.kind, way.topic, way.type, way.origin, way.target), way)
         if first is not way:
             line = job.document.keys[first.path].line
             text = f"{way.topic} goes from domain {way.origin} to {way.target} already, by line {line}"
@@ -213,27 +232,26 @@ def _draft(job: _Import, domain: int, domains: list[int], ways: list[_Way]) -> D
         "ros1": {"enabled": False},
         "ros2": {"domain": domain, "node": f"{bridge}_{domain}"},
     }
-    wide = ["localhost_only: false   # nodes of other machines, which domain_bridge hears as well"]
+    wide = ["localhost_only: false   # also nodes of other machines, as with domain_bridge"]
     rules = [*_entering(job, domain, ways), *_leaving(job, domain, ways)]
     return Draft(f"{bridge}_domain{domain}", head + missing(job.notes), sections, {"ros2": wide}, rules)
 
 
 def _entering(job: _Import, domain: int, ways: list[_Way]) -> Iterator[RuleDraft]:
-    """What goes from the domain to the hub, once however many domains it goes to."""
-    seen: set[tuple[str, str]] = set()
+    """Yield the rules from the domain to the hub, one for each name, even if it goes to several domains."""
+    seen: set[tuple[str, str, str]] = set()
     for way in ways:
-        if way.origin == domain and (way.topic, way.type) not in seen:
-            seen.add((way.topic, way.type))
-            rule = {"topic": way.topic, "type": way.type, "from": "ros2", "to": "zenoh", "rename": way.hub_topic}
-            yield RuleDraft(_source(job, way), rule)
+        if way.origin == domain and (way.kind, way.topic, way.type) not in seen:
+            seen.add((way.kind, way.topic, way.type))
+            yield RuleDraft(_source(job, way), {**way.matching(way.topic), "to": "zenoh", "rename": way.hub_topic})
 
 
 def _leaving(job: _Import, domain: int, ways: list[_Way]) -> Iterator[RuleDraft]:
-    """What goes from the hub to the domain."""
+    """Yield the rules from the hub to the domain."""
     for way in ways:
         if way.target == domain:
-            rule = {"topic": way.hub_topic, "type": way.type, "from": "ros2", "to": "ros2", "rename": way.new_name}
-            yield RuleDraft(_source(job, way), {**rule, **way.rule}, job.by_way[way.path])
+            rule = {**way.matching(way.hub_topic), "to": "ros2", "rename": way.new_name, **way.rule}
+            yield RuleDraft(_source(job, way), rule, job.by_way[way.path])
 
 
 def _source(job: _Import, way: _Way) -> str:

@@ -1,4 +1,4 @@
-"""Files of an import: the peer's that is read, and the configuration that is made, with comments on its sources."""
+"""Files of an import: the other bridge's file, and the new configuration with comments on its sources."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -21,7 +21,7 @@ WIDTH = 116
 
 @dataclass(slots=True)
 class RuleDraft:
-    """One rule as in the file, with its source (``file:line``), and notes on what has no counterpart here."""
+    """One rule as in the file, with its source (``file:line``), and notes on keys without a counterpart."""
 
     source: str
     rule: dict[str, Any]
@@ -63,7 +63,7 @@ class Draft:
 
 
 def comment(text: str, indent: str = "") -> list[str]:
-    """A text as lines of comment."""
+    """Return a text as lines of comment."""
     rest = f"{indent}#   " if text.startswith("- ") else f"{indent}# "
     return textwrap.wrap(
         text,
@@ -81,12 +81,12 @@ def _dump(value: Any) -> list[str]:
 
 
 def _short(note: Problem) -> str:
-    """A note without its file's folder, which is nobody else's."""
+    """Return a note without the folder of its file, which is private to this machine."""
     return str(replace(note, file=Path(note.file.name)))
 
 
 def missing(notes: Iterable[Problem]) -> list[str]:
-    """Paragraphs that list what is not carried over."""
+    """Return paragraphs that list the entries without a counterpart."""
     lines = [f"- {_short(note)}" for note in notes]
     return ["What has no counterpart here:", *lines] if lines else []
 
@@ -96,11 +96,18 @@ NOT_CARRIED = "not carried over"
 M = TypeVar("M", bound=BaseModel)
 
 _NAME = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
-_TYPE = re.compile(r"([a-z][a-z0-9_]*)/(?:(?:msg|srv|action)/)?([A-Z][A-Za-z0-9]*)")
+_TYPE = re.compile(r"([a-z][a-z0-9_]*)/(?:(msg|srv|action)/)?([A-Z][A-Za-z0-9]*)")
+Kind = Literal["topic", "service", "action"]
+_TYPES: dict[Kind, tuple[str, str, str]] = {
+    "topic": ("msg", "a message", "std_msgs/msg/String"),
+    "service": ("srv", "a service", "std_srvs/srv/SetBool"),
+    "action": ("action", "an action", "nav2_msgs/action/NavigateToPose"),
+}
+"""By kind: the middle part of the type's name, words for errors, and an example."""
 
 
 def checked(document: Document, path: KeyPath, model: type[M]) -> tuple[M, list[Problem]]:
-    """The part at ``path`` as a model, and notes on keys that it does not have; raises `ConfigError` for bad values."""
+    """Return the part at ``path`` as a model, and notes on unknown keys; raises `ConfigError` for bad values."""
     part = _part(document, path)
     try:
         return model.model_validate(part.data), []
@@ -118,7 +125,7 @@ def checked(document: Document, path: KeyPath, model: type[M]) -> tuple[M, list[
 
 
 def _part(document: Document, path: KeyPath) -> Document:
-    """A part of a document as one of its own."""
+    """Return a part of a document as a document."""
     data = document.data
     for key in path:
         data = data[key]
@@ -141,17 +148,17 @@ def _remove(data: Any, location: tuple[str | int, ...]) -> None:
     del data[location[-1]]
 
 
-def topic_name(document: Document, path: KeyPath, name: str) -> str:
-    """A topic's absolute name; raises `ConfigError` where it is none."""
+def topic_name(document: Document, path: KeyPath, name: str, kind: Kind = "topic") -> str:
+    """Return the absolute name of a topic, service or action; raises `ConfigError` for an invalid name."""
     if not _NAME.fullmatch(name):
-        text = f"{name!r} is not a topic name: letters, digits and underscores make its parts, and slashes part them"
+        text = f"{name!r} is not a {kind} name: its parts are letters, digits and underscores, separated by slashes"
         raise ConfigError([document.problem(path, text)])
     return name if name.startswith("/") else f"/{name}"
 
 
-def type_name(document: Document, path: KeyPath, name: str) -> str:
-    """A message type as ROS 2 spells it; raises `ConfigError` where it is none."""
-    match = _TYPE.fullmatch(name)
-    if match is None or "/srv/" in name or "/action/" in name:
-        raise ConfigError([document.problem(path, f"{name!r} is not a message type, such as std_msgs/msg/String")])
-    return f"{match[1]}/msg/{match[2]}"
+def type_name(document: Document, path: KeyPath, name: str, kind: Kind = "topic") -> str:
+    """Return a type of this kind as ROS 2 spells it; raises `ConfigError` for an invalid type."""
+    match, (folder, word, example) = _TYPE.fullmatch(name), _TYPES[kind]
+    if match is None or match[2] not in (None, folder):
+        raise ConfigError([document.problem(path, f"{name!r} is not {word} type, such as {example}")])
+    return f"{match[1]}/{folder}/{match[3]}"

@@ -1,13 +1,16 @@
 """From ros1_bridge's parameter_bridge to Midspan.
 
-The file is what ``rosparam load`` takes: lists ``topics``, ``services_1_to_2`` and ``services_2_to_1``. What each key
-means to the bridge was read from its README and ``src/parameter_bridge.cpp``
-(https://github.com/ros2/ros1_bridge, master of 2025-05-06): topics cross both ways, ``queue_size`` is ROS 1's (100
-where it is not given), ``qos`` holds for the publisher on ROS 2 alone.
+The file is one for ``rosparam load``: lists ``topics``, ``services_1_to_2`` and ``services_2_to_1``. The meaning of the
+keys is from ros1_bridge's README and ``src/parameter_bridge.cpp`` (https://github.com/ros2/ros1_bridge, master of
+2025-05-06): topics cross both ways, ``queue_size`` is ROS 1's (default 100), ``qos`` is for the publisher on ROS 2.
+A service crosses one way. In ``services_1_to_2``, clients on ROS 1 call a server on ROS 2, and the type is ROS 2's; in
+``services_2_to_1``, clients on ROS 2 call a server on ROS 1, and the type is ROS 1's. ``package`` is an older spelling
+of the type's first part.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,10 +26,13 @@ MAX_DEPTH = 100_000
 
 # also as numbers of rmw_qos_liveliness_policy_t
 _NEUTRAL = ("none", "0", "1", "liveliness_system_default", "liveliness_automatic")
-_SERVICES = ("services_1_to_2", "services_2_to_1")
+_SERVICES = {"services_1_to_2": ("ros2", "ros1"), "services_2_to_1": ("ros1", "ros2")}
+"""The lists of services: the side of the server, and the side of the clients."""
+
+_ROS1_TYPE = re.compile(r"[A-Za-z]\w*/(?:srv/)?[A-Za-z]\w*")
 _HEAD = (
-    "What the rules do not name does not cross, as with the parameter_bridge. Each topic crosses both ways, latched"
-    " where its publisher is. 'qos' holds for what Midspan publishes on ROS 2."
+    "Only names that the rules list cross, as with the parameter_bridge. Each topic crosses both ways, latched if its"
+    " publisher is; each service crosses from the side of its server. 'qos' applies to Midspan's publishers on ROS 2."
 )
 _KNOWN = ("topics", *_SERVICES)
 
@@ -51,6 +57,14 @@ class Ros1BridgeQos(Section):
     liveliness_lease_duration: Span | None = None
 
 
+class Ros1BridgeService(Section):
+    """One service."""
+
+    service: str
+    type: str
+    package: str = ""
+
+
 class Ros1BridgeTopic(Section):
     """One topic."""
 
@@ -72,7 +86,7 @@ class _Import:
 
 
 def draft(file: Path, mapping_rules: Sequence[Path] = ()) -> tuple[Draft, list[Problem]]:
-    """The configuration, and notes on what has no counterpart; raises `ConfigError` with all mistakes in the file."""
+    """Return the configuration, and notes on entries without a counterpart; raises `ConfigError` with all mistakes."""
     document = read(file)
     if isinstance(document.data, list) and any(
         isinstance(entry, dict) and "ros1_package_name" in entry for entry in document.data
@@ -83,6 +97,7 @@ def draft(file: Path, mapping_rules: Sequence[Path] = ()) -> tuple[Draft, list[P
         raise ConfigError([document.problem((), f"has none of ros1_bridge's lists: {', '.join(_KNOWN)}")])
     job = _Import(document, [], [], [])
     _topics(job)
+    _services(job)
     _others(job)
     if job.problems:
         raise ConfigError(job.problems)
@@ -91,7 +106,7 @@ def draft(file: Path, mapping_rules: Sequence[Path] = ()) -> tuple[Draft, list[P
     if mapping_rules:
         sections["types"] = {"mapping_rules": [str(path.absolute()) for path in mapping_rules]}
     head = [f"Midspan's configuration, made from ros1_bridge's {file.name} by 'midspan import ros1_bridge'.", _HEAD]
-    wide = ["localhost_only: false   # nodes of other machines, which ros1_bridge hears as well"]
+    wide = ["localhost_only: false   # also nodes of other machines, as with ros1_bridge"]
     return Draft(file.stem, head + missing(job.notes), sections, {"ros2": wide}, job.rules), everything
 
 
@@ -110,21 +125,21 @@ def _topics(job: _Import) -> None:
             continue
         name = rules[0].rule["topic"]
         if name in seen:
-            job.notes += [job.note(path, f"{name} is there already, in line {seen[name]}", at_key=False)]
+            job.notes.append(job.note(path, f"{name} is listed already, in line {seen[name]}", at_key=False))
             continue
         seen[name] = job.document.values[path].line
         job.rules += rules
 
 
 def _rules(job: _Import, path: KeyPath) -> list[RuleDraft]:
-    """The rule of one topic, and one more where a QoS is forced: on ROS 2 alone, nothing is latched on ROS 1."""
+    """Return the rule of one topic, and another one if a QoS is forced, which is for ROS 2 only."""
     document = job.document
     topic, notes = checked(document, path, Ros1BridgeTopic)
     rule: dict[str, Any] = {
         "topic": topic_name(document, (*path, "topic"), topic.topic),
         "type": type_name(document, (*path, "type"), topic.type),
     }
-    # One number serves both sides here: ROS 2's depth where it is given, else ROS 1's queue.
+    # A rule has one depth for both sides: ROS 2's depth if it is given, else ROS 1's queue.
     depth = topic.qos.depth or topic.queue_size
     if depth and topic.qos.history != "keep_all":
         rule["depth"] = min(depth, MAX_DEPTH)
@@ -137,16 +152,51 @@ def _rules(job: _Import, path: KeyPath) -> list[RuleDraft]:
     return [RuleDraft(source, rule, notes), *forced]
 
 
+def _services(job: _Import) -> None:
+    for key, (server, client) in _SERVICES.items():
+        entries = job.document.data.get(key) or []
+        if not isinstance(entries, list):
+            text = "must be a list, each entry with 'service' and 'type'"
+            job.problems.append(job.document.problem((key,), text))
+            continue
+        seen: dict[str, int] = {}
+        for index in range(len(entries)):
+            path: KeyPath = (key, index)
+            try:
+                rule = _service_rule(job, path, server, client)
+            except ConfigError as err:
+                job.problems += err.problems
+                continue
+            name = rule.rule["topic"]
+            if name in seen:
+                job.notes.append(job.note(path, f"{name} is listed already, in line {seen[name]}", at_key=False))
+                continue
+            seen[name] = job.document.values[path].line
+            job.rules.append(rule)
+
+
+def _service_rule(job: _Import, path: KeyPath, server: str, client: str) -> RuleDraft:
+    """Return the rule of one service, which crosses from the side of its server only.
+
+    A server on ROS 1 has a ROS 1 type, which other rules may map to any ROS 2 type; so the rule has no type.
+    """
+    document = job.document
+    service, notes = checked(document, path, Ros1BridgeService)
+    name = topic_name(document, (*path, "service"), service.service, "service")
+    type_ = f"{service.package}/{service.type}" if service.package else service.type
+    rule: dict[str, Any] = {"kind": "service", "topic": name}
+    if server == "ros2":
+        rule["type"] = type_name(document, (*path, "type"), type_, "service")
+    elif not _ROS1_TYPE.fullmatch(type_):
+        text = f"{type_!r} is not a service type of ROS 1, such as std_srvs/SetBool"
+        raise ConfigError([document.problem((*path, "type"), text)])
+    source = f"{document.file.name}:{document.values[path].line}, {type_} on {'ROS 1' if server == 'ros1' else 'ROS 2'}"
+    return RuleDraft(source, {**rule, "from": server, "to": client}, notes)
+
+
 def _others(job: _Import) -> None:
-    """Services, and keys that are not the bridge's."""
-    for key, value in job.document.data.items():
-        if key in _SERVICES:
-            entries = value if isinstance(value, list) else [value]
-            for index, entry in enumerate(entries):
-                name = entry.get("service", "?") if isinstance(entry, dict) else "?"
-                path = (key, index) if isinstance(value, list) else (key,)
-                text = f"the service {str(name)!r}: Midspan carries topics, services do not cross"
-                job.notes.append(job.note(path, text, at_key=False))
-        elif key != "topics":
+    """Note the keys that are not lists of the bridge."""
+    for key in job.document.data:
+        if key not in _KNOWN:
             text = f"'{key_text((key,))}' is not a list of the parameter_bridge ({', '.join(_KNOWN)})"
             job.notes.append(job.note((key,), text))

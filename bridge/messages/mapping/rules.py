@@ -1,7 +1,7 @@
 """ros1_bridge's mapping rules: which packages, messages, services and fields of ROS 1 and ROS 2 stand for each other.
 
 The files are those of ros1_bridge (https://github.com/ros2/ros1_bridge/blob/master/doc/index.rst): a YAML list of
-mappings. A rule with ``fields_1_to_2`` maps these fields alone; a path such as ``header.stamp`` names a nested field.
+mappings. A rule with ``fields_1_to_2`` maps only these fields; a path such as ``header.stamp`` names a nested field.
 Actions, which ros1_bridge has none of, are written the same way: ``ros1_action_name``, ``ros2_action_name``, and
 ``goal_fields_1_to_2``, ``result_fields_1_to_2``, ``feedback_fields_1_to_2``.
 """
@@ -40,9 +40,9 @@ class MappingRule:
 
     ros1_package: str
     ros2_package: str
-    ros1: str = ""  #: with ``ros2``, the short names; "" where the rule speaks of whole packages
+    ros1: str = ""  #: with ``ros2``, the short names; "" if the rule maps whole packages
     ros2: str = ""
-    kind: str = ""  #: ``msg``, ``srv`` or ``action`` as in ROS 2's names; "" where the rule speaks of whole packages
+    kind: str = ""  #: ``msg``, ``srv`` or ``action`` as in ROS 2's names; "" if the rule maps whole packages
     # by part ("" for a message, ``Request``, ``Goal`` ...), for the parts whose fields are not matched by name
     fields: Mapping[str, Fields] = field(default_factory=dict)
     origin: str = "built in"  #: file and entry, for error messages
@@ -76,6 +76,7 @@ BUILT_IN = (
     MappingRule("tf", "tf2_msgs", "tfMessage", "TFMessage", "msg", {"": {"transforms": "transforms"}}),
     MappingRule("rosgraph_msgs", "rcl_interfaces", "Log", "Log", "msg", _LOG_FIELDS),
     MappingRule("grid_map_msgs", "grid_map_msgs", "GridMap", "GridMap", "msg", _GRID_MAP_FIELDS),
+    MappingRule("roscpp_tutorials", "example_interfaces", "TwoInts", "AddTwoInts", "srv"),  # of example_interfaces
     MappingRule("move_base_msgs", "nav2_msgs", "MoveBase", "NavigateToPose", "action", _MOVE_BASE_FIELDS),
 )
 
@@ -85,7 +86,7 @@ class Rules:
 
     def __init__(self, files: Iterable[Path] = ()) -> None:
         loaded = [rule for file in files for rule in load_rules(file)]
-        # Rules of messages say more than rules of whole packages.
+        # rules of messages are more specific than rules of whole packages
         self._given = sorted(loaded, key=lambda rule: not rule.ros1)
         self._fields: dict[tuple[str, str], FieldRule] = {}
         for rule in (*self._given, *BUILT_IN):
@@ -128,7 +129,7 @@ class Rules:
         )
 
     def fields(self, ros1_name: str, ros2_name: str) -> FieldRule | None:
-        """The rule that lists the fields of the pair, None where fields are matched by name."""
+        """Return the rule that lists the fields of the pair; None if the fields are matched by name."""
         return self._fields.get((ros1_name, ros2_name))
 
 

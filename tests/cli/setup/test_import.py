@@ -1,4 +1,4 @@
-"""``midspan import``: what each key of the other bridges becomes, what is told of the rest, and broken files."""
+"""``midspan import``: the rules for each key of the other bridges, notes on all other keys, and broken files."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ services_2_to_1:
   -
     service: /add_two_ints
     type: roscpp_tutorials/TwoInts
+services_1_to_2:
+  - {service: lamp/on, type: std_srvs/srv/SetBool}
+  - {service: /add, package: example_interfaces, type: AddTwoInts}
 """
 
 DOMAINS = """\
@@ -82,12 +85,13 @@ def test_parameter_bridge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
         {"topic": "/chatter", "type": "std_msgs/msg/String", "depth": 1},
         grid,
         {**grid, "to": "ros2", "qos": {"durability": "transient_local"}},
+        {"kind": "service", "topic": "/lamp/on", "type": "std_srvs/srv/SetBool", "from": "ros2", "to": "ros1"},
+        {"kind": "service", "topic": "/add", "type": "example_interfaces/srv/AddTwoInts", "from": "ros2", "to": "ros1"},
+        {"kind": "service", "topic": "/add_two_ints", "from": "ros1", "to": "ros2"},
     ]
-    assert done.code == 3
-    (note,) = done.notes
-    assert note.startswith("14:5: services_2_to_1[0]: the service '/add_two_ints': ")
-    assert "# - peer.yaml:14:5: services_2_to_1[0]" in done.out
+    assert (done.code, done.notes) == (0, [])
     assert "    # peer.yaml:3\n    - topic: /chatter\n" in done.out
+    assert "    # peer.yaml:14, roscpp_tutorials/TwoInts on ROS 1\n    - kind: service\n" in done.out
 
 
 def test_what_ros1_bridge_has_and_midspan_does_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -104,17 +108,25 @@ topics:
       liveliness_lease_duration: {secs: 1, nsecs: 0}
   - {topic: a, type: std_msgs/String}
 rate: 5
+services_2_to_1:
+  - {service: /s, type: MyPkg/do_it, timeout: 5}
+  - {service: s, type: std_srvs/Empty}
 """
     done = Imported(capsys, write(tmp_path, text), "ros1_bridge")
-    assert rules(done.configs()[0]) == [{"topic": "/a", "type": "std_msgs/msg/String", "depth": 7}]
+    assert rules(done.configs()[0]) == [
+        {"topic": "/a", "type": "std_msgs/msg/String", "depth": 7},
+        {"kind": "service", "topic": "/s", "from": "ros1", "to": "ros2"},
+    ]
     lease = "liveliness_lease_duration"
     known = "topics, services_1_to_2, services_2_to_1"
     assert [note.partition(";")[0] for note in done.notes] == [
         "4:5: topics[0].queue_sise: unknown key 'queue_sise'",
         "8:7: topics[0].qos.deadline: Midspan's publishers on ROS 2 have no deadline",
         f"10:7: topics[0].qos.{lease}: Midspan's publishers on ROS 2 have no {lease}",
-        "11:5: topics[1]: /a is there already, in line 2",
+        "11:5: topics[1]: /a is listed already, in line 2",
         f"12:1: rate: 'rate' is not a list of the parameter_bridge ({known})",
+        "14:38: services_2_to_1[0].timeout: unknown key 'timeout'",
+        "15:5: services_2_to_1[1]: /s is listed already, in line 14",
     ]
     assert "did you mean 'queue_size'?" in done.notes[0]
     for note in done.notes:
@@ -171,7 +183,8 @@ topics:
     qos: {lifespan: auto, liveliness: manual_by_topic}
   a: {type: std_msgs/msg/String, remap: b}
 services:
-  add: {type: example_interfaces/srv/AddTwoInts}
+  add: {type: example_interfaces/srv/AddTwoInts, qos: {depth: 5}}
+  add: {type: example_interfaces/srv/AddTwoInts, remap: c}
 """
     done = Imported(capsys, write(tmp_path, text), "domain_bridge")
     assert done.code == 3
@@ -181,11 +194,39 @@ services:
         "8:11: topics[0]./a.qos.lifespan: Midspan's publishers on ROS 2 have no lifespan",
         "8:27: topics[0]./a.qos.liveliness: Midspan's publishers on ROS 2 have no liveliness",
         "9:3: topics[1].a: /a goes from domain 2 to 3 already, by line 5",
-        "10:1: services: Midspan carries topics, services do not cross",
+        "11:50: services[0].add.qos: a rule's depth and QoS are for topics only",
+        "12:3: services[1].add: /add goes from domain 2 to 3 already, by line 11",
     ]
     for note in done.notes[:-1]:
         assert note.split(": ")[0] in done.out
     assert len(done.configs()) == 2
+
+
+def test_services_and_actions_of_domains(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A file may have only these; the server is in the domain that they come from."""
+    text = """\
+from_domain: 2
+to_domain: 3
+services:
+  add: {type: example_interfaces/srv/AddTwoInts, remap: ~/plus}
+  add: {type: example_interfaces/AddTwoInts, to_domain: 4}
+actions:
+  /go: {type: nav2_msgs/action/NavigateToPose, reversed: true}
+"""
+    done = Imported(capsys, write(tmp_path, text), "domain_bridge")
+    assert done.code == 0
+    two, three, four = done.configs()
+    add = {"kind": "service", "type": "example_interfaces/srv/AddTwoInts", "from": "ros2"}
+    go = {"kind": "action", "type": "nav2_msgs/action/NavigateToPose", "from": "ros2"}
+    assert rules(two) == [
+        {**add, "topic": "/add", "to": "zenoh", "rename": "/domain2/add"},
+        {**go, "topic": "/domain3/go", "to": "ros2", "rename": "/go"},
+    ]
+    assert rules(three) == [
+        {**go, "topic": "/go", "to": "zenoh", "rename": "/domain3/go"},
+        {**add, "topic": "/domain2/add", "to": "ros2", "rename": "/domain_bridge/plus"},
+    ]
+    assert rules(four) == [{**add, "topic": "/domain2/add", "to": "ros2", "rename": "/add"}]
 
 
 def test_written_to_files_and_never_over_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -225,6 +266,21 @@ def test_written_to_files_and_never_over_others(tmp_path: Path, capsys: pytest.C
             ["4:22: topics[0].qos.reliability: 'reliabel' is not one of reliable, best_effort; did you mean"],
         ),
         ("ros1_bridge", "topics:\n- {topic: /a, type: B}\n", ["2:21: topics[0].type: 'B' is not a message type"]),
+        ("ros1_bridge", "services_1_to_2: {a: b}\n", ["1:18: services_1_to_2: must be a list"]),
+        (
+            "ros1_bridge",
+            """services_1_to_2:\n- {service: /a}\n- {service: /a b, type: a/B}\n- {service: /a, type: a/msg/B}
+services_2_to_1:\n- {service: /a, type: TwoInts}\n""",
+            ["2:3: services_1_to_2[0]: has no 'type'", "3:13: services_1_to_2[1].service: '/a b' is not a service name",
+             "4:23: services_1_to_2[2].type: 'a/msg/B' is not a service type, such as std_srvs/srv/SetBool",
+             "6:23: services_2_to_1[0].type: 'TwoInts' is not a service type of ROS 1, such as std_srvs/SetBool"],
+        ),
+        ("domain_bridge", "services: [a]\n", ["1:11: services: must be a map of service names"]),
+        (
+            "domain_bridge",
+            "from_domain: 1\nto_domain: 2\nactions: {go: {type: a/srv/B}}\n",
+            ["3:22: actions[0].go.type: 'a/srv/B' is not an action type, such as nav2_msgs/action/NavigateToPose"],
+        ),
         ("domain_bridge", "topics: 3\n", ["1:9: topics: must be a map of topic names"]),
         ("domain_bridge", "topics: {a: {type: a/B, from_domain: 1}}\n", ["1:10: topics[0].a: has no to_domain"]),
         (
@@ -238,7 +294,7 @@ def test_written_to_files_and_never_over_others(tmp_path: Path, capsys: pytest.C
             "from_domain: 1\nto_domain: 2\ntopics:\n  a:\n    type: a/B\n    qos: {durability: transient}\n",
             ["6:23: topics[0].a.qos.durability: 'transient' is not one of volatile, transient_local; did you mean"],
         ),
-        ("domain_bridge", "name: x\n", ["topics: has no topic that goes"]),
+        ("domain_bridge", "name: x\n", ["topics: has no topic, service or action that goes"]),
     ],
 )  # fmt: skip
 def test_broken_files(

@@ -1,4 +1,4 @@
-"""Services: fingerprints as ROS has them, bytes as ROS writes them, pairs, derived types and what is told of them."""
+"""Services: fingerprints as ROS has them, bytes as ROS writes them, pairs, derived types and their errors."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def test_a_service_told_on_the_hub_is_known_by_its_hash(folders: Path):
     derived = registry.service_hub_to_ros1(told.name, told.type_id)
     assert derived.side.name == "my_srvs/AskMe"
     assert registry.ros2_package_sources("my_srvs")["srv/AskMe.srv"].startswith("std_msgs/Header header\n")
-    # Where both are known, what the network uses is taken before one is derived.
+    # If both are known, the definition that the network uses precedes a derived one.
     both = Registry(folders=[folders])
     both.learn_ros2("my_srvs/srv/AskMe", told.definition)
     assert both.service_ros1_to_hub("my_srvs/ask_me").hub.type_id == told.type_id
@@ -254,9 +254,23 @@ def test_services_with_other_names_and_fields_cross_by_rule(folders: Path, tmp_p
     assert response == bytes(8) + b"\1\0\0\0\x09\3\0\0\0"
 
 
+def test_the_service_of_ros1_bridges_example_is_the_one_of_example_interfaces(tmp_path: Path):
+    """It follows the mapping rule of example_interfaces; without its definition on this machine it is derived."""
+    for name in ("roscpp_tutorials/srv/TwoInts.srv", "example_interfaces/srv/AddTwoInts.srv"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_text("int64 a\nint64 b\n---\nint64 sum\n")
+    registry = Registry(folders=[tmp_path], ros1_packages=Path("/nonexistent"))
+    assert registry.service_ros1_to_hub("roscpp_tutorials/TwoInts").hub.name == "example_interfaces/srv/AddTwoInts"
+    back = registry.service_hub_to_ros1("example_interfaces/srv/AddTwoInts")
+    assert back.side.type_id == "6a2e34150c00229791cc89ff309fff21"  # as roscpp_tutorials has it
+    (tmp_path / "example_interfaces/srv/AddTwoInts.srv").unlink()
+    registry = Registry(folders=[tmp_path])
+    assert registry.service_ros1_to_hub("roscpp_tutorials/TwoInts").hub.name == "roscpp_tutorials/srv/TwoInts"
+
+
 def test_services_of_one_name_that_differ_are_no_pair(folders: Path):
     registry = Registry(folders=[folders])
-    registry.learn_ros2("std_srvs/srv/SetBool", "bool data\n---\nbool done\n")  # told, and the installed one stays
+    registry.learn_ros2("std_srvs/srv/SetBool", "bool data\n---\nbool done\n")  # announced, and the installed one stays
     assert registry.service_ros1_to_hub("std_srvs/SetBool").hub == registry.service_ros2("std_srvs/srv/SetBool")
     other = folders / "std_srvs" / "srv"
     other.mkdir(parents=True)
