@@ -1,4 +1,4 @@
-"""A bag as all formats have it: topics, times, messages; and the one error that reading it raises."""
+"""The common interface of all formats of bags: topics, times, messages; and the error that reading raises."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from bridge.messages.definitions.schema import World
 Kind = Literal["mcap", "db3", "bag"]
 
 MAX_CHUNK = 256 << 20
-"""Bytes that a chunk or a message may have, unpacked; what declares more is refused before it is read."""
+"""Maximum uncompressed bytes of a chunk or a message; a larger one is refused before it is read."""
 
 USUAL = Qos()
 
 _BLOCK_BYTES, _BLOCK_MESSAGES = 1 << 20, 10_000
 
 MAX_TOPICS = 65_535
-"""Topics of a bag, with all their publishers: as many as MCAP can number."""
+"""Maximum topics of a bag, counted per publisher: the channel numbers of MCAP."""
 
 
 class BagError(Exception):
@@ -31,8 +31,8 @@ class BagError(Exception):
 
     Attributes:
         path: the file.
-        offset: byte of the file where the trouble begins, None where it is not known.
-        cure: what a person can do about it, "" where nothing is known to help.
+        offset: first byte of the damage, None if unknown.
+        cure: how to fix it, "" if unknown.
     """
 
     def __init__(self, path: Path, what: str, offset: int | None = None, cure: str = "") -> None:
@@ -43,16 +43,16 @@ class BagError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class BagTopic:
-    """One topic of a bag as one publisher or group of publishers offered it; two of one name are two objects.
+    """A topic of a bag as one publisher or group of publishers offered it; one name may have several objects.
 
     Attributes:
         type_name: as its world spells it.
-        world: whose wire its messages are in.
-        definition: the type's full definition, "" where the bag has none that can be read.
-        type_hash: md5 or ``RIHS01_...``, "" where it is not known.
-        qos: what was offered, of all publishers together; a latched ROS 1 connection is transient local.
-        count: messages.
-        offered: what each of the publishers offered, where that is known.
+        world: the world whose serialization its messages have.
+        definition: the type's full definition, "" if the bag has no readable one.
+        type_hash: md5 or ``RIHS01_...``, "" if unknown.
+        qos: the merged offer of all publishers; a latched ROS 1 connection is transient local.
+        count: number of messages.
+        offered: the offer of each publisher, if known.
         metadata: ``side``, ``origin``, ``daemon`` as Midspan's recordings have them; ROS 1's ``callerid``.
     """
 
@@ -68,7 +68,7 @@ class BagTopic:
 
     @property
     def profiles(self) -> tuple[Qos, ...]:
-        """What a writer says of its QoS."""
+        """The QoS profiles to write."""
         return self.offered or (self.qos,)
 
 
@@ -82,7 +82,7 @@ class BagMessage(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Some messages, field by field."""
+    """Messages as one sequence for each member."""
 
     topics: Sequence[BagTopic]
     times: Sequence[int]
@@ -91,7 +91,7 @@ class Columns(NamedTuple):
 
 
 def in_columns(messages: Iterable[BagMessage]) -> Iterator[Columns]:
-    """Messages, many at once; those before a `BagError` are given."""
+    """Yield messages in blocks, including those before a `BagError`."""
     block, size = list[BagMessage](), 0
     try:
         for message in messages:
@@ -113,13 +113,13 @@ class Bag(ABC):
 
     Attributes:
         kind: the format; a folder of rosbag2 has that of its files.
-        start_ns, end_ns: time of the first and of the last message; both 0 where there is none.
+        start_ns, end_ns: times of the first and the last message; both 0 for an empty bag.
         size: bytes on disk.
-        unfinished: whether its writer never closed it, or its end is lost.
-        trouble: where and why reading ends early, None where all can be read.
+        unfinished: whether its writer did not close it, or its end is lost.
+        trouble: the error at which reading ends early, None if the whole bag is readable.
         compression: ``zstd``, ``lz4``, ``bz2``, several with commas, or ``none``.
-        left_out: topics that no side of Midspan can read, with their encoding; further files that cannot be opened.
-        about: what the recorder wrote of itself, as MCAP's records of metadata: values by record and name.
+        left_out: topics in encodings that Midspan does not read, with the encoding; files that cannot be opened.
+        about: the recorder's metadata, as in MCAP's metadata records: values by record and name.
     """
 
     kind: Kind
@@ -138,19 +138,19 @@ class Bag(ABC):
     def messages(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
-        """The messages of these topics (None: all) with ``start_ns <= time_ns < end_ns``, in order of time.
+        """Yield the messages of these topics (None: all) with ``start_ns <= time_ns < end_ns``, in order of time.
 
-        Raises `BagError` where the bag is damaged; what stands before that has been given.
+        Raises `BagError` at damaged data, after the messages before it.
         """
 
     def columns(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[Columns]:
-        """The same as `messages`, many at once."""
+        """Yield the same as `messages`, in blocks."""
         return in_columns(self.messages(topics, start_ns, end_ns))
 
     def skip_damage(self, told: Callable[[BagError], None]) -> None:  # noqa: B027 - a file of SQLite cannot
-        """Leave out what is damaged from now on, and tell of it, where the rest can be read without it."""
+        """Skip damaged data from now on, and report it, if the rest is readable without it."""
 
     @abstractmethod
     def close(self) -> None:
@@ -165,16 +165,16 @@ class Bag(ABC):
 
 @contextmanager
 def reading(path: Path, offset: int | None = None) -> Iterator[None]:
-    """Whatever a reader raises for bad bytes, ours or a library's, comes out as `BagError`."""
+    """Convert any error of a reader for bad bytes, ours or a library's, to `BagError`."""
     try:
         yield
     except (BagError, MemoryError):
         raise
     except FileNotFoundError:
-        raise BagError(path, "there is no such file") from None
+        raise BagError(path, "file not found") from None
     except OSError as err:
         raise BagError(path, f"cannot be read: {err.strerror or err}", offset) from err
-    except Exception as err:  # libraries raise what they like: struct.error, KeyError, sqlite3.Error, ZstdError ...
+    except Exception as err:  # the libraries' errors: struct.error, KeyError, sqlite3.Error, ZstdError ...
         raise BagError(path, f"is damaged: {_words(err)}", offset) from err
 
 

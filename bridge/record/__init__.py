@@ -1,1 +1,1 @@
-"""Recording: any topics of the hub, as they come, into files."""
+"""Recording: selected topics of the hub into files."""

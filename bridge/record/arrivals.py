@@ -1,4 +1,4 @@
-"""Messages between the hub's threads, which hear them, and the thread that writes them: bounded in bytes."""
+"""The queue between the hub's threads, which receive messages, and the writer thread; bounded in bytes."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from bridge.hub.graph.tokens import Origin
 from bridge.modules.hub_topics import TopicKey
 
 LARGE = 64 << 10
-"""Bytes from which a message is large: large ones leave an eighth of the room to the others."""
+"""Bytes from which a message is large; large ones leave an eighth of the queue to the others."""
 
 _BATCH = 8 << 20
 _OVERHEAD = 512
-"""Bytes that a waiting message costs beside its own, about."""
+"""Approximate overhead of a waiting message in bytes."""
 
 
 @dataclass(slots=True)
 class TopicCounts:
-    """What became of a topic's messages.
+    """The counts of a topic's messages.
 
     Attributes:
-        name: as it is recorded.
-        messages: that are written: with the system, and readable.
-        bytes: of their CDR.
+        name: the recorded name.
+        messages: number of written messages, which the operating system has and readers can read.
+        bytes: size of their CDR.
         pending: messages and bytes of the chunk that is not written yet.
         dropped: by reason: ``queue``, ``disk``.
     """
@@ -38,25 +38,25 @@ class TopicCounts:
     dropped: Counter[str] = field(default_factory=Counter)
 
     def wrote(self) -> None:
-        """The chunk is written."""
+        """Count the written chunk."""
         messages, size = self.pending
         self.messages, self.bytes, self.pending = self.messages + messages, self.bytes + size, (0, 0)
 
     def failed(self, reason: str) -> None:
-        """The chunk is lost."""
+        """Count the lost chunk."""
         self.dropped[reason] += self.pending[0]
         self.pending = (0, 0)
 
     def as_dict(self) -> dict[str, Any]:
-        """For the status document."""
+        """Return the entry of the status document."""
         about = {"topic": self.name, "type": self.key.type_name, "messages": self.messages, "bytes": self.bytes}
         return {**about, "dropped": dict(self.dropped)}
 
 
 class RecordedMessage(NamedTuple):
-    """A message that came.
+    """A received message.
 
-    ``gid`` names its publisher, ``origin`` the foreign network that it comes from; times in nanoseconds since 1970.
+    ``gid`` identifies its publisher, ``origin`` the foreign network of it; times in nanoseconds since 1970.
     """
 
     counts: TopicCounts
@@ -69,13 +69,13 @@ class RecordedMessage(NamedTuple):
 
 
 class ArrivalQueue:
-    """Waiting messages, in order. Where there is no room, those that come are dropped and counted, large ones first.
+    """Waiting messages, in order. A full queue drops and counts new messages, large ones first.
 
     Args:
-        limit: bytes that wait at most.
+        limit: maximum bytes of waiting messages.
 
     Attributes:
-        most: bytes that have waited at most.
+        most: maximum bytes that have waited so far.
     """
 
     def __init__(self, limit: int) -> None:
@@ -87,11 +87,11 @@ class ArrivalQueue:
         self._woken = self._waits = False
 
     def has_room(self, size: int) -> bool:
-        """Whether a message of so many bytes would be taken now."""
+        """Whether a message of ``size`` bytes would be queued now."""
         return self._bytes + size <= (self._limit - self._limit // 8 if size >= LARGE else self._limit)
 
     def put(self, arrival: RecordedMessage) -> None:
-        """Queue a message; from any thread."""
+        """Queue a message. Safe to call from any thread."""
         size = len(arrival.data)
         with self._condition:
             if not self.has_room(size):
@@ -104,9 +104,9 @@ class ArrivalQueue:
                 self._condition.notify()
 
     def take(self, seconds: float) -> deque[RecordedMessage]:
-        """All that waits, after so long, or once it is much, or `wake` was called. For one thread alone.
+        """Return all waiting messages after ``seconds``, or earlier for a full batch or on `wake`. For one thread.
 
-        Messages are gathered: a thread that woke for each one would cost more than what it does then.
+        Messages are batched because waking the thread for each would cost more than its work.
         """
         with self._condition:
             if not (self._woken or self._bytes >= self._batch):
@@ -118,12 +118,12 @@ class ArrivalQueue:
             return waiting
 
     def wrote(self, arrival: RecordedMessage) -> None:
-        """A message that was taken waits no more: there is room again."""
+        """Free the bytes of a message that `take` returned."""
         with self._condition:
             self._bytes -= len(arrival.data) + _OVERHEAD
 
     def wake(self) -> None:
-        """Have `take` return."""
+        """Make `take` return."""
         with self._condition:
             self._woken = True
             self._condition.notify()

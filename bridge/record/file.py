@@ -15,23 +15,23 @@ from bridge.modules.hub_topics import TopicKey
 from bridge.record.arrivals import RecordedMessage, TopicCounts
 
 RESERVE = 2 << 20
-"""Bytes of room on the disk that are left, for the file's summary."""
+"""Free bytes that stay on the disk for the file's summary."""
 
 RESUME = 16 << 20
-"""Bytes of room from which recording goes on, once the disk was full."""
+"""Free bytes from which recording continues after the disk was full."""
 
 MAX_CHANNELS = 60_000
-"""A file of MCAP numbers its channels by 16 bits."""
+"""MCAP numbers a file's channels with 16 bits."""
 
 ChannelKey = tuple[TopicKey, Origin | None]
 
 
 class DiskFullError(OSError):
-    """There is no room for more; the file is whole."""
+    """The disk is full; the file is complete up to here."""
 
 
 def room(folder: Path) -> int | None:
-    """Bytes of room on a folder's disk; None where the system does not tell."""
+    """Return the free bytes on a folder's disk; None if the system does not report them."""
     if not hasattr(os, "statvfs"):
         return None
     found = os.statvfs(folder)
@@ -39,7 +39,7 @@ def room(folder: Path) -> int | None:
 
 
 class _Out:
-    """A new file to which bytes are appended at once, with no buffer of its own. Raises `OSError`."""
+    """A new file without a buffer: each write goes to the system at once. Raises `OSError`."""
 
     def __init__(self, path: Path) -> None:
         self.position = 0
@@ -57,7 +57,7 @@ class _Out:
         return self.position
 
     def flush(self) -> None:
-        """Nothing waits here."""
+        """Do nothing, since nothing is buffered."""
 
     def cut(self, position: int) -> None:
         os.ftruncate(self._descriptor, position)
@@ -71,11 +71,11 @@ class _Out:
 
 @dataclass(frozen=True)
 class Written:
-    """What a file that is closed holds; times in nanoseconds since 1970.
+    """The contents of a closed file; times in nanoseconds since 1970.
 
     Attributes:
-        topics: each channel with its messages.
-        whole: whether it has a summary; one without is read in order, or mended.
+        topics: each channel with its number of messages.
+        whole: whether the file has a summary; one without is read sequentially, or mended.
     """
 
     path: Path
@@ -88,13 +88,13 @@ class Written:
 
 
 class RecordFile:
-    """A file that is being written; it must not exist. Raises `OSError` from its making on.
+    """A file that is being written. It must not exist; the constructor and all methods raise `OSError`.
 
     Attributes:
-        path: where it is.
+        path: the file.
         opened: monotonic seconds.
-        safe: bytes that are written and can be read even if nothing follows.
-        messages: in these.
+        safe: written bytes that can be read even if nothing follows.
+        messages: number of messages in these.
     """
 
     def __init__(self, path: Path, compression: Compression, about: dict[str, str]) -> None:
@@ -117,21 +117,21 @@ class RecordFile:
 
     @property
     def bytes(self) -> int:
-        """How large it is, with what waits to be compressed."""
+        """The size, including bytes that are not compressed yet."""
         return self._out.position + self._writer.pending
 
     @property
     def full(self) -> bool:
-        """Whether it can have no more channels."""
+        """Whether the file cannot have more channels."""
         return len(self._channels) >= MAX_CHANNELS
 
     @property
     def pending(self) -> bool:
-        """Whether messages wait for the chunk's end."""
+        """Whether the open chunk has messages."""
         return bool(self._pending)
 
     def has(self, key: ChannelKey) -> bool:
-        """Whether there is a channel."""
+        """Whether the file has a channel."""
         return key in self._channels
 
     def channel(self, key: ChannelKey, info: ChannelInfo) -> None:
@@ -139,9 +139,9 @@ class RecordFile:
         self._channels[key] = self._writer.channel(info), info
 
     def write(self, arrival: RecordedMessage, log_time: int, *, again: bool = False) -> None:
-        """Add a message to its channel, which must be there; ``again``: it was counted before.
+        """Add a message to its existing channel; ``again``: it was counted before.
 
-        Raises `DiskFullError` where there is no room for it: then it is not in the file, which can be closed.
+        Raises `DiskFullError` if the disk is full. The message is then not in the file, which can be closed.
         """
         data, counts = arrival.data, arrival.counts
         if self._writer.closes(len(data)):
@@ -157,7 +157,7 @@ class RecordFile:
             self._wrote()
 
     def flush(self) -> None:
-        """Write what is pending; raises `DiskFullError` or another `OSError`."""
+        """Write the open chunk; raises `DiskFullError` or another `OSError`."""
         if self._writer.pending:
             self._check_room(0)
             self._writer.flush()
@@ -166,7 +166,7 @@ class RecordFile:
     def _check_room(self, more: int) -> None:
         free = room(self.path.parent)
         if free is not None and free < self._writer.pending + more + RESERVE:
-            raise DiskFullError(28, f"{free >> 20} MB of room are left", str(self.path.parent))
+            raise DiskFullError(28, f"only {free >> 20} MB are free", str(self.path.parent))
 
     def _wrote(self) -> None:
         self.safe, self.messages = self._out.position, self._writer.messages
@@ -178,7 +178,7 @@ class RecordFile:
         self._fresh.clear()
 
     def close(self, ending: dict[str, str] | None = None) -> Written:
-        """Write the summary, and metadata ``midspan.end`` where some are given; raises `OSError`: then `abandon` it."""
+        """Write the summary, and metadata ``midspan.end`` if given; after an `OSError`, `abandon` the file."""
         if ending:
             self._writer.metadata("midspan.end", ending)
         self._writer.finish()
@@ -187,7 +187,7 @@ class RecordFile:
         return self._written(whole=True)
 
     def abandon(self) -> Written:
-        """Close it where it cannot be written any more, up to the last whole chunk; what is pending is lost."""
+        """Close a file that can no longer be written after its last complete chunk; the open chunk is lost."""
         for counts in self._pending.values():
             counts.failed("disk")
         self._pending.clear()
@@ -203,7 +203,7 @@ class RecordFile:
 
 
 def total(counts: Iterable[TopicCounts]) -> tuple[int, int, dict[str, int]]:
-    """Messages, bytes, and drops by reason of several topics."""
+    """Return the messages, bytes, and drops by reason of several topics."""
     messages = size = 0
     dropped: dict[str, int] = {}
     for each in counts:

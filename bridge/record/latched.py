@@ -1,4 +1,4 @@
-"""What is latched now: the messages that publishers keep for late joiners, for the beginning of each file."""
+"""The current latched messages, which publishers keep for late joiners, for the start of each file."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from bridge.modules.hub_topics import TopicKey
 from bridge.record.arrivals import RecordedMessage
 
 MAX_BYTES = 128 << 20
-"""Bytes that are kept at most; the oldest go first."""
+"""Maximum bytes of kept messages; the oldest are dropped first."""
 MOST_UNKNOWN = 256
-"""Publishers that the graph does not tell of yet, of which a message is kept."""
+"""Maximum publishers that are not in the graph yet, with a kept message each."""
 
 
 class LatchedState:
-    """Of each latched publisher the messages that it keeps, by its depth, as long as it is on the hub. One thread's."""
+    """The last messages of each latched publisher on the hub, as many as its depth. For one thread."""
 
     def __init__(self, graph: HubGraph) -> None:
         self._graph = graph
@@ -27,7 +27,7 @@ class LatchedState:
         self._bytes = 0
 
     def saw(self, arrival: RecordedMessage) -> None:
-        """A message was recorded."""
+        """Keep a recorded message if its publisher is latched."""
         gid = arrival.gid
         if gid in self._plain:
             return
@@ -48,7 +48,7 @@ class LatchedState:
             self._forget_oldest()
 
     def _look_up(self, key: tuple[TopicKey, bytes]) -> bool:
-        """Whether to keep what a publisher says: it is latched, or not known yet, as its message may come first."""
+        """Whether to keep a publisher's message: it is latched, or unknown, since its message may come first."""
         endpoint = self._graph.endpoint(key[1])
         if endpoint is None:
             return True
@@ -71,7 +71,7 @@ class LatchedState:
             self._drop(key)
 
     def all(self) -> Iterator[RecordedMessage]:
-        """All of it in the order in which it came; what publishers that are gone kept is forgotten."""
+        """Return all kept messages by time; drop those of publishers that left the hub."""
         here = {endpoint.gid for endpoint in self._graph.publishers()}
         self._plain &= here
         for key in [key for key in self._kept if key[1] not in here]:

@@ -17,8 +17,8 @@ VERSION = 9
 
 
 def write_metadata(folder: Path, files: Sequence[Written]) -> None:
-    """Write it anew, whole or not at all; raises `OSError`."""
-    import yaml  # a recording that is no folder needs none
+    """Replace the file, completely or not at all; raises `OSError`."""
+    import yaml  # recordings of single files do not need it
 
     making = folder / ".metadata.yaml"
     making.write_text(yaml.safe_dump(metadata(files), sort_keys=False), encoding="utf-8")
@@ -26,7 +26,7 @@ def write_metadata(folder: Path, files: Sequence[Written]) -> None:
 
 
 def metadata(files: Sequence[Written]) -> dict[str, Any]:
-    """The document; there is at least one file."""
+    """Return the document of at least one file."""
     channels: dict[tuple[str, str], list[tuple[ChannelInfo, int]]] = {}
     for file in files:
         for info, messages in file.topics:
@@ -51,7 +51,7 @@ def metadata(files: Sequence[Written]) -> dict[str, Any]:
 
 
 def _topic(channels: Sequence[tuple[ChannelInfo, int]]) -> dict[str, Any]:
-    """A topic with all its channels: one of each origin, in each file."""
+    """Return a topic's entry from its channels: one for each origin and file."""
     import yaml
 
     info, offered = channels[0][0], tuple(dict.fromkeys(qos for each, _ in channels for qos in each.qos))

@@ -1,4 +1,4 @@
-"""Where the files of a recording lie: one, several, or a folder as rosbag2 writes it; and how much of them is kept."""
+"""The files of a recording: one, several, or a folder of rosbag2; and the limits of kept recordings."""
 
 from __future__ import annotations
 
@@ -17,43 +17,43 @@ from bridge.record.metadata import write_metadata
 _log = logging.getLogger("midspan.record")
 
 PREFIX = "midspan_"
-"""What the names of recordings begin with that nobody else named; only such are ever deleted."""
+"""The prefix of recordings that Midspan names; only such are ever deleted."""
 
 
 class RecordPlace(Protocol):
-    """Where files go."""
+    """Names the files of a recording."""
 
     def next(self) -> Path:
-        """The next file, its folder made; raises `OSError`."""
+        """Return the path of the next file and create its folder; raises `OSError`."""
         ...
 
     def closed(self, written: Written, /) -> None:
-        """A file is closed."""
+        """Handle a closed file."""
         ...
 
 
 def stamp(seconds: float | None = None) -> str:
-    """The local time as it stands in names."""
+    """Return the local time as file names contain it."""
     return time.strftime("%Y_%m_%d-%H_%M_%S", time.localtime(seconds))
 
 
 class Files:
-    """``base.mcap``, or ``base_0.mcap``, ``base_1.mcap`` ... where they are split."""
+    """``base.mcap``, or for split recordings ``base_0.mcap``, ``base_1.mcap`` ..."""
 
     def __init__(self, base: Path, *, split: bool) -> None:
         self._base, self._split = base, split
         self._number = 0
 
     def next(self) -> Path:
-        """The next file."""
+        """Return the path of the next file."""
         self._base.parent.mkdir(parents=True, exist_ok=True)
         number = self._number
-        # the second file of one that is not split: the disk was full in between, or a person asked for it
+        # an unsplit recording gets a second file after a full disk, or on request
         name = f"{self._base.name}_{number}" if self._split or number else self._base.name
         return self._base.with_name(f"{name}.mcap")
 
     def closed(self, _written: Written) -> None:
-        """The next one has another number; one that could not be made leaves no gap."""
+        """Increment the number, so that a file that could not be created leaves no gap."""
         self._number += 1
 
 
@@ -67,28 +67,28 @@ class BagFolder:
         self._written: list[Written] = []
 
     def next(self) -> Path:
-        """The next file; raises `FileExistsError` where somebody has the folder."""
+        """Return the path of the next file; raises `FileExistsError` if the folder existed before."""
         if not self._made:
             self._folder.mkdir(parents=True)
             self._made = True
         return self._files.next()
 
     def closed(self, written: Written) -> None:
-        """Tell of it in the metadata; raises `OSError`."""
+        """Add the file to the metadata; raises `OSError`."""
         self._written.append(written)
         self._files.closed(written)
         write_metadata(self._folder, self._written)
 
 
 class KeptFolder:
-    """A folder of recordings that Midspan names, and of which it keeps the newest."""
+    """A folder of recordings that Midspan names, limited to the newest."""
 
     def __init__(self, folder: Path, keep: KeepSection) -> None:
         self.folder, self._keep = folder, keep
         self._now: Path | None = None
 
     def base(self) -> Path:
-        """A name that is not taken yet."""
+        """Return an unused name."""
         first = self.folder / f"{PREFIX}{stamp()}"
         taken = {entry.name.removesuffix(".mcap") for entry in self._entries()}
         number, found = 1, first
@@ -97,25 +97,25 @@ class KeptFolder:
         return found
 
     def next(self) -> Path:
-        """The next file, each with a name of its own."""
+        """Return the path of the next file, each under a new name."""
         self.folder.mkdir(parents=True, exist_ok=True)
         self._now = self.base().with_suffix(".mcap")
         self.prune()
         return self._now
 
     def closed(self, _written: Written) -> None:
-        """Make room."""
+        """Delete old recordings."""
         self.prune()
 
     def prune(self) -> None:
-        """Delete the oldest recordings until the rest fits; the newest one stays."""
+        """Delete the oldest recordings until the rest is within the limits; the newest stays."""
         found = sorted(self._entries(), key=lambda entry: entry.name)
         sizes = {entry: _size(entry) for entry in found}
         while len(found) > 1 and self._too_much(len(found), sum(sizes[entry] for entry in found)):
             oldest = found.pop(0)
             if oldest == self._now:
                 continue
-            _log.info("%s is deleted to make room (record.keep)", oldest)
+            _log.info("deleting %s, which exceeds record.keep", oldest)
             with contextlib.suppress(OSError):
                 shutil.rmtree(oldest) if oldest.is_dir() else oldest.unlink()
 

@@ -1,8 +1,8 @@
-"""Records chosen topics of the hub: hears them, and writes what came on a thread of its own.
+"""Records selected topics of the hub: subscribes to them, and writes their messages on a separate thread.
 
-What the status calls written can be read, even if the process is killed right then: chunks are closed after a
-megabyte or a second. Where the disk is full the file is closed, what comes is dropped and counted, and recording goes
-on in a new file once there is room.
+Messages that the status counts as written can be read even if the process is killed: chunks are closed after a
+megabyte or a second. When the disk is full, the file is closed, messages are dropped and counted, and recording
+continues in a new file as soon as space is free.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ _log = logging.getLogger("midspan.record")
 
 FLUSH_SECONDS = 1.0
 GATHER_SECONDS = 0.05
-"""So long messages are gathered before they are written, unless they are many megabytes."""
+"""Messages are batched for this long before they are written, unless they are many megabytes."""
 
 GONE_SECONDS = 10.0
-"""So long a topic that nobody publishes any more is still heard: what was sent last may come after that news."""
+"""A topic without publishers stays subscribed for this long, since its last messages may come after that news."""
 
 MAX_TOPICS = 10_000
 
 RETRY_SECONDS = 5.0
-"""After so long a new file is tried where the last one could not be written."""
+"""Delay before a new file after a failed one."""
 
 STILL_SECONDS = 30.0
-"""After so long without a step the thread that writes is taken to hang."""
+"""Without a step for this long, the writer thread counts as hanging."""
 
 _DEFINITION_SECONDS = 2.5
 _COMMAND_SECONDS = 10.0
@@ -58,14 +58,14 @@ class Recorder:
     Args:
         hub: stays open.
         registry: of types.
-        section: what is recorded, and how.
-        place: where.
+        section: the configuration.
+        place: names the files.
         about: metadata of each file.
-        changed: called on a thread of zenoh when the graph changed: it wakes who calls `look`.
+        changed: called on a thread of zenoh after a change of the graph, to have `look` called.
 
     Attributes:
         topics: of the hub.
-        trouble: why nothing is written, "" where all is well.
+        trouble: the reason why nothing is written, "" while recording works.
     """
 
     def __init__(
@@ -95,10 +95,10 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name="midspan-record-write", daemon=True)
         self._thread.start()
 
-    # -- what is heard -------------------------------------------------------------------------------------------------
+    # -- subscriptions -------------------------------------------------------------------------------------------------
 
     def look(self) -> dict[TopicKey, HubTopic]:
-        """Hear the topics that are wanted now, no more those that are gone for a while; all that are on the hub."""
+        """Subscribe to new selected topics, drop those that left the hub, and return all topics of the hub."""
         with self._turn:
             found = self.topics.look()
             if not self._on:
@@ -119,10 +119,10 @@ class Recorder:
         counts = self._counts.get(key)
         if counts is None:
             if len(self._counts) >= MAX_TOPICS:
-                _log.warning("%s is not recorded: there were more than %d topics", key.topic, MAX_TOPICS)
+                _log.warning("%s is not recorded: at most %d topics are", key.topic, MAX_TOPICS)
                 return
             counts = self._counts[key] = TopicCounts(tapped(key.topic)[1], key)
-        self.topics.definitions.find(*key[1:])  # who must be asked is asked now
+        self.topics.definitions.find(*key[1:])  # requests a definition from other nodes early
         end = self.topics.hear(topic, partial(self._heard, counts))
         if end.trouble:
             _log.warning("%s is not recorded: %s", key.topic, end.trouble)
@@ -134,7 +134,7 @@ class Recorder:
             self._left[1] += end.refused
 
     def _heard(self, counts: TopicCounts, sample: HubSample) -> None:
-        """On a thread of zenoh."""
+        """Queue a message, on a thread of zenoh."""
         now = time.time_ns()
         origin = self.topics.origin(sample)
         if not self.selection.origin(origin):
@@ -143,20 +143,20 @@ class Recorder:
             counts.dropped["queue"] += 1
             return
         sent = sample.source_time_ns if sample.source_time_ns > 0 else now
-        # copied out of the sender's shared memory, of which there is little
+        # copied, since the sender's shared memory is small
         self._queue.put(RecordedMessage(counts, sample.gid, origin, sample.sequence, now, sent, sample.data()))
 
     # -- commands ------------------------------------------------------------------------------------------------------
 
     def begin(self) -> Path | None:
-        """Begin, or go on; the file. Raises `OSError` where it cannot be made: it is tried again."""
+        """Start or continue, and return the file. Raises `OSError` if it cannot be created, which is retried."""
         self._on = True
         self.look()
         path: Path | None = self._do(self._open_now)
         return path
 
     def pause(self) -> Path | None:
-        """Hear nothing more, and close the file, which is returned; `begin` goes on in another one."""
+        """Unsubscribe from all topics, and close and return the file; `begin` continues in another one."""
         with self._turn:
             self._on = False
             for topic in self.topics.heard():
@@ -165,12 +165,12 @@ class Recorder:
         return path
 
     def split(self) -> Path | None:
-        """Close the file; the next message begins another one. The closed one, None where there was none."""
+        """Close and return the file, None if none is open; the next message starts another one."""
         path: Path | None = self._do(self._close_file)
         return path
 
     def trigger(self, why: str) -> Future[Path | None]:
-        """Keep what the ring holds: the folder, None where it holds nothing, or `OSError`; returns at once."""
+        """Keep the ring's files: results in the folder, None for an empty ring, or `OSError`; returns at once."""
         return self._post(partial(self._keep, why))
 
     def _post(self, action: Callable[[], Any]) -> Future[Any]:
@@ -183,7 +183,7 @@ class Recorder:
         return self._post(action).result(_COMMAND_SECONDS)
 
     def close(self) -> None:
-        """Write what waits, as long as that goes on, and end. Safe to call twice."""
+        """Write all waiting messages while that makes progress, and stop. Safe to call twice."""
         with self._turn:
             self._on = False
             self.topics.close()
@@ -192,7 +192,7 @@ class Recorder:
         while self._thread.is_alive() and time.monotonic() - self._turned < _COMMAND_SECONDS:
             self._thread.join(0.5)
 
-    # -- the thread that writes ----------------------------------------------------------------------------------------
+    # -- the writer thread ---------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
         while True:
@@ -218,13 +218,13 @@ class Recorder:
             future, action = self._commands.popleft()
             try:
                 future.set_result(action())
-            except Exception as err:  # whoever asked is told
+            except Exception as err:  # the caller gets the error
                 _log.debug("a command failed", exc_info=True)
                 future.set_exception(err)
 
     def _write(self, arrival: RecordedMessage) -> None:
         if self._file is None and not (self._on or self._ending):
-            return  # it was heard just before the pause
+            return  # received just before the pause
         try:
             file = self._file if self._file is not None and not self._is_over(self._file) else self._next_file()
             if file is None:
@@ -246,7 +246,7 @@ class Recorder:
         return file.full or bool(over)
 
     def _next_file(self) -> RecordFile | None:
-        """Another file, with what is latched; None where it is not tried yet. Raises `OSError`."""
+        """Open another file, with the latched messages; None before the next attempt is due. Raises `OSError`."""
         self._close_file()
         if time.monotonic() < self._retry:
             return None
@@ -263,7 +263,7 @@ class Recorder:
             self._have_channel(file, kept)
             file.write(kept, now, again=True)
         if self.trouble:
-            _log.warning("recording goes on in %s", path)
+            _log.warning("recording continues in %s", path)
         self.trouble = ""
         return file
 
@@ -283,7 +283,7 @@ class Recorder:
         topic, type_name, type_hash = arrival.counts.key
         definition = self.topics.definitions.find(type_name, type_hash, _DEFINITION_SECONDS)
         if definition is None:
-            _log.warning("%s: nobody has the definition of %s; it is recorded without one", topic, type_name)
+            _log.warning("%s: the definition of %s is unknown; it is recorded without one", topic, type_name)
         publishers = self._hub.graph.publishers(topic)
         offered = tuple(p.qos for p in publishers if (p.type_name, p.origin) == (type_name, arrival.origin))
         tap = {"tap": topic} if tapped(topic)[0] else {}
@@ -311,17 +311,17 @@ class Recorder:
                 self._failed(err)
 
     def _failed(self, err: OSError) -> None:
-        """Close the file as far as it goes; it is tried again later."""
+        """Close the file after its last complete chunk; a new one is tried later."""
         first = not self.trouble
         where = self._file.path if self._file is not None else err.filename
         self.trouble = f"{where}: {err.strerror or err}"
         self._retry = time.monotonic() + RETRY_SECONDS
         if first:
-            _log.error("recording stops: %s; it goes on in a new file when there is room", self.trouble)
+            _log.error("recording stops: %s; it continues in a new file when space is free", self.trouble)
         self._close_file()
 
     def _close_file(self, ending: dict[str, str] | None = None) -> Path | None:
-        """Close the file, with its summary where there is room for that."""
+        """Close the file, with its summary if space is free."""
         file, self._file = self._file, None
         if file is None:
             return None
@@ -339,26 +339,26 @@ class Recorder:
 
     def _keep(self, why: str) -> Path | None:
         if not isinstance(self._place, Ring):
-            raise OSError(22, "there is no ring (record.ring.seconds)")
+            raise OSError(22, "the recording has no ring (record.ring.seconds)")
         self._close_file({"trigger": why, "time": str(time.time_ns())})
         kept = self._place.keep()
         if kept is not None:
-            _log.info("%s: what the ring held is in %s", why, kept)
+            _log.info("%s: the ring is kept in %s", why, kept)
             self._last_path = kept
         return kept
 
     def computes(self) -> None:
-        """Raises `RuntimeError` where the thread that writes has ended, and `TimeoutError` where it stands still."""
+        """Raise `RuntimeError` if the writer thread has exited, and `TimeoutError` if it hangs."""
         if not self._thread.is_alive() and not self._ending:
-            raise RuntimeError("the thread that writes has ended")
+            raise RuntimeError("the writer thread has exited")
         still = time.monotonic() - self._turned
         if still > STILL_SECONDS:
-            raise TimeoutError(f"the thread that writes has stood still for {still:.0f} s: is the disk away?")
+            raise TimeoutError(f"the writer thread has hung for {still:.0f} s: is the disk unreachable?")
 
-    # -- what it tells -------------------------------------------------------------------------------------------------
+    # -- status --------------------------------------------------------------------------------------------------------
 
     def status(self) -> dict[str, Any]:
-        """For the status document: what is written, and what was dropped, by reason."""
+        """Return the status document: written messages, and dropped ones by reason."""
         file = self._file
         counts = list(self._counts.values())
         messages, size, dropped = total(counts)

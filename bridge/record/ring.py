@@ -1,7 +1,7 @@
 """A ring of files: the last minutes of a recording, kept on a trigger.
 
-What is kept lies on the disk as a row of short files, of which the oldest is deleted; each begins with what was latched
-then. A trigger closes the newest one, and moves all of them into a folder of their own, without copying them.
+The ring is a series of short files on the disk, of which the oldest is deleted. Each starts with the latched messages
+of its time. A trigger closes the newest file and moves all files into a new folder without copying them.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from bridge.record.places import KeptFolder
 _log = logging.getLogger("midspan.record")
 
 SEGMENTS = 10
-"""Files of which the ring is made, about."""
+"""Approximate number of files in the ring."""
 
 
 class Ring:
-    """Names the files of the ring, forgets the oldest, and keeps them all when asked.
+    """Names the files of the ring, deletes the oldest, and keeps all of them on a trigger.
 
     Args:
-        place: the folder in which what is kept lies; the ring itself is a hidden folder there.
+        place: the folder of kept recordings; the ring itself is a hidden folder there.
 
     Attributes:
-        segment_seconds: for how long one file goes on.
-        segment_bytes: and how large it gets.
+        segment_seconds: duration of one file.
+        segment_bytes: maximum size of one file.
     """
 
     def __init__(self, place: KeptFolder, section: RingSection) -> None:
@@ -46,11 +46,11 @@ class Ring:
 
     @property
     def bytes(self) -> int:
-        """Of its closed files."""
+        """The size of the closed files."""
         return sum(segment.bytes for segment in self._segments)
 
     def next(self) -> Path:
-        """The next file; what a run left that was killed is moved away before, and kept."""
+        """Return the path of the next file; the files of a run that was killed are first moved away and kept."""
         self._folder.mkdir(parents=True, exist_ok=True)
         if not self._ready:
             left = sorted(self._folder.glob("*.mcap"))
@@ -59,25 +59,25 @@ class Ring:
                 folder.mkdir(parents=True)
                 for path in left:
                     path.rename(folder / path.name)
-                _log.warning("what the ring held as its run was killed is in %s", folder)
+                _log.warning("moved the ring of a run that was killed to %s", folder)
             self._ready = True
         return self._folder / f"{time.time_ns()}.mcap"
 
     def closed(self, written: Written) -> None:
-        """Take a file up, and forget those that are too old or too many."""
+        """Add a file, and delete those that are too old or too large together."""
         self._segments.append(written)
         self.prune()
 
     def prune(self) -> None:
-        """Forget what is older than the ring's time, or more than its size."""
+        """Delete the files beyond the ring's time or size."""
         oldest = time.time_ns() - int(self._section.seconds * 1e9)
-        most = (self._section.size << 20) - self.segment_bytes  # the newest file grows beside them
+        most = (self._section.size << 20) - self.segment_bytes  # the newest file is still growing
         while self._segments and (self._segments[0].end < oldest or self.bytes > most):
             with contextlib.suppress(OSError):
                 self._segments.popleft().path.unlink()
 
     def discard(self) -> None:
-        """Forget everything: nobody asked for it."""
+        """Delete all files, since no trigger came."""
         while self._segments:
             with contextlib.suppress(OSError):
                 self._segments.popleft().path.unlink()
@@ -85,7 +85,7 @@ class Ring:
             self._folder.rmdir()
 
     def keep(self) -> Path | None:
-        """Move all files into a new folder with metadata; where it is, None where there is none. Raises `OSError`."""
+        """Move all files into a new folder with metadata and return it, None for an empty ring. Raises `OSError`."""
         self.prune()
         if not self._segments:
             return None

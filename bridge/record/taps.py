@@ -1,4 +1,4 @@
-"""Topics that do not cross, taken of their sides: the workers of these show them on the hub to those who ask."""
+"""Taps: topics that do not cross, which the worker of their side forwards to the recorder on request."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from bridge.record.selection import Selection
 _log = logging.getLogger("midspan.record")
 
 TAP_SECONDS = 10
-"""How long a worker is asked to go on; it is asked again at a third of it."""
+"""Duration of one request to a worker; it is repeated after a third of it."""
 
 _ASK_SECONDS = 3.0
 _MAX_TAPS = 100
-"""As many as a worker shows at once (`bridge.routing.side_to_hub`)."""
+"""Maximum topics that a worker forwards at once (`bridge.routing.side_to_hub`)."""
 
 _STAYS = ("denied", "private")
 
 
 class Taps:
-    """Asks again and again, on a thread of its own."""
+    """Repeats the requests on a separate thread."""
 
     def __init__(self, hub: Hub, selection: Selection) -> None:
         self._hub, self._selection = hub, selection
@@ -32,7 +32,7 @@ class Taps:
         self._busy = False
 
     def look(self) -> None:
-        """Ask, where it is time for that; returns at once."""
+        """Send the requests if they are due; returns at once."""
         if self._selection.may_tap and not self._busy and time.monotonic() >= self._due:
             self._busy = True
             self._due = time.monotonic() + TAP_SECONDS / 3
@@ -52,7 +52,7 @@ class Taps:
             self._busy = False
 
     def _wanted(self) -> list[tuple[str, str, list[str]]]:
-        """Worker, daemon, and the topics of its side that are wanted and stay there."""
+        """Return each worker with its daemon and the selected topics of its side that do not cross."""
         found: list[tuple[str, str, list[str]]] = []
         for answer in self._hub.ask("explain", {"topic": ""}, timeout=_ASK_SECONDS):
             entries = answer.value if isinstance(answer.value, list) else ()
@@ -68,5 +68,5 @@ class Taps:
         return found
 
     def close(self) -> None:
-        """Ask no more."""
+        """Stop the requests."""
         self._executor.close()

@@ -1,4 +1,4 @@
-"""What writes the ring: a message on a topic, a halt, a goal that failed, a call of the service."""
+"""Triggers of the ring: a message on a topic, a halt, a failed goal, a call of the service."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _log = logging.getLogger("midspan.record")
 
 SERVICE = "/record/trigger"
 QUIET_SECONDS = 10.0
-"""After a trigger others of topics, halts and goals are left out for so long: what they would write is written."""
+"""Further triggers by topics, halts and goals are ignored for this long, since their messages are already kept."""
 
 _SERVICE_TYPE = "std_srvs/srv/Trigger"
 _STATUS_TOPIC, _STATUS = "/navigation/status", "midspan_msgs/msg/NavigationStatus"
@@ -32,7 +32,7 @@ Keep = Callable[[str], "Future[Path | None]"]
 
 
 class Triggers:
-    """Follows them all; ``keep`` gets the reason, and returns at once."""
+    """Watches all triggers; ``keep`` receives the reason and returns at once."""
 
     def __init__(self, host: Host, section: TriggerSection, keep: Keep) -> None:
         self._host, self._section, self._keep = host, section, keep
@@ -46,11 +46,11 @@ class Triggers:
             host.answer("halt", self._halt)
 
     def look(self, topics: Iterable[TopicKey]) -> None:
-        """Follow those of the hub's topics that are triggers."""
+        """Subscribe to the hub's topics that are triggers."""
         for key in topics:
             if key.topic in self._section.topics and key not in self._ends:
                 try:
-                    # volatile: what was said before is no trigger
+                    # volatile, since older latched messages are not triggers
                     self._ends[key] = self._host.node.hub.subscription(*key, Qos(), lambda _, k=key: self._came(k))  # type: ignore[misc]
                 except HubError as err:
                     _log.warning("trigger %s: %s", key.topic, err)
@@ -68,14 +68,14 @@ class Triggers:
             self._pull(f"a goal failed: {status['reason'] or self._state}")
 
     def _pull(self, why: str) -> None:
-        """On any thread."""
+        """Trigger, from any thread."""
         now = time.monotonic()
         if now >= self._quiet_until:
             self._quiet_until = now + QUIET_SECONDS
             self._keep(why).add_done_callback(self._kept)
 
     def _kept(self, future: Future[Path | None]) -> None:
-        """Where nothing was written, the next trigger counts."""
+        """Accept the next trigger at once if this one kept nothing."""
         if future.exception() is not None or future.result() is None:
             self._quiet_until = 0.0
 
@@ -83,7 +83,7 @@ class Triggers:
         self._keep(f"a call of {SERVICE}").add_done_callback(lambda future: answer(_said(future)))
 
     def close(self) -> None:
-        """Follow the topics no more; the rest goes with the host."""
+        """Close the topic subscriptions; the host closes the rest."""
         for end in self._ends.values():
             end.close()
         self._ends.clear()

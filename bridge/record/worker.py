@@ -29,7 +29,7 @@ from bridge.worker import Health, Worker, costs
 _log = logging.getLogger("midspan.record")
 
 VERB = "record"
-"""The question on the control plane, with the parameter ``do``: ``start``, ``stop``, ``split`` or ``trigger``."""
+"""The request on the control plane, with the parameter ``do``: ``start``, ``stop``, ``split`` or ``trigger``."""
 
 _NICE = 5
 _LOOK_SECONDS = 0.25
@@ -37,10 +37,10 @@ _AGAIN_SECONDS = 5.0
 
 
 class Recording:
-    """A recorder with its node: follows the hub until it is closed.
+    """A recorder with its node, which follows the hub until it is closed.
 
     Args:
-        name: its node's name, and on the control plane.
+        name: the name of its node and on the control plane.
 
     Raises:
         HubError: the hub cannot be joined.
@@ -70,14 +70,14 @@ class Recording:
         return {**about, **error, "recording": told, "metrics": metrics(told)}
 
     def add_triggers(self, section: RecordSection) -> None:
-        """Have the ring written by all that the configuration names."""
+        """Start the triggers of the configuration."""
         self.triggers = Triggers(self.host, section.trigger, self.recorder.trigger)
         self._changed.set()
 
     def _look(self) -> None:
         self._taps.look()
         self._looks += 1
-        # also without news: a topic that is gone is to be given up, one that could not be heard is tried again
+        # also without changes: to drop topics that left the hub, and to retry failed subscriptions
         if self._changed.is_set() or self._looks % int(_AGAIN_SECONDS / _LOOK_SECONDS) == 0:
             self._changed.clear()
             found = self.recorder.look()
@@ -85,7 +85,7 @@ class Recording:
                 self.triggers.look(found)
 
     def close(self) -> None:
-        """Write what waits, and leave the hub."""
+        """Write all waiting messages, and leave the hub."""
         if self.triggers is not None:
             self.triggers.close()
         self.recorder.close()
@@ -95,16 +95,16 @@ class Recording:
 
 @contextmanager
 def yielding() -> Iterator[None]:
-    """Threads that begin within let others go first (Linux): who is recorded is not to wait for who records.
+    """Lower the priority of threads that start within (Linux), so that publishers do not wait for the recorder.
 
-    What zenoh's threads begin later has their priority, also for whatever else the process does.
+    Threads that zenoh's threads start later inherit it, also for other work of the process.
     """
     before = _threads()
     yield
     for thread in _threads() - before:
         with suppress(OSError):  # it has just ended
             os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, os.getpid()) + _NICE)
-            # a message for the recorder does not take the processor from whom it is for
+            # a message for the recorder must not preempt its other subscribers
             os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
 
 
@@ -114,24 +114,24 @@ def _threads() -> set[int]:
 
 
 def default_folder(config: Config) -> Path:
-    """Where the daemon's recordings are."""
+    """Return the folder of the daemon's recordings."""
     return config.record.folder or worker_folder(config) / "recordings"
 
 
 def ring_or_files(folder: KeptFolder, section: RecordSection) -> RecordPlace:
-    """Where files go by a section."""
+    """Return the place of the files by a section."""
     return Ring(folder, section.ring) if section.ring.seconds else folder
 
 
 class RecordWorker(Worker):
-    """Records as the configuration says."""
+    """The worker that records as configured."""
 
     def __init__(self) -> None:
         self._config: Config | None = None
         self._recording: Recording | None = None
 
     def start(self, config: Config) -> None:
-        """Join the hub, and begin; a folder that cannot be written to is tried again."""
+        """Join the hub and start recording; the recorder retries a folder that cannot be written."""
         self._config = config
         section = config.record
         place = ring_or_files(KeptFolder(default_folder(config), section.keep), section)
@@ -142,14 +142,14 @@ class RecordWorker(Worker):
         try:
             _log.info("recording into %s", made.recorder.begin())
         except OSError:
-            _log.debug("the recorder has told it", exc_info=True)
+            _log.debug("recording did not start, as the recorder logged", exc_info=True)
 
     def reload(self, config: Config) -> bool:
-        """A new start is all that is needed."""
+        """Return whether nothing changed; otherwise the worker is restarted."""
         return config == self._config
 
     def health(self) -> Health:
-        """What is written; raises `TimeoutError` where a thread hangs."""
+        """Return the recorder's state; raises `TimeoutError` if a thread hangs."""
         assert self._recording is not None
         self._recording.host.loop.computes()
         self._recording.recorder.computes()
@@ -157,7 +157,7 @@ class RecordWorker(Worker):
         return Health("waiting" if told["error"] else "running", summary(told))
 
     def _do(self, params: dict[str, Any]) -> dict[str, Any]:
-        """A command; raises `HubError` where it cannot be done."""
+        """Run a command; raises `HubError` if it fails."""
         assert self._recording is not None
         recorder, word = self._recording.recorder, params.get("do")
         try:
@@ -176,14 +176,14 @@ class RecordWorker(Worker):
         return {"file": str(path or ""), "recording": recorder.status()}
 
     def stop(self) -> None:
-        """Write what waits, and leave."""
+        """Write all waiting messages, and leave."""
         recording, self._recording = self._recording, None
         if recording is not None:
             recording.close()
 
 
 def metrics(told: dict[str, Any]) -> dict[str, float]:
-    """A recording's figures for Prometheus, without labels; drops by reason, each known one from the beginning."""
+    """Return a recording's figures for Prometheus, without labels; each known drop reason exists from the start."""
     dropped = {reason: told["dropped"].get(reason, 0) for reason in ("queue", "disk", "lost", "refused")}
     return {
         "written_messages_total": told["messages"],
@@ -197,9 +197,9 @@ def metrics(told: dict[str, Any]) -> dict[str, float]:
 
 
 def summary(told: dict[str, Any]) -> str:
-    """A recording's status in a line."""
+    """Return a recording's status in one line."""
     if told["state"] == "stopped":
-        return "stopped; 'midspan record --daemon start' goes on"
+        return "stopped; 'midspan record --daemon start' continues"
     dropped = sum(told["dropped"].values())
     reasons = ", ".join(f"{count} {reason}" for reason, count in told["dropped"].items())
     drops = f", {dropped} dropped ({reasons})" if dropped else ""

@@ -154,7 +154,7 @@ def test_a_pause_hears_nothing_and_a_start_goes_on_in_another_file(
         until(lambda: not said.matched(), "nobody hears it")
         said.put(robot.text("meanwhile"))
         assert made.recorder.begin() == tmp_path / "one_1.mcap"
-        until(said.matched, "it is heard again")
+        until(said.matched, "the recorder subscribes again")
         said.put(robot.text("after"))
         await_written(made, 2)
     assert read(tmp_path / "one.mcap").texts("/said") == ["before"]
@@ -243,7 +243,7 @@ def test_a_folder_that_cannot_be_made_is_told_and_tried_again(
 ) -> None:
     monkeypatch.setattr(record_recorder, "RETRY_SECONDS", 0.1)
     place = tmp_path / "place"
-    place.write_text("a file where the folder should be")
+    place.write_text("a file with the name of the folder")
     said = robot.publisher("/said")
     keep = RecordSection().keep
     with recording(hubs, tmp_path, KeptFolder(place, keep)) as made:
@@ -275,7 +275,7 @@ def test_a_full_disk_stops_recording_until_there_is_room(
         said.put(robot.text("last"))
         told = until(lambda: (now := made.recorder.status())["error"] and now, "it stops")
         assert told["state"] == "blocked"
-        assert "1 MB of room are left" in told["error"]
+        assert "only 1 MB are free" in told["error"]
         until(lambda: read(tmp_path / "one.mcap").whole, "the file is closed")
         assert read(tmp_path / "one.mcap").texts("/said") == ["before", "last"]
         said.put(robot.text("lost"))

@@ -129,7 +129,7 @@ def test_a_file_of_a_folder_that_cannot_be_opened_is_named(capsys: pytest.Captur
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ("info gone.mcap", "gone.mcap: there is no such file"),
+        ("info gone.mcap", "gone.mcap: file not found"),
         ("info text.bag", "text.bag, byte 0: is neither MCAP nor a bag"),
         ("convert a.mcap b.zip", "b.zip: has an unknown ending"),
         ("convert a.mcap a.mcap", "a.mcap: exists already"),
