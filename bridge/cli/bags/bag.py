@@ -203,9 +203,10 @@ def _print_info(info: dict[str, Any]) -> None:
         # recordings name the side "zenoh" of what is published on the hub itself, which has no origin
         side = "hub" if more.get("side") == "zenoh" and not more.get("origin") else more.get("side")
         origin = " of ".join(clean(name) for name in (side, more.get("daemon")) if name) or topic["world"]
+        notes = [*(["latched"] if topic["latched"] else []), *([] if topic["defined"] else ["no definition"])]
         table.add_row(
             clean(topic["name"]), clean(topic["type"]), str(topic["messages"]), rate(topic["rate"]), origin,
-            "latched" if topic["latched"] else "",
+            ", ".join(notes),
         )  # fmt: skip
     make_console().print(table)
 

@@ -86,6 +86,19 @@ def test_a_bag_is_converted_and_cut(capsys: pytest.CaptureFixture[str]) -> None:
         assert sum(1 for _ in bag.messages()) == 5
 
 
+def test_info_shows_which_types_have_no_definition(capsys: pytest.CaptureFixture[str]) -> None:
+    nobody_knows(Path("run.mcap"))
+    assert main(["bag", "info", "run.mcap"]) == 0
+    rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.startswith("/")}
+    assert {name: row.split("ROS 2")[1].strip() for name, row in rows.items()} == {
+        "/known": "no definition",
+        "/odd": "no definition",
+    }
+    mcap_file(Path("whole.mcap"))
+    assert main(["bag", "info", "whole.mcap"]) == 0
+    assert "no definition" not in capsys.readouterr().out
+
+
 def test_types_of_the_configuration_count(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nobody_knows(Path("humble.mcap"))  # as a .db3 of Humble, which has no definitions
     assert main(["bag", "convert", "humble.mcap", "a.db3"]) == 0
