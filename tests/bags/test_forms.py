@@ -130,6 +130,18 @@ def test_a_bag_of_ros_1_keeps_two_definitions_of_a_type(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
+def test_a_bag_of_ros_1_gets_two_definitions_of_a_type_of_ros_2(tmp_path: Path) -> None:
+    definitions = [("/x", A), ("/x", B), ("/z", A)]
+    topics = [(name, "my_msgs/msg/V", text, data) for name, (_, text, data) in definitions]
+    source = ros2_file(tmp_path / "a.mcap", topics)
+    for target in (tmp_path / "b.mcap", tmp_path / "b.db3"):
+        with pytest.raises(BagError, match=r"/x has another definition of my_msgs/msg/V than /x.*a \.bag has room"):
+            converted(source, target)
+    converted(source, tmp_path / "b.bag")
+    (found,) = rosbag([tmp_path / "b.bag"])
+    assert [message for *_, message in found] == [{"a": 1}, {"a": 1, "b": 2}, {"a": 1}]
+
+
 def test_two_versions_of_an_installed_type_become_the_installed_one(tmp_path: Path) -> None:
     texts = [("/x", "std_msgs/Int8", "int8 data\n", b"\1"), ("/y", "std_msgs/Int8", "# older\nint8 data\n", b"\2")]
     converted(ros1_file(tmp_path / "a.bag", texts), tmp_path / "b.db3")

@@ -229,7 +229,8 @@ def _convert(args: argparse.Namespace) -> int:
             )  # fmt: skip
         if bag.trouble is not None:
             done.damage.append(bag.trouble)
-    _report(args, done, time.monotonic() - begun)
+        left_out = bag.left_out
+    _report(args, done, time.monotonic() - begun, left_out)
     return 0
 
 
@@ -281,7 +282,7 @@ def _progress(bag: Bag) -> Iterator[Told]:
         yield on_progress
 
 
-def _report(args: argparse.Namespace, done: Copied, seconds: float) -> None:
+def _report(args: argparse.Namespace, done: Copied, seconds: float, left_out: tuple[str, ...] = ()) -> None:
     document = {
         "file": str(args.out),
         "messages": done.messages,
@@ -292,6 +293,7 @@ def _report(args: argparse.Namespace, done: Copied, seconds: float) -> None:
         "renamed": done.renamed,
         "fields_lost": {name: list(fields) for name, fields in done.lost.items()},
         "damage": [str(err) for err in done.damage],
+        "not_read": list(left_out),
     }
     if args.json:
         print_json(document)
@@ -299,6 +301,8 @@ def _report(args: argparse.Namespace, done: Copied, seconds: float) -> None:
     print(f"{clean(args.out)}: {plural(done.messages, 'message')}, {size(done.data)}, {duration(seconds)}")
     for old, new in done.renamed.items():
         print(f"renamed: {clean(old)} is {clean(new)} in the new file")
+    for name in left_out:
+        print(f"not read: {clean(name)}")
     for reason in done.unknown.values():
         print(f"left out: {clean(reason)}")
     for name, count in done.refused.items():

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Writer1
 
@@ -75,6 +76,25 @@ def test_convert_prints_the_names_that_it_changes(capsys: pytest.CaptureFixture[
     assert "renamed: /camera/1 is /camera/n1 in the new file" in capsys.readouterr().out
     assert main(["bag", "convert", "old.bag", "new.db3", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["renamed"] == {"/camera/1": "/camera/n1"}
+
+
+def test_convert_prints_the_messages_that_it_cannot_read(capsys: pytest.CaptureFixture[str]) -> None:
+    with Path("mixed.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "test")
+        schemas = {"json": writer.register_schema("state", "jsonschema", b"{}"), "cdr": 0}
+        schemas["ros"] = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+        for number, (name, schema) in enumerate(schemas.items()):
+            channel = writer.register_channel(f"/{name}", "json" if name == "json" else "cdr", schema)
+            writer.add_message(channel, number, b"\0\1\0\0\2\0\0\0a\0", number)
+        writer.finish()
+    assert main(["bag", "convert", "mixed.mcap", "new.db3"]) == 1
+    assert "/cdr has no type: its channel has no schema; --skip-unknown leaves it out" in capsys.readouterr().err
+    assert main(["bag", "convert", "mixed.mcap", "new.db3", "--skip-unknown"]) == 0
+    shown = capsys.readouterr().out
+    assert "new.db3: 1 message" in shown
+    assert "not read: /json (json)" in shown
+    assert "left out: /cdr has no type" in shown
 
 
 def test_a_bag_is_converted_and_cut(capsys: pytest.CaptureFixture[str]) -> None:
