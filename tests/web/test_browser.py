@@ -7,7 +7,7 @@ import json
 import math
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,9 @@ const canvas = document.querySelector("canvas");
 const [x, y] = [canvas.width / 2, canvas.height / 2 - 10 * devicePixelRatio];
 return [...canvas.getContext("2d").getImageData(x, y, 1, 1).data];
 """
+WINDOWS = ((1440, 760), (1536, 730), (1600, 789), (1440, 900), (1879, 1019), (1880, 920), (1920, 937), (2560, 1300))
+"""Sizes of browsers' pages on common screens, and on both sides of the limits in drive.css."""
+
 until = partial(wait.until, every=0.2)
 """Each look at the page is a request to the browser, and one at its pixels costs as much as drawing them."""
 
@@ -112,6 +115,11 @@ class Operator:
         assert made is not None
         return made
 
+    def choose(self, part: str) -> None:
+        """Show a part of the panel, Send or By hand, if the window is too low for both."""
+        if self.chrome.find_element(By.CSS_SELECTOR, ".panel .parts").is_displayed():
+            self.button(part, ".panel .parts").click()
+
     def map_at(self, x: float, y: float) -> WebElement:
         """The map with a place in its middle."""
         self.open(f"drive/{x},{y}")
@@ -149,6 +157,7 @@ class Operator:
 def operator(chrome: Chrome, robot: WebRobot) -> Iterator[Operator]:
     made = Operator(chrome, robot)
     made.open("drive")
+    made.choose("Send")
     yield made
     with TestPage(robot.port) as page:
         page.call("stop")
@@ -285,6 +294,7 @@ def test_stop_while_it_drives(operator: Operator, watch: TestPage, how: str) -> 
 
 
 def drive_by_hand(operator: Operator, watch: TestPage) -> None:
+    operator.choose("By hand")
     button = operator.button("Turn left")
     ActionChains(operator.chrome).click_and_hold(button).perform()
     watch.until(lambda: moves(watch), "it turns while the button is held", 30)
@@ -509,19 +519,86 @@ _LESS = ("places", "topics", "frames", "system")
 )
 def test_every_view_fits(operator: Operator, view: str, width: int) -> None:
     chrome = operator.chrome
-    chrome.execute_cdp_cmd(
-        "Emulation.setDeviceMetricsOverride",
-        {"width": width, "height": 780, "deviceScaleFactor": 1, "mobile": width < 500},
-    )
-    try:
+    with viewport(chrome, width, 780):
         operator.open(view)
         wide = chrome.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
         assert wide[0] <= wide[1], "nothing sticks out to the side"
         stop = chrome.find_element(By.ID, "stop")
         assert stop.is_displayed(), "STOP is in sight"
         assert stop.location["x"] + stop.size["width"] <= width
+
+
+SENDING = """
+const list = document.querySelector(".places-list"), panel = document.querySelector(".panel");
+const [above, outer] = [list, panel].map((each) => each.getBoundingClientRect());
+const [top, bottom] = [Math.max(above.top, outer.top), Math.min(above.bottom, outer.bottom)];
+const boxes = [...list.querySelectorAll("button")].map((each) => each.getBoundingClientRect());
+return {
+  visible: boxes.filter((box) => box.height >= 40 && box.top >= top && box.bottom <= bottom).length,
+  places: boxes.length, list: list.clientHeight, panel: panel.clientHeight, content: panel.scrollHeight,
+};
+"""
+
+
+@contextlib.contextmanager
+def viewport(chrome: Chrome, width: int, height: int) -> Iterator[None]:
+    """A page of this size in pixels; a phone's if it is narrow."""
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+    chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        yield
     finally:
         chrome.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@pytest.fixture
+def places(watch: TestPage) -> Iterator[Callable[[int], None]]:
+    """Set the number of places on the map; those added are deleted after the test."""
+    added: list[str] = []
+
+    def set_number(wanted: int) -> None:
+        for number in range(wanted - len(watch.value("places")["locations"])):
+            added.append(f"added_{number}")
+            assert watch.call("keep_place", name=added[-1], x=FREE[0], y=FREE[1], theta=0.0)["ok"]
+
+    yield set_number
+    for name in added:
+        watch.call("delete_place", name=name, kind="location")
+
+
+@pytest.mark.parametrize(
+    ("width", "height"),
+    [(1366, 625), (1280, 757), *(pytest.param(*size, marks=pytest.mark.thorough) for size in WINDOWS)],
+)
+def test_the_places_to_send_to_are_in_sight(
+    operator: Operator, places: Callable[[int], None], width: int, height: int
+) -> None:
+    chrome = operator.chrome
+    places(9)
+    with viewport(chrome, width, height):
+        operator.open("drive")
+        operator.choose("Send")
+        until(lambda: len(operator.texts(".places-list button")) == 9, "nine places are listed")
+        nine = chrome.execute_script(SENDING)
+        assert nine["content"] <= nine["panel"], "the panel does not scroll"
+        assert nine["visible"] == 9
+        assert operator.button("End drive").is_displayed()
+        operator.choose("By hand")
+        assert operator.button("Turn left").is_displayed()
+        panel = chrome.execute_script(SENDING)
+        assert panel["content"] <= panel["panel"], "nor does it with the controls for driving by hand"
+
+
+@pytest.mark.thorough
+def test_many_places_scroll_in_their_list_only(operator: Operator, places: Callable[[int], None]) -> None:
+    places(30)
+    with viewport(operator.chrome, 1366, 625):
+        operator.open("drive")
+        operator.choose("Send")
+        until(lambda: len(operator.texts(".places-list button")) == 30, "all places are listed")
+        many = operator.chrome.execute_script(SENDING)
+    assert many["content"] <= many["panel"]
+    assert many["visible"] >= 8
 
 
 def test_status_and_frames(operator: Operator) -> None:

@@ -132,7 +132,7 @@ function sendBlock(socket) {
   let [places, why, current] = [null, "", undefined];
   const list = el("ul", { class: "places-list drives" });
   const empty = el("p", { class: "empty" });
-  const planner = el("select", { id: "planner", on: {
+  const planner = el("select", { id: "planner", title: "Planner", on: {
     change: () => ask(socket, `Planner ${planner.value}`, "choose_planner", { name: planner.value }, `${planner.value} plans from now on.`),
   } });
   const patrol = patrolBlock(socket, () => show());
@@ -144,7 +144,7 @@ function sendBlock(socket) {
     const names = Object.entries(places?.locations ?? {})
       .filter(([, place]) => current === undefined || place.map === current).map(([name]) => name).sort();
     write(empty, names.length ? "" : why || "No places on this map. Keep one: press the map.");
-    rows(list, names, (name) => name, (name) => el("li", {}, button(name, () => (patrol.picks ? patrol.pick(name) : goToPlace(socket, name)))), () => {});
+    rows(list, names, (name) => name, (name) => el("li", {}, button(name, () => (patrol.picks ? patrol.pick(name) : goToPlace(socket, name)), { title: name })), () => {});
     write(title, patrol.picks ? "Patrol" : "Send to");
     element.classList.toggle("picks", patrol.picks);
   };
