@@ -17,7 +17,7 @@ from bridge.web.feeds.feed import Feed, Feeds
 from bridge.web.serving.access import Grant
 from bridge.web.serving.login import who
 from bridge.web.verbs.hold import HandDriving
-from bridge.web.verbs.verbs import VerbError, Verbs
+from bridge.web.verbs.verbs import VerbError, Verbs, number_between
 
 _log = logging.getLogger("midspan.web")
 
@@ -29,7 +29,7 @@ MOST_WAITING = 200
 MOST_BYTES = 64 * 1024
 MOST_REPLIES = 500
 _POLICY = 1008
-_LARGEST = 1e9
+_check_speed = number_between(-1e9, 1e9)
 _WATCHES = "this page has the role 'watch'"
 
 Post = Callable[[Callable[[], Any]], None]
@@ -172,8 +172,8 @@ class Page:
                     self._wake.set()
             case {"op": "call", "id": int(number), "verb": str(verb), **rest} if set(rest) <= {"args"}:
                 self._call(number, verb, rest.get("args", {}))
-            case {"op": "hold", "x": x, "y": y, "turn": turn, **rest} if not rest and _numbers(x, y, turn):
-                self._hold_on(float(x), float(y), float(turn))
+            case {"op": "hold", "x": x, "y": y, "turn": turn, **rest} if not rest:
+                self._hold_on(*_velocity(x=x, y=y, turn=turn))
             case {"op": "release", **rest} if not rest:
                 self._wishes(lambda: self._hold.release(self))
             case _:
@@ -301,5 +301,12 @@ def _refused_number(word: str) -> float:
 _DECODER = json.JSONDecoder(parse_constant=_refused_number)
 
 
-def _numbers(*values: Any) -> bool:
-    return all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) <= _LARGEST for v in values)
+def _velocity(**parts: Any) -> list[float]:
+    """Return the numbers of a hold; raises `BadMessageError`."""
+    checked = []
+    for name, value in parts.items():
+        try:
+            checked.append(_check_speed(value))
+        except ValueError as err:
+            raise BadMessageError(f"hold: {name} {err}, not {value!r:.80}") from None
+    return checked

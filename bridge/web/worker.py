@@ -148,7 +148,10 @@ class Console:
             },
         )
         most = (section.speed, section.turn)
-        self._hold = HandDriving(host, config.navigation.velocity, most, lambda: driving.busy or self._patrol.busy)
+        self._hold = HandDriving(
+            host, config.navigation.velocity, most,
+            driven=lambda: driving.busy or self._patrol.busy, begins=driving.moved_by_hand,
+        )  # fmt: skip
         self._driving, self._sending = driving, Sending(host, config, client, known)
         written = (self._store.client, lambda: host.loop.post(self._store.look))
         self.verbs = Verbs(

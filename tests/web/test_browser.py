@@ -275,6 +275,25 @@ def test_a_drag_gives_the_heading(operator: Operator, watch: TestPage) -> None:
     assert distance(found["goal"], FREE) < 0.1
 
 
+def test_a_pause_keeps_what_is_left(operator: Operator, watch: TestPage) -> None:
+    watch.watch("path")
+    operator.button("bedroom" if off(watch, 8.2, 7.4) > 2.0 else "kitchen", ".places-list").click()
+    watch.until(lambda: moves(watch), "it drives", 60)
+    watch.value("driving", lambda value: value["distance"])
+    until(lambda: operator.pixels("--path") > 100, "the path is drawn")
+    operator.button("Pause").click()
+    driving = watch.value("driving", lambda value: value["state"] == "paused")
+    watch.until(lambda: stands(watch), "it stands", 30)
+    left = f"{driving['distance']:.1f} m"
+    until(lambda: operator.texts(".doing .facts dd")[1] == left, "the panel shows what is left")
+    assert operator.chrome.find_element(By.ID, "driving").text == f"Paused, {left} left"
+    assert len(watch.values["path"]["value"]["points"]) >= 4
+    operator.chrome.refresh()
+    until(lambda: operator.pixels("--path") > 100, "a page that is loaded during the pause draws the path")
+    operator.button("Go on").click()
+    watch.until(lambda: moves(watch), "it goes on", 60)
+
+
 @pytest.mark.parametrize("how", ["button", "space"])
 def test_stop_while_it_drives(operator: Operator, watch: TestPage, how: str) -> None:
     pose = watch.values["robot"]["value"]["pose"]
@@ -667,7 +686,15 @@ def test_a_message_and_a_call_from_a_form(operator: Operator, watch: TestPage) -
         "what is wrong is said before anything is sent",
     )
     number.clear()
-    number.send_keys("3", Keys.ENTER)
+    number.send_keys("3")
+    voltage = chrome.find_elements(By.CSS_SELECTOR, ".sending input")[3]
+    for text, limits in (("1e999", "must be between -1.8e308 and 1.8e308"), ("high", "must be a number")):
+        voltage.clear()
+        voltage.send_keys(text, Keys.ENTER)
+        error = f"voltage {limits}, not “{text}”"
+        until(lambda error=error: any(error in each for each in operator.texts(".form-wrong")), "the error is shown")
+    voltage.clear()
+    voltage.send_keys("12.5", Keys.ENTER)
     until(lambda: "published on /battery_state" in operator.texts(".told"), "it is published")
     operator.open("topics/service:%2Fsim%2Femergency_stop@std_srvs%2Fsrv%2FSetBool")
     form = until(lambda: chrome.find_elements(By.CSS_SELECTOR, "[aria-label=Service] .sending select"), "the form")

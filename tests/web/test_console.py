@@ -362,6 +362,15 @@ def test_bad_messages_are_named(desk: Desk, text: str) -> None:
     assert not base.drives()
 
 
+@pytest.mark.parametrize(("x", "shown"), [("1e300", "1e+300"), ("1e999", "inf"), ('"1"', "'1'")])
+def test_a_hold_out_of_range_is_refused_with_its_limits(desk: Desk, x: str, shown: str) -> None:
+    with TestPage(desk.port) as page:
+        page.socket.send(f'{{"op": "hold", "x": {x}, "y": 0, "turn": 0}}')
+        page.until(page.errors, "it is refused")
+        limits = "must be a number between -1,000,000,000 and 1,000,000,000"
+        assert page.errors() == [f"hold: x {limits}, not {shown}"]
+
+
 def test_a_page_of_bad_messages_alone_is_closed(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         for _ in range(30):
@@ -372,15 +381,25 @@ def test_a_page_of_bad_messages_alone_is_closed(desk: Desk) -> None:
         page.until(lambda: page.said, "others are served")
 
 
+LIMITS = "must be a number between -1,000,000 and 1,000,000"
+
+
 @pytest.mark.parametrize(
     ("verb", "args", "why"),
     [
         ("fly", {}, "there is no verb 'fly'; there are goto"),
         ("goto", {"x": 1.0}, "goto needs y"),
-        ("goto", {"x": 1.0, "y": "2"}, "goto: y is a number, not '2'"),
-        ("goto", {"x": 1.0, "y": 1e9}, "goto: y is a number, not 1000000000.0"),
+        ("goto", {"x": 1.0, "y": "2"}, f"goto: y {LIMITS}, not '2'"),
+        ("goto", {"x": 1e300, "y": 1.0}, f"goto: x {LIMITS}, not 1e+300"),
+        ("goto", {"x": 1.0, "y": -(10**30)}, f"goto: y {LIMITS}, not -1000"),
+        ("goto", {"x": 1.0, "y": 1.0, "theta": True}, f"goto: theta {LIMITS}, not True"),
+        (
+            "keep_area",
+            {"name": "a", "points": [[0, 0], [1e300, 0], [0, 1]]},
+            "in meters between -1,000,000 and 1,000,000",
+        ),
         ("goto", {"x": 1.0, "y": 2.0, "z": 3.0}, "goto has no argument 'z'; it has x, y, theta"),
-        ("keep_place", {"name": " ", "x": 0, "y": 0, "theta": 0}, "keep_place: name is a name of up to 255 characters"),
+        ("keep_place", {"name": " ", "x": 0, "y": 0, "theta": 0}, "name must be a name of up to 255 characters"),
         ("set_pose", {"x": 0, "y": 0, "theta": 0}, "nobody hears /initialpose"),
         ("use_map", {"name": "house"}, "no daemon on the hub keeps a store"),
     ],

@@ -247,9 +247,10 @@ def test_without_a_gateway_it_says_so(desk: Desk, monkeypatch: pytest.MonkeyPatc
     [
         ({"places": ["a"]}, "places are 2 to 50 names"),
         ({"places": ["a"] * 51}, "places are 2 to 50 names"),
-        ({"places": ["a", 1]}, "places is a name"),
-        ({"places": ["a", "b"], "wait": 0}, "wait is 1 to 3600 seconds"),
-        ({"places": ["a", "b"], "wait": "2"}, "wait is a number"),
+        ({"places": ["a", 1]}, "places must be a name"),
+        ({"places": ["a", "b"], "wait": 0}, "wait must be a number of seconds between 1 and 3,600, not 0"),
+        ({"places": ["a", "b"], "wait": 1e300}, "between 1 and 3,600, not 1e+300"),
+        ({"places": ["a", "b"], "wait": "2"}, "wait must be a number of seconds"),
     ],
 )
 def test_patrols_that_are_none(desk: Desk, args: dict[str, Any], why: str) -> None:

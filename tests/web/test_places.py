@@ -82,8 +82,8 @@ def test_all_kinds_are_renamed_and_deleted(page: TestPage, store: Store) -> None
     [
         ("keep_area", {"name": "a", "points": SQUARE[:2]}, "points are 3 to 500 corners"),
         ("keep_area", {"name": "a", "points": [[0, 0]] * 501}, "points are 3 to 500 corners"),
-        ("keep_area", {"name": "a", "points": [[0, 0], [1, 1], [2]]}, "points are corners [x, y] in metres"),
-        ("keep_area", {"name": "a", "points": [[0, 0], [1, 1], [2, "2"]]}, "points are corners [x, y] in metres"),
+        ("keep_area", {"name": "a", "points": [[0, 0], [1, 1], [2]]}, "points must be corners [x, y], in meters"),
+        ("keep_area", {"name": "a", "points": [[0, 0], [1, 1], [2, "2"]]}, "points must be corners [x, y], in meters"),
         ("keep_area", {"name": "a", "points": [[0, 0], [1, 1], [2, 2]]}, "not all on one line"),
         ("keep_area", {"name": "a/b", "points": SQUARE}, "the name 'a/b' has /"),
         ("keep_area", {"name": "a", "points": SQUARE, "replace": 1}, "replace is true or false"),

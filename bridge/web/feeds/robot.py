@@ -118,43 +118,52 @@ class LaserFeed(TopicsFeed):
 
 
 class PathFeed(TopicsFeed):
-    """``path``: the path of the chosen planner."""
+    """``path``: the path of the chosen planner; during a pause the last one, since planners clear theirs."""
 
     def __init__(self, host: Host, config: Config, driving: DrivingFeed) -> None:
         super().__init__(host, "path")
         self._config, self._driving = config, driving
         self._topic = ""
-        driving.on_change(self._choose)
+        self._goal = b""
+        self._last: list[float] = []  # the last path of that goal
+        driving.on_change(self._update)
 
     def open(self) -> None:
         """Follow the planner that is chosen."""
-        self._choose()
+        self._update()
 
     def close(self) -> None:
-        """Rest."""
+        """Unsubscribe; the path of a paused goal is kept for the next page."""
         super().close()
         self._topic = ""
 
-    def _choose(self) -> None:
+    def _update(self) -> None:
+        driving, topic = self._driving, self._config.web.path or self._of(self._driving.planner)
+        ended = not (driving.drives or driving.paused)
+        if ended or driving.goal_id != self._goal or not (self.watched or driving.paused):
+            self._goal, self._last = driving.goal_id, []
         if not self.watched:
             return
-        topic = self._config.web.path or self._of(self._driving.planner)
         if topic != self._topic:
             super().close()
             self._topic = topic
             if topic:
                 self.follow(topic, PATH, self._take, LATCHED)
-        if not self._driving.drives or not topic:
+        if ended or not topic:
             self.put({"points": []})
+        elif driving.paused:
+            self.put({"points": self._last})
 
     def _of(self, planner: str) -> str:
         other = self._config.navigation.others.get(planner)
         return other.path if other else f"/planner/{planner}/path" if planner else ""
 
     def _take(self, path: dict[str, Any]) -> None:
-        if not self._driving.drives:
-            return
-        self.put({"points": points_of_path(path)})
+        points = points_of_path(path)
+        if points and (self._driving.drives or self._driving.paused):
+            self._last = points
+        if self._driving.drives or (points and self._driving.paused):
+            self.put({"points": points})
 
 
 class DrivingFeed(TopicsFeed):
@@ -167,6 +176,7 @@ class DrivingFeed(TopicsFeed):
         self._config = config
         self._status: dict[str, Any] | None = None
         self._distance: float | None = None
+        self._known_distance: float | None = None  # the last one that the planner reported for this goal
         self._changes: list[Callable[[], None]] = []
         self.planner = config.navigation.planner
 
@@ -178,6 +188,11 @@ class DrivingFeed(TopicsFeed):
     def drives(self) -> bool:
         """Whether a planner has the base now, as far as is known."""
         return self._status is not None and self._status["state"] not in self.STANDING
+
+    @property
+    def paused(self) -> bool:
+        """Whether a goal is paused."""
+        return self.state == State.PAUSED.value
 
     @property
     def state(self) -> str:
@@ -206,7 +221,7 @@ class DrivingFeed(TopicsFeed):
     def close(self) -> None:
         """Rest."""
         super().close()
-        self._status = self._distance = None
+        self._status = self._distance = self._known_distance = None
 
     def chose(self, planner: str) -> None:
         """Another planner was chosen."""
@@ -217,17 +232,28 @@ class DrivingFeed(TopicsFeed):
         self._say()
         self._tell()
 
+    def moved_by_hand(self) -> None:
+        """Forget the distance of a paused goal: it is unknown until the planner goes on."""
+        if self.paused:
+            self._distance = self._known_distance = None
+            self._say()
+
     def _take(self, status: dict[str, Any]) -> None:
-        self._status = status
-        if not self.drives:
-            self._distance = None
+        before, self._status = self.goal_id, status
+        if self.goal_id != before or not (self.drives or self.paused):
+            self._distance = self._known_distance = None
+        elif self.paused:
+            self._distance = self._known_distance  # a planner that was canceled for the pause may report none
         self._say()
         self._tell()
 
     def _progress(self, message: dict[str, Any]) -> None:
+        if self.paused:
+            return  # feedback from before the pause
         left = float(message["feedback"]["distance_remaining"])
         # before its first path Nav2 sends 0.0
         self._distance = round(left, 1) if math.isfinite(left) and left > 0.0 else None
+        self._known_distance = self._distance or self._known_distance
         self._say()
 
     def _tell(self) -> None:
@@ -243,20 +269,17 @@ class DrivingFeed(TopicsFeed):
         else:
             goal = status["goal"]["pose"]
             at = Pose(float(goal["position"]["x"]), float(goal["position"]["y"]), yaw_of(goal["orientation"]))
+            under_way = self.drives or self.paused
             self.put(
                 {
                     "state": status["state"],
                     "reason": status["reason"],
-                    "goal": place(at) if any(status["goal_id"]) and (self.drives or self._paused) else None,
-                    "distance": self._distance if self.drives else None,
+                    "goal": place(at) if any(status["goal_id"]) and under_way else None,
+                    "distance": self._distance if under_way else None,
                     "planner": self.planner,
                     "planners": list(section.choices),
                 }
             )
-
-    @property
-    def _paused(self) -> bool:
-        return self._status is not None and self._status["state"] == "paused"
 
 
 def _moved(frames: RobotFrames, stamp: int) -> Pose:

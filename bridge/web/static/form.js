@@ -158,7 +158,8 @@ function parsed({ base, bound }, text, input, path) {
   const value = word === "" ? NaN : Number(word);
   if (base.startsWith("float")) {
     if (Object.hasOwn(NOT_NUMBERS, word)) return NOT_NUMBERS[word];
-    if (!Number.isFinite(value)) throw new FieldError(input, `${path} is a number, not “${text}”.`);
+    if (Math.abs(value) > Number.MAX_VALUE) throw new FieldError(input, `${path} must be between -1.8e308 and 1.8e308, not “${text}”; write inf or -inf for infinity.`);
+    if (!Number.isFinite(value)) throw new FieldError(input, `${path} must be a number, not “${text}”.`);
     return value;
   }
   const [least, most] = WHOLE[base] ?? [-Infinity, Infinity];

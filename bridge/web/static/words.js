@@ -33,6 +33,6 @@ export function mood(driving) {
 
 /** One line: state and what is left to drive. */
 export function drivingLine(driving) {
-  const left = isBusy(driving) && typeof driving.distance === "number" ? `, ${metres(driving.distance, 1)} left` : "";
+  const left = (isBusy(driving) || driving.state === "paused") && typeof driving.distance === "number" ? `, ${metres(driving.distance, 1)} left` : "";
   return stateWords(driving) + left;
 }

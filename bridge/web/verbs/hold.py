@@ -40,12 +40,20 @@ class HandDriving:
         topic: of the base's velocities (``geometry_msgs/msg/Twist``).
         most: the largest speed and turn, m/s and rad/s.
         driven: why nobody may drive by hand now, "" where one may.
+        begins: called when a page begins to drive.
 
     A planner that begins meanwhile ends the hold with its next word.
     """
 
-    def __init__(self, host: Host, topic: str, most: tuple[float, float], driven: Callable[[], str]) -> None:
-        self._host, self._topic, self._most, self._driven = host, topic, most, driven
+    def __init__(
+        self,
+        host: Host,
+        topic: str,
+        most: tuple[float, float],
+        driven: Callable[[], str],
+        begins: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._host, self._topic, self._most, self._driven, self._begins = host, topic, most, driven, begins
         self._holder: HandDriver | None = None
         self._velocity: Velocity = _ZERO
         self._until = 0.0
@@ -70,6 +78,7 @@ class HandDriving:
             self._holder = page
             self._out = self._out or self._host.node.publisher(self._topic, TWIST, Qos(depth=1), priority="command")
             self._timer = self._host.loop.every(_PERIOD, self._again)
+            self._begins()
         speed, most_turn = self._most
         self._velocity = (_within(x, speed), _within(y, speed), _within(turn, most_turn))
         self._until = arrived + HOLD_SECONDS

@@ -18,7 +18,7 @@ from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from bridge.web.feeds.feed import Feed
 from bridge.web.feeds.robot import DrivingFeed
-from bridge.web.verbs.verbs import PageVerb, VerbError, name_of, number_of
+from bridge.web.verbs.verbs import PageVerb, VerbError, name_of, number_between
 from navigation.gateway.services import GET_LOCATION
 from navigation.messages import NAVIGATE
 
@@ -38,11 +38,8 @@ def places_of(value: Any) -> list[str]:
     return [name_of(each) for each in value]
 
 
-def wait_of(value: Any) -> float:
-    """Check the seconds at each place."""
-    if not SHORTEST <= number_of(value) <= LONGEST:
-        raise ValueError(f"is {SHORTEST:g} to {LONGEST:g} seconds")
-    return float(value)
+wait_of = number_between(SHORTEST, LONGEST, " of seconds")
+"""Check the seconds at each place."""
 
 
 class PatrolFeed(Feed):

@@ -10,7 +10,7 @@ from bridge.stores.client import StoreClient
 from bridge.stores.entry import check_name
 from bridge.stores.kinds import AREA, LOCATION, PATH, ValueKind
 from bridge.stores.store import Write
-from bridge.web.verbs.verbs import PageVerb, VerbError, name_of, number_of, truth_of
+from bridge.web.verbs.verbs import MOST_NUMBER, PageVerb, VerbError, name_of, number_of, truth_of
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.sig.vec2d import Vec2D
 
@@ -38,7 +38,8 @@ def corners_of(value: Any) -> Corners:
     try:
         found = [(number_of(x), number_of(y)) for x, y in value]
     except (TypeError, ValueError):
-        raise ValueError("are corners [x, y] in metres") from None
+        limits = f"between {-MOST_NUMBER:,.15g} and {MOST_NUMBER:,.15g}"
+        raise ValueError(f"must be corners [x, y], in meters {limits}") from None
     if _on_a_line(found):
         raise ValueError("are corners that enclose something, not all on one line")
     return found

@@ -69,17 +69,26 @@ class PageVerb:
     slow: bool = False
 
 
-def number_of(value: Any) -> float:
-    """Check a number."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= 1e6:
-        raise ValueError("is a number")
-    return float(value)
+def number_between(least: float, most: float, unit: str = "") -> Callable[[Any], float]:
+    """Return the check of a number within limits; ``unit`` is part of the error."""
+
+    def check(value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
+            raise ValueError(f"must be a number{unit} between {least:,.15g} and {most:,.15g}")
+        return float(value)
+
+    return check
+
+
+MOST_NUMBER = 1e6
+number_of = number_between(-MOST_NUMBER, MOST_NUMBER)
+"""Check a position in meters or a heading in radians."""
 
 
 def name_of(value: Any) -> str:
     """Check a name."""
     if not isinstance(value, str) or not value.strip() or len(value) > 255:
-        raise ValueError("is a name of up to 255 characters")
+        raise ValueError("must be a name of up to 255 characters")
     return value.strip()
 
 

@@ -1,0 +1,148 @@
+"""What pages show of a drive, above all during a pause."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.messages.actions import names, types
+from navigation.gateway.telemetry import PATH
+from navigation.messages import NAVIGATE
+from navigation.status import NO_GOAL, STATUS, PlannerStatus, State, status_message
+from tests.navigation.gateway.rig import Program, pose
+from tests.web.conftest import Desk
+from tests.web.page import TestPage
+
+GOAL, OTHER = bytes([1] * 16), bytes([2] * 16)
+STRAIGHT, DETOUR = [0.0, 0.0, 4.0, 0.0], [0.0, 0.0, 0.0, 3.0, 4.0, 0.0]
+
+
+class Planner(Program):
+    """The gateway's status, and a planner's path and feedback."""
+
+    def __init__(self, settings: Any) -> None:
+        super().__init__(settings)
+        self._action = names(Config().navigation.at("nav2"))
+        self.on(self._open)
+
+    def _open(self) -> None:
+        self._status = self.node.publisher("/navigation/status", STATUS, LATCHED)
+        self._path = self.node.publisher("/plan", PATH, LATCHED)
+        self._feedback = self.node.publisher(self._action.feedback, types(NAVIGATE).feedback, Qos(depth=1))
+
+    def state(self, state: State, goal: bytes = GOAL) -> None:
+        message = status_message({}, PlannerStatus(state), goal_id=goal, goal=pose(4.0))
+        self.on(lambda: self._status.publish(message))
+
+    def path(self, points: list[float]) -> None:
+        poses = [pose(*xy) for xy in zip(points[::2], points[1::2], strict=True)]
+        self.on(lambda: self._path.publish({"header": {"frame_id": "map"}, "poses": poses}))
+
+    def distance(self, left: float) -> None:
+        self.on(lambda: self._feedback.publish({"feedback": {"distance_remaining": left}}))
+
+    def drive(self, page: TestPage) -> None:
+        """Drive on a straight path, until the page shows it."""
+        self.state(State.MOVING)
+        page.value("driving", lambda value: value and value["state"] == "moving")
+        self.path(STRAIGHT)
+        page.value("path", lambda value: value and value["points"] == STRAIGHT)
+
+        def reported() -> bool:
+            self.distance(3.24)
+            page.read()
+            return bool(page.values["driving"]["value"]["distance"])
+
+        page.until(reported, "the distance is shown")
+
+
+@pytest.fixture
+def planner(desk: Desk) -> Iterator[Planner]:
+    made = Planner(desk.hubs.settings("planner"))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def page(desk: Desk) -> Iterator[TestPage]:
+    with TestPage(desk.port) as made:
+        made.watch("driving", "path")
+        yield made
+
+
+def shown(page: TestPage, state: str) -> tuple[float | None, list[float]]:
+    """Return the distance and the path, once the state is shown and a later value of another feed has come."""
+    page.value("driving", lambda value: value["state"] == state)
+    assert page.call("ping")["ok"]
+    return page.values["driving"]["value"]["distance"], page.values["path"]["value"]["points"]
+
+
+@pytest.mark.parametrize("cleared", ["before the pause", "after the pause", "never"])
+def test_a_pause_keeps_distance_and_path(planner: Planner, page: TestPage, cleared: str) -> None:
+    planner.drive(page)
+
+    def clear() -> None:
+        """As planners do whose goal is canceled for the pause."""
+        planner.path([])
+        planner.distance(0.0)
+
+    if cleared == "before the pause":
+        clear()
+        page.value("path", lambda value: not value["points"])
+        page.value("driving", lambda value: value["distance"] is None)
+    planner.state(State.PAUSED)
+    page.value("driving", lambda value: value["state"] == "paused")
+    if cleared == "after the pause":
+        clear()
+    assert shown(page, "paused") == (3.2, STRAIGHT)
+    assert page.values["driving"]["value"]["goal"]["x"] == 4.0
+    planner.state(State.MOVING)
+    assert shown(page, "moving") == (3.2, STRAIGHT)
+    planner.path(DETOUR)
+    page.value("path", lambda value: value["points"] == DETOUR)
+
+
+def test_a_page_that_opens_during_a_pause_shows_distance_and_path(desk: Desk, planner: Planner) -> None:
+    with TestPage(desk.port) as first:
+        first.watch("driving", "path")
+        planner.drive(first)
+        planner.path([])
+        planner.state(State.PAUSED)
+        first.value("driving", lambda value: value["state"] == "paused")
+    for _ in range(2):
+        with TestPage(desk.port) as page:
+            page.watch("driving", "path")
+            page.value("path")
+            assert shown(page, "paused") == (3.2, STRAIGHT)
+    planner.state(State.IDLE, NO_GOAL)
+    with TestPage(desk.port) as page:
+        page.watch("driving", "path")
+        page.value("path")
+        assert shown(page, "idle") == (None, [])
+
+
+@pytest.mark.parametrize(
+    ("state", "goal"), [(State.IDLE, NO_GOAL), (State.ABORTED, GOAL), (State.MOVING, OTHER), (State.PAUSED, OTHER)]
+)
+def test_what_follows_a_pause_clears_the_distance(planner: Planner, page: TestPage, state: State, goal: bytes) -> None:
+    planner.drive(page)
+    planner.state(State.PAUSED)
+    assert shown(page, "paused") == (3.2, STRAIGHT)
+    planner.state(state, goal)
+    page.value("driving", lambda value: value["distance"] is None)
+    distance, points = shown(page, state.value)
+    assert distance is None
+    assert points == ([] if state is not State.MOVING else STRAIGHT)
+
+
+def test_driving_by_hand_during_a_pause_makes_the_distance_unknown(planner: Planner, page: TestPage) -> None:
+    planner.drive(page)
+    planner.state(State.PAUSED)
+    assert shown(page, "paused") == (3.2, STRAIGHT)
+    page.send(op="hold", x=0.1, y=0.0, turn=0.0)
+    page.value("driving", lambda value: value["distance"] is None)
+    assert shown(page, "paused") == (None, STRAIGHT)
