@@ -17,6 +17,12 @@ if TYPE_CHECKING:
     from bridge.demo.sandbox import Sandbox
     from bridge.demo.shutdown import Shutdown
 
+_IN_EXTRA = ("ROS 2: ", "simulation: ", "zenoh: ")
+_EXTRA = (
+    "pip install 'midspan[demo]' installs the Python packages of the demo (ROS 2, the simulator, the console and"
+    " zenoh-ros2-sdk); in a checkout, make setup installs all of it"
+)
+
 
 def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
@@ -75,9 +81,10 @@ def _rooms(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitS
     without = without_ros1(here.config)
     if without:
         here.leave_out_ros1()
-    _require([*missing(here.config), *too_slow()])
+    _require([*missing(here.config), *_simulation(here), *too_slow()])
     with shutdown.held():
         view = stack.enter_context(RoomsView())
+    view.say(_console(here))
     if without:
         view.say(f"{without}\nthe demo goes on without ROS 1: its client is left out")
     result = None
@@ -133,12 +140,10 @@ def _topics(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.Exit
     from bridge.demo.sandbox import CONFIG, missing, too_slow
     from bridge.demo.topics_demo.scenario import TopicsDemo, TopicsResult
     from bridge.demo.topics_demo.view import TopicsView
-    from sim.environment import available
 
     template = args.config or (CONFIG if CONFIG.is_file() else None)
     here = _sandbox(shutdown, stack, template, {}, ports=True)
-    lacking = available(here.config)
-    _require([*missing(here.config), *([f"simulation: {lacking}"] if lacking else []), *too_slow()])
+    _require([*missing(here.config), *_simulation(here), *too_slow()])
     result = TopicsResult()
     with shutdown.held():
         view = stack.enter_context(TopicsView(here))
@@ -162,9 +167,31 @@ def _topics(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.Exit
     return 0 if result.ok else 1
 
 
-def _require(lacking: list[str]) -> None:
-    if lacking:
-        raise CliError("\n".join(["the demo needs more than this machine has:", *lacking]))
+def _console(sandbox: Sandbox) -> str:
+    """Return a line with the address of the console, or the reason why it is off."""
+    from bridge.daemon.workers import worker_kinds
+
+    if sandbox.config.web.enabled:
+        return f"console: http://127.0.0.1:{sandbox.web_port}/ (answers a few seconds after the start)"
+    return f"console: off; {worker_kinds()['web'].missing(sandbox.config) or 'the configuration disables it'}"
+
+
+def _simulation(sandbox: Sandbox) -> list[str]:
+    """Return why the simulator cannot run; empty if it can."""
+    from sim.environment import available
+
+    reason = available(sandbox.config)
+    return [f"simulation: {reason}"] if reason else []
+
+
+def _require(missing: list[str]) -> None:
+    """Raise `CliError` with all that is missing and its cures."""
+    if not missing:
+        return
+    lines = ["the demo needs more than this machine has:", *missing]
+    if any(reason.startswith(_IN_EXTRA) for reason in missing):
+        lines.append(_EXTRA)
+    raise CliError("\n".join(lines))
 
 
 def _write(file: Path, document: dict[str, Any]) -> None:

@@ -15,7 +15,9 @@ from typing import Any
 import psutil
 import pytest
 
-from bridge.demo import leftovers, sandbox
+from bridge.cli.main import build_parser
+from bridge.cli.output import CliError
+from bridge.demo import command, leftovers, sandbox
 from bridge.demo.processes import guarded
 from bridge.demo.sandbox import Sandbox, missing
 from bridge.demo.topics_demo import messages
@@ -36,7 +38,7 @@ def test_ear_tells_a_message_that_came_twice() -> None:
 
 
 def reports() -> dict[str, dict[str, Any]]:
-    """What the programs report when everything crossed."""
+    """Return the programs' reports of a run in which everything crossed."""
     greetings = {
         messages.FROM_ROS1: "hello 9 from ROS 1",
         messages.FROM_ROS2: "hello 9 from ROS 2",
@@ -156,7 +158,7 @@ HOLDS = "import sys; held = [open(name, 'rb') for name in sys.argv[1:]]; print('
 
 
 def test_a_port_of_a_participant_that_was_killed_before_it_locked_it_is_removed(tmp_path: Path) -> None:
-    """And one that another process reads, which holds its lock, stays. Port numbers above 65535 are nobody's."""
+    """A port that another process reads, which holds its lock, stays. No participant has a port number above 65535."""
     stem = f"fastrtps_port{70_000 + os.getpid()}"
     mine, others = (Path("/dev/shm", f"{stem}{end}") for end in "01")
     lock = others.with_name(f"{others.name}_el")
@@ -187,6 +189,24 @@ def test_what_is_missing_is_told_with_its_cure(tmp_path: Path) -> None:
     told = sandbox.missing(config)
     assert told
     assert str(tmp_path) in told[0]
+
+
+@pytest.mark.parametrize("what", ["rooms", "topics"])
+@pytest.mark.parametrize("module", ["rclpy", "dartpy", "zenoh_ros2_sdk"])
+def test_a_demo_without_a_package_names_the_extra_that_has_it(
+    monkeypatch: pytest.MonkeyPatch, what: str, module: str
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)  # not to be found
+    monkeypatch.setattr("bridge.adapters.ros2.environment._unsourced", lambda: None)
+    args = build_parser(["demo"]).parse_args(["demo", what])
+    with pytest.raises(CliError, match=r"(?s)needs more than this machine has:.*pip install 'midspan\[demo\]'"):
+        command.run(args)
+
+
+def test_a_demo_that_lacks_compiled_kernels_only_does_not_name_the_extra() -> None:
+    with pytest.raises(CliError) as told:
+        command._require(["kernels: they are not compiled"])
+    assert "midspan[demo]" not in str(told.value)
 
 
 def test_ports_of_a_place_are_none_that_connections_going_out_take() -> None:
