@@ -1,13 +1,16 @@
-"""The demo with real programs: it ends by itself, tells what crossed, and leaves nothing behind."""
+"""The demo with real programs: it ends by itself, reports what crossed, and removes what it started."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -36,7 +39,7 @@ def folder() -> Iterator[Path]:
 
 
 def start(folder: Path, *options: str, what: str = "topics", out: Any = subprocess.PIPE) -> subprocess.Popen[str]:
-    """The demo as a user starts it, with a folder of its own for temporary files."""
+    """Start the demo as a user does, with this folder for temporary files."""
     env = {k: v for k, v in os.environ.items() if k not in ("STAY", "JSON")}
     env |= {"TMPDIR": str(folder), "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "bridge.cli.main", "demo", what, *options]
@@ -127,6 +130,31 @@ def test_a_wrong_configuration_is_told_before_anything_starts(folder: Path) -> N
     assert code == 1
     assert "wrong.yaml:2" in output
     assert "rules" in output
+    assert leftovers(folder) == []
+
+
+@pytest.mark.thorough
+def test_the_address_of_the_console_is_printed_at_the_start(folder: Path) -> None:
+    demo = start(folder, what="rooms")
+    try:
+        assert demo.stdout is not None
+        first = demo.stdout.readline()
+        address = re.search(r"^console: (http://127\.0\.0\.1:\d+/) ", first)
+        assert address, first
+        threading.Thread(target=demo.stdout.read).start()  # else the demo blocks once the pipe is full
+
+        def answers() -> bool:
+            try:
+                with urllib.request.urlopen(address[1], timeout=5) as answer:
+                    return b"Midspan" in answer.read()
+            except OSError:
+                assert demo.poll() is None
+                return False
+
+        until(answers, "the console answers", 60.0)
+    finally:
+        demo.send_signal(signal.SIGINT)
+        demo.wait(40)
     assert leftovers(folder) == []
 
 

@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 
 import pytest
 import yaml
+from packaging.requirements import Requirement
 
 from bridge import kernels
 from scripts import dist
@@ -127,7 +128,44 @@ def test_what_the_distributions_say_of_themselves(files: Sequence[Path]) -> None
             assert needed == ["numpy"]
         else:
             assert f"yarp-compat=={dist.version()}" in needed
-            assert {"ros2", "sim", "web", "foxglove", "record", "3d"} <= set(said.get_all("Provides-Extra", []))
+            extras = {"ros2", "sim", "web", "foxglove", "demo", "record", "3d"}
+            assert extras <= set(said.get_all("Provides-Extra", []))
+            wanted = set(required(said.get_all("Requires-Dist", []), "demo"))
+            assert {"dartpy", "ros-jazzy-rclpy", "starlette", "uvicorn", "zenoh-ros2-sdk"} <= wanted
+
+
+def required(requirements: Sequence[str], extra: str) -> list[str]:
+    """Return the distributions that an extra of midspan adds, with those of the extras that it names."""
+    names = []
+    for requirement in map(Requirement, requirements):
+        if requirement.marker is None or "extra" not in str(requirement.marker):
+            continue
+        linux = {"python_version": "3.11", "sys_platform": "linux", "platform_machine": "x86_64"}
+        if requirement.marker.evaluate({**linux, "extra": extra}):
+            further = sorted(requirement.extras) if requirement.name == "midspan" else []
+            names += [requirement.name, *(name for each in further for name in required(requirements, each))]
+    return names
+
+
+WITHOUT = "import sys; sys.modules.update(dict.fromkeys(('dartpy', 'rclpy', 'zenoh_ros2_sdk', 'starlette')))\n"
+"""A .pth file that hides the packages of the extra ``demo``."""
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_the_demo_without_its_extra_names_it(files: Sequence[Path], tmp_path: Path) -> None:
+    there = Installed(tmp_path / "plain", [only(files, COMPILED), only(files, COMPAT)])
+    (site,) = there.folder.glob("lib/*/site-packages")
+    (site / "without.pth").write_text(WITHOUT, encoding="utf-8")
+    for what in ("rooms", "topics"):
+        done = subprocess.run(
+            [there.bin / "midspan", "demo", what],
+            cwd=there.folder, env=there.environ(), capture_output=True, text=True, timeout=120, check=False,
+        )  # fmt: skip
+        assert done.returncode == 1
+        assert "needs more than this machine has" in done.stderr
+        assert "pip install 'midspan[demo]'" in done.stderr
+        assert "Traceback" not in done.stderr
 
 
 @pytest.mark.long
@@ -152,7 +190,7 @@ def test_midspan_runs_where_its_wheel_is_installed(files: Sequence[Path], wheel:
 
 
 def assert_a_message_crosses(there: Installed) -> None:
-    """From a YARP program to one behind a zenoh-bridge-ros2dds, by the daemon that is installed there."""
+    """Bridge a message from a YARP program to zenoh-bridge-ros2dds with the daemon that is installed there."""
     with ExitStack() as stack:
         names = Names()
         stack.callback(names.stop)
