@@ -141,7 +141,8 @@ def test_the_address_of_the_console_is_printed_at_the_start(folder: Path) -> Non
         first = demo.stdout.readline()
         address = re.search(r"^console: (http://127\.0\.0\.1:\d+/) ", first)
         assert address, first
-        threading.Thread(target=demo.stdout.read).start()  # else the demo blocks once the pipe is full
+        reader = threading.Thread(target=demo.stdout.read)  # else the demo blocks once the pipe is full
+        reader.start()
 
         def answers() -> bool:
             try:
@@ -155,6 +156,8 @@ def test_the_address_of_the_console_is_printed_at_the_start(folder: Path) -> Non
     finally:
         demo.send_signal(signal.SIGINT)
         demo.wait(40)
+    reader.join(10)
+    demo.stdout.close()
     assert leftovers(folder) == []
 
 
