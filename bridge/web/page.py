@@ -37,7 +37,7 @@ Post = Callable[[Callable[[], Any]], None]
 
 
 class BadMessageError(ValueError):
-    """A message of a page that cannot be used; the text says why."""
+    """A message of a page that cannot be used; the text has the reason."""
 
 
 class Page:
@@ -62,7 +62,7 @@ class Page:
         self._lock = threading.Lock()
         self._news: dict[str, tuple[int, str]] = {}  # newest values that are not sent yet
         self._replies: deque[str] = deque()
-        self._held = ""  # the newest of what is commanded for it, where that is not sent yet
+        self._held = ""  # the newest commanded velocity, if it is not sent yet
         self._drawing: dict[str, int] = {}  # feeds whose value the page has not yet taken
         self._watched: set[str] = set()  # as the page has asked, on the server's event loop
         self._open: dict[str, Feed] = {}  # as it is, on the module's thread
@@ -70,17 +70,17 @@ class Page:
         self._stops: set[asyncio.Task[None]] = set()  # those of them that make robots stand
         self._errors = 0
         self._deaf = False
-        self._wish: Callable[[], None] | None = None  # the newest hold or release that is not taken up yet
+        self._wish: Callable[[], None] | None = None  # the newest hold or release that has not run yet
         self._posted = 0
         self.who = who(grant, f"{socket.client.host}:{socket.client.port}" if socket.client else "a page")
 
     async def serve(self) -> None:
-        """Converse until the socket ends; what the page held or watched ends with it."""
+        """Serve the page until the socket ends; its hold and its feeds end with it."""
         self._say(self._hello)
         sender = asyncio.create_task(self._send())
         try:
             await self._receive()
-        except (WebSocketDisconnect, RuntimeError):  # starlette's, where the other end has gone
+        except (WebSocketDisconnect, RuntimeError):  # starlette raises them after the other end closed
             pass
         finally:
             self._post(self._leave)
@@ -102,13 +102,13 @@ class Page:
         self._call_soon(self._wake.set)
 
     def held(self, x: float, y: float, turn: float) -> None:
-        """Tell the page what is commanded for it."""
+        """Send the page the velocity that is commanded for it."""
         with self._lock:
             self._held = json.dumps({"op": "held", "x": x, "y": y, "turn": turn})
         self._call_soon(self._wake.set)
 
     def refuse(self, why: str) -> None:
-        """Tell the page why what it asked for is not done."""
+        """Send the page the reason of a refusal."""
         self._call_soon(lambda: self._say({"op": "error", "error": why}))
 
     def _call_soon(self, action: Callable[[], Any]) -> None:
@@ -129,7 +129,7 @@ class Page:
                 await self._socket.send_text(text)
 
     def _due(self) -> list[str]:
-        """What is commanded for it, and the newest values of the feeds whose last one the page has taken."""
+        """Return the commanded velocity, and the newest values of the feeds whose last one the page has drawn."""
         with self._lock:
             due = [name for name in self._news if name not in self._drawing]
             found = [(name, *self._news.pop(name)) for name in due]
@@ -197,7 +197,7 @@ class Page:
         self._do(watch)
 
     def _not_watched(self, name: str, why: str) -> None:
-        """A feed cannot be followed; the page may ask again as soon as it has heard so."""
+        """A feed cannot be followed; the page may ask again after this reply."""
         self._watched.discard(name)
         self._say({"op": "error", "error": why})
 
@@ -222,7 +222,7 @@ class Page:
         self._wishes(lambda: self._hold.hold(self, x, y, turn, arrived))
 
     def _wishes(self, wish: Callable[[], None]) -> None:
-        """Have the newest hold or release taken up, and none before it; one waits at the most, and none is refused."""
+        """Run the newest hold or release and drop any before it; at most one waits, and none is refused."""
         with self._lock:
             waits, self._wish = self._wish is not None, wish
         if not waits:
@@ -295,7 +295,7 @@ def _parsed(message: Any) -> dict[str, Any]:
 
 
 def _refused_number(word: str) -> float:
-    raise ValueError(f"{word} is no number of JSON")
+    raise ValueError(f"{word} is not a number in JSON")
 
 
 _DECODER = json.JSONDecoder(parse_constant=_refused_number)

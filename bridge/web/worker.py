@@ -58,7 +58,7 @@ class WebWorker(Worker):
         self._console: Console | None = None
 
     def start(self, config: Config) -> None:
-        """Open the node and the server; raises `RuntimeError` where the address is taken."""
+        """Open the node and the server; raises `RuntimeError` if the address is taken."""
         self._config = config
         self._console = Console(config)
         self._console.start()
@@ -69,7 +69,7 @@ class WebWorker(Worker):
         return config == self._config
 
     def health(self) -> Health:
-        """Where the page is; raises `TimeoutError` where the module's thread hangs."""
+        """Return the address; raises `TimeoutError` if the module's thread hangs."""
         assert self._console is not None
         console = self._console
         console.host.loop.computes()
@@ -171,7 +171,7 @@ class Console:
         """Begin to serve."""
         loop = self.host.loop
         loop.start()
-        loop.call(lambda: self._driving.watch(self))  # always: who holds must not drive against a planner
+        loop.call(lambda: self._driving.watch(self))  # always: a page must not drive against a planner
         self.host.answer("status", self._status)
         loop.every(1.0, self.host.tick)
         self.server.start()
@@ -180,7 +180,7 @@ class Console:
         """Nothing: it watches for `DrivingFeed.busy` alone."""
 
     def look(self) -> None:
-        """Take up a new certificate."""
+        """Use a new certificate."""
         if self._tls is not None:
             self._tls.look()
 
@@ -201,7 +201,7 @@ class Console:
         return {**about, "pid": os.getpid(), **costs(self._process), **self.host.status()}
 
     def close(self) -> None:
-        """Stop the robot where a page drives it, then leave."""
+        """Stop the robot if a page drives it, then leave."""
         self.server.close()
         self.host.loop.call(self._stand)
         self.host.loop.call(self.feeds.close)

@@ -1,4 +1,4 @@
-"""The page in a real Chromium, with the simulated robot behind it."""
+"""The page in a real Chromium, with the simulated robot."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def chrome(robot: WebRobot, tmp_path_factory: pytest.TempPathFactory) -> Iterato
 
 
 class Operator:
-    """Somebody at the page."""
+    """A person at the page."""
 
     def __init__(self, chrome: Chrome, robot: WebRobot) -> None:
         self.chrome, self.robot = chrome, robot
@@ -106,7 +106,7 @@ class Operator:
 
         def found() -> WebElement | None:
             for each in self.chrome.find_elements(By.CSS_SELECTOR, f"{within} button"):
-                with contextlib.suppress(StaleElementReferenceException):  # a list that was filled anew meanwhile
+                with contextlib.suppress(StaleElementReferenceException):  # a list that was filled again meanwhile
                     if words in (each.text, each.accessible_name) and each.is_displayed():
                         return each
             return None
@@ -138,7 +138,7 @@ class Operator:
         return found
 
     def texts(self, selector: str) -> list[str]:
-        """The texts of elements that may be filled anew meanwhile."""
+        """Return the texts of elements that may be filled again meanwhile."""
         script = "return [...document.querySelectorAll(arguments[0])].map((each) => each.textContent)"
         found: list[str] = self.chrome.execute_script(script, selector)
         return found
@@ -147,7 +147,7 @@ class Operator:
         return " ".join(self.chrome.find_element(By.ID, name).text for name in ("said", "wrong"))
 
     def errors(self) -> list[str]:
-        """What the browser complains of: scripts that fail, and whatever breaks the policy."""
+        """Return the browser's errors: failed scripts and violations of the policy."""
         entries: list[dict[str, Any]] = self.chrome.get_log("browser")  # type: ignore[no-untyped-call]
         quiet = ("WebSocket connection", "ERR_CONNECTION_REFUSED")
         return [e["message"] for e in entries if e["level"] == "SEVERE" and not any(q in e["message"] for q in quiet)]
@@ -201,7 +201,7 @@ def test_a_press_on_the_map_sends_the_robot(operator: Operator, watch: TestPage)
     watch.value("driving", lambda value: value["goal"] and distance(value["goal"], spot) < 0.1)
     watch.until(lambda: watch.values["driving"]["value"]["state"] == "goal_reached", "it arrives", 120)
     assert off(watch, *spot) < NEAR
-    until(lambda: "arriv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the page says so")
+    until(lambda: "arriv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the page shows it")
 
 
 @pytest.mark.thorough
@@ -215,7 +215,7 @@ def test_another_robot_has_its_own_colour(operator: Operator, watch: TestPage) -
 
 
 def table_about(x: float, y: float) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A layer in which a table stands about a place, and its heights; beside the table is a drop."""
+    """Return a layer with a table around a place, and its heights; next to the table is a drop."""
     rows, columns, size = 20, 30, 0.05
     corner = (x - 0.5 * columns * size, y - 0.5 * rows * size)
     lowest = np.full((rows, columns), np.nan, np.float32)
@@ -243,14 +243,14 @@ def test_the_layer_is_a_tint_with_heights(operator: Operator, robot: WebRobot) -
         tip = operator.chrome.find_element(By.CSS_SELECTOR, ".map .height")
 
         def over(dx: int) -> str:
-            """What is said of a place so many pixels to the right of the middle."""
+            """Return the tip at a number of pixels to the right of the middle."""
             ActionChains(operator.chrome).move_to_element_with_offset(canvas, dx, 0).perform()
             return tip.text
 
-        until(lambda: over(0) == "hit at 0.74 m", "the height of the table is told")
+        until(lambda: over(0) == "hit at 0.74 m", "the height of the table is shown")
         tinted = operator.middle()
         assert over(28) == "a drop, or of unknown height"
-        assert over(80) == "", "nothing is in the way there"
+        assert over(80) == "", "nothing stands there"
         assert not tip.is_displayed()
         ActionChains(operator.chrome).move_to_element(canvas).click().perform()
         menu = operator.chrome.find_element(By.CSS_SELECTOR, ".pointmenu p")
@@ -339,7 +339,7 @@ def test_by_hand_when_the_page_fails(operator: Operator, watch: TestPage, how: s
         if how == "the page's script stands still":
             operator.chrome.execute_script(HANG)
             began = time.monotonic()
-            watch.until(lambda: stands(watch), "it stands though the page says nothing", 30)
+            watch.until(lambda: stands(watch), "it stands though the page is silent", 30)
             assert time.monotonic() - began < HANGING, "while the page still hangs"
         elif how == "the tab's socket is cut":
             operator.chrome.execute_cdp_cmd("Network.enable", {})
@@ -501,11 +501,11 @@ def test_a_patrol_until_somebody_ends_it(operator: Operator, watch: TestPage) ->
         90,
     )
     turn = operator.chrome.find_element(By.CLASS_NAME, "turn")
-    until(lambda: f"{second} (2 of 2, round 1)" in turn.text, "the page says so")
+    until(lambda: f"{second} (2 of 2, round 1)" in turn.text, "the page shows it")
     operator.button("End drive").click()
     found = watch.value("patrol", lambda value: value["state"] == "ended")
     assert "stopped" in found["why"]
-    until(lambda: "has ended" in operator.chrome.find_element(By.CLASS_NAME, "turn").text, "the page says so")
+    until(lambda: "has ended" in operator.chrome.find_element(By.CLASS_NAME, "turn").text, "the page shows it")
     watch.until(lambda: stands(watch), "it stands", 30)
 
 
@@ -518,7 +518,7 @@ def test_two_tabs_agree(operator: Operator, watch: TestPage) -> None:
         operator.button("kitchen").click()
         watch.until(lambda: moves(watch), "it drives", 60)
         operator.chrome.switch_to.window(first)
-        until(lambda: "driv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the first tab says so")
+        until(lambda: "driv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the first tab shows it")
         operator.button("End drive").click()
         watch.until(lambda: stands(watch), "it stands", 30)
     finally:
@@ -636,14 +636,14 @@ def test_status_and_frames(operator: Operator) -> None:
 TWO_FEEDS = """
 const done = arguments[1];
 import("./socket.js").then(({ Socket }) => {
-  const socket = new Socket(arguments[0]), heard = [];
+  const socket = new Socket(arguments[0]), received = [];
   let end = () => {};
-  socket.watch("first", (value) => { heard.push(value); end(); });
-  end = socket.watch("second", (value) => heard.push(value));
-  socket.watch("third", (value) => heard.push(value));
-  const say = (name, value) => socket.keep({ feed: name, n: value, value });
-  say("first", 1), say("second", 2), say("third", 3);
-  requestAnimationFrame(() => { say("first", 4); requestAnimationFrame(() => done(heard)); });
+  socket.watch("first", (value) => { received.push(value); end(); });
+  end = socket.watch("second", (value) => received.push(value));
+  socket.watch("third", (value) => received.push(value));
+  const put = (name, value) => socket.keep({ feed: name, n: value, value });
+  put("first", 1), put("second", 2), put("third", 3);
+  requestAnimationFrame(() => { put("first", 4); requestAnimationFrame(() => done(received)); });
 });
 """
 
@@ -683,7 +683,7 @@ def test_a_message_and_a_call_from_a_form(operator: Operator, watch: TestPage) -
     number.send_keys("3.5", Keys.ENTER)
     until(
         lambda: operator.texts(".form-wrong")[0].startswith("header.stamp.sec is a whole number from -2147483648"),
-        "what is wrong is said before anything is sent",
+        "the error is shown before anything is sent",
     )
     number.clear()
     number.send_keys("3")
@@ -706,7 +706,7 @@ def test_a_message_and_a_call_from_a_form(operator: Operator, watch: TestPage) -
 @pytest.mark.thorough
 def test_the_daemon_comes_back(operator: Operator, robot: WebRobot) -> None:
     robot.kill_daemon_and_start_again()
-    until(lambda: operator.line() != "Connected", "the page says that the line is gone")
+    until(lambda: operator.line() != "Connected", "the page shows that the line is lost")
     until(lambda: operator.line() == "Connected", "the page recovers by itself", 60)
     robot.ready()
     assert robot.command("web") == robot.address

@@ -40,7 +40,7 @@ def transform(parent: str, child: str, x: float, y: float, yaw: float = 0.0) -> 
 
 @pytest.fixture
 def frames(desk: Desk) -> Any:
-    """Says where the robot is, again and again."""
+    """Publish the robot's pose, again and again."""
     out = desk.far.advertise("/tf", TF)
     over = threading.Event()
 
@@ -58,7 +58,7 @@ def frames(desk: Desk) -> Any:
 
 def test_hello(desk: Desk) -> None:
     with TestPage(desk.port) as page:
-        page.until(lambda: page.said, "it says who it is")
+        page.until(lambda: page.said, "the hello comes")
         assert page.said[0] | {"version": ""} == {
             "op": "hello", "daemon": "here", "version": "", "role": "drive", "who": "", "frame": "map",
             "hold_seconds": HOLD_SECONDS, "speed": {"x": 0.3, "y": 0.3, "turn": 0.6},
@@ -112,7 +112,7 @@ def test_where_one_frame_is_in_another(desk: Desk) -> None:
         assert found["age"] < 30.0
         back = page.value("pose:base_link>odom")
         assert back["position"] == pytest.approx({"x": 0.0, "y": 0.5, "z": 0.0}, abs=1e-3)
-        page.until(lambda: "camera" in page.values["pose:map>camera"].get("why", ""), "why there is none")
+        page.until(lambda: "camera" in page.values["pose:map>camera"].get("why", ""), "the reason is given")
         page.until(lambda: len(page.errors()) == 2, "names that are none")
         assert "'pose:map' is no feed of a pose: ask for pose:REFERENCE>FRAME" in page.errors()
 
@@ -120,7 +120,7 @@ def test_where_one_frame_is_in_another(desk: Desk) -> None:
 def test_why_it_is_not_known_where_the_robot_is(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.watch("robot")
-        page.until(lambda: "robot" in page.values, "something is said of the robot")
+        page.until(lambda: "robot" in page.values, "the robot has a value")
         assert page.values["robot"]["value"] is None
         assert "not known where" in page.values["robot"]["why"]
 
@@ -166,7 +166,7 @@ def test_obstacles_as_the_planner_sees_them(desk: Desk) -> None:
         desk.far.publish(status, {"state": "moving"})
         large = {**info, "width": 1100, "height": 1000}
         desk.far.publish(out, {"header": {"frame_id": "odom"}, "info": large, "data": [0] * 1_100_000})
-        page.until(lambda: "up to 1048576 are shown" in page.values["obstacles"].get("why", ""), "it says why not")
+        page.until(lambda: "up to 1048576 are shown" in page.values["obstacles"].get("why", ""), "it is refused")
 
 
 def test_nothing_is_followed_while_nobody_watches(desk: Desk) -> None:
@@ -179,7 +179,7 @@ def test_nothing_is_followed_while_nobody_watches(desk: Desk) -> None:
         one.send(op="unwatch", feed="robot")
         other.until(lambda: "robot" in other.values, "the other is still served")
         assert graph.subscriptions("/tf")
-    until(lambda: not graph.subscriptions("/tf"), "nobody follows the frames any more")
+    until(lambda: not graph.subscriptions("/tf"), "the frames have no subscriber any longer")
 
 
 def test_a_topic_as_a_tree(desk: Desk) -> None:
@@ -208,7 +208,7 @@ def test_a_large_message_is_not_shown(desk: Desk) -> None:
             page.read()
             return "is not shown" in page.values.get("topic:/heard", {}).get("why", "")
 
-        until(told, "it says why", every=0.05)
+        until(told, "the reason is given", every=0.05)
 
 
 @pytest.mark.usefixtures("frames")
@@ -239,7 +239,7 @@ def test_topics_and_workers(desk: Desk) -> None:
 
 
 class Base:
-    """Hears velocities on the hub, with when each came."""
+    """Receives velocities on the hub, each with its time of arrival."""
 
     def __init__(self, desk: Desk) -> None:
         self.heard: list[tuple[float, float, float]] = []
@@ -263,7 +263,7 @@ class Base:
 
 
 def hold(page: TestPage, base: Base, seconds: float = 0.0, x: float = 0.1) -> None:
-    """Hold until the base drives, and for so long after."""
+    """Hold until the base drives, and for these seconds after."""
     end = time.monotonic() + 30
     while not base.drives():
         assert time.monotonic() < end, f"the base does not drive: {page.said}"
@@ -279,7 +279,7 @@ def test_a_hold_drives_while_it_is_said(desk: Desk) -> None:
     base = Base(desk)
     with TestPage(desk.port) as page:
         hold(page, base, 0.6, x=5.0)
-        assert base.heard[-1][1] == 0.3, "no faster than the configuration says"
+        assert base.heard[-1][1] == 0.3, "no faster than the configuration allows"
         page.send(op="release")
         until(base.stands, "it stands once the page lets go")
         count = len(base.heard)
@@ -305,7 +305,7 @@ def test_no_hold_without_a_topic_of_velocities(desk: Desk) -> None:
     desk.open_with(navigation={"planner": "nav2", "velocity": ""})
     with TestPage(desk.port) as page:
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
-        page.until(page.errors, "it says why not")
+        page.until(page.errors, "it is refused")
         assert page.errors() == ["no topic of velocities is configured (navigation.velocity)"]
         assert page.call("ping")["ok"]
 
@@ -333,7 +333,7 @@ def test_no_hold_against_a_planner(desk: Desk) -> None:
         page.watch("driving")
         page.value("driving", lambda value: value and value["state"] == "moving")
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
-        page.until(page.errors, "it says why not")
+        page.until(page.errors, "it is refused")
         assert page.errors() == ["nav2 drives; pause or stop it first"]
         desk.far.publish(status, {"state": "idle"})
         page.value("driving", lambda value: value and value["state"] == "idle")
@@ -356,7 +356,7 @@ def test_bad_messages_are_named(desk: Desk, text: str) -> None:
     base = Base(desk)
     with TestPage(desk.port) as page:
         page.socket.send(text)
-        page.until(page.errors, "it says that this is no message")
+        page.until(page.errors, "the message is refused")
         reply = page.call("explain", name="/x")
         assert reply["ok"], "the socket goes on"
     assert not base.drives()
@@ -387,7 +387,7 @@ LIMITS = "must be a number between -1,000,000 and 1,000,000"
 @pytest.mark.parametrize(
     ("verb", "args", "why"),
     [
-        ("fly", {}, "there is no verb 'fly'; there are goto"),
+        ("fly", {}, "unknown verb 'fly'; known: goto"),
         ("goto", {"x": 1.0}, "goto needs y"),
         ("goto", {"x": 1.0, "y": "2"}, f"goto: y {LIMITS}, not '2'"),
         ("goto", {"x": 1e300, "y": 1.0}, f"goto: x {LIMITS}, not 1e+300"),
@@ -400,7 +400,7 @@ LIMITS = "must be a number between -1,000,000 and 1,000,000"
         ),
         ("goto", {"x": 1.0, "y": 2.0, "z": 3.0}, "goto has no argument 'z'; it has x, y, theta"),
         ("keep_place", {"name": " ", "x": 0, "y": 0, "theta": 0}, "name must be a name of up to 255 characters"),
-        ("set_pose", {"x": 0, "y": 0, "theta": 0}, "nobody hears /initialpose"),
+        ("set_pose", {"x": 0, "y": 0, "theta": 0}, "/initialpose has no subscriber"),
         ("use_map", {"name": "house"}, "no daemon on the hub keeps a store"),
     ],
 )
@@ -459,7 +459,7 @@ def test_a_goal_whose_answer_does_not_come_is_cancelled(desk: Desk, monkeypatch:
                 return gateway.asked.is_set()
 
             until(asked, "the gateway is asked")
-            assert "the gateway has not said within 0.5 s" in reply["error"]
+            assert "the gateway did not accept or reject the goal within 0.5 s" in reply["error"]
         gateway.may_answer.set()
         assert gateway.cancelled.wait(30)
     finally:
@@ -491,14 +491,14 @@ def test_too_many_topics(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         for number in range(70):
             page.watch(f"topic:/t{number}")
-        page.until(page.errors, "it says how many a page may watch")
+        page.until(page.errors, "the limit is named")
         assert "at most 64 feeds" in page.errors()[0]
 
 
 def test_a_feed_that_is_none_hinders_nobody(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.watch("topics", "nothing:of this name")
-        page.until(page.errors, "it says that there is no such feed")
+        page.until(page.errors, "the feed is refused")
         page.send(op="unwatch", feed="nothing:of this name")
         page.value("topics", lambda topics: topics is not None)
 

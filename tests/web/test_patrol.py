@@ -23,7 +23,7 @@ PLACES = {"a": 1.0, "b": 2.0, "c": 3.0}
 
 
 class FakeGateway(Program):
-    """Takes one goal at a time, and says how it is."""
+    """Accepts one goal at a time, and publishes its status."""
 
     def __init__(self, settings: Any) -> None:
         super().__init__(settings)
@@ -60,13 +60,13 @@ class FakeGateway(Program):
     def _find(self, request: dict[str, Any], answer: Answer) -> None:
         place = PLACES.get(request["name"])
         if place is None:
-            answer({"success": False, "message": f"there is no location or area {request['name']!r}"})
+            answer({"success": False, "message": f"unknown location or area {request['name']!r}"})
         else:
             answer({"success": True, "message": "", "pose": pose(place)})
 
     def _pause(self, _request: Any, answer: Answer) -> None:
         if self.now is None:
-            answer({"success": False, "message": "there is no goal to pause"})
+            answer({"success": False, "message": "nothing to pause"})
             return
         self.say(State.PAUSED, self.now.id)
         answer({"success": True, "message": ""})
@@ -84,7 +84,7 @@ class FakeGateway(Program):
         answer({"success": True, "message": "stands"})
 
     def at(self, count: int) -> float:
-        """Where the so manieth goal leads, once it is there."""
+        """Return the x of a goal by its number, once it has come."""
         until(lambda: len(self.goals) >= count, f"goal {count} is there", 30)
         return float(self.goals[count - 1].goal["pose"]["pose"]["position"]["x"])
 
@@ -137,7 +137,7 @@ def state(page: TestPage, wanted: str) -> dict[str, Any]:
 
 
 def test_it_drives_to_places_in_turn(page: TestPage, gateway: FakeGateway) -> None:
-    page.until(lambda: page.values.get("patrol", {}).get("why") == "there was no patrol", "it says so")
+    page.until(lambda: page.values.get("patrol", {}).get("why") == "no patrol yet", "it says so")
     begin(page, "a", "b", "a", "c")
     for count, place in enumerate(("a", "b", "a", "c", "a", "b"), 1):
         assert gateway.at(count) == PLACES[place]
@@ -198,12 +198,12 @@ def test_a_goal_of_anybody_else_ends_it(desk: Desk, page: TestPage, gateway: Fak
 def test_a_place_that_cannot_be_reached_ends_it(page: TestPage, gateway: FakeGateway) -> None:
     begin(page, "a", "b")
     gateway.at(1)
-    gateway.give_up("no way leads there")
-    assert state(page, "ended")["why"] == "on the way to a: no way leads there"
+    gateway.give_up("no path leads there")
+    assert state(page, "ended")["why"] == "driving to a: no path leads there"
     begin(page, "a", "gone")
     gateway.at(2)
     gateway.reach()
-    assert state(page, "ended")["why"] == "there is no location or area 'gone'"
+    assert state(page, "ended")["why"] == "unknown location or area 'gone'"
 
 
 @pytest.mark.parametrize("where", ["driving", "at a place"])

@@ -87,10 +87,10 @@ def test_all_kinds_are_renamed_and_deleted(page: TestPage, store: Store) -> None
         ("keep_area", {"name": "a", "points": [[0, 0], [1, 1], [2, 2]]}, "not all on one line"),
         ("keep_area", {"name": "a/b", "points": SQUARE}, "the name 'a/b' has /"),
         ("keep_area", {"name": "a", "points": SQUARE, "replace": 1}, "replace is true or false"),
-        ("delete_place", {"name": "none", "kind": "area"}, "there is no area 'none'"),
+        ("delete_place", {"name": "none", "kind": "area"}, "unknown area 'none'"),
         ("delete_place", {"name": "none", "kind": "map"}, "kind is one of location, area, path"),
         ("delete_place", {"name": "none", "kind": []}, "kind is one of location, area, path"),
-        ("rename_place", {"name": "none", "to": "x"}, "there is no location 'none'"),
+        ("rename_place", {"name": "none", "to": "x"}, "no location 'none'"),
     ],
 )
 def test_what_cannot_be_is_refused_in_words(page: TestPage, verb: str, args: dict[str, Any], why: str) -> None:

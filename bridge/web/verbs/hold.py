@@ -1,4 +1,4 @@
-"""Driving by hand: a velocity for as long as a page says so, and zero at once when it does not."""
+"""Driving by hand: a velocity for as long as a page repeats it, and zero at once when it stops."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class HandDriver(Protocol):
     who: str
 
     def held(self, x: float, y: float, turn: float) -> None:
-        """Say what is commanded for it."""
+        """Report the velocity that is commanded for it."""
 
     def refuse(self, why: str) -> None:
-        """Say why it may not drive."""
+        """Report why it may not drive."""
 
 
 class HandDriving:
@@ -39,7 +39,7 @@ class HandDriving:
         host: the console's.
         topic: of the base's velocities (``geometry_msgs/msg/Twist``).
         most: the largest speed and turn, m/s and rad/s.
-        driven: why nobody may drive by hand now, "" where one may.
+        driven: returns why driving by hand is refused, "" if it is allowed.
         begins: called when a page begins to drive.
 
     A planner that begins meanwhile ends the hold with its next word.
@@ -61,7 +61,7 @@ class HandDriving:
         self._out: Any = None
 
     def hold(self, page: HandDriver, x: float, y: float, turn: float, arrived: float) -> None:
-        """Drive so for a page; ``arrived``: when it said so (monotonic seconds), which may be long ago here."""
+        """Drive at this velocity for a page; ``arrived``: when its message came (monotonic seconds), maybe long ago."""
         now = time.monotonic()
         if now - arrived > HOLD_SECONDS:
             return
@@ -90,7 +90,7 @@ class HandDriving:
             self.stop()
 
     def stop(self) -> None:
-        """Command zero once, whoever holds."""
+        """Command zero once, also if another page holds."""
         if self._holder is None:
             return
         page, self._holder, self._velocity = self._holder, None, _ZERO

@@ -1,4 +1,4 @@
-"""A patrol: the robot drives to places in turn, again and again, until somebody ends it. All on the module's thread.
+"""A patrol: the robot drives to places in turn, again and again, until a client ends it. All on the module's thread.
 
 It sends one goal at a time by the gateway's action, each once the one before was reached. Whatever else becomes of a
 goal ends the patrol: a stop, a goal of anybody else, a place that cannot be reached. The page that began it may go.
@@ -28,7 +28,7 @@ SHORTEST, USUAL, LONGEST = 1.0, 2.0, 3600.0
 
 ANSWER_SECONDS = 5.0
 _LOCATE = "/navigation/get_location"
-STOPPED, ANOTHER = "the robot was stopped", "somebody gave another goal"
+STOPPED, ANOTHER = "the robot was stopped", "another client gave another goal"
 
 
 def places_of(value: Any) -> list[str]:
@@ -43,21 +43,21 @@ wait_of = number_between(SHORTEST, LONGEST, " of seconds")
 
 
 class PatrolFeed(Feed):
-    """``patrol``: the one at hand, or how the last one ended."""
+    """``patrol``: the current one, or how the last one ended."""
 
     def __init__(self) -> None:
         super().__init__("patrol")
         self._now: Mapping[str, Any] | None = None
 
     def open(self) -> None:
-        """Say how it is."""
-        self.put(self._now, "" if self._now else "there was no patrol")
+        """Publish the state."""
+        self.put(self._now, "" if self._now else "no patrol yet")
 
     def close(self) -> None:
         """Rest: it follows nothing."""
 
     def tell(self, value: Mapping[str, Any]) -> None:
-        """Say how it is now."""
+        """Publish a new state."""
         self._now = value
         self.put(value)
 
@@ -66,7 +66,7 @@ class Patrol:
     """The patrol of a console; one at a time.
 
     Args:
-        driving: tells whether somebody stops the robot, or sends it elsewhere, while it stands at a place.
+        driving: reports whether a client stops the robot, or sends it elsewhere, while it stands at a place.
     """
 
     def __init__(self, host: Host, driving: DrivingFeed) -> None:
@@ -90,7 +90,7 @@ class Patrol:
 
     @property
     def busy(self) -> str:
-        """Why nobody may drive by hand, "" where one may."""
+        """Why driving by hand is refused, "" if it is allowed."""
         return "a patrol is under way; pause or stop it first" if self._active and not self._held else ""
 
     def end(self, why: str) -> None:
@@ -145,7 +145,7 @@ class Patrol:
         self._timer = self._host.loop.after(seconds, action)
 
     def _find(self) -> None:
-        """Ask where the next place is now."""
+        """Ask for the pose of the next place."""
         step = self._next_step()
         self._locate = self._locate or self._host.node.client(_LOCATE, GET_LOCATION)
         self._locate.call({"name": self._place}, partial(self._found, step))
@@ -168,7 +168,7 @@ class Patrol:
 
     def _accepted(self) -> None:
         if self._goal is not None and self._goal.accepted is None:
-            self.end(f"the gateway has not said within {ANSWER_SECONDS:g} s whether it takes the goal")
+            self.end(f"the gateway did not accept or reject the goal within {ANSWER_SECONDS:g} s")
 
     def _ended(self, goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
         if goal is not self._goal:
@@ -176,7 +176,7 @@ class Patrol:
         self._goal = None
         if goal.status is not GoalState.SUCCEEDED:
             said = why or (result or {}).get("error_msg", "") or "the goal was given up"
-            self.end(f"on the way to {self._place}: {said}")
+            self.end(f"driving to {self._place}: {said}")
             return
         self._next_step()
         self._held = False
@@ -191,7 +191,7 @@ class Patrol:
     # -- what others do ------------------------------------------------------------------------------------------------
 
     def _look(self) -> None:
-        """The gateway's status: its order tells a stop or another's goal between two goals of ours."""
+        """The gateway's status: its order shows a stop or a foreign goal between two goals of the patrol."""
         if not self._active:
             return
         state, of = self._driving.state, self._driving.goal_id

@@ -57,7 +57,7 @@ class PlaceVerbs:
     """Their verbs, on threads that may wait.
 
     Args:
-        store: the store; raises `StoreError` where there is none.
+        store: returns the store; raises `StoreError` if none is known.
         changed: called after each change.
     """
 
@@ -105,7 +105,7 @@ class PlaceVerbs:
     def _delete(self, name: str, kind: ValueKind[Any] = LOCATION) -> str:
         store = self._store()
         if name not in store.names(kind):
-            raise VerbError(f"there is no {_WORDS[kind.name]} {name!r}")
+            raise VerbError(f"unknown {_WORDS[kind.name]} {name!r}")
         store.write([Write(kind, name, None)])
         self._changed()
         return f"{name} is deleted"

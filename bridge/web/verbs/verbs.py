@@ -50,14 +50,14 @@ _COVARIANCE = {0: 0.25, 7: 0.25, 35: 0.07}
 
 
 class VerbError(RuntimeError):
-    """What was asked for is not done; the text says why."""
+    """A call of a page failed; the text has the reason."""
 
 
 @dataclass(frozen=True)
 class PageVerb:
     """One verb: the arguments that it must and may have, each with its check, and what does it.
 
-    A ``slow`` one, which may wait for long, does so on threads of its own.
+    A ``slow`` verb may take long, and runs on separate threads.
     """
 
     run: Callable[..., Any]
@@ -65,7 +65,7 @@ class PageVerb:
     may: Mapping[str, Callable[[Any], Any]]
     commands: bool = True
     stops: bool = False
-    logged: bool = True  #: where it is a command
+    logged: bool = True  #: if it is a command
     slow: bool = False
 
 
@@ -105,7 +105,7 @@ class Verbs:
     Args:
         chose: called with the planner that was chosen, on the module's thread.
         before: what happens on the module's thread as a verb of a name begins.
-        between: pauses or resumes what is between two goals; what it has done, "" where that is for the gateway.
+        between: pauses or resumes a patrol between two goals; returns what it did, "" if the gateway has to.
         more: verbs of other files.
 
     Attributes:
@@ -165,7 +165,7 @@ class Verbs:
         """Do it on a thread that may wait; the result, or `VerbError`, is the future's. Raises `VerbError`."""
         found = self.known.get(verb)
         if found is None:
-            raise VerbError(f"there is no verb {verb[:80]!r}; there are {', '.join(self.known)}")
+            raise VerbError(f"unknown verb {verb[:80]!r}; known: {', '.join(self.known)}")
         checked = _checked(verb, found, args)
         if found.commands and found.logged:
             said = " ".join(f"{key}={value!r}"[:100] for key, value in args.items())
@@ -226,8 +226,8 @@ class Verbs:
             return done.result(GOAL_SECONDS)
         except TimeoutError:
             done.cancel()
-            self._host.loop.post(sent.cancel)  # nobody expects the robot to set out later
-            raise VerbError(f"the gateway has not said within {GOAL_SECONDS:g} s whether it takes the goal") from None
+            self._host.loop.post(sent.cancel)  # a late start would surprise people
+            raise VerbError(f"the gateway did not accept or reject the goal within {GOAL_SECONDS:g} s") from None
 
     def _trigger(self, name: str, seconds: float = ANSWER_SECONDS) -> str:
         return self._ask(f"/navigation/{name}", TRIGGER, {}, seconds)
@@ -273,13 +273,15 @@ class Verbs:
         troubles += [f"{cancel.name}: its goals are not cancelled: {cancel.error}" for cancel in found.failed]
         if found.trouble or troubles:
             raise VerbError("; ".join(filter(None, (found.trouble, *troubles))))
-        return "every base that answers stands" if found.bases else "zero velocity is said, and no base has answered"
+        return (
+            "every base that answers stands" if found.bases else "zero velocity is published, but no base has answered"
+        )
 
     def _set_pose(self, x: float, y: float, theta: float) -> str:
         topic = self._config.modules.localization_server.initialpose
         if not topic or not self._host.node.hub.graph.subscriptions(topic):
             raise VerbError(
-                f"nobody hears {topic or 'of a start'}: is the localiser there, and does a rule let it cross?"
+                f"{topic or 'the topic of a start'} has no subscriber: is the localizer running, and does it cross?"
             )
         covariance = [_COVARIANCE.get(at, 0.0) for at in range(36)]
         message = {
@@ -292,11 +294,11 @@ class Verbs:
             self._starts.publish(message)
 
         self._host.loop.call(publish)
-        return f"the localiser is told that the robot is at {x:.2f}, {y:.2f} m"
+        return f"published for the localizer: the robot is at {x:.2f}, {y:.2f} m"
 
 
 def _run(action: Callable[..., Any], args: dict[str, Any], latest: float) -> Any:
-    if time.monotonic() > latest:  # nobody expects the robot to set out later
+    if time.monotonic() > latest:  # a late start would surprise people
         raise VerbError(f"it was not begun within {BEGIN_SECONDS:g} s, as others ran, and is not done; ask again")
     try:
         return action(**args)
