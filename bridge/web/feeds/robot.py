@@ -118,14 +118,13 @@ class LaserFeed(TopicsFeed):
 
 
 class PathFeed(TopicsFeed):
-    """``path``: the path of the chosen planner; during a pause the last one, since planners clear theirs."""
+    """``path``: the last path of the chosen planner, until its goal ends."""
 
     def __init__(self, host: Host, config: Config, driving: DrivingFeed) -> None:
         super().__init__(host, "path")
         self._config, self._driving = config, driving
         self._topic = ""
-        self._goal = b""
-        self._last: list[float] = []  # the last path of that goal
+        self._last: list[float] = []
         driving.on_change(self._update)
 
     def open(self) -> None:
@@ -140,8 +139,8 @@ class PathFeed(TopicsFeed):
     def _update(self) -> None:
         driving, topic = self._driving, self._config.web.path or self._of(self._driving.planner)
         ended = not (driving.drives or driving.paused)
-        if ended or driving.goal_id != self._goal or not (self.watched or driving.paused):
-            self._goal, self._last = driving.goal_id, []
+        if ended or not (self.watched or driving.paused):
+            self._last = []
         if not self.watched:
             return
         if topic != self._topic:
@@ -160,9 +159,11 @@ class PathFeed(TopicsFeed):
 
     def _take(self, path: dict[str, Any]) -> None:
         points = points_of_path(path)
-        if points and (self._driving.drives or self._driving.paused):
+        if not (self._driving.drives or self._driving.paused):
+            return
+        # planners clear their path as soon as their goal is canceled for a pause; the status shows how a goal ends
+        if points or not any(self._driving.goal_id):
             self._last = points
-        if self._driving.drives or (points and self._driving.paused):
             self.put({"points": points})
 
 
@@ -176,7 +177,6 @@ class DrivingFeed(TopicsFeed):
         self._config = config
         self._status: dict[str, Any] | None = None
         self._distance: float | None = None
-        self._known_distance: float | None = None  # the last one that the planner reported for this goal
         self._changes: list[Callable[[], None]] = []
         self.planner = config.navigation.planner
 
@@ -221,7 +221,7 @@ class DrivingFeed(TopicsFeed):
     def close(self) -> None:
         """Rest."""
         super().close()
-        self._status = self._distance = self._known_distance = None
+        self._status = self._distance = None
 
     def chose(self, planner: str) -> None:
         """Another planner was chosen."""
@@ -235,15 +235,13 @@ class DrivingFeed(TopicsFeed):
     def moved_by_hand(self) -> None:
         """Forget the distance of a paused goal: it is unknown until the planner goes on."""
         if self.paused:
-            self._distance = self._known_distance = None
+            self._distance = None
             self._say()
 
     def _take(self, status: dict[str, Any]) -> None:
         before, self._status = self.goal_id, status
         if self.goal_id != before or not (self.drives or self.paused):
-            self._distance = self._known_distance = None
-        elif self.paused:
-            self._distance = self._known_distance  # a planner that was canceled for the pause may report none
+            self._distance = None
         self._say()
         self._tell()
 
@@ -251,10 +249,10 @@ class DrivingFeed(TopicsFeed):
         if self.paused:
             return  # feedback from before the pause
         left = float(message["feedback"]["distance_remaining"])
-        # before its first path Nav2 sends 0.0
-        self._distance = round(left, 1) if math.isfinite(left) and left > 0.0 else None
-        self._known_distance = self._distance or self._known_distance
-        self._say()
+        # Nav2 sends 0.0 before its first path, and planners may while their goal is canceled for a pause
+        if math.isfinite(left) and left > 0.0:
+            self._distance = round(left, 1)
+            self._say()
 
     def _tell(self) -> None:
         for action in self._changes:

@@ -1,7 +1,5 @@
 // What the robot does, in words.
 
-import { metres } from "./format.js";
-
 const STATES = {
   idle: "Standing",
   preparing_before_move: "Getting ready",
@@ -29,10 +27,4 @@ export function mood(driving) {
   if (BAD.has(driving?.state)) return "bad";
   if (driving?.state === "paused" || driving?.state === "waiting_obstacle") return "held";
   return isBusy(driving) ? "busy" : "calm";
-}
-
-/** One line: state and what is left to drive. */
-export function drivingLine(driving) {
-  const left = (isBusy(driving) || driving.state === "paused") && typeof driving.distance === "number" ? `, ${metres(driving.distance, 1)} left` : "";
-  return stateWords(driving) + left;
 }
