@@ -120,7 +120,9 @@ class Db3(BagWriter):
     def add(self, topic: BagTopic, form: TopicForm) -> Any:
         """See `BagWriter.add`: a topic is one connection with the QoS of each of its publishers."""
         key = form.name or topic.name, form.type_name
-        self._topics.setdefault(key, (form, {}))[1].update(dict.fromkeys(topic.profiles))
+        known, offered = self._topics.get(key, (form, {}))
+        offered.update(dict.fromkeys(topic.profiles))
+        self._topics[key] = known if known.definition else form, offered
         return key
 
     def write(

@@ -49,7 +49,7 @@ def ros2_file(path: Path, topics: Sequence[tuple[str, str, str, bytes]], encodin
     writer = Writer(stream := io.BytesIO())
     writer.start("ros2", "test")
     for number, (topic, type_name, text, data) in enumerate(topics):
-        schema = writer.register_schema(type_name, encoding, text.encode()) if type_name else 0
+        schema = writer.register_schema(type_name, encoding if text else "", text.encode()) if type_name else 0
         channel = writer.register_channel(topic, "cdr", schema)
         writer.add_message(channel, START + number, b"\0\1\0\0" + data, START + number)
     writer.finish()
@@ -194,6 +194,15 @@ def test_a_definition_that_readers_refuse_costs_no_other_topic(case: str, target
     assert [member(message, "data") for message in said] == ["hi"]
 
 
+@pytest.mark.parametrize("target", ["b.mcap", "b.db3", "b"])
+def test_one_of_several_channels_may_have_the_definition(target: str, tmp_path: Path) -> None:
+    topics = [(name, "my_msgs/msg/Own", text, b"\5\0\0\0") for name, text in (("/a", ""), ("/a", OWN), ("/b", ""))]
+    source = ros2_file(tmp_path / "a.mcap", topics)
+    assert converted(source, tmp_path / target).messages == 3
+    assert {(topic, message.n) for topic, _, message in rosbags(tmp_path / target)} == {("/a", 5), ("/b", 5)}
+
+
+OWN = "int32 n\n"
 ASK = "int32 a\nmy_msgs/Part part\n---\nint32 b\n" + LINE + "MSG: my_msgs/Part\nchar n\n"
 EMPTY = "---\nbool ok\nstring<=9[<=2] texts\n"
 DIG = "float32 depth\n---\nbool done\n---\nmy_msgs/Part part\n" + LINE + "MSG: my_msgs/Part\nfloat32 depth\n"
