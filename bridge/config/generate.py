@@ -105,10 +105,27 @@ def schema() -> str:
     """JSON schema of the file."""
     document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **Config.model_json_schema(by_alias=True),
+        **_either_form(Config.model_json_schema(by_alias=True)),
         "title": "Midspan's configuration",
     }
     return json.dumps(document, indent=2) + "\n"
+
+
+def _either_form(node: Any, name: str = "") -> Any:
+    """Let a list of texts be one text, and a ``listen`` a list of one, as `Section` accepts them."""
+    if isinstance(node, list):
+        return [_either_form(each) for each in node]
+    if not isinstance(node, dict):
+        return node
+    node = {key: _either_form(value, key) for key, value in node.items()}
+    items = node.get("items", {})
+    texts = node.get("type") == "array" and items.get("type") == "string" and "prefixItems" not in node
+    if not texts and not (name == "listen" and node.get("type") == "string"):
+        return node
+    outer = {key: node.pop(key) for key in ("default", "description", "title") if key in node}
+    if texts:
+        return {"anyOf": [node, items], **outer}
+    return {"anyOf": [node, {"type": "array", "items": node, "minItems": 1, "maxItems": 1}], **outer}
 
 
 def example() -> str:
@@ -180,7 +197,8 @@ exit code 3. A file of a format that is newer than this Midspan is refused; so w
 an older one.
 
 `midspan config check FILE` names every problem with its line and column. An unknown key is a problem, and so is a key
-given twice. `midspan config schema` prints a JSON schema; with
+given twice. A list of texts may be written as one text (`trusted: operator1`), and the one address of a `listen` as a
+list of one. `midspan config schema` prints a JSON schema; with
 
 ```yaml
 # yaml-language-server: $schema=midspan.schema.json

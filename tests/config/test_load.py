@@ -71,7 +71,7 @@ CASES = [
     ("hub: 3", ["1:6: hub: must be a section with keys, not 3"]),
     ("- a\n- b", ["1:1: must be a map of sections, for example 'hub:'"]),
     ("hub: {zenoh: 3}", ["1:14: hub.zenoh: 3 is not a map, or 3 is not a path"]),
-    ("types: {folders: /a}", ["1:18: types.folders: '/a' is not a list"]),
+    ("types: {folders: 7}", ["1:18: types.folders: 7 is not a list"]),
     ("hub: {domain: 300}", ["1:15: hub.domain: input should be less than or equal to 232, not 300"]),
     ("name: a b", ["1:7: name: 'a b' does not match ^[A-Za-z0-9][A-Za-z0-9_.-]{0,62}$"]),
     (

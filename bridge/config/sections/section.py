@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import ipaddress
 import re
+import types
+import typing
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from bridge.sides import all_networks
 
@@ -24,6 +27,36 @@ class Section(BaseModel):
     """Base of all sections: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_or_many(cls, data: Any) -> Any:
+        """Accept one text for a list of texts, and a list of one for the text of a ``listen``."""
+        if not isinstance(data, dict):
+            return data
+        for name, info in cls.model_fields.items():
+            key = info.alias or name
+            value = data.get(key)
+            if isinstance(value, str) and is_list_of_texts(info.annotation):
+                data = {**data, key: [value]}
+            elif name == "listen" and isinstance(value, list) and not is_list_of_texts(info.annotation):
+                if len(value) != 1:
+                    raise ValueError(f"'listen' takes one address here, not {len(value)}")
+                data = {**data, key: value[0]}
+        return data
+
+
+def is_list_of_texts(annotation: Any) -> bool:
+    """Whether a key is a list of texts or paths; a text alone then stands for a list of one."""
+    arguments = typing.get_args(annotation)
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+        return any(is_list_of_texts(argument) for argument in arguments)
+    if typing.get_origin(annotation) is not tuple or arguments[1:] != (Ellipsis,):
+        return False
+    item = arguments[0]
+    while typing.get_origin(item) is Annotated:
+        item = typing.get_args(item)[0]
+    return item in (str, Path) or (typing.get_origin(item) is Literal and isinstance(typing.get_args(item)[0], str))
 
 
 def setting(default: Any, description: str, **limits: Any) -> Any:
