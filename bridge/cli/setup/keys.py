@@ -1,8 +1,9 @@
-"""``midspan keys``: the certificates by which machines know each other."""
+"""``midspan keys``: the certificates that machines identify each other with."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 from pathlib import Path
@@ -23,8 +24,9 @@ example, for a robot and an operator's computer:
   midspan keys make operator1
   midspan keys show
 
-The first 'make' makes the authority that signs all the others. Its key, ca.key, stays in this folder alone: whoever has
-it can make certificates of any name. Copy to each machine ca.pem and its own two files, as 'make' says.
+The first 'make' creates the authority that signs all other certificates. Its key, ca.key, stays in this folder only:
+anyone who has it can make certificates of any name. Copy ca.pem and its own two files to each machine. A machine with an
+ADDRESS listens, one without connects; 'make' prints the configuration for each.
 """
 
 
@@ -32,7 +34,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     actions = add_verbs(
         parser,
-        "Makes or shows the certificates by which the machines of a fleet know each other over TLS (hub.open).",
+        "Makes or shows the certificates that the machines of a fleet identify each other with over TLS (hub.open).",
         dest="action",
     )
     parser.epilog = _EPILOG
@@ -43,10 +45,10 @@ def register(parser: argparse.ArgumentParser) -> None:
     make.add_argument(
         "--days", type=_days, default=730, metavar="N", help=f"days until it expires (default 730, at most {MOST_DAYS})"
     )
-    make.add_argument("--replace", action="store_true", help="make it anew where it is there already")
+    make.add_argument("--replace", action="store_true", help="replace the certificate if it exists")
     show = add_verb(
         actions, "show", run, "show certificates: names, and when they expire",
-        "Shows certificates: whose they are, their names and addresses, and when they expire. Exit code 1 where one has"
+        "Shows certificates: their machines, names and addresses, and when they expire. Exit code 1 if one has"
         " expired.", hub=False,
     )  # fmt: skip
     show.add_argument("files", type=Path, nargs="*", metavar="FILE", help="certificates, or folders (default: DIR)")
@@ -76,14 +78,15 @@ def _make(folder: Path, args: argparse.Namespace) -> None:
     if not authority.exists():
         made = authority.make()
         print(f"made the authority: {made.file}, valid until {made.until:%Y-%m-%d}")
-        print(f"  keep {folder}/ca.key here and safe, and copy it nowhere: it makes certificates of any name\n")
+        print(f"  keep {folder}/ca.key here and safe, and never copy it: it makes certificates of any name\n")
     made = authority.issue(args.name, args.addresses, args.days, replace=args.replace)
     print(f"made {args.name}.pem and {args.name}.key in {folder}")
     print(f"  valid until {made.until:%Y-%m-%d}, for connecting to {', '.join(made.names)}\n")
-    print(_next_steps(folder, args.name))
+    print(_next_steps(folder, args.name, connects=not args.addresses))
 
 
-def _next_steps(folder: Path, name: str) -> str:
+def _next_steps(folder: Path, name: str, *, connects: bool) -> str:
+    """Return what to do on the machine; one that ``connects`` has no address that others could connect to."""
     keys = "/etc/midspan/keys"
     files = " ".join(str(folder / file) for file in ("ca.pem", f"{name}.pem", f"{name}.key"))
     return f"""\
@@ -96,8 +99,43 @@ and in its configuration:
   name: {name}
   hub:
     open:
-      listen: [tls/0.0.0.0:7448]      # or connect: [tls/OTHER:7448]
+{_snippet(folder, name) if connects else _LISTENS}"""
+
+
+_LISTENS = """\
+      listen: [tls/0.0.0.0:7448]
       trusted: []                     # names of the machines that may command it"""
+
+_EITHER = """\
+      connect: [tls/OTHER:7448]       # a name or address in the certificate of OTHER; or, if others connect to it,
+      # listen: [tls/0.0.0.0:7448]
+      trusted: []                     # names of the machines that may command it"""
+
+
+def _snippet(folder: Path, name: str) -> str:
+    """Return the keys of ``hub.open`` for a machine that connects to the others of the folder that listen."""
+    from bridge.hub.security.certificates import CertificateError
+
+    others: list[Certificate] = []
+    for file in sorted(folder.glob("*.pem")):
+        with contextlib.suppress(CertificateError):  # a file that is not a certificate is nothing to connect to
+            others += [each for each in _certificates(file) if not each.authority and each.name not in ("", name)]
+    listening = [each for each in others if set(each.names) - {each.name, f"{each.name}.local"}]
+    if not listening:
+        return _EITHER
+    places = ", ".join(_endpoint(each) for each in listening)
+    names = ", ".join(each.name for each in listening)
+    return f"""\
+      connect: [{places}]
+      trusted: [{names}]
+and on {names}, so that it may command there: hub.open.trusted: [{name}]"""
+
+
+def _endpoint(certificate: Certificate) -> str:
+    """Return where a machine listens, by the first address that was given for it; IPv6 has brackets and quotes."""
+    own = (certificate.name, f"{certificate.name}.local")
+    address = next(name for name in certificate.names if name not in own)
+    return f"'tls/[{address}]:7448'" if ":" in address else f"tls/{address}:7448"
 
 
 def _show(places: list[Path], *, as_json: bool) -> int:
@@ -129,7 +167,7 @@ def _row(certificate: Certificate) -> tuple[str, ...]:
 def _certificates(place: Path) -> list[Certificate]:
     from bridge.hub.security.certificates import read_certificate
 
-    # the default folder may not be there yet
+    # the default folder may be missing
     files = [place] if place.suffix else sorted(place.glob("*.pem"))
     return [read_certificate(file) for file in files]
 

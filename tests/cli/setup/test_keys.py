@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from bridge.cli.main import main
+from bridge.config.model import Config
 from bridge.doctor.check import Result
 from bridge.doctor.checks import hub as hub_checks
 from bridge.hub.security.certificates import Authority, CertificateError, read_certificate, signed_by
@@ -42,6 +44,39 @@ def test_make_and_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert [each["authority"] for each in found.values()] == [True, False, False]
     assert run(folder, "show") == 0
     assert "(authority)" in capsys.readouterr().out
+
+
+def snippet(text: str) -> dict[str, Any]:
+    """The configuration in what 'make' prints, checked."""
+    lines = text.partition("in its configuration:\n")[2].splitlines()
+    document = yaml.safe_load("\n".join(line for line in lines if line.startswith("  ")))
+    Config.model_validate(document)
+    found: dict[str, Any] = document["hub"]["open"]
+    return found
+
+
+def test_make_prints_what_a_listener_and_an_operator_need(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(tmp_path, "make", "robot1", "192.168.1.20", "robot1.lab") == 0
+    assert snippet(capsys.readouterr().out) == {"listen": ["tls/0.0.0.0:7448"], "trusted": []}
+    (tmp_path / "note.pem").write_text("not a certificate")
+    assert run(tmp_path, "make", "operator1") == 0
+    text = capsys.readouterr().out
+    assert snippet(text) == {"connect": ["tls/192.168.1.20:7448"], "trusted": ["robot1"]}
+    assert "listen:" not in text
+    assert "on robot1, so that it may command there: hub.open.trusted: [operator1]" in text
+    assert run(tmp_path, "make", "base", "fe80::1") == 0
+    assert "listen" in snippet(capsys.readouterr().out)
+    assert run(tmp_path, "make", "operator1", "--replace") == 0
+    places = ["tls/[fe80::1]:7448", "tls/192.168.1.20:7448"]
+    assert snippet(capsys.readouterr().out) == {"connect": places, "trusted": ["base", "robot1"]}
+
+
+def test_an_operator_before_its_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It is not known yet what it connects to."""
+    assert run(tmp_path, "make", "operator1") == 0
+    text = capsys.readouterr().out
+    assert snippet(text) == {"connect": ["tls/OTHER:7448"], "trusted": []}
+    assert "# listen: [tls/0.0.0.0:7448]" in text
 
 
 def test_openssl_agrees(tmp_path: Path) -> None:
