@@ -93,7 +93,7 @@ def _annotation_text(annotation: Any) -> str:
 
 
 WIDTH = 100
-SCHEMA_FILE = "midspan.schema.json"  # the schema's name beside the files in ``configs/``
+SCHEMA_FILE = "midspan.schema.json"  # the schema's name among the files in ``configs/``
 
 
 def editor_comment(schema: str = SCHEMA_FILE) -> str:
@@ -188,11 +188,11 @@ _REFERENCE_HEAD = """# Configuration reference
 
 Midspan reads one YAML file. Every key is optional, and the defaults run on one machine as they are:
 `midspan config example` prints them all. Without `--config` the first of these is used: `$MIDSPAN_CONFIG`,
-`./midspan.yaml`, `~/.config/midspan/midspan.yaml` (or under `$XDG_CONFIG_HOME`), `/etc/midspan/midspan.yaml`; where
-there is none, the defaults are. Relative paths are relative to the file's folder.
+`./midspan.yaml`, `~/.config/midspan/midspan.yaml` (or under `$XDG_CONFIG_HOME`), `/etc/midspan/midspan.yaml`; without
+any of them, the defaults are. Relative paths are relative to the file's folder.
 
 `version` is the format of the file. `midspan config migrate FILE` brings an older file to today's keys: comments stay,
-what is gone becomes a comment, the former file is kept as `FILE.old`, and what is left to do by hand is named, with
+removed keys become comments, the former file is kept as `FILE.old`, and what is left to do by hand is named, with
 exit code 3. A file of a format that is newer than this Midspan is refused; so write `version` into files that may meet
 an older one.
 
@@ -207,7 +207,7 @@ list of one. `midspan config schema` prints a JSON schema; with
 as the first line of a file, editors check and complete it while you type.
 
 `kill -HUP` (or `systemctl reload midspan`) loads the file again: it is checked first, a file with a problem changes
-nothing, and only the workers that use what changed are told or restarted. `name` and `state` need a restart of the
+nothing, and only the workers that use what changed are notified or restarted. `name` and `state` need a restart of the
 daemon.
 """
 

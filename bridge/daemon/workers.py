@@ -1,7 +1,7 @@
-"""The workers that Midspan has, by name: where their code is, what they need, what of the configuration they use.
+"""Midspan's workers by name: their code, their requirements, and the sections of the configuration that they use.
 
-``$MIDSPAN_WORKERS`` (``ros1=package.module:Class,...``) puts a class of one's own in a worker's place, called without
-arguments; it then runs in the daemon's own environment.
+``$MIDSPAN_WORKERS`` (``ros1=package.module:Class,...``) replaces a worker by a custom class, which is called without
+arguments and runs in the daemon's environment.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class WorkerKind:
 
     Its own process imports ``factory`` (``module:Class``). Changes outside ``sections`` of the configuration do not
     touch it. ``environment`` is a module with ``available(config)`` and ``worker_environment(config, environ)``. One
-    without imports what it ``needs``, which pip's ``extra`` brings. A worker that ``outlives`` goes on when the daemon
-    dies, and the next daemon adopts it.
+    without imports what it ``needs``, which pip's ``extra`` brings. A worker that ``outlives`` continues when the
+    daemon dies, and the next daemon adopts it.
     """
 
     name: str
@@ -52,7 +52,7 @@ class WorkerKind:
         return worker
 
     def enabled(self, config: Config) -> Enabled:
-        """What the configuration says, or what the side's environment makes of it."""
+        """Return the configuration's value, or what the side's environment derives from it."""
         decide = getattr(importlib.import_module(self.environment), "enabled", None) if self.environment else None
         if decide is not None:
             enabled: Enabled = decide(config)
@@ -62,7 +62,7 @@ class WorkerKind:
         return config.hub.router if self.name == "router" else getattr(config, self.name).enabled
 
     def missing(self, config: Config) -> str:
-        """Why it cannot run on this machine, "" where it can."""
+        """Return why it cannot run on this machine, or ""."""
         if self.environment:
             reason: str = importlib.import_module(self.environment).available(config)
             return reason
@@ -70,11 +70,11 @@ class WorkerKind:
         return f"{', '.join(missing)} cannot be imported; pip install 'midspan[{self.extra}]'" if missing else ""
 
     def child_environment(self, config: Config, environ: Mapping[str, str] = os.environ) -> dict[str, str]:
-        """The environment that its process is started with; raises `RuntimeError` where it has none here."""
+        """Return the environment of its process; raises `RuntimeError` if this machine has none for it."""
         if self.environment:
             env: dict[str, str] = importlib.import_module(self.environment).worker_environment(config, environ)
         else:
-            env = {**environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}  # spares the wheels' second start of Python
+            env = {**environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}  # avoids the wheels' second start of Python
         for name in (*NOTIFY_ENVIRONMENT, "JOURNAL_STREAM"):
             env.pop(name, None)
         return _importable(env)
@@ -82,12 +82,12 @@ class WorkerKind:
     def config_part(self, config: Config) -> dict[str, Any]:
         """The part of the configuration that it uses, for comparison."""
         part = {name: getattr(config, name) for name in sorted({"name", "state", "hub", "log", *self.sections})}
-        if self.name in ("web", "metrics") and config.web.guarded:  # both show the door's certificate
+        if self.name in ("web", "metrics") and config.web.guarded:  # both show the certificate of hub.open
             door = config.hub.open
             part["keys"] = (door.keys, door.ca, door.certificate, door.key)
         if self.name != "router":
             return {**part, "hub": config.hub.indoors}
-        # the rules tell its door what commands are
+        # its access rules depend on the rules for commands
         return {**part, "routing": config.rules} if config.hub.open.opened else part
 
 
@@ -155,17 +155,17 @@ def worker_kinds(environ: Mapping[str, str] = os.environ) -> dict[str, WorkerKin
 
 
 def child_command(worker: str, *options: str) -> list[str]:
-    """The command of a worker's process. ``-P``: nothing is imported from the working directory."""
+    """Return the command of a worker's process. ``-P``: nothing is imported from the working directory."""
     return [sys.executable, "-P", "-m", "bridge.cli.main", "worker", worker, *options]
 
 
 def supervised_command(worker: str, *options: str) -> list[str]:
-    """The same for one that the daemon starts: it tells what it is at from its first moment."""
+    """Return the command of a worker that the daemon starts: it reports its progress from the beginning."""
     return [sys.executable, "-P", "-m", "bridge.cli.child", "worker", worker, "--supervised", *options]
 
 
 def _importable(env: dict[str, str]) -> dict[str, str]:
-    """Where Midspan runs from a checkout that is not installed, its folder must be on the child's path."""
+    """Put Midspan's folder on the child's path, for a checkout that is not installed."""
     root = str(Path(bridge.__file__).parents[1])
     if root not in site.getsitepackages():
         paths = [path for path in env.get("PYTHONPATH", "").split(os.pathsep) if path and path != root]

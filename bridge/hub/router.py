@@ -1,7 +1,7 @@
-"""The hub's router: where sessions of this machine and of others find each other.
+"""The hub's router, by which sessions of this machine and of others discover each other.
 
-Any zenoh router will do; this one spares a bare machine the installation of zenohd. The workers' data goes over direct
-links and not through it.
+Any zenoh router works; this one makes an installation of zenohd unnecessary. The workers' data goes over direct links,
+not through it.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from bridge.worker import Health, Worker, costs
 _log = logging.getLogger(__name__)
 _ANSWER_SECONDS = 1.0
 _MAX_MEMBERS = 1000
-"""Sessions that the status names at most."""
+"""Largest number of sessions in the status document."""
 
 _DOOR_SECONDS = 5.0
 _REOPEN_SECONDS = 0.3
-"""zenoh's routers look every 0.1 s who is there; one that takes another's place sooner learns of no subscription."""
+"""zenoh's routers check their neighbors every 0.1 s; one that replaces another sooner gets no subscriptions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +46,9 @@ class RouterInfo:
     """The program that answers at a router's endpoint.
 
     Attributes:
-        mode: ``router``, or ``peer`` where a zenoh program listens there that routes nothing.
-        daemon: name of the Midspan daemon that runs it, "" where it is a stranger's (zenohd, rmw_zenohd).
-        pid: its process on its machine, 0 where it is a stranger's.
+        mode: ``router``, or ``peer`` if a zenoh program listens there that routes nothing.
+        daemon: name of the Midspan daemon that runs it, "" if it is another program's (zenohd, rmw_zenohd).
+        pid: its process on its machine, 0 if it is another program's.
     """
 
     endpoint: str
@@ -67,7 +67,7 @@ class RouterInfo:
 def probe_router(
     endpoint: str, zenoh_config: Mapping[str, Any] | str | Path | None = None, seconds: float = 1.5
 ) -> RouterInfo | None:
-    """Ask which program routes at an endpoint (``tcp/127.0.0.1:7447``); None where none there speaks zenoh.
+    """Return the program that routes at an endpoint (``tcp/127.0.0.1:7447``); None if no zenoh program answers.
 
     ``zenoh_config`` is the workers' own, for TLS.
     """
@@ -96,16 +96,16 @@ def port_held(endpoint: str) -> bool:
 
 
 def create_router() -> RouterWorker:
-    """Make the worker in a process of its own, whose standard output zenoh's log may use."""
+    """Make the worker of a process that runs nothing else, so that zenoh's log may use its standard output."""
     return RouterWorker(ZenohLog.capture())
 
 
 class RouterWorker(Worker):
     """Runs a router at ``hub.listen``.
 
-    With ``hub.router: auto`` and another router there already, that one is used, and this one stands by and takes over
-    when the other is gone. With ``hub.open`` it opens the door to other machines besides; where that cannot be opened
-    this machine's programs have their router all the same, and it is tried again.
+    With ``hub.router: auto`` and another router at that address, it stands by and takes over when the other one exits.
+    With ``hub.open`` it also runs the router for other machines (`HubDoor`). If that one cannot be opened, this
+    machine's programs keep their router, and the worker tries again.
     """
 
     def __init__(self, zenoh_log: ZenohLog | None = None) -> None:
@@ -123,7 +123,7 @@ class RouterWorker(Worker):
         self._process = psutil.Process()
 
     def start(self, config: Config) -> None:
-        """Listen; raises `RuntimeError` where the port is another's and cannot be shared."""
+        """Listen; raises `RuntimeError` if another program holds the port and cannot be shared."""
         self._config = config
         hub = config.hub
         try:
@@ -134,16 +134,16 @@ class RouterWorker(Worker):
                     f"the router cannot listen on {hub.listen} (hub.listen): {zenoh_reason(err)}"
                 ) from None
             holder = probe_router(hub.listen, hub.zenoh)
-            who = "a program that does not speak zenoh" if holder is None else str(holder)
+            who = "a program that is not zenoh" if holder is None else str(holder)
             if holder is None or holder.mode != "router" or hub.router is True:
-                cure = "" if holder is None else ", or hub.router to auto, and the one that is there is used"
+                cure = "" if holder is None else ", or hub.router to auto, which uses that router"
                 raise RuntimeError(f"{hub.listen} is held by {who}; set hub.listen to a free port{cure}") from None
             self._other = who
             _log.info("%s is at %s already and is used", who, hub.listen)
         self._open_door(config)
 
     def reload(self, config: Config) -> bool:
-        """The door alone can change while the router runs."""
+        """Take a new configuration; only the router for other machines can change while this one runs."""
         old = self._config
         if old is None or config.name != old.name or config.hub.indoors != old.hub.indoors:
             return False
@@ -153,12 +153,12 @@ class RouterWorker(Worker):
         return True
 
     def health(self) -> Health:
-        """A question to the router itself, over zenoh."""
+        """Query the router itself over zenoh."""
         assert self._config is not None
         if self._door is None and time.monotonic() > self._door_again:
             self._open_door(self._config)
         elif self._keys is not None and self._keys.renewed():
-            _log.info("hub.open: opened anew with the new certificates")
+            _log.info("hub.open: reopening with the new certificates")
             self._reopen_door(self._config)
         session = self._session
         if session is None:
@@ -197,7 +197,9 @@ class RouterWorker(Worker):
             return
         self._door_trouble = ""
         if config.hub.open.insecure:
-            _log.warning("hub.open.insecure: whoever reaches %s may join the hub", ", ".join(config.hub.open.listen))
+            _log.warning(
+                "hub.open.insecure: any program that reaches %s may join the hub", ", ".join(config.hub.open.listen)
+            )
 
     def _reopen_door(self, config: Config) -> None:
         if self._door is not None:
@@ -226,7 +228,7 @@ class RouterWorker(Worker):
                 self._open(config)
             except zenoh.ZError as err:
                 _log.warning(
-                    "the router that was used is gone, and %s cannot be listened on: %s", config.hub.listen, err
+                    "the other router has exited, and this one cannot listen at %s: %s", config.hub.listen, err
                 )
         return self._session
 
@@ -310,5 +312,5 @@ def _identify(session: zenoh.Session, endpoint: str, seconds: float) -> RouterIn
                 known = json.loads(reply.ok.payload.to_bytes())
                 return RouterInfo(endpoint, routers[0], "router", str(known["daemon"]), int(known["pid"]))
             except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
-                _log.debug("the router at %s tells nothing of use about itself", endpoint)
+                _log.debug("the router at %s gives no valid identity", endpoint)
     return RouterInfo(endpoint, routers[0], "router")

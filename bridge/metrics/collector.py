@@ -1,4 +1,4 @@
-"""Makes metric families of the workers' status documents."""
+"""Makes metric families from the workers' status documents."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bridge.metrics.source import AT_REST, Document, Snapshot, Source
 from bridge.sides import all_networks
 
 MOST_OWN = 50
-"""Figures of its own that a worker may tell."""
+"""Largest number of figures that a worker may add."""
 
 _OWN_NAME = re.compile(r"[a-z][a-z0-9_]{0,60}")
 _PHASES = tuple(phase.value for phase in Phase if phase.value not in AT_REST)
@@ -29,11 +29,11 @@ _MODULE_STATES = ("running", "waiting", "standby", "stopped")
 
 
 class MidspanCollector(Collector):
-    """Gives the families of what its source knows.
+    """Collects the families from a source.
 
     Args:
-        source: whom it asks.
-        most_routes: of each side that are told of.
+        source: of the status documents.
+        most_routes: largest number of routes for each side.
     """
 
     def __init__(self, source: Source, most_routes: int) -> None:
@@ -41,15 +41,15 @@ class MidspanCollector(Collector):
         self._routes = RouteTeller(most_routes)
 
     def describe(self) -> Iterable[Metric]:
-        """Nothing: the library would ask all workers to find the names."""
+        """Return nothing: the library would query all workers for the names."""
         return ()
 
     def collect(self) -> Iterable[Metric]:
-        """All families that have samples."""
+        """Return all families that have samples."""
         return self.of(self._source.snapshot())
 
     def of(self, picture: Snapshot) -> Families:
-        """The families of what is known at one moment."""
+        """Return the families of one snapshot."""
         families = Families()
         _daemon(families, picture)
         _workers(families, picture)
@@ -93,7 +93,7 @@ def _workers(families: Families, picture: Snapshot) -> None:
 
 
 def _process(families: Families, worker: str, pid: object) -> None:
-    """What the system says of a process: also of one that hangs, and cannot say it."""
+    """Add the system's figures of a process, which it has of a hanging one too."""
     if not isinstance(pid, int) or not pid:
         return
     with suppress(psutil.Error, OSError):
@@ -167,12 +167,12 @@ def _side(families: Families, document: Document) -> None:
 
 
 def _own(families: Families, document: Document) -> None:
-    """Figures that a worker or a module has of its own, under the key ``metrics`` of its status document.
+    """Add the figures under the key ``metrics`` of a worker's or a module's status document.
 
     ``{"metrics": {"written_bytes_total": 12, "disk_free_bytes": 3.5e9}}`` of the worker ``record`` becomes
     ``midspan_record_written_bytes_total`` and ``midspan_record_disk_free_bytes``. A name has small letters, digits and
     underscores, with the unit in it; one that ends in ``_total`` is a counter, which begins at 0 with the process, any
-    other is a gauge. Values are numbers. There are no labels: what has no bound does not become a name either.
+    other is a gauge. Values are numbers. Figures have no labels, and names come from a bounded set.
     """
     worker = re.sub(r"[^a-z0-9_]", "_", str(document["worker"]).lower())
     told = [

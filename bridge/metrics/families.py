@@ -14,7 +14,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Histo
 Kind = Literal["gauge", "counter", "histogram"]
 
 _MOST_LABEL = 200
-"""Characters of a label's value: a topic's name may be as long as its maker likes."""
+"""Largest number of characters in a label's value: topic names have no limit."""
 
 
 class Family(NamedTuple):
@@ -44,17 +44,17 @@ FAMILIES = (
     Family("midspan_daemon_uptime_seconds", "gauge", "Since the daemon's start."),
     Family("midspan_daemon_config_refused", "gauge", "Whether the last reload of the configuration was refused."),
     Family("midspan_hub_up", "gauge", "Whether the hub could be asked."),
-    Family("midspan_ask_duration_seconds", "gauge", "What asking all workers took; 1 s where one does not answer."),
+    Family("midspan_ask_duration_seconds", "gauge", "Duration of a query to all workers; 1 s if one does not answer."),
     Family("midspan_worker_up", "gauge", "Whether the worker's process runs and sends heartbeats.", _WORKER),
     Family("midspan_worker_phase", "gauge", "1 for the phase that the worker is in.", ("worker", "phase")),
     Family("midspan_worker_answering", "gauge", "Whether the worker gave its status in time.", _WORKER),
-    Family("midspan_worker_restarts_total", "counter", "Ends of the worker that nobody asked for.", _WORKER),
+    Family("midspan_worker_restarts_total", "counter", "Exits of the worker that were not requested.", _WORKER),
     Family("midspan_worker_heartbeat_age_seconds", "gauge", "Since the worker's last heartbeat.", _WORKER),
     Family("midspan_worker_cpu_seconds_total", "counter", "Processor time of the process.", _WORKER),
     Family("midspan_worker_resident_memory_bytes", "gauge", "Resident memory of the process.", _WORKER),
     Family("midspan_worker_open_fds", "gauge", "Open file descriptors of the process.", _WORKER),
     Family("midspan_router_sessions", "gauge", "Sessions that are linked with the hub's router."),
-    Family("midspan_router_machines", "gauge", "Other machines at the hub's door.", ("trusted",)),
+    Family("midspan_router_machines", "gauge", "Other machines that are connected.", ("trusted",)),
     Family("midspan_router_endpoint_up", "gauge", "Whether the endpoint of hub.open is as it should be.", _ENDPOINT),
     Family("midspan_router_endpoint_state", "gauge", "1 for the endpoint's state.", (*_ENDPOINT, "state")),
     Family("midspan_router_endpoint_since_timestamp_seconds", "gauge", "Begin of the endpoint's state.", _ENDPOINT),
@@ -64,9 +64,11 @@ FAMILIES = (
     Family("midspan_side_lease", "gauge", "Whether this daemon carries between the side's network and the hub.", _SIDE),
     Family("midspan_side_lease_changes_total", "counter", "How often the lease was got or lost.", _SIDE),
     Family("midspan_side_members", "gauge", "Midspan workers on the side's network, this one among them.", _SIDE),
-    Family("midspan_side_routes", "gauge", "Routes of the side, told of or not.", _SIDE),
-    Family("midspan_side_routes_untold", "gauge", "Routes beyond metrics.routes, of which nothing is told.", _SIDE),
-    Family("midspan_side_refused", "gauge", "Topics and services that cannot cross; midspan status says why.", _SIDE),
+    Family("midspan_side_routes", "gauge", "Routes of the side, reported or not.", _SIDE),
+    Family("midspan_side_routes_untold", "gauge", "Routes beyond metrics.routes, which are not reported.", _SIDE),
+    Family(
+        "midspan_side_refused", "gauge", "Topics and services that cannot cross; midspan status has the reason.", _SIDE
+    ),
     Family("midspan_route_messages_total", "counter", "Messages that crossed; calls, of a service.", _ROUTE),
     Family("midspan_route_lane_messages_total", "counter", "Those of them that went by the lane, not zenoh.", _ROUTE),
     Family("midspan_route_bytes_total", "counter", "Bytes that crossed.", _ROUTE),
@@ -96,7 +98,7 @@ class Families:
         self._made: dict[str, Metric] = {}
 
     def put(self, name: str, value: object, *labels: object) -> None:
-        """Add a sample; what is no number is left out."""
+        """Add a sample; values that are not numbers are left out."""
         if isinstance(value, int | float):
             self._metric(name).add_metric([label(each) for each in labels], float(value))  # type: ignore[attr-defined]
 

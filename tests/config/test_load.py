@@ -1,4 +1,4 @@
-"""Loading the configuration: what is accepted, and every problem's place and cure."""
+"""Loading the configuration: accepted files, and every problem's place and cure."""
 
 # ruff: noqa: E501  expected lines are written as they appear
 
@@ -97,13 +97,13 @@ CASES = [
         [
             (
                 "2:9: hub.open: tcp/0.0.0.0:7448 has no TLS: anybody on that network could join; write"
-                " tls/0.0.0.0:7448 and make certificates with 'midspan keys', or say 'insecure: true'"
+                " tls/0.0.0.0:7448 and make certificates with 'midspan keys', or set 'insecure: true'"
             )
         ],
     ),
     (
         "hub: {open: {connect: ['tcp/a:7448'], insecure: true, trusted: [a]}}",
-        ["1:13: hub.open: without TLS nobody shows a certificate, and 'a' cannot be told from others; use TLS"],
+        ["1:13: hub.open: without TLS no machine shows a certificate, and none can be recognized as 'a'; use TLS"],
     ),
     ("hub: {open: {trusted: [a]}}", ["1:13: hub.open: names no endpoint: give 'listen' or 'connect'"]),
     (

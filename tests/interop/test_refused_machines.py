@@ -22,7 +22,7 @@ OFF = {"enabled": False}
 
 
 class Daemon:
-    """`midspan run`, or the router's worker alone as systemd runs it."""
+    """`midspan run`, or only the router's worker as systemd runs it."""
 
     def __init__(self, folder: Path, name: str, keys: Path, run: list[str], **door: Any) -> None:
         self.name = name

@@ -1,4 +1,4 @@
-"""The figures are what the status documents say, in Prometheus' terms, and bounded."""
+"""The figures of the status documents in Prometheus' terms, and their bounds."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_workers_by_the_daemons_word() -> None:
     up = {w: scrape.value("midspan_worker_up", worker=w) for w in ("ros1", "ros2", "yarp")}
     assert up == {"ros1": 1, "ros2": 1, "yarp": 0}
     answering = {w: scrape.value("midspan_worker_answering", worker=w) for w in up}
-    assert answering == {"ros1": 1, "ros2": 0, "yarp": 0}, "one that hangs is told of as not answering"
+    assert answering == {"ros1": 1, "ros2": 0, "yarp": 0}, "one that hangs counts as not answering"
     assert not scrape.values("midspan_worker_up", worker="sim") + scrape.values("midspan_worker_up", worker="zenoh")
     assert scrape.value("midspan_worker_phase", worker="yarp", phase="restarting") == 1
     assert scrape.value("midspan_worker_heartbeat_age_seconds", worker="ros2") == 4
@@ -114,7 +114,7 @@ def test_workers_by_the_daemons_word() -> None:
     for name in ("cpu_seconds_total", "resident_memory_bytes", "open_fds"):
         assert scrape.value(f"midspan_worker_{name}", worker="ros1") > 0
         assert scrape.value(f"midspan_worker_{name}", worker="daemon") > 0
-        assert not scrape.values(f"midspan_worker_{name}", worker="ros2"), "there is no such process"
+        assert not scrape.values(f"midspan_worker_{name}", worker="ros2"), "no such process runs"
 
 
 def test_without_a_daemon_and_without_answers() -> None:

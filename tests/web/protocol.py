@@ -1,6 +1,6 @@
-"""The console's protocol as types: what the tests' pages hold every message against, and the published JSON Schema.
+"""The console's protocol as types, which the tests' pages check every message with, and the published JSON Schema.
 
-``python -m tests.web.protocol > docs/operate/console_protocol.schema.json`` writes the schema anew.
+``python -m tests.web.protocol > docs/operate/console_protocol.schema.json`` writes the schema again.
 """
 
 from __future__ import annotations
@@ -529,7 +529,7 @@ _RESULTS: dict[str, TypeAdapter[Any]] = {verb: TypeAdapter(value) for verb, (_, 
 
 
 def check_said(message: dict[str, Any]) -> None:
-    """Raises `pydantic.ValidationError` where the console says what the protocol has not."""
+    """Raises `pydantic.ValidationError` if the console sends what the protocol lacks."""
     FROM_CONSOLE.validate_python(message)
 
 
@@ -540,7 +540,7 @@ def check_done(verb: str, args: dict[str, Any], value: Any) -> None:
 
 
 def schema() -> dict[str, Any]:
-    """The JSON Schema of all messages; the console may add keys to what it says."""
+    """The JSON Schema of all messages; the console may add keys."""
     said, asked = (adapter.json_schema() for adapter in (FROM_CONSOLE, FROM_PAGE))
     results = {f"{_title(verb)}Result": each.json_schema() for verb, each in _RESULTS.items()}
     defs: dict[str, Any] = {}

@@ -25,8 +25,8 @@ example, for a robot and an operator's computer:
   midspan keys show
 
 The first 'make' creates the authority that signs all other certificates. Its key, ca.key, stays in this folder only:
-anyone who has it can make certificates of any name. Copy ca.pem and its own two files to each machine. A machine with an
-ADDRESS listens, one without connects; 'make' prints the configuration for each.
+anyone who has it can make certificates of any name. Copy ca.pem and its own two files to each machine. A machine with
+an ADDRESS listens, one without connects; 'make' prints the configuration for each.
 """
 
 
@@ -41,7 +41,9 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     make = add_verb(actions, "make", run, "make a machine's key and certificate, first the authority's", hub=False)
     make.add_argument("name", metavar="NAME", help="the machine's name, as 'name' in its configuration")
-    make.add_argument("addresses", metavar="ADDRESS", nargs="*", help="names and addresses besides NAME, NAME.local")
+    make.add_argument(
+        "addresses", metavar="ADDRESS", nargs="*", help="names and addresses in addition to NAME, NAME.local"
+    )
     make.add_argument(
         "--days", type=_days, default=730, metavar="N", help=f"days until it expires (default 730, at most {MOST_DAYS})"
     )
@@ -132,7 +134,7 @@ and on {names}, so that it may command there: hub.open.trusted: [{name}]"""
 
 
 def _endpoint(certificate: Certificate) -> str:
-    """Return where a machine listens, by the first address that was given for it; IPv6 has brackets and quotes."""
+    """Return the endpoint of a listening machine by its first given address; IPv6 has brackets and quotes."""
     own = (certificate.name, f"{certificate.name}.local")
     address = next(name for name in certificate.names if name not in own)
     return f"'tls/[{address}]:7448'" if ":" in address else f"tls/{address}:7448"

@@ -1,4 +1,4 @@
-"""The section ``hub``: the hub and its door to other machines."""
+"""The section ``hub``: the hub, and its endpoints for other machines."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bridge.config.sections.section import Enabled, Section, ZenohEndpoint, is_l
 
 
 class OpenSection(Section):
-    """The hub's door to other machines; closed until it has addresses; see docs/operate/security.md."""
+    """The hub's endpoints for other machines; closed until it has addresses; see docs/operate/security.md."""
 
     listen: tuple[ZenohEndpoint, ...] = setting((), "Where other machines connect, for example `tls/0.0.0.0:7448`.")
     connect: tuple[ZenohEndpoint, ...] = setting(
@@ -26,8 +26,10 @@ class OpenSection(Section):
     certificate: Path | None = setting(None, "This machine's certificate (PEM), if it is not in `keys`.")
     key: Path | None = setting(None, "Its private key (PEM), if it is not in `keys`.")
     ca: Path | None = setting(None, "Certificate of the authority that signed all others (PEM), if not in `keys`.")
-    insecure: bool = setting(False, "Allow endpoints without TLS: whoever reaches them may join; nobody has a name.")
-    zenoh: dict[str, Any] | Path | None = setting(None, "zenoh configuration of the door, like `hub.router_zenoh`.")
+    insecure: bool = setting(
+        False, "Allow endpoints without TLS: any machine that reaches them may join, and none has a name."
+    )
+    zenoh: dict[str, Any] | Path | None = setting(None, "zenoh configuration of its router, like `hub.router_zenoh`.")
 
     @property
     def opened(self) -> bool:
@@ -41,10 +43,10 @@ class OpenSection(Section):
         if plain and not self.insecure:
             msg = (
                 f"{plain[0]} has no TLS: anybody on that network could join; write tls/{plain[0].partition('/')[2]} and"
-                " make certificates with 'midspan keys', or say 'insecure: true'"
+                " make certificates with 'midspan keys', or set 'insecure: true'"
             )
         elif plain and named:
-            msg = f"without TLS nobody shows a certificate, and {named[0]!r} cannot be told from others; use TLS"
+            msg = f"without TLS no machine shows a certificate, and none can be recognized as {named[0]!r}; use TLS"
         elif (self.trusted or self.insecure) and not self.opened:
             msg = "names no endpoint: give 'listen' or 'connect'"
         else:
@@ -57,12 +59,12 @@ class HubSection(Section):
 
     domain: int = setting(0, "ROS domain id of the hub, the first part of each key.", ge=0, le=232)
     listen: ZenohEndpoint = setting(
-        "tcp/127.0.0.1:7447", "Where the daemon's router listens, for this machine alone; `open` lets others in."
+        "tcp/127.0.0.1:7447", "Where the daemon's router listens, for this machine only; `open` lets others in."
     )
     router: Enabled = setting("auto", "Whether the daemon runs a router; `auto`: unless one answers at `listen`.")
     open: OpenSection = subsection(
         OpenSection,
-        "The door to other machines, closed until `listen` or `connect` is set; see [security](security.md).",
+        "Endpoints for other machines, closed until `listen` or `connect` is set; see [security](security.md).",
     )
     zenoh: dict[str, Any] | Path | None = setting(
         None,
@@ -73,13 +75,13 @@ class HubSection(Section):
     shared_memory: bool = setting(True, "Large messages go through shared memory between this machine's workers.")
     lane: bool = setting(
         True,
-        "Small messages go between the daemon's own workers over a Unix socket in the state folder, where there are"
+        "Small messages go between the daemon's own workers over a Unix socket in the state folder, if the system has"
         " such sockets (Linux); `false`: all over zenoh.",
     )
 
     @property
     def indoors(self) -> HubSection:
-        """The section as it is with the door closed: what this machine's own programs depend on."""
+        """The section without `open`: what this machine's own programs depend on."""
         return self.model_copy(update={"open": OpenSection()})
 
     @field_validator("listen")

@@ -1,4 +1,4 @@
-"""What every section of the configuration is, and values that are checked alike wherever they stand."""
+"""The base of all sections of the configuration, and the types of values that several sections use."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Section(BaseModel):
 
 
 def is_list_of_texts(annotation: Any) -> bool:
-    """Whether a key is a list of texts or paths; a text alone then stands for a list of one."""
+    """Whether a key is a list of texts or paths; one text then stands for a list of one."""
     arguments = typing.get_args(annotation)
     if typing.get_origin(annotation) in (typing.Union, types.UnionType):
         return any(is_list_of_texts(argument) for argument in arguments)
@@ -72,7 +72,7 @@ def subsection(section: type[Section], description: str) -> Any:
 class SideSection(Section):
     """The section of a side."""
 
-    enabled: Enabled = setting("auto", "`auto`: where this machine has what it needs.")
+    enabled: Enabled = setting("auto", "`auto`: if this machine has what it needs.")
 
     def joins_as(self, other: Section) -> bool:
         """Whether the side's network is joined as by another section, so that its worker need not start again."""
@@ -80,7 +80,7 @@ class SideSection(Section):
 
 
 class ModuleSection(Section):
-    """A module of Midspan's; its key in `modules` is its name."""
+    """A module of Midspan; its key in `modules` is its name."""
 
     enabled: bool = setting(False, "Whether it runs.")
 
@@ -97,7 +97,7 @@ def matching(pattern: str | re.Pattern[str], mistake: str) -> AfterValidator:
 
 
 def differ(values: Sequence[object], mistake: str) -> None:
-    """Raise `ValueError` where a value comes twice; ``mistake`` precedes the first such value in the error."""
+    """Raise `ValueError` if a value occurs twice; ``mistake`` precedes the first such value in the error."""
     for value in values:
         if values.count(value) > 1:
             raise ValueError(f"{mistake} {value}")
@@ -112,7 +112,9 @@ TopicName = Annotated[str, matching(ROS2_NAME, _NOT_A_TOPIC)]
 OptionalTopic = Annotated[str, matching(f"(?:{ROS2_NAME.pattern})?", _NOT_A_TOPIC)]
 MapSource = Annotated[str, matching(f"store|{ROS2_NAME.pattern}", _NOT_A_TOPIC)]  # `store`, or a topic of maps
 FrameName = Annotated[str, Field(min_length=1, max_length=100)]
-FLOOR = "Height of the floor in `base_frame`, metres; empty: that of the frame `base_footprint`, 0 where there is none."
+FLOOR = (
+    "Height of the floor in `base_frame`, metres; empty: that of the frame `base_footprint`, 0 without such a frame."
+)
 PortName = Annotated[str, matching(YARP_PORT, _NOT_A_PORT)]
 OptionalPort = Annotated[str, matching(f"(?:{YARP_PORT.pattern})?", _NOT_A_PORT)]
 PORT, PORT_OR_NONE = f"^{YARP_PORT.pattern}$", f"^({YARP_PORT.pattern})?$"

@@ -47,7 +47,7 @@ def look_at_connections(context: CheckContext) -> Findings:
 
 
 def _tested(way: str, endpoint: str, identity: Identity | None, reported: Mapping[str, Any] | None) -> Finding:
-    """Test one endpoint; what the router reports counts for what a test cannot show."""
+    """Test one endpoint; the router's report covers the rest, such as refused machines."""
     name = f"hub.open.{way} {endpoint}"
     place = HostPort.of(connect_endpoint(endpoint))
     if place is None or not place.can_be_tested:

@@ -1,8 +1,8 @@
-"""Certificates by which machines know each other: an authority of the fleet's own, and one certificate per machine.
+"""Certificates that identify machines: one authority for the fleet, and one certificate per machine.
 
-The authority is ``ca.pem`` and ``ca.key`` in a folder, a machine's are ``<name>.pem`` and ``<name>.key``. The machine's
-name is its certificate's common name, by which the hub's door trusts it. The names and addresses that others connect to
-it by stand beside it (subjectAltName); TLS compares those alone.
+The authority is ``ca.pem`` and ``ca.key`` in a folder, a machine's files are ``<name>.pem`` and ``<name>.key``. The
+machine's name is its certificate's common name, which ``hub.open.trusted`` lists. The names and addresses that others
+connect by are in its subjectAltName; TLS compares only those.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ _HOST = re.compile(
     r"(?=.{1,253}$)[A-Za-z0-9_](?:[A-Za-z0-9_-]*[A-Za-z0-9_])?(?:\.[A-Za-z0-9_](?:[A-Za-z0-9_-]*[A-Za-z0-9_])?)*"
 )
 _EARLIER = timedelta(days=1)
-"""Certificates are valid from the day before, for machines whose clocks are behind."""
+"""Certificates are valid from the day before, for machines whose clocks run late."""
 
 
 class CertificateError(Exception):
-    """A certificate cannot be made or read; the text says why."""
+    """A certificate cannot be made or read; the text has the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Certificate:
     """The content of a certificate.
 
     Attributes:
-        names: names and addresses that others connect to it by.
+        names: names and addresses that others connect by.
         authority: whether it signs others.
     """
 
@@ -76,7 +76,7 @@ class Certificate:
     authority: bool
 
     def days_left(self) -> int:
-        """Days until it expires; negative where it has."""
+        """Return the days until it expires; negative if it has expired."""
         return (self.until - datetime.now(UTC)).days
 
 
@@ -84,18 +84,18 @@ class Authority:
     """The authority in a folder.
 
     Attributes:
-        folder: where its files and those that it makes are.
+        folder: of its files, and of those that it makes.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def exists(self) -> bool:
-        """Whether it was made."""
+        """Whether its files exist."""
         return (self.folder / f"{AUTHORITY}.pem").exists() or (self.folder / f"{AUTHORITY}.key").exists()
 
     def make(self, days: int = AUTHORITY_DAYS) -> Certificate:
-        """Make the authority; raises `CertificateError` where there is one: a second one would sign for nobody."""
+        """Make the authority; raises `CertificateError` if it exists: a second one would sign in vain."""
         if self.exists():
             raise CertificateError(
                 f"there is an authority in {self.folder} already; every machine's certificate depends on it"
@@ -116,13 +116,13 @@ class Authority:
         """Make a machine's key and certificate.
 
         Args:
-            name: the machine's; it stands for itself and ``<name>.local`` besides.
+            name: the machine's; the certificate is valid for it and for ``<name>.local`` too.
             names: further host names and IP addresses that others connect to it by.
-            days: how long it is valid, at most as long as the authority's own.
-            replace: take the place of one that is there.
+            days: of validity, at most as long as the authority is valid.
+            replace: replace an existing certificate.
 
         Raises:
-            CertificateError: it is there already, a name is not valid, or the authority cannot be used.
+            CertificateError: it exists already, a name is invalid, or the authority cannot be used.
         """
         if not _NAME.fullmatch(name) or name == AUTHORITY:
             raise CertificateError(
@@ -197,7 +197,7 @@ def read_certificate(file: Path) -> Certificate:
 
 
 def signed_by(file: Path, authority: Path) -> bool:
-    """Whether a certificate was signed by an authority's; raises `CertificateError` where one cannot be read."""
+    """Whether an authority signed a certificate; raises `CertificateError` if one cannot be read."""
     try:
         _load(file).verify_directly_issued_by(_load(authority))
     except (InvalidSignature, ValueError, TypeError):
@@ -206,7 +206,7 @@ def signed_by(file: Path, authority: Path) -> bool:
 
 
 def trouble(files: KeyFiles) -> str:
-    """Why nobody would take this certificate now, "" where they would."""
+    """Return why no machine accepts this certificate now, "" if they do."""
     try:
         files.check()
         own, signed = read_certificate(files.certificate), signed_by(files.certificate, files.ca)
@@ -280,7 +280,7 @@ def _general_name(name: str) -> x509.GeneralName:
 
 
 def write_private(file: Path, content: bytes) -> None:
-    """Write a file that its owner alone can read, whole or not at all."""
+    """Write a file that only its owner can read, completely or not at all."""
     new = file.with_name(file.name + ".new")
     new.unlink(missing_ok=True)
     handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

@@ -1,8 +1,8 @@
-"""The hub's door to other machines: a router of its own, beside the one of this machine's programs.
+"""The router for other machines (``hub.open``), separate from the one for this machine's programs.
 
-Its access rules hold for whoever comes in by it, and this machine's programs do not learn of it: zenoh's gossip would
-have them connect to the programs of other machines directly, past every rule. zenoh reads certificates when the door is
-opened, and never again; so whoever runs a door watches for new ones (`KeyWatch`).
+Its access rules apply to every session that joins by it. This machine's programs do not discover it: zenoh's gossip
+would make them connect to programs of other machines directly, and bypass the rules. zenoh reads certificates only when
+it opens a session, so the router's worker watches for new files (`KeyWatch`).
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from bridge.hub.zenoh_config import MAX_PAYLOAD, connect_endpoint, make_config, 
 from yarp_compat.file_names import escaped
 
 KEYS = Path("/etc/midspan/keys")
-"""Where this machine's certificate, its key and the authority's certificate are by default."""
+"""Default folder of this machine's certificate, its key and the authority's certificate."""
 
 _TIMEOUT_MS = 3000
-"""How long a connection may take to be made; then it is tried again."""
+"""Limit for opening a connection; then zenoh tries again."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConnectedMachine:
-    """Another machine, connected by the door.
+    """Another machine that is connected.
 
     Attributes:
-        name: in its certificate, "" where it showed none.
-        zid: the zenoh session that it is linked by: its door's, or its program's.
+        name: in its certificate, "" if it showed none.
+        zid: the zenoh session of its link: its router's, or its program's.
         address: its address and port, as zenoh writes them.
         trusted: whether its commands are accepted.
     """
@@ -58,7 +58,7 @@ class HubDoor:
     """The router that other machines connect to, and that connects to them.
 
     Raises:
-        HubError: it cannot be opened; the reason is a plain one.
+        HubError: it cannot be opened; the text has a plain reason.
     """
 
     def __init__(self, config: Config, zenoh_log: ZenohLog | None = None) -> None:
@@ -84,11 +84,11 @@ class HubDoor:
 
     @property
     def zid(self) -> str:
-        """Its session's."""
+        """Zenoh id of the session."""
         return str(self._session.zid())
 
     def machines(self) -> list[ConnectedMachine]:
-        """The machines that are connected."""
+        """Return the machines that are connected."""
         links = self._session.info.links()
         found = {(str(link.auth_identifier or ""), str(link.zid), str(link.dst)) for link in links}
         return [
@@ -106,14 +106,14 @@ class HubDoor:
         return self._endpoints.refused()
 
     def close(self) -> None:
-        """Cut all machines off."""
+        """Close all connections to other machines."""
         self._endpoints.close()
         self._limits.close()
         self._session.close()  # type: ignore[no-untyped-call]
 
 
 def key_files(config: Config) -> KeyFiles:
-    """Where this machine's certificate and key are."""
+    """Return the files of this machine's identity."""
     door, folder = config.hub.open, config.hub.open.keys or KEYS
     return KeyFiles(
         door.ca or folder / "ca.pem",
@@ -123,12 +123,12 @@ def key_files(config: Config) -> KeyFiles:
 
 
 def has_tls(door: OpenSection) -> bool:
-    """Whether any of the door's endpoints has TLS."""
+    """Whether any endpoint of ``hub.open`` has TLS."""
     return any(place.startswith(("tls/", "quic/")) for place in (*door.listen, *door.connect))
 
 
 def door_tree(config: Config) -> dict[str, Any]:
-    """The door's zenoh configuration; raises `HubConfigError` where a file is missing."""
+    """Return the zenoh configuration for ``hub.open``; raises `HubConfigError` if a file is missing."""
     door = config.hub.open
     tree = router_tree(door.listen, max_payload=MAX_PAYLOAD)
     tree["connect"] = {
@@ -137,7 +137,7 @@ def door_tree(config: Config) -> dict[str, Any]:
         "exit_on_failure": False,
         "retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},
     }
-    # programs of different machines find each other over their routers alone
+    # programs of different machines connect only through their routers
     tree["scouting"]["gossip"] = {"enabled": False}
     tree["transport"]["unicast"] = {"open_timeout": _TIMEOUT_MS, "accept_timeout": _TIMEOUT_MS}
     if has_tls(door):
@@ -157,13 +157,13 @@ def door_tree(config: Config) -> dict[str, Any]:
 
 
 def check_closed(config: zenoh.Config) -> None:
-    """Raises `HubConfigError` where a router's final configuration joins other machines."""
+    """Raise `HubConfigError` if a router's final configuration joins other machines."""
     for part in ("listen", "connect"):
-        value = json.loads(config.get_json(f"{part}/endpoints"))  # a list, or one for each mode
+        value = json.loads(config.get_json(f"{part}/endpoints"))  # a list, or a list for each mode
         lists = value.values() if isinstance(value, dict) else [value]
         for place in (str(place) for places in lists for place in places or ()):
             if not is_loopback(place):
-                raise HubConfigError(f"{part}/endpoints has {place}: other machines join by hub.open alone")
+                raise HubConfigError(f"{part}/endpoints has {place}: other machines join only by hub.open")
 
 
 def _loopback_interfaces() -> list[str]:
@@ -187,15 +187,15 @@ class KeyWatch:
         self._used = self._seen = self._stamp()
 
     def renewed(self) -> bool:
-        """Whether there are new files that can be used: all written, and a key that fits its certificate."""
+        """Whether there are new files that can be used: all are written, and the key fits its certificate."""
         stamp, before = self._stamp(), self._seen
         self._seen = stamp
-        if stamp == self._used or stamp != before:  # as they were, or still being copied
+        if stamp == self._used or stamp != before:  # unchanged, or still being copied
             return False
         self._used = stamp
         trouble = self._trouble()
         if trouble:
-            _log.error("hub.open: the new certificates cannot be used, and the old ones stay: %s", trouble)
+            _log.error("hub.open: the new certificates cannot be used, the old ones stay in use: %s", trouble)
         return not trouble
 
     def _stamp(self) -> _Stamp:
@@ -213,6 +213,6 @@ class KeyWatch:
         try:
             context.load_verify_locations(self._files.ca)
             context.load_cert_chain(self._files.certificate, self._files.key, password="")
-        except (OSError, ssl.SSLError) as err:  # also where a key does not fit its certificate
+        except (OSError, ssl.SSLError) as err:  # includes a key that does not fit its certificate
             return f"{self._files.certificate}: {err}"
         return ""

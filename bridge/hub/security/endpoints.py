@@ -2,7 +2,7 @@
 
 zenoh reports links, so an endpoint with a link is connected. Why one has none comes from a test connection
 (`bridge.hub.security.handshake`) at a bounded rate, and for protocols that cannot be tested from zenoh's log. Why a
-listener refuses a machine stands in zenoh's log alone (`bridge.hub.security.zenoh_log`).
+listener refuses a machine is only in zenoh's log (`bridge.hub.security.zenoh_log`).
 """
 
 from __future__ import annotations
@@ -287,12 +287,12 @@ class _Listen(_Endpoint):
 
 
 class EndpointMonitor:
-    """Watches the endpoints of one session, on a thread of its own.
+    """Watches the endpoints of one session, on a separate thread.
 
     Args:
         session: the `zenoh.Session`, asked for its links.
         identity: what TLS connects with.
-        zenoh_log: zenoh's log, None where this process does not capture it.
+        zenoh_log: zenoh's log, None if this process does not capture it.
         own_trouble: returns why no machine accepts this machine's certificate, "" if they do.
     """
 

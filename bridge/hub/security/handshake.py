@@ -117,12 +117,12 @@ def resolve(place: HostPort) -> list[HostPort]:
 
 
 def resolved(place: HostPort) -> Attempt:
-    """Return the addresses of a place alone, without a connection to it."""
+    """Return only the addresses of a place, without a connection to it."""
     try:
         places = resolve(place)
     except OSError as err:
         return Attempt(unreachable(err, str(place)))
-    reason = Reason(EndpointState.CONNECTING, f"there is no link, and zenoh does not report why over {place.protocol}")
+    reason = Reason(EndpointState.CONNECTING, f"no link, and zenoh does not report why over {place.protocol}")
     return Attempt(reason, "", frozenset(f"{place.protocol}/{each}" for each in places))
 
 
@@ -199,7 +199,7 @@ def _broken(err: OSError, place: HostPort) -> Reason:
         text = f"{place} accepts the connection, but does not answer TLS within {_HANDSHAKE_SECONDS:g} s"
         return Reason(EndpointState.NOT_ANSWERING, text, "compare the port with hub.open.listen there")
     if isinstance(err, ssl.SSLError) and err.reason in ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE"):
-        text = f"the program at {place} does not speak TLS"
+        text = f"the program at {place} does not answer with TLS"
         return Reason(EndpointState.NOT_ANSWERING, text, "compare the port with hub.open.listen there")
     text = f"{place} closes the connection during the TLS handshake ({err})"
     return Reason(

@@ -1,4 +1,4 @@
-"""zenoh's own log in the router's process: the only place where it writes why a connection fails.
+"""zenoh's own log in the router's process, the only source for the reason of a failed connection.
 
 zenoh (1.10) writes its log to the standard output, and only there. So the router's process, which has no other use for
 its standard output, puts a pipe in that place and reads it. `zenoh_link_tls` logs each connection that its listener
@@ -43,7 +43,7 @@ class LoggedRefusal:
 
 
 class ZenohLog:
-    """Collects what zenoh's log says of connections."""
+    """Collects the failed connections in zenoh's log."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -52,7 +52,10 @@ class ZenohLog:
 
     @classmethod
     def capture(cls) -> ZenohLog:
-        """Take over this process's standard output; call it once, before the first session opens."""
+        """Take over this process's standard output; call it before the first session opens.
+
+        A second call replaces the first.
+        """
         log = cls()
         output, to_log = os.pipe()
         os.set_blocking(to_log, False)  # a full pipe must not stop zenoh's acceptor: it drops the line
@@ -85,7 +88,7 @@ class ZenohLog:
             return [refusal for refusal in self._refusals if refusal.at > since]
 
     def failure(self, endpoint: str, since: float) -> str:
-        """Return zenoh's reason why it could not connect to an endpoint after a time; "" if there is none."""
+        """Return zenoh's reason why it could not connect to an endpoint after a time, or ""."""
         with self._lock:
             at, reason = self._failures.get(endpoint, (float("-inf"), ""))
         return reason if at > since else ""

@@ -32,7 +32,7 @@ _DECISION = ("daemon", "direction", "decision", "why", "cure")
 
 
 class AskingFeed(Feed):
-    """A feed whose value is asked for again and again, on a thread that may wait."""
+    """A feed that queries its value periodically, on a thread that may wait."""
 
     def __init__(
         self, host: Host, name: str, executor: SerialExecutor, ask: Callable[[], Any], seconds: float = STATUS_SECONDS
@@ -43,12 +43,12 @@ class AskingFeed(Feed):
         self._asking = False
 
     def open(self) -> None:
-        """Ask now, and again after each pause."""
+        """Query now, and again after each pause."""
         self._timer = self._host.loop.every(self._seconds, self._look)
         self._look()
 
     def close(self) -> None:
-        """Ask no more."""
+        """Stop querying."""
         self._timer.close()
 
     def _look(self) -> None:
@@ -61,7 +61,7 @@ class AskingFeed(Feed):
             value, why = self._ask(), ""
         except (HubError, CliError) as err:
             value, why = None, str(err)
-        except Exception as err:  # the feed goes on: what is asked next may be good
+        except Exception as err:  # the feed continues: the next query may succeed
             _log.exception("the feed %s", self.name)
             value, why = None, f"{type(err).__name__}: {err}"
         self._host.loop.post(partial(self._found, value, why))
@@ -72,7 +72,7 @@ class AskingFeed(Feed):
 
 
 class StatusAsker:
-    """Makes the value of ``status``. To be called by one thread, again and again."""
+    """Makes the value of ``status``; one thread calls it periodically."""
 
     def __init__(self, client: CliClient) -> None:
         self._client = client
@@ -80,7 +80,7 @@ class StatusAsker:
         self._at = 0.0
 
     def __call__(self) -> dict[str, Any]:
-        """All workers and routes, with the bytes of each route a second since the last call."""
+        """Return all workers and routes, with the bytes per second of each route since the last call."""
         found = ask_status(self._client)
         now = time.monotonic()
         before, self._bytes = self._bytes, {}
@@ -94,7 +94,7 @@ class StatusAsker:
 
 
 def ask_status(client: CliClient) -> dict[str, Any]:
-    """All workers that answer on the hub and their routes, and those that do not answer yet, by this daemon's word."""
+    """Return the workers on the hub with their routes, and those that this daemon reports as not answering yet."""
     documents = [document_of(answer) for answer in client.ask("status", timeout=_ASK_SECONDS)]
     answering = {(str(document["daemon"]), str(document["worker"])) for document in documents}
     said = ask_daemon(client.config) or {}
@@ -112,7 +112,7 @@ def ask_status(client: CliClient) -> dict[str, Any]:
 def _worker(document: Document, said: Document, restarts: Mapping[int, int]) -> dict[str, Any]:
     found = {key: document.get(key) for key in ("daemon", "worker", "state", "cpu", "rss", "restarts")}
     if found["restarts"] is None and document.get("daemon") == said.get("daemon"):
-        found["restarts"] = restarts.get(document.get("pid", 0))  # the daemon's word, which a worker does not know
+        found["restarts"] = restarts.get(document.get("pid", 0))  # only the daemon counts them
     side = document.get("side")
     return {
         **found,
@@ -147,7 +147,7 @@ def _refused(document: Document, one: Document) -> dict[str, Any]:
 
 
 def list_topics(client: CliClient) -> list[dict[str, Any]]:
-    """The value of ``topics``: what is on the hub."""
+    """Return the value of ``topics``: the topics on the hub."""
     found: dict[tuple[str, str], dict[str, Any]] = {}
     graph = client.hub.graph
     for key, endpoints in (("publishers", graph.publishers()), ("subscribers", graph.subscriptions())):
@@ -159,6 +159,6 @@ def list_topics(client: CliClient) -> list[dict[str, Any]]:
 
 
 def explain(client: CliClient, name: str) -> list[dict[str, Any]]:
-    """Why a topic, a service or an action crosses or does not."""
+    """Return why a topic, a service or an action crosses or not."""
     decisions = ask_decisions(client, name, None)
     return [{"side": each.worker, **{key: getattr(each, key) for key in _DECISION}} for each in decisions]

@@ -227,7 +227,7 @@ def test_a_linked_endpoint_is_not_tested(slow: float) -> None:
     pool: Any = Pool(Attempt(Reason(EndpointState.CONNECTING), "", frozenset({"tls/10.0.0.9:7448"})))
     for second in range(100):
         endpoint.poll([link], pool, None, slow + second)
-    assert pool.jobs == 1, "the addresses alone"
+    assert pool.jobs == 1, "only the addresses"
     assert endpoint.status.state == EndpointState.CONNECTED
 
 

@@ -161,7 +161,7 @@ def server(answer: bytes | None) -> Iterator[str]:
     ("answer", "text"),
     [
         (None, "does not answer TLS"),
-        (b"SSH-2.0-OpenSSH_9.2\r\n", "does not speak TLS"),
+        (b"SSH-2.0-OpenSSH_9.2\r\n", "does not answer with TLS"),
         (b"", "closes the connection during the TLS handshake"),
     ],
 )
@@ -176,7 +176,7 @@ def test_programs_that_are_not_zenoh(
 
 
 def test_the_connection_ends_in_order(keys: Path) -> None:
-    """A listener for plain TCP gets a connection that is closed at once, and none stays behind."""
+    """A listener for plain TCP gets a connection that is closed at once, and none stays open."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         result = attempted(f"tcp/127.0.0.1:{listening.getsockname()[1]}", None)
         connection, _ = listening.accept()
