@@ -188,8 +188,8 @@ _REFERENCE_HEAD = """# Configuration reference
 
 Midspan reads one YAML file. Every key is optional, and the defaults run on one machine as they are:
 `midspan config example` prints them all. Without `--config` the first of these is used: `$MIDSPAN_CONFIG`,
-`./midspan.yaml`, `~/.config/midspan/midspan.yaml` (or under `$XDG_CONFIG_HOME`), `/etc/midspan/midspan.yaml`; without
-any of them, the defaults are. Relative paths are relative to the file's folder.
+`./midspan.yaml`, `~/.config/midspan/midspan.yaml` (or under `$XDG_CONFIG_HOME`), `/etc/midspan/midspan.yaml`; if
+none exists, the defaults apply. Relative paths are relative to the file's folder.
 
 `version` is the format of the file. `midspan config migrate FILE` brings an older file to today's keys: comments stay,
 removed keys become comments, the former file is kept as `FILE.old`, and what is left to do by hand is named, with

@@ -85,7 +85,7 @@ def test_a_port_that_something_else_holds_is_refused(router: object):
         holder.bind(("127.0.0.1", 0))
         holder.listen()
         endpoint = f"tcp/127.0.0.1:{holder.getsockname()[1]}"
-        with pytest.raises(RuntimeError, match="held by a program that does not speak zenoh; set hub"):
+        with pytest.raises(RuntimeError, match="held by a program that is not zenoh; set hub"):
             RouterWorker().start(router_config(endpoint, router))
 
 

@@ -1,4 +1,4 @@
-"""The door to other machines: what a trusted one, a guest and a stranger can do through it."""
+"""The router for other machines: the permissions of a trusted machine, a guest and a stranger."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def machines(running: Machines) -> Iterator[Machines]:
 
 
 class Ear:
-    """Everything that a program of the robot's own machine hears, by any means."""
+    """Everything that a program on the robot's machine receives, by any means."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self.heard: list[tuple[str, str]] = []
@@ -113,11 +113,11 @@ class Ear:
 def everything_said(
     machines: Machines, name: str, say: Callable[[zenoh.Session], None], mode: str = "client"
 ) -> list[tuple[str, str]]:
-    """What the robot hears of what a machine says, up to a harmless last word."""
+    """Return what the robot receives from a machine, up to a harmless last message."""
     ear = Ear(machines.session(None))
     mouth = machines.session(name, mode)
     last = key("/last", TYPE)
-    until(lambda: mouth.put(last, b"hello") or ear.heard, "the machine is heard")
+    until(lambda: mouth.put(last, b"hello") or ear.heard, "the machine is connected")
     say(mouth)
     mouth.put(last, b"end")
     until(lambda: (last, "end") in ear.heard, "the last word")
@@ -145,7 +145,7 @@ def test_a_guest_says_everything_but_commands(machines: Machines, mode: str) -> 
 
 
 def test_a_guest_cannot_borrow_a_name(machines: Machines) -> None:
-    """What a sample says of its sender, and whose tokens are declared, changes nothing."""
+    """The sender that a sample names, and the tokens of another session, change nothing."""
     friend = machines.session("friend")
 
     def say(mouth: zenoh.Session) -> None:
@@ -184,7 +184,7 @@ def test_goals_and_cancels(machines: Machines, name: str, works: bool) -> None:
 
 
 def test_a_guest_cannot_answer_with_commands(machines: Machines) -> None:
-    """Who keeps latched samples is asked for them beside their key; only a trusted machine is asked for commands."""
+    """Caches of latched samples are queried below their key; only a trusted machine is queried for commands."""
     local = machines.session(None)
     guest = machines.session("guest")
     state, goal = key("/state", TYPE), key("/goal_pose", POSE)
@@ -296,7 +296,7 @@ def test_new_certificates_are_taken_up_once_they_fit(tmp_path: Path, caplog: pyt
         for _ in range(3):
             router.health()
         assert shown(machines) == first
-        assert caplog.text.count("the new certificates cannot be used, and the old ones stay") == 1
+        assert caplog.text.count("the new certificates cannot be used, the old ones stay in use") == 1
 
         renewed.file.write_bytes(whole)
         router.health()
