@@ -81,6 +81,16 @@ def test_the_package_can_be_built_for_ros2(tmp_path: Path, files: dict[str, str]
     assert "std_msgs/Header header" in sources["srv/Ask.srv"]
 
 
+@pytest.mark.parametrize("goal", ["Header header\n", "builtin_interfaces/Duration wait\n"])
+def test_an_action_may_be_written_for_either_world(tmp_path: Path, goal: str) -> None:
+    found = registry(tmp_path, {"Go": f"{goal}---\nInner[] seen\n---\nfloat32 left\n", "Inner": ROS1_FORM})
+    there = found.service_ros1_to_hub("my_robot/action/Go_SendGoal")
+    assert there.hub == found.service_hub_to_ros1("my_robot/action/Go_SendGoal").hub
+    assert found.ros1_action("my_robot/Go").result.name == "my_robot/GoActionResult"
+    assert "action/Go.action" in found.ros2_package_sources("my_robot")
+    assert read_package("my_robot", found.ros2_package_sources("my_robot"))
+
+
 def test_a_file_that_mixes_both_spellings_is_named(tmp_path: Path) -> None:
     """Neither genmsg nor rosidl reads it."""
     found = registry(tmp_path, {"Mixed": "Header header\nstring<=8 name\n", "Ask": "time a\n---\nint32 b 5\n"})

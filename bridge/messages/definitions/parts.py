@@ -5,8 +5,8 @@ goal, result, feedback, the services send_goal and get_result, and the feedback 
 described as a message that has all of these as fields, which is what their RIHS01 hash covers
 (``rosidl_generator_type_description``).
 
-ROS 1's parts are spelled the same way here, which nothing else in ROS 1 is, except an action's goal, result and
-feedback: these are messages of ROS 1, ``pkg/NameGoal`` and so on, as genaction.py of actionlib_msgs makes them.
+ROS 1's parts are spelled alike here, unlike anything else in ROS 1, except an action's goal, result and feedback: these
+are messages of ROS 1, ``pkg/NameGoal`` and so on, as genaction.py of actionlib_msgs makes them.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from bridge.messages.definitions.text import parse_definition, parse_full, split
 from bridge.messages.errors import MessageTypeError
 
 CONTENTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
-"""What a file of either kind defines, in its order."""
+"""The parts that a file of either kind defines, in their order."""
 
-ACTION_SERVICES = ("SendGoal", "GetResult")  # an action's services with types of their own
+ACTION_SERVICES = ("SendGoal", "GetResult")  # an action's services that have types
 STATUS_TEXT = "actionlib_status_text"
 """A field before a ROS 1 action's result, as GetResult of ROS 1's edge has it: the text of actionlib's GoalStatus."""
 
@@ -57,13 +57,13 @@ _ACTIONLIB = {
 
 
 def is_service(name: str) -> bool:
-    """Whether a name of three parts is that of a service, be it one of an action's."""
+    """Whether a name of three parts is that of a service, which may be part of an action."""
     kind, part = name.split("/")[1], split_part(name)[1]
     return part == "" if kind == "srv" else kind == "action" and part in ACTION_SERVICES
 
 
 def made_parts(base: str, world: World) -> dict[str, Definition]:
-    """What is made of a service or action beside what its file defines; no events or whole services in ROS 1."""
+    """Return the definitions that a service or action has in addition to its file's; no events in ROS 1."""
     kind = base.split("/")[1]
     made = _MADE[kind] if world is World.ROS2 else _SENT
     texts = {f"{base}_{part}" if part else base: text for part, text in made.items()}
@@ -74,7 +74,7 @@ def made_parts(base: str, world: World) -> dict[str, Definition]:
 
 
 def actionlib_messages(action: str) -> dict[str, Definition]:
-    """What actionlib wraps a goal, a result and feedback in, for a ROS 1 action (``move_base_msgs/MoveBase``)."""
+    """Return the messages in which actionlib sends a goal, result and feedback (``move_base_msgs/MoveBase``)."""
     return {
         f"{action}{part}": parse_definition(text.format(content=action), f"{action}{part}", World.ROS1)
         for part, text in _ACTIONLIB.items()
@@ -106,12 +106,12 @@ def parse_announced(text: str, name: str, world: World) -> dict[str, Definition]
 
 def base_of(name: str, world: World) -> str:
     """The service or action that a part belongs to: ``pkg/srv/Name`` of ``pkg/srv/Name_Request``."""
-    # Names of ROS 1 may have underscores of their own.
+    # names of ROS 1 may contain underscores
     return name.rpartition("_")[0] if world is World.ROS1 else split_part(name)[0]
 
 
 def find_part(folder: Path, name: str, world: World = World.ROS2) -> dict[str, Definition] | None:
-    """A message of a service or action whose file is in ``folder``, with the others; None where the folder has no such.
+    """Return a message of a service or action whose file is in ``folder``, with its others; None if it is missing.
 
     ``pkg/srv/Name_Request`` is the request, ``pkg/srv/Name`` is what describes the whole service.
     """
@@ -120,13 +120,13 @@ def find_part(folder: Path, name: str, world: World = World.ROS2) -> dict[str, D
     path = folder / f"{base.rpartition('/')[2]}.{kind}"
     if not path.is_file():
         return None
-    sections = zip(CONTENTS[kind], _sections(path, kind), strict=True)
+    sections = zip(CONTENTS[kind], read_sections(path, kind), strict=True)
     found = {f"{base}_{part}": parse_definition(text, f"{base}_{part}", world) for part, text in sections}
     return with_made(found, name, world)
 
 
 def with_made(found: dict[str, Definition], name: str, world: World) -> dict[str, Definition] | None:
-    """What a service's or action's file defines, and what ROS 2 makes of it; None where ``name`` is not among them."""
+    """Return the definitions of a service's or action's file and those that ROS 2 adds; None if ``name`` is missing."""
     if world is World.ROS2:
         found = made_parts(base_of(name, world), world) | found
     return found if name in found else None
@@ -138,7 +138,7 @@ def find_actionlib(folder: Path, name: str) -> dict[str, Definition] | None:
         action = name.removesuffix(part)
         path = folder / f"{action.rpartition('/')[2]}.action"
         if action != name and path.is_file():
-            sections = zip(CONTENTS["action"], _sections(path, "action"), strict=True)
+            sections = zip(CONTENTS["action"], read_sections(path, "action"), strict=True)
             found = {f"{action}{own}": parse_definition(text, f"{action}{own}", World.ROS1) for own, text in sections}
             return found | actionlib_messages(action)
     return None
@@ -149,12 +149,18 @@ def actionlib_names(stems: Iterable[str]) -> list[str]:
     return [stem + part for stem in stems for part in (*CONTENTS["action"], *_ACTIONLIB)]
 
 
-def _sections(path: Path, kind: str) -> list[str]:
+def read_sections(path: Path, kind: str) -> list[str]:
+    """Return the texts of a service's or an action's parts; raises `MessageTypeError`.
+
+    In a service only the first separator counts, as for genmsg.
+    """
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as err:
         raise MessageTypeError(f"cannot read {path}: {err}") from None
     sections = split_parts(text)
+    if kind == "srv" and len(sections) > 2:
+        sections[1:] = ["".join(sections[1:])]
     if len(sections) != len(CONTENTS[kind]):
         raise MessageTypeError(f"{path} has {len(sections)} parts separated by '---' instead of {len(CONTENTS[kind])}")
     return sections

@@ -23,7 +23,15 @@ from typing import Any, Protocol
 
 from bridge.messages.definitions.hashes import EMPTY_MEMBER
 from bridge.messages.definitions.names import is_legal_type, is_ros1_name, is_ros2_name
-from bridge.messages.definitions.parts import CONTENTS, actionlib_names, base_of, find_actionlib, find_part, with_made
+from bridge.messages.definitions.parts import (
+    CONTENTS,
+    actionlib_names,
+    base_of,
+    find_actionlib,
+    find_part,
+    read_sections,
+    with_made,
+)
 from bridge.messages.definitions.schema import Constant, Definition, Field, FieldType, Shape, World
 from bridge.messages.definitions.text import MAX_TEXT, parse_definition, parse_full, spell, split_parts
 from bridge.messages.errors import MessageTypeError
@@ -123,7 +131,8 @@ class DefinitionFolder:
                 for path in sorted(folder.glob(f"*.{kind}")):
                     name = f"{package}/{kind}/{path.stem}"
                     if self.find(name if kind == "msg" else _first_part(name)) is not None:
-                        found.setdefault(f"{kind}/{path.name}", read_text(path))
+                        text = read_text(path) if kind == "msg" else "---\n".join(read_sections(path, kind))
+                        found.setdefault(f"{kind}/{path.name}", text)
         return found
 
     def names(self, package: str, kind: str = "msg") -> list[str]:

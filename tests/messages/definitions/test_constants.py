@@ -149,6 +149,28 @@ def test_separators_are_those_of_genmsg_and_genaction(separator: str) -> None:
         assert answer["parts"] == fields == [list(name.strip()) for name in names]
 
 
+@needs_genpy
+def test_a_service_of_several_separators_is_read_as_genmsg_reads_it(tmp_path: Path) -> None:
+    (tmp_path / "my_srvs").mkdir()
+    text = "bool a\n---\nbool b\n----\nbool c\n---\n"
+    (answer,) = genmsg([{"kind": "srv", "text": text}])
+    (tmp_path / "my_srvs" / "srv").mkdir()
+    (tmp_path / "my_srvs" / "srv" / "Ask.srv").write_text(text)
+    registry = Registry(folders=[tmp_path])
+    assert answer["parts"] == [["a"], ["b", "c"]]
+    assert registry.service_ros1_to_hub("my_srvs/Ask").side.type_id == answer["md5"]
+    assert registry.ros2_package_sources("my_srvs") == {"srv/Ask.srv": "bool a\n---\nbool b\nbool c\n\n"}
+
+
+def test_bools_of_idl_files_become_numbers_too(tmp_path: Path) -> None:
+    (tmp_path / "my_msgs").mkdir()
+    idl = "module Flag_Constants { const boolean ON = TRUE; const octet MASK = 200; }; struct Flag { octet a; };"
+    (tmp_path / "my_msgs" / "Flag.idl").write_text(f"module my_msgs {{ module msg {{ {idl} }}; }};")
+    registry = Registry(folders=[tmp_path])
+    assert registry.ros1("my_msgs/Flag").definition == "bool ON=1\nbyte MASK=-56\nbyte a\n"
+    assert registry.ros2("my_msgs/msg/Flag").definition == "bool ON=True\nbyte MASK=200\nbyte a\n"
+
+
 @pytest.mark.parametrize("separator", SEPARATORS)
 def test_both_worlds_have_a_service_and_an_action_of_any_separator(tmp_path: Path, separator: str) -> None:
     for kind in ("srv", "action"):
