@@ -200,9 +200,9 @@ def _await_listeners(client: CliClient, publisher: HubPublisher, topic: str, set
 
 def _warn_of_other_types(client: CliClient, topic: str, name: str) -> None:
     graph = client.hub.graph
-    others = {e.type_name for e in [*graph.publishers(topic), *graph.subscriptions(topic)]} - {name}
-    if others:
-        print(f"{topic} is {clean(', '.join(sorted(others)))} elsewhere, not {name}", file=sys.stderr)
+    used = {e.type_name for e in [*graph.publishers(topic), *graph.subscriptions(topic)]}
+    if used and name not in used:
+        print(f"{topic} is {clean(', '.join(sorted(used)))} elsewhere, not {name}", file=sys.stderr)
 
 
 _REPORT_SECONDS = 1.0

@@ -230,3 +230,16 @@ def test_pub_warns_where_it_does_not_reach(midspan: Midspan, worker: EngineWorke
         other.close()
     assert "it does not reach ROS 1: denied: rule 1 denies it" in done.err
     assert "/secret is std_msgs/msg/Bool elsewhere" in done.err
+
+
+def test_pub_does_not_warn_of_a_type_that_the_topic_has_among_others(midspan: Midspan, network: HubNetwork) -> None:
+    """As BaseControl subscribes to /cmd_vel with and without a stamp."""
+    with Hub.open(network.settings("native")) as hub:
+        ends = [
+            hub.subscription("/both", type_name, "RIHS01_" + digit * 64, Qos(), lambda _: None)
+            for type_name, digit in ((STRING, "1"), ("std_msgs/msg/Bool", "2"))
+        ]
+        done = midspan("topic", "pub", "/both", STRING, "--once", "--settle", "0.5")
+        for end in ends:
+            end.close()
+    assert (done.code, "elsewhere" in done.err) == (0, False), done
