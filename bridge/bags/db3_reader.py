@@ -1,7 +1,7 @@
 """Reads rosbag2's SQLite files, all versions of their tables (rosbag2_storage_sqlite3, sqlite_storage.cpp).
 
-By the standard library's `sqlite3`, with SQLite's own defences against a file that was made to harm
-(https://www.sqlite.org/security.html): sizes are bound, and the file's own views and functions are not trusted.
+It uses the standard library's `sqlite3` with SQLite's defenses against malicious files
+(https://www.sqlite.org/security.html): sizes are limited, and views and functions in the file are not trusted.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bridge.messages.definitions.schema import World
 MAGIC = b"SQLite format 3\0"
 _LARGEST_TEXT = 4 << 20
 _STEPS, _MAX_QUIET = 1_000_000, 60
-"""SQLite's instructions between two looks, and how many looks without a message are too many to open a file."""
+"""SQLite's instructions between two checks, and how many checks a query may take while a file is opened."""
 
 
 class Db3Bag(Bag):
@@ -45,14 +45,14 @@ class Db3Bag(Bag):
         self.topics = tuple(self._topic_of.values())
 
     def _first(self) -> bytes:
-        """Return the data of a message, b"" if there is none."""
+        """Return the data of a message, b"" for a bag without messages."""
         row = self._file.execute("SELECT data FROM messages LIMIT 1").fetchone()
         return b"" if row is None else _blob(row[0])
 
     def _read_topics(self) -> dict[int, BagTopic]:
         tables = {name for (name,) in self._file.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if not {"topics", "messages"} <= tables:
-            raise BagError(self.path, "is no bag: it has no tables 'topics' and 'messages'")
+            raise BagError(self.path, "is not a bag: tables 'topics' and 'messages' are missing")
         known = {row[1] for row in self._file.execute("PRAGMA table_info(topics)")}
         qos = "offered_qos_profiles" if "offered_qos_profiles" in known else "''"
         type_hash = "type_description_hash" if "type_description_hash" in known else "''"
@@ -61,10 +61,10 @@ class Db3Bag(Bag):
         start, end = self._file.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
         self.start_ns, self.end_ns = int(start or 0), int(end or 0)
         query = f"SELECT id, name, type, serialization_format, {qos}, {type_hash} FROM topics ORDER BY id"  # noqa: S608
-        found: dict[int, BagTopic] = {}
+        topics: dict[int, BagTopic] = {}
         left_out: list[str] = []
         for number, name, type_name, encoding, offered, hashed in self._file.execute(query):
-            if len(found) >= MAX_TOPICS:
+            if len(topics) >= MAX_TOPICS:
                 raise BagError(self.path, f"the bag has more than {MAX_TOPICS} topics")
             if encoding != "cdr":
                 left_out.append(f"{name} ({str(encoding)[:20]})")
@@ -74,12 +74,12 @@ class Db3Bag(Bag):
                 definition = ros2_definition(type_name, *definitions[type_name], _text(hashed))
             count = int(counts.get(number, 0))
             profiles = parse_qos(_text(offered))
-            found[number] = BagTopic(
+            topics[number] = BagTopic(
                 _text(name), _text(type_name), World.ROS2, definition, stored_hash(_text(hashed)), merged_qos(profiles),
                 count, offered=profiles,
             )  # fmt: skip
         self.left_out = tuple(left_out)
-        return found
+        return topics
 
     def _read_definitions(self) -> dict[str, tuple[str, str]]:
         query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
@@ -93,7 +93,7 @@ class Db3Bag(Bag):
         wanted = None if topics is None else set(topics)
         ids = [number for number, topic in self._topic_of.items() if wanted is None or topic in wanted]
         clauses, values = ["1"], list[int]()
-        if len(ids) <= 100:  # else all are read, and those of others left aside
+        if len(ids) <= 100:  # otherwise all are read, and those of other topics skipped
             clauses.append(f"topic_id IN ({','.join('?' * len(ids))})")
             values += ids
         for clause, value in (("timestamp >= ?", start_ns), ("timestamp < ?", end_ns)):
@@ -117,15 +117,15 @@ class Db3Bag(Bag):
 
     @contextlib.contextmanager
     def _bounded(self) -> Iterator[None]:
-        """A query that computes without end is broken off."""
-        looks = 0
+        """Interrupt a query that computes endlessly."""
+        checks = 0
 
-        def look() -> int:
-            nonlocal looks
-            looks += 1
-            return int(looks > _MAX_QUIET * (1 + self.size // (64 << 20)))
+        def check() -> int:
+            nonlocal checks
+            checks += 1
+            return int(checks > _MAX_QUIET * (1 + self.size // (64 << 20)))
 
-        self._file.set_progress_handler(look, _STEPS)
+        self._file.set_progress_handler(check, _STEPS)
         try:
             yield
         finally:
@@ -138,7 +138,7 @@ class Db3Bag(Bag):
 
 def _connect(path: Path) -> sqlite3.Connection:
     wal = path.with_name(f"{path.name}-wal")
-    # what a killed recorder left in its log is read too; else nothing is made beside a file that is only read
+    # the log of a killed recorder is read too; without one, SQLite creates no files next to the bag
     mode: Literal["mode=ro", "immutable=1"] = "mode=ro" if wal.is_file() and wal.stat().st_size else "immutable=1"
     file = sqlite3.connect(f"file:{quote(str(path))}?{mode}", uri=True, check_same_thread=False)
     file.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK)
@@ -157,6 +157,6 @@ def _text(value: Any) -> str:
 
 def _blob(value: Any) -> bytes:
     if not isinstance(value, bytes):
-        msg = "a message is not made of bytes"
+        msg = "a message is not a blob"
         raise TypeError(msg)
     return value

@@ -1,4 +1,4 @@
-"""Folders of rosbag2: ``metadata.yaml`` and one file or several, of MCAP or SQLite, compressed or not."""
+"""Bags of several files: folders of rosbag2 with ``metadata.yaml`` and MCAP or SQLite files, compressed or not."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _LARGEST_METADATA = 4 << 20
 
 
 class FilesBag(Bag):
-    """Files that are one bag; topics that several of them have are one. What cannot be opened is its `trouble`.
+    """Several files as one bag, which merges their equal topics; `trouble` is the first file that cannot be opened.
 
     Args:
         files: of any format, compressed or not.
-        open_file: opens one file.
-        broken: what is known to be lost already.
+        open_file: opens one uncompressed file.
+        broken: errors so far.
     """
 
     _on_damage: Callable[[BagError], None] | None = None
@@ -46,7 +46,7 @@ class FilesBag(Bag):
                     cure = err.cure or ("'midspan bag mend' saves the other files" if len(files) > 1 else "")
                     self._broken.append(BagError(file, err.what, err.offset, cure))
                     continue
-                part.path = file  # its errors name the file that the user has
+                part.path = file  # errors name the compressed file
                 if part.trouble is not None:
                     part.trouble = BagError(file, part.trouble.what, part.trouble.offset, part.trouble.cure)
                 packed |= plain != file
@@ -83,7 +83,7 @@ class FilesBag(Bag):
     def messages(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
-        """See `Bag.messages`; a file is read from the time on at which it begins. Raises for a lost file at the end."""
+        """See `Bag.messages`; each file is read from its start on. Files that cannot be opened raise at the end."""
         wanted = None if topics is None else set(topics)
         later = deque(self._parts)
         heads: list[tuple[int, int, BagMessage, Iterator[BagMessage]]] = []
@@ -121,7 +121,7 @@ class FilesBag(Bag):
             yield message._replace(topic=self._topic_of[message.topic])
 
     def skip_damage(self, told: Callable[[BagError], None]) -> None:
-        """See `Bag.skip_damage`: of a file that cannot skip anything, the rest is left out."""
+        """See `Bag.skip_damage`: if a file cannot skip its damage, the rest of it is left out."""
         self._on_damage = told
         for err in self._broken:
             told(err)
@@ -134,7 +134,7 @@ class FilesBag(Bag):
 
 
 class FolderBag(FilesBag):
-    """A folder of rosbag2: its files are those in ``metadata.yaml``, else all that end as bags."""
+    """A folder of rosbag2: its files are those in ``metadata.yaml``, else all with the endings of bags."""
 
     def __init__(self, path: Path, open_file: Callable[[Path], Bag]) -> None:
         broken: list[BagError] = []
@@ -146,12 +146,12 @@ class FolderBag(FilesBag):
         with reading(path):
             files = _files(path, metadata)
         if not files:
-            raise next(iter(broken), BagError(path, f"is no bag: it has no {METADATA}, no .mcap and no .db3"))
+            raise next(iter(broken), BagError(path, f"is not a bag: it has no {METADATA}, no .mcap and no .db3"))
         by_message = str(metadata.get("compression_mode", "")).lower() == "message"
         packing = str(metadata.get("compression_format", "")) if by_message else ""
         if packing not in ("", "zstd"):
             what = f"its messages are compressed by {packing!r}; only zstd is read"
-            raise BagError(path, what, None, "convert it with 'ros2 bag convert' where that plugin is installed")
+            raise BagError(path, what, None, "convert it with 'ros2 bag convert' on a machine with that plugin")
         super().__init__(path, files, open_file, broken)
         if not metadata and not self._broken:
             self.unfinished = True
@@ -160,24 +160,24 @@ class FolderBag(FilesBag):
 
 
 def _metadata(path: Path) -> dict[str, Any]:
-    """What the folder's file says; nothing where it has none, as that of a recorder that was killed."""
+    """Return the contents of the folder's metadata file; nothing if it is missing, as after a recorder was killed."""
     file = path / METADATA
     if not file.is_file():
         return {}
     if file.stat().st_size > _LARGEST_METADATA:
         raise BagError(file, f"is larger than {_LARGEST_METADATA} bytes")
     with reading(file):
-        found = load_yaml(file.read_text(encoding="utf-8"))
-        told = found["rosbag2_bagfile_information"]
-        if not isinstance(told, dict):
-            raise TypeError("rosbag2_bagfile_information is no mapping")
-        return told
+        document = load_yaml(file.read_text(encoding="utf-8"))
+        information = document["rosbag2_bagfile_information"]
+        if not isinstance(information, dict):
+            raise TypeError("rosbag2_bagfile_information is not a mapping")
+        return information
 
 
 def _files(path: Path, metadata: dict[str, Any]) -> list[Path]:
     listed = metadata.get("relative_file_paths")
     if isinstance(listed, list) and listed:
-        files = [path / Path(str(name)).name for name in listed]  # nothing outside of the folder
+        files = [path / Path(str(name)).name for name in listed]  # no path leaves the folder
     else:
         ends = (".mcap", ".db3", *(f"{kind}{end}" for kind in (".mcap", ".db3") for end in ENDINGS))
         files = sorted(file for file in path.iterdir() if file.name.endswith(ends))

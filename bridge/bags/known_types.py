@@ -1,4 +1,4 @@
-"""The message definition by which a bag's topic is read: its own, else the one known here if the messages fit it."""
+"""Select the definition that decodes a bag's topic: the bag's, else the one known here if the messages fit it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _PADDING = 3
 def ros2_type(registry: Registry, topic: BagTopic) -> SideType:
     """Return the ROS 2 type of a topic: by the bag's own definition, else by its hash, else by its name.
 
-    A definition that does not have the hash beside it wins: the hash may be that of a version installed elsewhere.
+    If the bag's definition does not have the bag's hash, the definition wins: the messages are written by it.
     Raises `MessageTypeError` if the definition cannot be read, or if without one the type or its hash is unknown here.
     """
     name, type_hash = topic.type_name, topic.type_hash
@@ -103,7 +103,7 @@ def _misfit(bag: Bag, topic: BagTopic, err: ConversionError) -> BagError:
 
 
 def _check(registry: Registry, topic: BagTopic) -> Callable[[bytes], object]:
-    """Return a check of messages against the definition known here; raises `MessageTypeError` if there is none."""
+    """Return a check of messages against the definition known here; raises `MessageTypeError` if it is unknown."""
     if topic.world is World.ROS1:
         return registry.ros1_to_hub(topic.type_name, topic.type_hash).convert or bytes
     check = registry.hub_check(topic.type_name)
@@ -111,7 +111,7 @@ def _check(registry: Registry, topic: BagTopic) -> Callable[[bytes], object]:
     def strict(data: bytes) -> None:
         rest = data[len(check(data)) :]
         if len(rest) > _PADDING and any(rest):
-            what = f"{len(rest)} bytes are left over behind the last field"
+            what = f"{len(rest)} bytes are left over after the last field"
             raise ConversionError(f"bad {topic.type_name} message: {what}")
 
     return strict

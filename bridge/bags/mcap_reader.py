@@ -1,8 +1,8 @@
 """Reads MCAP, finished or not: profiles ``ros1`` and ``ros2``, any chunks and compression.
 
-The records are those of https://mcap.dev/spec; the library `mcap` reads all but messages and the heads of chunks. A
-file is first walked from record to record, which costs one look at each chunk, so that the index of the file is not
-needed, and need not be believed. Channels and counts come from the summary where there is one, else from the chunks.
+The records are those of https://mcap.dev/spec; the library `mcap` parses all but messages and chunk headers. The reader
+first walks from record to record, which costs one read per chunk, so that it neither needs nor trusts the file's index.
+Channels and counts come from the summary if there is one, else from the chunks.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ _MOST_METADATA, _LARGEST_METADATA = 1000, 1 << 16
 
 
 class WholeChunk(NamedTuple):
-    """A chunk's record and the records of its indexes as they stand in a file.
+    """A chunk's record and the records of its indexes, as stored.
 
     Attributes:
-        offsets: where in ``indexes`` that of a channel begins.
+        offsets: position of each channel's index in ``indexes``.
         counts: messages of each channel.
         packed, size: bytes of its data in the file, and unpacked.
         start, end: times of its first and last message.
@@ -66,7 +66,7 @@ class WholeChunk(NamedTuple):
 
 
 class McapBag(SpanBag):
-    """One MCAP file. ``profile`` and ``library`` are what its header says, ``records`` those of metadata."""
+    """One MCAP file. ``profile`` and ``library`` are those of its header, ``records`` its metadata records."""
 
     kind: Kind = "mcap"
 
@@ -97,23 +97,23 @@ class McapBag(SpanBag):
         self._set_times()
 
     def number_of(self, topic: BagTopic) -> int:
-        """The number of a topic's channel."""
+        """Return the number of a topic's channel."""
         return next(number for number, each in self.topic_of.items() if each is topic)
 
     def spans(self) -> list[FileSpan]:
-        """The pieces of the file, in order of their first times."""
+        """Return the pieces of the file, in order of their first times."""
         return sorted(self._spans, key=lambda span: span.start)
 
     def span_rows(self, span: FileSpan) -> Rows:
-        """The messages of a piece as they stand, of all channels; raises `BagError`."""
+        """Return the messages of a piece as stored, of all channels; raises `BagError`."""
         with reading(self.path, span.offset):
             rows = self._split(span)
         if set(np.unique(rows.numbers).tolist()) - self.channels.keys():
-            raise BagError(self.path, "a message is of a channel that the file does not have", span.offset)
+            raise BagError(self.path, "a message refers to a channel that is missing in the file", span.offset)
         return rows
 
     def whole_chunk(self, span: FileSpan) -> WholeChunk | None:
-        """A chunk with its indexes, None for what is no chunk or has none; raises `BagError` where it is damaged."""
+        """Return a chunk with its indexes, None for a piece without them; raises `BagError` if it is damaged."""
         if not span.chunk:
             return None
         with reading(self.path, span.offset):
@@ -139,7 +139,7 @@ class McapBag(SpanBag):
             )
 
     def _walk(self) -> None:
-        """From record to record, until the file ends or stops making sense."""
+        """Walk from record to record, until the file ends or a length is impossible."""
         at = len(MAGIC)
         while True:
             if at + _HEAD.size > self.size:
@@ -153,7 +153,7 @@ class McapBag(SpanBag):
             try:
                 with reading(self.path, at):
                     self._walk_record(opcode, at, body, length)
-            except BagError as err:  # its length is right, and so the next one can be read
+            except BagError as err:  # its length is right, so the next record can be read
                 self.trouble = self.trouble or err
             at = after
 
@@ -175,7 +175,7 @@ class McapBag(SpanBag):
 
     def _end(self, offset: int, what: str) -> None:
         self.unfinished = True
-        cure = "what stands before can be read; 'midspan bag mend' writes it into a whole file"
+        cure = "the records before it can be read; 'midspan bag mend' writes them into a whole file"
         self.trouble = BagError(self.path, what, offset, cure)
 
     def _walk_chunk(self, at: int, body: int, length: int) -> None:
@@ -183,7 +183,7 @@ class McapBag(SpanBag):
             raise BagError(self.path, f"a chunk has only {length} bytes", at)
         start, end, _, _, name = _CHUNK.unpack(self._read(body, _CHUNK.size))
         if name > 20 or _CHUNK.size + name + 8 > length:
-            raise BagError(self.path, "a chunk has no compression that is known", at)
+            raise BagError(self.path, "a chunk has an unknown compression", at)
         self._compressions.add(self._read(body + _CHUNK.size, name).decode(errors="replace") or "none")
         self._spans.append(FileSpan(at, length, start, max(start, end), chunk=True))
 
@@ -201,7 +201,7 @@ class McapBag(SpanBag):
             self._spans.append(FileSpan(at, size, time, time, chunk=False))
 
     def _take(self, opcode: int, data: bytes) -> None:
-        """Take up one record that says something of the whole file."""
+        """Keep a record that describes the whole file."""
         stream = ReadDataStream(io.BytesIO(data))
         if opcode == Opcode.HEADER:
             header = Header.read(stream)
@@ -220,7 +220,7 @@ class McapBag(SpanBag):
                 self.channels[channel.id] = channel
 
     def _scan(self) -> Counter[int]:
-        """Look into all chunks for channels and counts; one that is damaged is told of when it is to be read."""
+        """Search all chunks for channels and counts; reading a damaged one reports the damage later."""
         counts: Counter[int] = Counter()
         for number, span in enumerate(self._spans):
             try:
@@ -265,26 +265,26 @@ class McapBag(SpanBag):
         )
 
     def _plain(self, span: FileSpan) -> bytes:
-        """A span's records."""
+        """Return a span's records."""
         if not span.chunk:
             return self._read(span.offset, span.length)
         return self._unpacked(span, memoryview(self._read(span.offset + _HEAD.size, span.length)))[0]
 
     def _unpacked(self, span: FileSpan, body: memoryview) -> tuple[bytes, str]:
-        """A chunk's records, and what they were compressed by."""
+        """Return a chunk's records and its compression."""
         _, _, size, crc, name = _CHUNK.unpack_from(body)
         compression = bytes(body[_CHUNK.size : _CHUNK.size + name]).decode(errors="replace")
         begin = _CHUNK.size + name + 8
-        told = int.from_bytes(body[begin - 8 : begin], "little")
-        if told != len(body) - begin:
-            raise BagError(self.path, f"a chunk has {len(body) - begin} bytes, and declares {told}", span.offset)
+        declared = int.from_bytes(body[begin - 8 : begin], "little")
+        if declared != len(body) - begin:
+            raise BagError(self.path, f"a chunk has {len(body) - begin} bytes, and declares {declared}", span.offset)
         plain = unpack(compression, body[begin:], size)
         if crc and zlib.crc32(plain) != crc:
             raise BagError(self.path, "a chunk's checksum is wrong: its bytes were changed", span.offset)
         return plain, compression
 
     def _split(self, span: FileSpan) -> Rows:
-        """All messages of a piece, of all channels, and what it says of the channels."""
+        """Return all messages of a piece, of all channels; channels that the piece defines are kept."""
         data = self._plain(span)
         table, at, filled, size = new_table(len(data)), 0, 0, len(data)
         while True:
@@ -304,6 +304,6 @@ class McapBag(SpanBag):
         rows = self._split(span)
         for number in np.unique(rows.numbers).tolist():
             if number not in self.topic_of and number not in self._left_out:
-                what = f"a message is of channel {number}, which the file does not have"
+                what = f"a message refers to channel {number}, which is missing in the file"
                 raise BagError(self.path, what, span.offset)
         return rows

@@ -1,7 +1,8 @@
 """Reads ROS 1's bags (http://wiki.ros.org/Bags/Format/2.0), indexed or not.
 
-`rosbags` writes them here, and does not read them: it keeps an index of all messages in memory, unpacks chunks without
-a bound, and refuses a bag without an index, as a killed ``rosbag record`` leaves it (``.bag.active``).
+Midspan writes them with `rosbags`, but does not read them with it: `rosbags` keeps an index of all messages in memory,
+unpacks chunks of any size, and refuses a bag without an index, as of a killed ``rosbag record``
+(``.bag.active``).
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ _RUN = 1 << 20
 
 _MESSAGE_FIELD = b"\x04\0\0\0op=\x02"
 _FIELDS_BEFORE = (0, 13, 17, 30)
-"""Bytes of the fields of a message's head that may stand before that one: ``conn``, ``time``, or both."""
+"""Bytes of the fields of a message's header that may precede that one: ``conn``, ``time``, or both."""
 
 
 Fields = dict[bytes, bytes]
@@ -51,7 +52,7 @@ class Ros1Bag(SpanBag):
         self._infos: dict[int, tuple[int, int, Counter[int]]] = {}
         self._compressions: set[str] = set()
         self._fixed = self._encrypted = False
-        self._cut: int | None = None  # where the record stands within which the file ends
+        self._cut: int | None = None  # position of the record within which the file ends
         with reading(path, 0):
             self._walk()
         if self._encrypted:
@@ -83,7 +84,7 @@ class Ros1Bag(SpanBag):
             try:
                 with reading(self.path, at):
                     self._walk_record(parse_fields(self._read(at + 4, length)), at, body, size)
-            except BagError as err:  # its lengths are right, and so the next one can be read
+            except BagError as err:  # its lengths are right, so the next record can be read
                 self.trouble = self.trouble or err
             at = body + size
         return None
@@ -91,7 +92,7 @@ class Ros1Bag(SpanBag):
     def _walk_record(self, fields: Fields, at: int, body: int, size: int) -> None:
         kind = fields[b"op"][0]
         if kind == _CHUNK:
-            if not size and not any(fields[b"size"]):  # it was never closed: its records come behind it
+            if not size and not any(fields[b"size"]):  # it was never closed: its records follow it
                 return
             self._compressions.add(fields[b"compression"].decode(errors="replace")[:20])
             self._spans.append(FileSpan(at, body + size - at, 0, 0, chunk=True))
@@ -125,7 +126,7 @@ class Ros1Bag(SpanBag):
 
     def _end(self, offset: int, what: str = "the file ends within a record, or a length is wrong") -> None:
         self.unfinished = True
-        cure = "what stands before can be read; 'midspan bag mend' writes it into a whole file"
+        cure = "the records before it can be read; 'midspan bag mend' writes them into a whole file"
         self.trouble = BagError(self.path, what, offset, cure)
 
     def _take(self, fields: Fields, data: bytes) -> None:
@@ -139,7 +140,7 @@ class Ros1Bag(SpanBag):
         self._connections[number] = (fields, parse_fields(data))
 
     def _scan(self) -> Counter[int]:
-        """The times and counts of all chunks: from the index, else from the chunk itself."""
+        """Return the message counts of all chunks and set their times: from the index, else from the chunk."""
         counts: Counter[int] = Counter()
         for place, span in enumerate(self._spans):
             if span.offset in self._infos:
@@ -158,16 +159,16 @@ class Ros1Bag(SpanBag):
         self.trouble = self.trouble or err
 
     def _load(self, span: FileSpan) -> Rows:
-        told = self._note if span.offset == self._cut else self._on_damage or _raise
-        rows = self._split(span, told)
+        on_damage = self._note if span.offset == self._cut else self._on_damage or _raise
+        rows = self._split(span, on_damage)
         if unknown := set(np.unique(rows.numbers).tolist()) - self.topic_of.keys():
-            msg = f"a message is of connection {min(unknown)}, which the bag does not have"
-            told(BagError(self.path, msg, span.offset))
+            msg = f"a message refers to connection {min(unknown)}, which is missing in the bag"
+            on_damage(BagError(self.path, msg, span.offset))
         return rows
 
-    def _split(self, span: FileSpan, told: Callable[[BagError], None]) -> Rows:
-        """The messages of a piece; unless ``told`` raises what is damaged, those before and behind that."""
-        data = self._plain(span, told)
+    def _split(self, span: FileSpan, on_damage: Callable[[BagError], None]) -> Rows:
+        """Return the messages of a piece; unless ``on_damage`` raises, those before and after the damage."""
+        data = self._plain(span, on_damage)
         table, at, filled, sound = new_table(len(data)), 0, 0, True
         while True:
             at, filled = split_ros1(data, table, at, filled)
@@ -178,14 +179,14 @@ class Ros1Bag(SpanBag):
                     at, filled = self._split_other(span, data, table, at, filled)
             except BagError as err:
                 if sound:
-                    told(err)
+                    on_damage(err)
                 sound = False
-                at, filled = self._find_again(data, table, at, filled)
+                at, filled = self._resume(data, table, at, filled)
 
     def _split_other(
         self, span: FileSpan, data: bytes, table: NDArray[np.uint64], at: int, filled: int
     ) -> tuple[int, int]:
-        """As the kernel, for one record of any kind and with any fields."""
+        """Parse one record as the kernel does, but of any kind and with any fields."""
         (length,) = _U32.unpack_from(data, at)
         fields = parse_fields(data[at + 4 : at + 4 + length])
         body = at + 8 + length
@@ -201,10 +202,10 @@ class Ros1Bag(SpanBag):
             self._take(fields, data[body : body + count])
         return body + count, filled
 
-    def _find_again(self, data: bytes, table: NDArray[np.uint64], at: int, filled: int) -> tuple[int, int]:
-        """The next message behind damage at ``at``, of a connection that is known.
+    def _resume(self, data: bytes, table: NDArray[np.uint64], at: int, filled: int) -> tuple[int, int]:
+        """Find the next message of a known connection after the damage at ``at``.
 
-        It is looked for within the message before, too: where one stands there, that message's length is wrong.
+        The search includes the data of the message before: if it contains a message, its length is wrong.
         """
         start = int(table[filled - 1, 3]) if filled else at + 1
         row = new_table(0)
@@ -217,8 +218,8 @@ class Ros1Bag(SpanBag):
             place = data.find(_MESSAGE_FIELD, place + 1)
         return len(data), filled
 
-    def _plain(self, span: FileSpan, told: Callable[[BagError], None]) -> bytes:
-        """A piece's records, or what can be unpacked of them."""
+    def _plain(self, span: FileSpan, on_damage: Callable[[BagError], None]) -> bytes:
+        """Return a piece's records, or those that can be unpacked."""
         if not span.chunk:
             return self._read(span.offset, span.length)
         (length,) = _U32.unpack(self._read(span.offset, 4))
@@ -229,7 +230,7 @@ class Ros1Bag(SpanBag):
             with reading(self.path, span.offset):
                 return unpack(compression, packed, size)
         except BagError as err:
-            told(err)
+            on_damage(err)
             return unpack_part(compression, packed, size)
 
 
@@ -238,8 +239,8 @@ def _raise(err: BagError) -> None:
 
 
 def parse_fields(data: bytes) -> Fields:
-    """The fields of a header, ``<length><name>=<value>`` each; raises `ValueError` or `struct.error`."""
-    found: Fields = {}
+    """Parse the fields of a header, ``<length><name>=<value>`` each; raises `ValueError` or `struct.error`."""
+    fields: Fields = {}
     at, size = 0, len(data)
     while at < size:
         (length,) = _U32.unpack_from(data, at)
@@ -248,9 +249,9 @@ def parse_fields(data: bytes) -> Fields:
         if end > size or not sign:
             msg = "a header's field has no name, or is longer than the header"
             raise ValueError(msg)
-        found[name] = value
+        fields[name] = value
         at = end
-    return found
+    return fields
 
 
 def _time(value: bytes) -> int:

@@ -1,4 +1,4 @@
-"""Bags that are files of pieces, each with messages of some time: they are read piece by piece, in order of time."""
+"""Bags in files of pieces, each with the messages of some span of time; they are read piece by piece, by time."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from bridge.bags.split import new_table
 from bridge.messages.definitions.schema import World
 
 _MORE = 4 << 20
-"""Bytes that a chunk may be longer in the file: its header, and what packing adds to bytes that cannot be packed."""
+"""Bytes that a chunk may be longer in the file: its header, and what compression adds to random bytes."""
 
 _PIECE = 1 << 12
-"""Packed bytes that are unpacked at once of what is damaged."""
+"""Compressed bytes of a damaged chunk that are unpacked at a time."""
 
 HELD = 128 << 20
-"""Bytes of messages and their rows that wait for earlier ones of a later piece; beyond that the earliest go out, order
-or not."""
+"""Bytes of messages and rows that are held back for earlier messages of later pieces.
+
+Beyond that, the earliest are yielded, although they may be out of order."""
 
 
 class FileSpan(NamedTuple):
-    """A piece of the file: where it is, the times of its messages, and whether it is a chunk that is to be opened."""
+    """A piece of the file: its position, the times of its messages, and whether it is a chunk."""
 
     offset: int
     length: int
@@ -39,7 +40,7 @@ class FileSpan(NamedTuple):
 
 
 class SpanBag(Bag):
-    """A bag of spans; subclasses find them, and read the messages of each."""
+    """A bag of spans; subclasses find them and read their messages."""
 
     _on_damage: Callable[[BagError], None] | None = None
 
@@ -52,12 +53,12 @@ class SpanBag(Bag):
 
     @abstractmethod
     def _load(self, span: FileSpan) -> Rows:
-        """The messages of a span as they stand; raises anything for bad bytes."""
+        """Return the messages of a span as stored; raises anything for bad bytes."""
 
     def columns(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[Columns]:
-        """See `Bag.columns`; what lies in several pieces at once is put into order up to `HELD`."""
+        """See `Bag.columns`; the messages of pieces that overlap are sorted within `HELD`."""
         wanted = None if topics is None else set(topics)
         numbers = {number for number, topic in self.topic_of.items() if wanted is None or topic in wanted}
         spans = [
@@ -86,7 +87,7 @@ class SpanBag(Bag):
             yield from map(BagMessage, *columns)
 
     def _columns(self, block: Rows) -> Columns:
-        """Messages of a block, those of ROS 2 without a compression of their own."""
+        """Return the messages of a block, and unpack those of ROS 2 that rosbag2 compressed one by one."""
         columns = block.columns(self.topic_of)
         packed = [place for place in block.that_start_with(ZSTD) if columns.topics[place].world is World.ROS2]
         if not packed:
@@ -108,7 +109,7 @@ class SpanBag(Bag):
             return Rows(b"", new_table(0)[:0])
 
     def skip_damage(self, told: Callable[[BagError], None]) -> None:
-        """See `Bag.skip_damage`: a piece is left out."""
+        """See `Bag.skip_damage`: a damaged piece is left out."""
         self._on_damage = told
 
     def close(self) -> None:
@@ -117,7 +118,7 @@ class SpanBag(Bag):
 
     def _read(self, offset: int, length: int) -> bytes:
         if length > MAX_CHUNK + _MORE:
-            what = f"a record has {length} bytes, and chunks and messages of {MAX_CHUNK} at most are read"
+            what = f"a record has {length} bytes; the limit for chunks and messages is {MAX_CHUNK}"
             raise BagError(self.path, what, offset)
         self._file.seek(offset)
         data = self._file.read(length)
@@ -126,14 +127,14 @@ class SpanBag(Bag):
         return data
 
     def _set_times(self) -> None:
-        timed = [span for span in self._spans if span.end]  # others have no message, or none that can be read
+        timed = [span for span in self._spans if span.end]  # others have no readable message
         if timed:
             self.start_ns = min(span.start for span in timed)
             self.end_ns = max(span.end for span in timed)
 
 
 def _due(rows: Rows, next_start: int) -> int:
-    """How many go out now: those that no later piece can come before, and more where too much would wait."""
+    """Return how many can be yielded: those that precede all later pieces, and more if too much is held back."""
     due = int(np.searchsorted(rows.times, np.uint64(next_start), "right"))
     weights = rows.weights()
     excess = int(weights[-1]) - HELD if due < len(weights) else 0
@@ -141,7 +142,7 @@ def _due(rows: Rows, next_start: int) -> int:
 
 
 def count_rows(rows: Rows, counts: Counter[int], span: FileSpan) -> FileSpan:
-    """Add how many messages of each channel there are, and give the piece the times of its messages."""
+    """Add the number of messages of each channel, and return the piece with the times of its messages."""
     numbers, found = np.unique(rows.numbers, return_counts=True)
     counts.update(dict(zip(numbers.tolist(), found.tolist(), strict=True)))
     times = rows.times
@@ -149,9 +150,9 @@ def count_rows(rows: Rows, counts: Counter[int], span: FileSpan) -> FileSpan:
 
 
 def unpack(compression: str, data: bytes | memoryview, size: int) -> bytes:
-    """A chunk's bytes, which must be ``size`` as declared; never makes more than that. Raises what the library does."""
+    """Unpack a chunk to exactly ``size`` bytes, and never more; raises `ValueError` or the library's own error."""
     if size > MAX_CHUNK:
-        msg = f"a chunk declares {size} bytes, which is more than the {MAX_CHUNK} that are read"
+        msg = f"a chunk declares {size} bytes; the limit is {MAX_CHUNK}"
         raise ValueError(msg)
     match compression:
         case "" | "none":
@@ -161,7 +162,7 @@ def unpack(compression: str, data: bytes | memoryview, size: int) -> bytes:
         case "lz4" | "bz2":
             plain = _unpacker(compression).decompress(data, max_length=size + 1)
         case _:
-            msg = f"compression {compression[:20]!r} is not known: use zstd, lz4, bz2 or none"
+            msg = f"compression {compression[:20]!r} is unknown; zstd, lz4, bz2 and none are supported"
             raise ValueError(msg)
     if len(plain) != size:
         msg = f"a chunk of {size} bytes unpacks to {'more' if len(plain) > size else len(plain)}"
@@ -170,9 +171,9 @@ def unpack(compression: str, data: bytes | memoryview, size: int) -> bytes:
 
 
 def unpack_part(compression: str, data: bytes, size: int) -> bytes:
-    """What can be unpacked of a chunk of ROS 1 that cannot be unpacked whole: that before the damage.
+    """Unpack a damaged chunk of ROS 1 up to the damage.
 
-    There is nothing where it is unpacked to its end, and its size or checksum is wrong: nobody knows where.
+    Returns nothing if only its size or checksum is wrong, since the position of the damage is unknown then.
     """
     if size > MAX_CHUNK:
         return b""
@@ -181,7 +182,7 @@ def unpack_part(compression: str, data: bytes, size: int) -> bytes:
     if compression not in ("lz4", "bz2"):
         return b""
     unpacker, plain = _unpacker(compression), bytearray()
-    with suppress(Exception):  # libraries raise what they like
+    with suppress(Exception):  # each library raises its own errors
         for at in range(0, len(data), _PIECE):
             plain += unpacker.decompress(data[at : at + _PIECE], max_length=size + 1 - len(plain))
             if unpacker.eof or len(plain) > size:
@@ -190,7 +191,7 @@ def unpack_part(compression: str, data: bytes, size: int) -> bytes:
 
 
 def _unpacker(compression: str) -> Any:
-    """What unpacks such bytes piece by piece."""
+    """Return a decompressor that works piece by piece."""
     if compression == "bz2":
         import bz2
 
@@ -205,8 +206,8 @@ def _unpack_zstd(data: bytes | memoryview, size: int) -> bytes:
 
     if not size:
         return b""
-    told = zstandard.frame_content_size(data)
-    if told not in (-1, size):
-        msg = f"a chunk declares {size} bytes, and its zstd frame {told}"
+    declared = zstandard.frame_content_size(data)
+    if declared not in (-1, size):
+        msg = f"a chunk declares {size} bytes, and its zstd frame {declared}"
         raise ValueError(msg)
     return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)

@@ -17,7 +17,7 @@ _CACHED = 500
 
 
 def stored_hash(text: str) -> str:
-    """Return a ROS 2 type hash; "" for zeros and for rosidl's ``INVALID``, which writers store instead of none."""
+    """Return a ROS 2 type hash; "" for zeros and for rosidl's ``INVALID``, which writers store for an unknown hash."""
     return text if _HASH.fullmatch(text) else ""
 
 
@@ -30,8 +30,8 @@ def ros1_definition(text: str, md5: str) -> str:
 def ros2_definition(type_name: str, encoding: str, text: str, type_hash: str) -> str:
     """Return the full definition of a ROS 2 type, "" if the bag has none that can be parsed.
 
-    The hash, as the bag stores it, decides whether an empty text is an empty message; without a hash it is one. rosbag2
-    stores an encoding of its own for unknown types, but rosbags stores an empty text.
+    The hash, as the bag stores it, decides whether an empty text is an empty message; without a hash it is one. For
+    unknown types rosbag2 stores a special encoding, but rosbags stores an empty text.
     """
     if text or encoding != MSG:
         return full_definition(type_name, encoding, text)

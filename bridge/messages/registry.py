@@ -1,7 +1,7 @@
-"""All message types that are known here, and how their bytes get from ROS 1 to the hub and back.
+"""All known message types, and the conversions of their bytes between ROS 1 and the hub.
 
-Nothing is read from disk before a type is asked for. A definition that the network announced, in a ROS 1 connection
-header or on the hub, is used for what carries its md5 or hash; two definitions of one name stand beside each other.
+Definitions are read from disk when a type is first requested. A definition from the network (a ROS 1 connection header,
+the hub) or from a bag applies to endpoints with its md5 or hash; a name may have several definitions.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from bridge.messages.transcode.conversion import Conversion, Convert, ServiceCon
 
 
 class _Types(Protocol):
-    """The part ``types`` of a configuration."""
+    """The section ``types`` of a configuration."""
 
     @property
     def folders(self) -> Sequence[Path]: ...
@@ -38,9 +38,9 @@ class _Types(Protocol):
 class Registry:
     """The registry of types; every method may be called from any thread.
 
-    The configuration's ``.msg`` folders serve as ROS 1's and ROS 2's; ``prefixes`` hold the ROS 2 packages that were
-    built here (``share/<package>/msg/*.msg``), ``ros1_packages`` ROS 1's Python packages, None for the usual place.
-    Every method raises `MessageTypeError` where a type is unknown, has another md5 or hash here, or has no counterpart.
+    The configuration's ``.msg`` folders serve both ROS 1 and ROS 2; ``prefixes`` hold the ROS 2 packages that were
+    built here (``share/<package>/msg/*.msg``), ``ros1_packages`` ROS 1's Python packages, None for the usual folder.
+    Every method raises `MessageTypeError` if a type is unknown, has another md5 or hash here, or has no counterpart.
     """
 
     def __init__(
@@ -64,26 +64,26 @@ class Registry:
 
     @classmethod
     def of(cls, types: _Types) -> Self:
-        """The registry that a configuration's part ``types`` asks for."""
+        """Return the registry for a configuration's section ``types``."""
         return cls(types.folders, types.mapping_rules)
 
     def ros1(self, name: str) -> SideType:
-        """The ROS 1 type ``name``; where ROS 2 alone has it, the one derived from there."""
+        """Return the ROS 1 type ``name``; if only ROS 2 has it, the one derived from there."""
         with self._lock:
             return self._messages.side(self._messages.find_ros1(name))
 
     def ros2(self, name: str) -> SideType:
-        """The ROS 2 type ``name``; where ROS 1 alone has it, the one derived from there."""
+        """Return the ROS 2 type ``name``; if only ROS 1 has it, the one derived from there."""
         with self._lock:
             return self._messages.side(self.schema(name))
 
     def schema(self, name: str, type_hash: str = "") -> Schema:
-        """The ROS 2 type with all that it nests, as the decoders need it."""
+        """Return the ROS 2 type with all types that it nests, as the decoders need it."""
         with self._lock:
             return self._find_ros2(name, type_hash)
 
     def ros1_schema(self, name: str, md5: str = "") -> Schema:
-        """The ROS 1 type with all that it nests; an md5 of "" or "*" means any."""
+        """Return the ROS 1 type with all types that it nests; an md5 of "" or "*" means any."""
         with self._lock:
             return self._messages.find_ros1(name, md5)
 
@@ -108,7 +108,7 @@ class Registry:
             return known
 
     def ros1_to_hub(self, name: str, md5: str = "", definition: str = "") -> Conversion:
-        """How a ROS 1 publisher's bytes become the hub's; an md5 of "" or "*" means any.
+        """Return the conversion of a ROS 1 publisher's bytes to the hub's; an md5 of "" or "*" means any.
 
         The name may be an action's ``pkg/action/Name_FeedbackMessage``; the definition is the connection header's.
         """
@@ -126,7 +126,7 @@ class Registry:
             return self._answers[key]
 
     def hub_to_ros1(self, type_name: str, type_hash: str = "") -> Conversion:
-        """How the hub's bytes become a ROS 1 message's."""
+        """Return the conversion of the hub's bytes to a ROS 1 message's."""
         key = ("ros2", type_name, type_hash)
         with self._lock:
             if key not in self._answers:
@@ -141,15 +141,15 @@ class Registry:
             return self._answers[key]
 
     def hub_check(self, type_name: str, type_hash: str = "") -> Callable[[bytes], bytes]:
-        """A check of CDR bytes against their type (lengths, bounds, truncation); raises `ConversionError`.
+        """Return a check of CDR bytes against their type (lengths, bounds, truncation); it raises `ConversionError`.
 
-        It gives the message without the slack that rclpy's serialiser leaves behind it.
+        The check returns the message without the slack that rclpy's serializer appends.
         """
         with self._lock:
             return self._check(self._find_ros2(type_name, type_hash))
 
     def service_ros1_to_hub(self, name: str, md5: str = "") -> ServiceConversion:
-        """How calls get between a ROS 1 service, or one of an action, and the hub's; an md5 of "" or "*" means any."""
+        """Return the conversion of a ROS 1 service, or one of an action; an md5 of "" or "*" means any."""
         wanted = "" if md5 in ANY_MD5 else md5
         key = ("ros1", name, wanted)
         with self._lock:
@@ -164,7 +164,7 @@ class Registry:
             return self._service_answers[key]
 
     def service_hub_to_ros1(self, type_name: str, type_hash: str = "") -> ServiceConversion:
-        """How calls get between a service of the hub, which may be part of an action, and ROS 1's."""
+        """Return the conversion of a service of the hub, which may be part of an action, to ROS 1."""
         key = ("ros2", type_name, type_hash)
         with self._lock:
             if key not in self._service_answers:
@@ -178,34 +178,37 @@ class Registry:
             return self._service_answers[key]
 
     def service_ros2(self, type_name: str, type_hash: str = "") -> SideType:
-        """The ROS 2 service ``pkg/srv/Name`` or ``pkg/action/Name_SendGoal``."""
+        """Return the ROS 2 service ``pkg/srv/Name`` or ``pkg/action/Name_SendGoal``."""
         with self._lock:
             return self._find_service(type_name, type_hash).side_type
 
     def service_schemas(self, type_name: str, type_hash: str = "") -> tuple[Schema, Schema]:
-        """Request and response of a ROS 2 service with all that they nest, as the decoders need them."""
+        """Return request and response of a ROS 2 service with all types that they nest, as the decoders need them."""
         with self._lock:
             service = self._find_service(type_name, type_hash)
             return service.request, service.response
 
     def hub_service_check(self, type_name: str, type_hash: str = "") -> tuple[Convert, Convert]:
-        """Checks of a service's requests and of its responses, as `hub_check` is one of messages."""
+        """Return checks of a service's requests and responses; see `hub_check`."""
         with self._lock:
             service = self._find_service(type_name, type_hash)
             return self._check(service.request), self._check(service.response)
 
     def action_of_ros1(self, name: str) -> str:
-        """The ROS 2 action for a ROS 1 action: ``nav2_msgs/action/NavigateToPose`` for ``move_base_msgs/MoveBase``."""
+        """Return the ROS 2 action for a ROS 1 action.
+
+        For ``move_base_msgs/MoveBase`` it is ``nav2_msgs/action/NavigateToPose``.
+        """
         with self._lock:
             return self._actions.ros2_name(name)
 
     def action_to_ros1(self, type_name: str) -> str:
-        """The ROS 1 action for a ROS 2 action."""
+        """Return the ROS 1 action for a ROS 2 action."""
         with self._lock:
             return self._actions.ros1_name(type_name)
 
     def ros1_action(self, name: str) -> ActionTopicTypes:
-        """The messages of a ROS 1 action's topics: those of ``move_base_msgs/MoveBase``."""
+        """Return the types of a ROS 1 action's topics, such as those of ``move_base_msgs/MoveBase``."""
         with self._lock:
             return self._actions.topics(name)
 
@@ -215,7 +218,7 @@ class Registry:
             return self._actions.topic(name, "Feedback")
 
     def ros2_package_sources(self, package: str) -> dict[str, str]:
-        """The files that a ROS 2 package is built from: text by path (``msg/Name.msg``)."""
+        """Return the files from which a ROS 2 package is built: text by path (``msg/Name.msg``)."""
         with self._lock:
             files: dict[str, str] = {}
             for source in self._sources2:
@@ -237,13 +240,13 @@ class Registry:
             return files
 
     def _forget(self) -> None:
-        """A new definition may change what stands for what."""
+        """Clear cached conversions: a new definition may change counterparts."""
         self._answers.clear()
         self._service_answers.clear()
         self._messages.forget()
 
     def _find_ros2(self, name: str, type_hash: str = "") -> Schema:
-        """A message of ROS 2, which may be part of a service or action."""
+        """Return a message of ROS 2, which may be part of a service or action."""
         if self._ros2.find(name, type_hash) is None and is_ros2_name(name):
             if _is_action(name):
                 return self._actions.schema(name, type_hash)
@@ -268,10 +271,10 @@ def _is_action(name: str) -> bool:
 
 
 def _is_feedback(name: str) -> bool:
-    """Whether it is the one topic of an action whose type is the action's own."""
+    """Whether it is the feedback topic of an action, whose type belongs to that action."""
     return _is_action(name) and name.endswith("_FeedbackMessage")
 
 
 def _ros1_part(name: str, types: dict[str, Definition]) -> ServiceSchema:
-    """A service of an action as ROS 1's edge has it."""
+    """Return a service of an action as the ROS 1 adapter represents it."""
     return ros1_service(name, *(closure(types[f"{name}_{part}"], types) for part in CONTENTS["srv"]))

@@ -27,7 +27,7 @@ MEGABYTE = 1 << 20
 
 
 def chunk(compression: bytes, data: bytes, size: int) -> bytes:
-    """A file of MCAP with one chunk that says what it likes of its size."""
+    """An MCAP file with one chunk that declares any size."""
     body = struct.pack("<QQQII", 0, 9, size, 0, len(compression)) + compression + struct.pack("<Q", len(data)) + data
     header = struct.pack("<BQII", 1, 8, 0, 0)
     return b"\x89MCAP0\r\n" + header + struct.pack("<BQ", 6, len(body)) + body
@@ -151,7 +151,7 @@ def text(number: int, size: int = 9) -> bytes:
 
 
 def saved(path: Path, content: bytes) -> tuple[list[int], list[int | None]]:
-    """Times in seconds of the messages that are saved of a bag of ROS 1 without an index, and where it is damaged."""
+    """Mend a ROS 1 bag without an index: the times of its messages in seconds, and the positions of the damage."""
     path.write_bytes(content)
     with open_bag(path) as bag:
         done = cut(bag, path.with_name("mended.bag"), mend=True)
@@ -178,7 +178,7 @@ def test_of_a_damaged_chunk_of_ros_1_the_other_messages_are_saved(what: str, tmp
     plain = b"".join([CONNECTION, *TEXTS[:2], record, *TEXTS[3:]])
     start = ros1_chunk(b"none", b"", 0)
     found = saved(tmp_path / "a.bag", start + ros1_chunk(b"none", plain, len(plain))[START_BYTES:])
-    assert found == (expected, [found[1][0], len(start)])  # that there is no index comes first
+    assert found == (expected, [found[1][0], len(start)])  # the missing index is reported first
 
 
 def broken_bz2(plain: bytes) -> bytes:
@@ -244,7 +244,7 @@ def test_a_chunk_that_cannot_be_read_or_has_no_message_does_not_begin_the_bag_in
 def test_messages_without_any_connection_are_an_error(tmp_path: Path) -> None:
     path = tmp_path / "a.bag"
     path.write_bytes(ros1_chunk(b"none", 2 * TEXT, 2 * len(TEXT)))
-    with open_bag(path) as bag, pytest.raises(BagError, match="connection 0, which the bag does not have"):
+    with open_bag(path) as bag, pytest.raises(BagError, match="connection 0, which is missing in the bag"):
         list(bag.messages())
     assert bag.topics == ()
 
@@ -264,7 +264,7 @@ def test_a_chunk_that_is_too_large_is_not_read(form: str, tmp_path: Path) -> Non
         file.truncate(path.stat().st_size + size)  # with a hole: it takes no room
     tracemalloc.start()
     try:
-        with open_bag(path) as bag, pytest.raises(BagError, match=r", byte \d+: .*are read") as caught:
+        with open_bag(path) as bag, pytest.raises(BagError, match=r", byte \d+: .*limit") as caught:
             list(bag.messages())
         assert tracemalloc.get_traced_memory()[1] < 8 * MEGABYTE
     finally:
@@ -309,7 +309,7 @@ def test_a_database_that_is_no_bag_or_computes_without_end_is_an_error(tmp_path:
     other.execute("CREATE TABLE things(id)")
     other.commit()
     other.close()
-    with pytest.raises(BagError, match="is no bag: it has no tables 'topics' and 'messages'"):
+    with pytest.raises(BagError, match="is not a bag: tables 'topics' and 'messages' are missing"):
         open_bag(tmp_path / "other.db3")
     endless = sqlite3.connect(tmp_path / "endless.db3")
     endless.execute("CREATE TABLE messages(id, topic_id, timestamp, data)")
@@ -318,7 +318,7 @@ def test_a_database_that_is_no_bag_or_computes_without_end_is_an_error(tmp_path:
     )
     endless.commit()
     endless.close()
-    with pytest.raises(BagError, match="is no bag"):
+    with pytest.raises(BagError, match="is not a bag"):
         open_bag(tmp_path / "endless.db3")
 
 

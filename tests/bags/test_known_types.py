@@ -46,7 +46,7 @@ def newer(tmp_path: Path) -> Registry:
 
 
 def converted(source: Path, kind: Kind, registry: Registry, **more: bool) -> Path:
-    """The bag in another format, beside the source."""
+    """Convert a bag into another format, in the same folder."""
     target = source.parent / f"made_{source.stem}{'' if kind == 'db3' else '.' + kind}"
     with open_bag(source) as bag:
         convert(bag, target, kind, registry, **more)
@@ -203,7 +203,7 @@ EMPTY_BAGS = {
     "MCAP with a hash": lambda folder: foreign_mcap(
         folder / "ping.mcap", Recorded("/ping", PING, "", [CDR + b"\0"], {"topic_type_hash": EMPTY_HASH})
     ),
-    "MCAP with a hash alone": lambda folder: foreign_mcap(
+    "MCAP with only a hash": lambda folder: foreign_mcap(
         folder / "ping.mcap", Recorded("/ping", PING, None, [CDR + b"\0"], {"topic_type_hash": EMPTY_HASH})
     ),
     "MCAP of ROS 1": lambda folder: foreign_mcap(

@@ -1,4 +1,4 @@
-"""Bags that rosbag2 compressed, without the folder and the metadata that tell it."""
+"""Bags that rosbag2 compressed, without their folder and metadata."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The contract suite's side in memory: the engine alone, with a real hub."""
+"""The contract suite's side in memory: only the engine, with a real hub."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from datagrams.network import End, Node  # noqa: E402
 
 
 def free_group() -> str:
-    """A network of its own."""
+    """Return a multicast group that no other test uses."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         return f"239.255.42.1:{free.getsockname()[1]}"

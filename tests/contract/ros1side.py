@@ -15,7 +15,7 @@ from tests.support.ros1 import RosMaster
 
 
 class Ros1Side(Side):
-    """A roscore of its own."""
+    """A roscore for each test."""
 
     name = "ros1"
     has_services = True

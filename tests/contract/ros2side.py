@@ -1,4 +1,4 @@
-"""The contract suite's ROS 2: real rclpy programs over Fast DDS on a domain of its own."""
+"""The contract suite's ROS 2: real rclpy programs over Fast DDS, on a separate domain."""
 
 from __future__ import annotations
 

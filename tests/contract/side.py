@@ -73,7 +73,7 @@ class Side(ABC):
         """A new real program on the side."""
 
     def mortal(self) -> PeerLike:
-        """A program that is about to be killed, and whose death is not noticed late by a setting of its own."""
+        """A program that is about to be killed, and whose death the side notices without delay."""
         return self.peer()
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""The contract suite's YARP network: a name server of its own, and programs that name their ports ``/topic@/node``."""
+"""The contract suite's YARP network: a separate name server, and programs that name their ports ``/topic@/node``."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class ZenohBridge:
 
 
 class ZenohSide(Side):
-    """A zenoh network beside the hub's, with a router of its own."""
+    """A zenoh network with its own router, separate from the hub's."""
 
     tells_listeners = False
 
@@ -105,7 +105,7 @@ class Ros2ddsSide(ZenohSide):
 
 
 class Ros1KeysSide(ZenohSide):
-    """Bridges of the ros1 dialect, which does not tell what is latched."""
+    """Bridges of the ros1 dialect, whose keys do not show which topics are latched."""
 
     name = "zenoh_ros1"
     tells_latching = False

@@ -178,7 +178,7 @@ def test_a_definition_from_the_hub_serves_its_hash():
 
 
 def test_ros1_goes_to_the_definition_that_others_use():
-    """A bound does not show in ROS 1: the hub's own definition is used, so that its subscribers hear the topic."""
+    """A bound does not show in ROS 1: the hub's own definition is used, so that its subscribers receive the topic."""
     registry = Registry()
     registry.learn_ros2("my_msgs/msg/Thing", "string<=5 text\n")
     registry.learn_ros1("my_msgs/Thing", "string text\n")
@@ -368,7 +368,7 @@ def test_many_threads_may_ask_at_once():
 
 
 def with_ros2(tmp_path: Path, text: str) -> Registry:
-    """A registry in whose folder ROS 2's my_msgs/msg/Thing is; no text of it can be taken for ROS 1's."""
+    """Return a registry with ROS 2's my_msgs/msg/Thing in a folder, whose text ROS 1 cannot read."""
     folder = tmp_path / "share" / "my_msgs" / "msg"
     folder.mkdir(parents=True)
     (folder / "Thing.msg").write_text(text)

@@ -1,4 +1,4 @@
-"""Which topics of bags are played, under which names and types, and what is left out and why."""
+"""Select the topics of bags to play, with their names and types, and the reasons for leaving out others."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ _GOAL = "Goal"
 
 @dataclass(frozen=True, eq=False)
 class PlayTopic:
-    """A topic of one bag as it is played.
+    """A topic of one bag that is played.
 
     Attributes:
-        topic: as the bag has it.
+        topic: the topic in the bag.
         name: on the hub.
-        convert: makes CDR of the bag's bytes, or checks them; raises `bridge.messages.errors.ConversionError`.
-        definition: of the type, for those on the hub who do not know it; "" where it is not known.
-        command: it moves the robot.
-        static: transforms that are published whole at the beginning, and no more.
+        convert: converts the bag's bytes to CDR, or checks them; raises `bridge.messages.errors.ConversionError`.
+        definition: of the type, for participants without it; "" if unknown.
+        command: whether it moves the robot.
+        static: whether it has static transforms, which are published once, at the start.
     """
 
     topic: BagTopic
@@ -51,12 +51,12 @@ class PlayTopic:
 
     @property
     def velocity(self) -> bool:
-        """Whether a zero of its type ends what was commanded."""
+        """Whether a zero message of its type stops the robot."""
         return self.type_name in COMMAND_TYPES
 
     @property
     def priority(self) -> str:
-        """The class of its messages on the hub."""
+        """The priority class of its messages on the hub."""
         if self.command:
             return Priority.COMMAND.value
         return default_priority(self.name, self.type_name, latched=self.qos.latched).value
@@ -73,10 +73,10 @@ class LeftOut:
 
 
 class CommandTopics:
-    """Tells what moves a robot by type and name: what the hub's door knows (docs/operate/security.md), and more.
+    """Recognizes topics that move a robot, by type and name: those of docs/operate/security.md, and more.
 
-    A door that is too strict cuts a state off; here `--commands` is at hand. So a name that says command is enough,
-    whatever the type, and the joints that this configuration drives are known by their topics.
+    The access rules of the hub must not block state topics; here `--commands` can include a topic again. So a name like
+    a command's is enough for any type, and the topics of the joints that this configuration drives count too.
     """
 
     def __init__(self, config: Config) -> None:
@@ -100,7 +100,7 @@ class CommandTopics:
 
 
 def _short(type_name: str) -> str:
-    """Without its package: types of the same name in others count, too."""
+    """Return the name without its package, since types of the same name in other packages count too."""
     return type_name.rpartition("/")[2]
 
 
@@ -110,13 +110,13 @@ def _fits(last: str, part: str) -> bool:
 
 @dataclass(frozen=True)
 class PlayChoice:
-    """What a person asked for.
+    """The options of a play.
 
     Attributes:
-        name: whether a topic of this name, as the bag has it, is wanted.
-        remap: other names, by those in the bag.
-        commands: play what moves a robot too.
-        clock: ``/clock`` is made, and not taken of the bag.
+        name: selects topics by their names in the bag.
+        remap: new names, by those in the bag.
+        commands: whether topics that move a robot are played too.
+        clock: whether ``/clock`` is generated instead of played.
     """
 
     name: Callable[[str], bool]
@@ -128,7 +128,7 @@ class PlayChoice:
 def choose(
     bags: Iterable[Bag], registry: Registry, config: Config, wanted: PlayChoice
 ) -> tuple[dict[Bag, list[PlayTopic]], list[LeftOut]]:
-    """What is played of each bag, and what is left out of all that was asked for."""
+    """Return the topics to play of each bag, and those that were selected but are left out."""
     moving = CommandTopics(config)
     found: dict[Bag, list[PlayTopic]] = {}
     left: dict[LeftOut, None] = {}
@@ -156,12 +156,14 @@ def _made(
     name = wanted.remap.get(source, source)
 
     def left(why: str, *, command: bool = False) -> LeftOut:
-        return LeftOut(name, topic.type_name, why, command)  # the type as the bag spells it
+        return LeftOut(name, topic.type_name, why, command)  # with the type's name in the bag
 
     if wanted.clock and name == CLOCK_TOPIC:
         return left("--clock takes its place")
     if name.startswith(TAPS) or not ROS2_NAME.fullmatch(name):
-        return left("it is no name of a topic: letters, digits and underscores make its parts; --remap gives another")
+        return left(
+            "it is not a valid topic name (letters, digits and underscores between slashes); --remap gives it another"
+        )
     try:
         if unfit is not None:
             raise unfit
@@ -173,17 +175,17 @@ def _made(
         return left("it moves the robot (--commands plays it)", command=True)
     type_hash, convert = form.type_hash or UNKNOWN_HASH, form.convert
     if convert is None:
-        # who does not know the type hands its bytes on; those who do, check them
+        # bytes of an unknown type pass unchecked
         with suppress(MessageTypeError):
             convert = registry.hub_check(form.type_name, form.type_hash)
     static = form.type_name == TF_TYPE and name.endswith(STATIC)
-    # a command that was kept would move whoever comes late
+    # a latched command would move robots that join late
     qos = Qos(topic.qos.reliability, depth=1) if command else LATCHED if static else topic.qos
     return PlayTopic(topic, name, form.type_name, type_hash, convert, form.definition, qos, command, static)
 
 
 def twice(topics: Sequence[PlayTopic]) -> set[str]:
-    """Names that are played with several types, which no subscriber hears all."""
+    """Return names that are played with several types, of which a subscriber receives only one."""
     kinds: dict[str, set[str]] = {}
     for topic in topics:
         kinds.setdefault(topic.name, set()).add(topic.type_name)

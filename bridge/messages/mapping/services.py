@@ -1,4 +1,4 @@
-"""Services of ROS 1 and ROS 2: their definitions, which stand for each other, and how their bytes get across."""
+"""Services of ROS 1 and ROS 2: their definitions, their counterparts, and the conversion of their bytes."""
 
 from __future__ import annotations
 
@@ -20,39 +20,39 @@ from bridge.messages.transcode.conversion import ServiceConversion, SideType
 class ServiceSchema:
     """A service of one world."""
 
-    name: str  #: as the side spells it
+    name: str  #: in the spelling of its side
     type_id: str
     request: Schema  #: the request's message, named ``pkg/srv/Name_Request`` in both worlds
     response: Schema
 
     @property
     def side_type(self) -> SideType:
-        """What is announced of it on its side, or on the hub."""
+        """The type as announced on its side, or on the hub."""
         text = f"{full_text(self.request)}---\n{full_text(self.response)}"
         return SideType(self.name, self.type_id, text)
 
 
 def ros1_service(name: str, request: Schema, response: Schema) -> ServiceSchema:
-    """A service of ROS 1."""
+    """Return a service of ROS 1."""
     return ServiceSchema(name, md5_sum(request, response), request, response)
 
 
 def ros2_service(root: Schema) -> ServiceSchema:
-    """The service of ROS 2 that a schema describes; raises `MessageTypeError` where it describes none."""
+    """Return the ROS 2 service that a schema describes; raises `MessageTypeError` if it does not describe one."""
     if any(f"{root.name}_{part}" not in root.types for part in CONTENTS["srv"]):
-        raise MessageTypeError(f"the definition that was announced of {root.name} is not that of a service")
+        raise MessageTypeError(f"the announced definition of {root.name} is not that of a service")
     request, response = (root.sub(f"{root.name}_{part}") for part in CONTENTS["srv"])
     return ServiceSchema(root.name, rihs01(root), request, response)
 
 
 class ServiceMapping:
-    """The registry's services; the registry locks. Raises `MessageTypeError` for those that it cannot map."""
+    """The registry's services; the registry locks. Raises `MessageTypeError` for services that it cannot map."""
 
     def __init__(self, messages: MessageMapping) -> None:
         self._messages = messages
 
     def of_ros1(self, name: str, md5: str = "") -> ServiceSchema:
-        """The ROS 1 service ``pkg/Name``; where ROS 2 alone has it, the one derived from there."""
+        """Return the ROS 1 service ``pkg/Name``; if only ROS 2 has it, the one derived from there."""
         if name == CANCEL_GOAL:
             return self._derive_ros1(self.of_ros2(name))
         if not is_ros1_name(name):
@@ -72,7 +72,7 @@ class ServiceMapping:
         return found
 
     def of_ros2(self, name: str, type_hash: str = "") -> ServiceSchema:
-        """The ROS 2 service ``pkg/srv/Name``; where ROS 1 alone has it, the one derived from there."""
+        """Return the ROS 2 service ``pkg/srv/Name``; if only ROS 1 has it, the one derived from there."""
         if not is_ros2_name(name) or not is_service(name):
             raise unknown_type(name, World.ROS2)
         found = self._find_ros2(name, type_hash)
@@ -88,7 +88,7 @@ class ServiceMapping:
         raise unknown_type(name, World.ROS2, type_hash, known)
 
     def part(self, name: str, type_hash: str = "") -> Schema:
-        """The request or response of a ROS 2 service that ROS 1 alone has."""
+        """Return the request or response of a ROS 2 service that is only defined in ROS 1."""
         base, part = split_part(name)
         service = self.of_ros2(base) if part in CONTENTS["srv"] else None
         found = None if service is None else service.request if part == "Request" else service.response
@@ -97,7 +97,7 @@ class ServiceMapping:
         return found
 
     def to_ros2(self, ros1: ServiceSchema) -> ServiceSchema:
-        """The ROS 2 service for one of ROS 1: installed, announced on the hub and saying the same, else derived."""
+        """Return the ROS 2 service for one of ROS 1: installed, announced with equal fields, else derived."""
         names = [CANCEL_GOAL] if ros1.name == CANCEL_GOAL else self._messages.rules.ros2_names(ros1.name, "srv")
         for name in names:
             root = self._messages.ros2.installed(name)
@@ -113,7 +113,7 @@ class ServiceMapping:
         return self._derive_ros2(ros1)
 
     def to_ros1(self, ros2: ServiceSchema) -> ServiceSchema:
-        """The ROS 1 service for one of ROS 2: installed, else derived."""
+        """Return the ROS 1 service for one of ROS 2: installed, else derived."""
         first: ServiceSchema | None = None
         for ros1 in self._ros1_candidates(ros2.name):
             back = self.to_ros2(ros1)
@@ -123,7 +123,7 @@ class ServiceMapping:
         return first or self._derive_ros1(ros2)
 
     def conversion(self, ros1: ServiceSchema, ros2: ServiceSchema) -> ServiceConversion:
-        """How calls get from either to the other."""
+        """Return the conversion of calls between the two."""
         request = self._messages.conversion(ros1.request, ros2.request)
         response = self._messages.conversion(ros1.response, ros2.response)
         return ServiceConversion(
@@ -137,7 +137,7 @@ class ServiceMapping:
         )
 
     def names(self, package: str) -> list[str]:
-        """ROS 2 services of a package: installed, announced on the hub, or made of ROS 1 services."""
+        """Return the ROS 2 services of a package: installed, announced on the hub, or derived from ROS 1 services."""
         known = [name for name in self._messages.ros2.names(package, "srv") if is_service(name)]
         for name in self._messages.ros1.names(package, "srv"):
             ros2 = legal_type(name.replace("/srv/", "/", 1), "srv")
@@ -151,7 +151,7 @@ class ServiceMapping:
         return ros1_service(name, request, response) if request is not None and response is not None else None
 
     def _empty_ros1(self, name: str) -> ServiceSchema:
-        """A service whose md5 shows that neither its request nor its response has a field."""
+        """Return a service whose md5 shows that neither its request nor its response has a field."""
         base = name.replace("/", "/srv/", 1)
         request, response = (Definition(f"{base}_{part}", World.ROS1, ()) for part in CONTENTS["srv"])
         return ros1_service(name, closure(request, {}), closure(response, {}))
@@ -161,7 +161,7 @@ class ServiceMapping:
         return None if root is None else ros2_service(root)
 
     def _ros1_candidates(self, ros2_name: str) -> Iterator[ServiceSchema]:
-        """All ROS 1 services that may stand for a ROS 2 name, the likeliest first."""
+        """Yield all ROS 1 services that may correspond to a ROS 2 name, the likeliest first."""
         package = ros2_name.split("/", 1)[0]
         names = self._messages.rules.ros1_names(ros2_name)
         others = [name.replace("/srv/", "/", 1) for name in self._messages.ros1.names(package, "srv")]
@@ -174,7 +174,7 @@ class ServiceMapping:
     def _derive_ros2(self, ros1: ServiceSchema) -> ServiceSchema:
         base = legal_type(ros1.name, "srv")
         info = self._messages.ros2.installed("service_msgs/msg/ServiceEventInfo")
-        assert info is not None  # rosbags' store has it
+        assert info is not None  # rosbags ships it
         types = {**made_parts(base, World.ROS2), **info.types}
         for ros1_part in (ros1.request, ros1.response):
             types |= derive_ros2(ros1_part, self._messages.to_ros2, f"{base}_{ros1_part.name.rpartition('_')[2]}").types
