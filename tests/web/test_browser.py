@@ -620,6 +620,36 @@ def test_many_places_scroll_in_their_list_only(operator: Operator, places: Calla
     assert many["visible"] >= 8
 
 
+ENDPOINTS = """
+const { statusView } = await import("./status.js");
+const [root, own] = [document.createElement("div"), { watch: (_, show) => ((own.show = show), () => {}), call() {} }];
+document.body.append(root);
+statusView(root, own).show();
+const shown = (endpoints) => {
+  own.show({ workers: [], machines: [], endpoints, routes: [], refused: [] });
+  const block = root.querySelector(".endpoints");
+  return block.hidden ? null : block.innerText;
+};
+const [name, why] = [{ daemon: "robot1", machine: "", since: 1.7e9 }, { reason: "another authority", cure: "copy it" }];
+const good = { ...name, way: "listen", endpoint: "tls/0.0.0.0:7448", state: "listening", reason: "", cure: "" };
+const bad = { ...name, way: "connect", endpoint: "tls/base:7448", state: "refused", ...why };
+const result = [shown([good]), shown([good, bad]), shown([good])];
+root.remove();
+return result;
+"""
+
+
+def test_an_endpoint_that_does_not_connect(operator: Operator) -> None:
+    operator.open("status")
+    before, failing, after = operator.chrome.execute_script(f"return (async () => {{{ENDPOINTS}}})()")
+    assert before is after is None
+    assert "tls/base:7448 refused since " in failing
+    assert "(hub.open.connect of robot1)" in failing
+    assert "another authority" in failing
+    assert "copy it" in failing
+    assert "7448 listening" not in failing
+
+
 def test_status_and_frames(operator: Operator) -> None:
     chrome = operator.chrome
     operator.open("status")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import os
 import re
+import sys
 import threading
 import time
 from collections import deque
@@ -23,6 +24,7 @@ from bridge.hub.errors import zenoh_reason
 _log = logging.getLogger(__name__)
 
 _FILTER = "off,zenoh_link_tls=warn,zenoh_link_commons=warn,zenoh::net::runtime::orchestrator=debug"
+_ZENOH = re.compile(r"\d{4}-\d\d-\d\dT\S+ +(?:ERROR|WARN|INFO|DEBUG|TRACE) ")
 _COLORS = re.compile(r"\x1b\[[0-9;]*m")
 _REFUSED = re.compile(
     r"WARN .*?(zenoh_link_(?:tls|quic|commons)\S*): (?:QUIC acceptor failed: )?(.*?)(?:\. Hint: .*)?$"
@@ -57,6 +59,8 @@ class ZenohLog:
         A second call replaces the first.
         """
         log = cls()
+        if sys.platform == "win32":  # its pipes cannot be written without waiting
+            return log
         output, to_log = os.pipe()
         os.set_blocking(to_log, False)  # a full pipe must not stop zenoh's acceptor: it drops the line
         os.dup2(to_log, 1)
@@ -71,13 +75,12 @@ class ZenohLog:
         os.dup2(2, 1)
 
     def feed(self, line: str) -> None:
-        """Take in one line of the log."""
-        text = _COLORS.sub("", line).strip()
-        if match := _REFUSED.search(text):
+        """Add one line of the log, without colors."""
+        if match := _REFUSED.search(line):
             protocol = "tls" if match[1].startswith("zenoh_link_tls") else "quic"
             with self._lock:
                 self._refusals.append(LoggedRefusal(time.monotonic(), protocol, zenoh_reason(Exception(match[2]))))
-        elif match := _FAILED.search(text):
+        elif match := _FAILED.search(line):
             with self._lock:
                 if match[1] in self._failures or len(self._failures) < _MOST_ENDPOINTS:
                     self._failures[match[1]] = (time.monotonic(), zenoh_reason(Exception(match[2])).strip(". "))
@@ -97,6 +100,7 @@ class ZenohLog:
         pass_on = bool(os.environ.get("RUST_LOG"))
         with os.fdopen(output, "rb") as lines:
             while line := lines.readline(_LONGEST):
-                self.feed(line.decode(errors="replace"))
-                if pass_on:
+                text = _COLORS.sub("", line.decode(errors="replace")).strip()
+                self.feed(text)
+                if pass_on or not _ZENOH.match(text):
                     os.write(2, line)
