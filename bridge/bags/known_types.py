@@ -9,6 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from bridge.bags.bag import Bag, BagError, BagTopic
+from bridge.bags.definitions import full_schema
 from bridge.messages.definitions.hashes import rihs01
 from bridge.messages.definitions.names import is_ros1_name, is_ros2_name
 from bridge.messages.definitions.schema import World
@@ -32,15 +33,22 @@ def ros2_type(registry: Registry, topic: BagTopic) -> SideType:
     """Return the ROS 2 type of a topic: by the bag's own definition, else by its hash, else by its name.
 
     If the bag's definition does not have the bag's hash, the definition wins: the messages are written by it.
-    Raises `MessageTypeError` if the definition cannot be read, or if without one the type or its hash is unknown here.
+    Raises `MessageTypeError` if the definition cannot be read, if it nests a type that is missing in it and differs
+    here, or if without a definition the type or its hash is unknown here.
     """
     name, type_hash = topic.type_name, topic.type_hash
     if topic.definition:
         try:
-            type_hash = registry.learn_ros2(name, topic.definition)
+            learned = registry.learn_ros2(name, topic.definition)
         except MessageTypeError:
             if not type_hash:
                 raise
+        else:
+            if type_hash not in ("", learned) and not _is_complete(topic):
+                raise MessageTypeError(
+                    f"a type that {name} nests is missing in the bag, and has changed since", FOLDERS
+                )
+            type_hash = learned
     schema = registry.schema(name, type_hash)
     return SideType(name, type_hash or rihs01(schema), full_text(schema))
 
@@ -74,18 +82,28 @@ def typed(topic: BagTopic, path: Path) -> BagTopic:
     raise BagError(path, f"{topic.name} has type {topic.type_name!r}, which is not a type of {topic.world.value}")
 
 
+def _is_complete(topic: BagTopic) -> bool:
+    """Whether the bag defines the ROS 2 type of a topic and all types that it nests."""
+    with suppress(MessageTypeError):
+        return bool(topic.definition and full_schema(topic.type_name, topic.definition))
+    return False
+
+
 def misfits(bag: Bag, topics: Iterable[BagTopic], registry: Registry) -> dict[BagTopic, BagError]:
     """Return the topics whose first messages do not fit the definition known here, with the error for each.
 
-    This concerns topics for which the bag has neither a definition nor a hash, as bags of Foxy and Humble.
+    This concerns topics for which the bag has neither a complete definition nor a hash, as bags of Foxy and Humble.
     """
     errors: dict[BagTopic, BagError] = {}
     for topic in topics:
-        if topic.definition or topic.type_hash not in ANY_MD5:
+        if topic.type_hash not in ANY_MD5 or (topic.definition and topic.world is World.ROS1):
             continue
         # an unknown type has no check; if the bag is damaged, its conversion reports that
         with suppress(MessageTypeError, BagError):
-            check = _check(registry, typed(topic, bag.path))
+            known = typed(topic, bag.path)
+            if _is_complete(known):
+                continue
+            check = _check(registry, known)
             try:
                 for message in islice(bag.messages([topic]), min(topic.count, _CHECKED)):
                     check(message.data)
@@ -96,8 +114,8 @@ def misfits(bag: Bag, topics: Iterable[BagTopic], registry: Registry) -> dict[Ba
 
 def _misfit(bag: Bag, topic: BagTopic, err: ConversionError) -> BagError:
     what = (
-        f"{topic.name} has type {topic.type_name}, of which the bag holds no definition, and its messages do not fit"
-        f" the definition known here: {err}"
+        f"{topic.name} has type {topic.type_name}, of which the bag holds no complete definition, and its messages do"
+        f" not fit the one known here: {err}"
     )
     return BagError(bag.path, what, None, FOLDERS)
 
@@ -106,7 +124,7 @@ def _check(registry: Registry, topic: BagTopic) -> Callable[[bytes], object]:
     """Return a check of messages against the definition known here; raises `MessageTypeError` if it is unknown."""
     if topic.world is World.ROS1:
         return registry.ros1_to_hub(topic.type_name, topic.type_hash).convert or bytes
-    check = registry.hub_check(topic.type_name)
+    check = registry.hub_check(topic.type_name, ros2_type(registry, topic).type_id)
 
     def strict(data: bytes) -> None:
         rest = data[len(check(data)) :]

@@ -130,7 +130,9 @@ def humble(tmp_path: Path) -> Path:
 
 @SEVERAL
 def test_without_a_definition_the_messages_must_fit(kind: Kind, humble: Path) -> None:
-    with pytest.raises(BagError, match=r"/range has type sensor_msgs/msg/Range.*no definition.*do not fit") as caught:
+    with pytest.raises(
+        BagError, match=r"/range has type sensor_msgs/msg/Range.*no complete definition.*do not fit"
+    ) as caught:
         converted(humble, kind, Registry())
     assert FOLDERS in str(caught.value)
     target = converted(humble, kind, Registry(), skip_unknown=True)
@@ -162,6 +164,23 @@ def test_definitions_that_do_not_fit_are_noticed(text: str, messages: list[bytes
     source = humble_db3(tmp_path / "a.db3", Recorded("/drive", DRIVE, None, messages))
     with pytest.raises(BagError, match=r"/drive.*do not fit.*types\.folders"):
         converted(source, "mcap", Registry(folders=[tmp_path / "types"]))
+
+
+@pytest.mark.parametrize("metadata", [{}, {"topic_type_hash": "RIHS01_" + "ab" * 32}])
+def test_nested_types_that_a_definition_leaves_out_must_fit(metadata: dict[str, str], tmp_path: Path) -> None:
+    folder = tmp_path / "types" / "my_robot" / "msg"
+    folder.mkdir(parents=True)
+    registry = Registry(folders=[tmp_path / "types"])
+    data = CDR + struct.pack("<Iff", 1, 1.5, 0.25)
+    recorded = Recorded("/drives", "my_robot/msg/Drives", "Drive[] drives\n", [data], metadata)
+    source = foreign_mcap(tmp_path / "a.mcap", recorded)
+    (folder / "Drive.msg").write_text(f"{OLD_DRIVE}float64 since\n")
+    with pytest.raises(BagError, match=r"/drives has type my_robot/msg/Drives.*types\.folders"):
+        converted(source, "bag", registry)
+    if not metadata:
+        (folder / "Drive.msg").write_text(OLD_DRIVE)
+        [(_, _, message)] = rosbags(converted(source, "bag", Registry(folders=[tmp_path / "types"])))
+        assert [(drive.speed, drive.angle) for drive in message.drives] == [(1.5, 0.25)]
 
 
 def test_a_hash_that_is_unknown_here_is_not_replaced(tmp_path: Path) -> None:
