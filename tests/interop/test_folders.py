@@ -41,8 +41,22 @@ NESTED = {
     "mixed_msgs/Note": NOTE,
 }
 ID = {"actionlib_msgs/GoalID": "time stamp\nstring id\n"}
+STATES = [
+    "PENDING",
+    "ACTIVE",
+    "PREEMPTED",
+    "SUCCEEDED",
+    "ABORTED",
+    "REJECTED",
+    "PREEMPTING",
+    "RECALLING",
+    "RECALLED",
+    "LOST",
+]
 STATUS = {
-    "actionlib_msgs/GoalStatus": "GoalID goal_id\nuint8 status\nstring text\n",
+    "actionlib_msgs/GoalStatus": "GoalID goal_id\nuint8 status\n"
+    + "".join(f"uint8 {name}={number}\n" for number, name in enumerate(STATES))
+    + "string text\n",
     "mixed_msgs/GoGoal": "Inner start\n",
     "mixed_msgs/GoResult": "Note[] notes\n",
     "mixed_msgs/GoFeedback": "Outer at\n",
