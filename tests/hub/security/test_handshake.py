@@ -6,7 +6,7 @@ import errno
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -132,6 +132,22 @@ def test_a_host_that_is_down(error: OSError, state: EndpointState, text: str) ->
     reason = unreachable(error, "10.0.0.9:7448")
     assert reason.state is state
     assert text in reason.text
+
+
+def test_a_host_that_drops_packets(keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Linux does not answer a port whose queue is full, as a machine that is off does not answer at all."""
+    monkeypatch.setattr("bridge.hub.security.handshake._CONNECT_SECONDS", 0.3)
+    with ExitStack() as stack:
+        full = stack.enter_context(socket.create_server(("127.0.0.1", 0), backlog=0))
+        for _ in range(4):
+            waiting = stack.enter_context(socket.socket())
+            waiting.setblocking(False)
+            waiting.connect_ex(full.getsockname())
+        port = full.getsockname()[1]
+        for endpoint in (f"tls/127.0.0.1:{port}", f"tcp/127.0.0.1:{port}"):
+            result = attempted(endpoint, identity(keys / "a", "operator1"))
+            assert result.reason.state is EndpointState.NOT_ANSWERING
+            assert result.reason.text == f"no answer from 127.0.0.1:{port}"
 
 
 @contextmanager
