@@ -1,4 +1,4 @@
-"""A real Prometheus scrapes a real daemon, promtool checks the alerts, and all that they name is told."""
+"""A real Prometheus scrapes a real daemon, and promtool checks the alerts, whose metrics all exist."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ STRING = "std_msgs/String"
 
 
 class Watched(Deployment):
-    """A deployment with metrics at an address of their own, a gateway, a store, and a topic that crosses."""
+    """A deployment with metrics at a separate address, a gateway, a store, a topic that crosses and an endpoint."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -42,7 +42,9 @@ class Watched(Deployment):
         self.address = f"127.0.0.1:{self.port_of_metrics}"
 
     def begin(self) -> None:
+        other = {"connect": [f"tcp/127.0.0.1:{free_port()}"], "insecure": True}
         self.start(
+            hub={"listen": f"tcp/127.0.0.1:{self.port}", "open": other},
             metrics={"enabled": True, "listen": self.address},
             navigation={"planner": "nav2"}, store={"enabled": True}, yarp={"enabled": False},
         )  # fmt: skip
@@ -59,7 +61,7 @@ class Watched(Deployment):
         until(lambda: self.get("/readyz")[0] == 200, "all is ready", 40, every=0.2)
 
     def pid_of(self, worker: str) -> int:
-        """The process of a worker, by the daemon's word."""
+        """The process of a worker, as the daemon reports it."""
         said = ask_daemon(load(self.file))
         assert said is not None
         return next(one["pid"] for one in said["workers"] if one["worker"] == worker)
@@ -132,7 +134,7 @@ def test_all_that_the_dashboard_and_the_alerts_name_is_told(watched: Watched) ->
     wanted = named(DASHBOARD.read_text()) | named(RULES.read_text())
     assert len(wanted) > 30
     assert not wanted - told
-    assert {family.name for family in FAMILIES} - told == set(), "each family is told of by a real daemon"
+    assert {family.name for family in FAMILIES} - told == set(), "a real daemon has each family"
 
 
 def test_the_dashboard_is_whole() -> None:
@@ -201,7 +203,7 @@ def test_a_worker_that_hangs_is_told_of_and_holds_nothing_up(watched: Watched) -
         assert 'midspan_worker_answering{worker="ros1"} 1.0' in text
         took = next(float(line.split()[1]) for line in text.splitlines() if line.startswith("midspan_ask_duration"))
         assert 0.9 < took < 3.0
-        assert 'midspan_worker_resident_memory_bytes{worker="modules"}' in text, "the system says it all the same"
+        assert 'midspan_worker_resident_memory_bytes{worker="modules"}' in text, "the system reports it"
     finally:
         os.kill(pid, signal.SIGCONT)
     until(lambda: f"{answering}1.0" in watched.get("/metrics")[1], "it answers again", 40, every=0.2)
