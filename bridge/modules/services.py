@@ -19,17 +19,17 @@ from bridge.routing.counters import Counters
 _log = logging.getLogger(__name__)
 
 MAX_WAITING = 1000
-"""Requests of one server that wait for the module's thread or its answer at most."""
+"""Maximum number of pending requests per server."""
 
 Answer = Callable[[Mapping[str, Any] | CallError], None]
-"""Takes the reply, or an error; once, from any thread."""
+"""Sends the reply or an error; called once, from any thread."""
 
 Serve = Callable[[dict[str, Any], Answer], Any]
-"""``serve(request, answer)``: runs on the module's thread; the answer may come later."""
+"""``serve(request, answer)``: runs on the module's thread; ``answer`` may be called later."""
 
 
 class ModuleServer:
-    """Serves one service on the hub; made by `bridge.modules.host.ModuleNode.server`."""
+    """A server of one service on the hub, created by `bridge.modules.host.ModuleNode.server`."""
 
     KIND = "server"
 
@@ -46,7 +46,7 @@ class ModuleServer:
         side = registry.service_ros2(type_name)
         self.topic, self.type_name = name, type_name
         self.counters = Counters()
-        self.caller = b""  # GID of who sent the request that is being served, on the module's thread
+        self.caller = b""  # GID of the client whose request is being served, on the module's thread
         self._loop, self._serve, self._at_once = loop, serve, at_once
         self._request, self._response = registry.service_schemas(type_name)
         self._check, _ = registry.hub_service_check(type_name)
@@ -55,13 +55,13 @@ class ModuleServer:
         self._end: HubServer = hub.server(name, type_name, side.type_id, self._call)
 
     def close(self) -> None:
-        """Serve no more."""
+        """Close the server."""
         self._end.close()
 
     def _call(self, payload: bytes, done: Done) -> Abandon:
         if self.waiting >= MAX_WAITING:
             self.counters.dropped("queue")
-            done(CallError(f"{self.topic} is busy: {MAX_WAITING} requests wait for it"))
+            done(CallError(f"{self.topic} is busy: {MAX_WAITING} requests are pending"))
             return nothing
         try:
             request = MessageReader(self._request, self._check(payload)).message()
@@ -89,7 +89,7 @@ class ModuleServer:
             pending.answer(CallError(f"{self.topic} failed: {type(err).__name__}: {err}"))
 
     def encode(self, reply: Mapping[str, Any]) -> bytes | CallError:
-        """A reply's bytes."""
+        """Encode a reply as CDR; return a `CallError` if it does not fit the type."""
         try:
             return MessageWriter(self._response).message(reply)
         except ConversionError as err:
@@ -97,13 +97,13 @@ class ModuleServer:
             return CallError(f"{self.topic} sent a malformed reply: {err}")
 
     def count(self, step: int) -> None:
-        """One request more waits, or less."""
+        """Change the number of pending requests by ``step``."""
         with self._lock:
             self.waiting += step
 
 
 class _Pending:
-    """One request that has no answer yet. Safe to use from any thread."""
+    """One pending request. Safe to use from any thread."""
 
     def __init__(self, server: ModuleServer, done: Done) -> None:
         self._server, self._done = server, done

@@ -1,13 +1,15 @@
-"""A name server as the real ``yarpserver`` of YARP 3.9 to 4.0 behaves where ours does not.
+"""A name server with the behavior of ``yarpserver`` (YARP 3.9 to 4.0) that differs from Midspan's name server.
 
-What it copies of that one (``NameServiceOnTriples.cpp``, ``AllocatorOnTriples.cpp``, and what was seen of 3.9.1):
+It copies this behavior (``NameServiceOnTriples.cpp``, ``AllocatorOnTriples.cpp``, and observations of 3.9.1):
 
-- port numbers are given out from two above its own on and never tried; a port that says its number moves nothing;
-- a name keeps the number that it was given, also after it was unregistered;
-- a restart forgets all of that, and the programs' ports do not register again;
-- with ``--ros`` it asks a ROS 1 master for names that it does not know, and registers ports ``/topic+@/node`` there
-  when they are announced, under the address of the node's own port;
-- multicast groups are 224.1.1.3 and so on, each with one of those numbers; what a port ``owns`` goes with it.
+- Port numbers are assigned in order, starting two above the server's own port, without checking that they are free.
+  A port that registers with an explicit number does not change this order.
+- A name keeps its number, also after it was unregistered.
+- A restart clears all registrations, and the programs' ports do not register again.
+- With ``--ros`` the server looks up unknown names at a ROS 1 master. When a port ``/topic+@/node`` is announced, it
+  registers the port there under the address of the node's own port.
+- Multicast groups are 224.1.1.3 and so on, each with one of those numbers. Unregistering a port also unregisters the
+  ports that it ``owns``.
 """
 
 from __future__ import annotations
@@ -26,11 +28,11 @@ END = "*** end of message"
 
 
 class RealNameServer:
-    """Serves the text protocol on loopback.
+    """A server of the text protocol on loopback.
 
     Args:
-        port: its own port number.
-        master: URI of the ROS 1 master that it was given with ``--ros``.
+        port: TCP port of the server.
+        master: URI of the ROS 1 master, as with ``--ros``; "" for none.
     """
 
     def __init__(self, port: int, master: str = "") -> None:
@@ -44,18 +46,18 @@ class RealNameServer:
 
         class Handler(socketserver.StreamRequestHandler):
             def handle(self) -> None:
-                for line in self.rfile:
-                    with contextlib.suppress(ConnectionError):  # who has its answer leaves
-                        self.wfile.write("".join(f"{one}\r\n" for one in self._reply(line.decode())).encode())
+                for request in self.rfile:
+                    with contextlib.suppress(ConnectionError):  # the client may disconnect after its answer
+                        self.wfile.write("".join(f"{line}\r\n" for line in self._reply(request.decode())).encode())
 
-            def _reply(self, line: str) -> list[str]:
-                """Reply in the carrier of the name server, or in that of a port, ``CONNACK``."""
-                carrier, _, rest = line.strip().partition(" ")
+            def _reply(self, request: str) -> list[str]:
+                """Reply in the carrier of the request: the name server's, or ``CONNACK`` as a port does."""
+                carrier, _, rest = request.strip().partition(" ")
                 if carrier == "CONNACK":
                     return [f"Welcome {rest}"]
                 if carrier == "d":
                     return []
-                answer = outer.answer(from_text(rest.replace('"', "") if carrier == "NAME_SERVER" else line))
+                answer = outer.answer(from_text(rest.replace('"', "") if carrier == "NAME_SERVER" else request))
                 return answer if carrier == "NAME_SERVER" else [*answer[:-1], "<ACK>"]
 
         class Server(socketserver.ThreadingTCPServer):
@@ -77,36 +79,35 @@ class RealNameServer:
             self._master("close")()
 
     def forget(self) -> None:
-        """What a restart does."""
+        """Clear all registrations, as a restart does."""
         with self._lock:
             self.ports.clear()
             self.properties.clear()
-            self._next, self._kept = self.address.port + 2, dict[str, int]()
+            self._next, self._assigned = self.address.port + 2, dict[str, int]()
             self._groups = self._names = 0
 
     def answer(self, words: list[Any]) -> list[str]:
-        """The lines that answer a command."""
+        """Return the lines of the answer to a command."""
         with self._lock:
             match words:
-                case ["register", str(name), *given]:
-                    return [*self._shown(self._register(name, *given)), END]
+                case ["register", str(name), *contact]:
+                    return [*self._registration(self._register(name, *contact)), END]
                 case ["unregister", str(name)]:
                     self._unregister(name)
                     return [END]
                 case ["query", str(name)]:
-                    return [*(self._shown(name) or self._asked(name)), END]
-                case ["list", *prefix]:
-                    at = str(prefix[0]) if prefix else ""
-                    return [
-                        line for name in sorted(self.ports) if name.startswith(at) for line in self._shown(name)
-                    ] + [END]
+                    return [*(self._registration(name) or self._node_at_master(name)), END]
+                case ["list", *arguments]:
+                    prefix = str(arguments[0]) if arguments else ""
+                    names = [name for name in sorted(self.ports) if name.startswith(prefix)]
+                    return [*(line for name in names for line in self._registration(name)), END]
                 case ["set", str(name), str(key), *values]:
                     self.properties[name, key] = values
                     return [f"port {name} property {key} = {' '.join(map(str, values))}", END]
                 case ["bot", "get", str(name), str(key)]:
                     return [" ".join(map(str, self.properties.get((name, key), [])))]
                 case ["announce", str(name), *_]:
-                    self._tell_master("register", name)
+                    self._call_master("register", name)
                     return ["[ok]"]
             return [END]
 
@@ -120,37 +121,39 @@ class RealNameServer:
             self._groups += 1
             host = f"224.1.1.{self._groups + 2}"
         if not isinstance(number, int) or number <= 0:
-            number = self._kept.get(name, 0)
+            number = self._assigned.get(name, 0)
             if not number:
                 number, self._next = self._next, self._next + 1
-                self._kept[name] = number
+                self._assigned[name] = number
         self.ports[name] = ("127.0.0.1" if host == "..." else host, number, carrier)
         return name
 
-    def _asked(self, name: str) -> list[str]:
-        """What the master says of a name."""
+    def _node_at_master(self, name: str) -> list[str]:
+        """Return the registration line of a ROS 1 node that the master lists."""
         code, _, uri = self._master.lookupNode("dummy_id", name) if self._master is not None else (0, "", "")
-        at = urlsplit(uri if code == 1 else "")
-        return [f"registration name {name} ip {at.hostname} port {at.port} type xmlrpc"] if at.hostname else []
+        url = urlsplit(uri if code == 1 else "")
+        return [f"registration name {name} ip {url.hostname} port {url.port} type xmlrpc"] if url.hostname else []
 
-    def _tell_master(self, what: str, name: str) -> None:
-        topic, at, node = name.partition("@")
-        if self._master is None or not at or name not in self.ports or node not in self.ports:
+    def _call_master(self, verb: str, name: str) -> None:
+        """Register or unregister the port of a node at the master."""
+        topic, separator, node = name.partition("@")
+        if self._master is None or not separator or name not in self.ports or node not in self.ports:
             return
-        method = f"{what}{'Publisher' if topic.endswith('+') else 'Subscriber'}"
+        method = f"{verb}{'Publisher' if topic.endswith('+') else 'Subscriber'}"
         host, number, _ = self.ports[node]
-        type_name = [str(value) for value in self.properties.get((name, "type"), ["*"])] if what == "register" else []
+        type_name = [str(value) for value in self.properties.get((name, "type"), ["*"])] if verb == "register" else []
         getattr(self._master, method)(node, topic[:-1], *type_name, f"http://{host}:{number}/")
 
     def _unregister(self, name: str) -> None:
-        self._tell_master("unregister", name)
+        self._call_master("unregister", name)
         self.ports.pop(name, None)
         for key in [key for key in self.properties if key[0] == name]:
             values = self.properties.pop(key)
             for owned in values if key[1] == "owns" else []:
                 self._unregister(str(owned))
 
-    def _shown(self, name: str) -> list[str]:
+    def _registration(self, name: str) -> list[str]:
+        """Return the registration line of a port, or nothing if it is not registered."""
         if name not in self.ports:
             return []
         host, number, carrier = self.ports[name]

@@ -1,6 +1,6 @@
-"""YARP programs for tests: ports opened as ``/topic@/node``, whose messages are made by `yarp_compat.rosmsg`.
+"""YARP programs for tests: ports named ``/topic@/node``, whose messages `yarp_compat.rosmsg` encodes and decodes.
 
-That is the other implementation of the layout that the bridge's own converters write.
+`yarp_compat.rosmsg` implements the layout independently of the bridge's converters.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from yarp_compat.rosmsg.message import Message, TickTime
 
 
 class Names:
-    """A name server of a test's own."""
+    """A name server on a free port, with a client."""
 
     def __init__(self) -> None:
         self.address = Address("127.0.0.1", free_port(room=20))
@@ -37,7 +37,7 @@ class Names:
 
     @property
     def endpoint(self) -> str:
-        """Its address, as the configuration has it."""
+        """Address as ``host:port``, as in the configuration."""
         return f"{self.address.host}:{self.address.port}"
 
     def start(self) -> None:
@@ -50,7 +50,7 @@ class Names:
 
 
 class Definitions(MessageLibrary):
-    """Finds definitions where the bridge's tests have them."""
+    """Message definitions from the bridge's registry."""
 
     def __init__(self, folders: tuple[Path, ...]) -> None:
         super().__init__({})
@@ -59,13 +59,13 @@ class Definitions(MessageLibrary):
 
 
 class YarpProgram:
-    """One program with ports of topics."""
+    """A program that publishes and subscribes to topics, with one port per endpoint."""
 
     def __init__(self, names: Names, node: str, definitions: Definitions) -> None:
         self._naming, self._node, self._definitions = names.client, node, definitions
         self._ports: dict[int, PortCore] = {}
         self._types: dict[int, type[Message]] = {}
-        self._heard: dict[int, list[dict[str, Any]]] = {}
+        self._received: dict[int, list[dict[str, Any]]] = {}
         self._last: dict[int, list[Any]] = {}
         self._ids = itertools.count(1)
         self._changed = threading.Condition()
@@ -81,7 +81,7 @@ class YarpProgram:
 
     def subscribe(self, topic: str, type_: str, **_: Any) -> int:
         number = next(self._ids)
-        self._heard[number] = []
+        self._received[number] = []
         self._open(number, topic, SUBSCRIBER, type_)
         return number
 
@@ -90,8 +90,8 @@ class YarpProgram:
         core = self._ports[number] = PortCore(
             NestedName(topic, f"{self._node}_{number}", role).port,
             naming=self._naming,
-            on_message=lambda message: self._hear(number, message),
-            on_event=lambda event: self._linked(number, event),
+            on_message=lambda message: self._on_message(number, message),
+            on_event=lambda event: self._on_connection(number, event),
             type_name=type_,
             is_input=role == SUBSCRIBER,
             is_output=role == PUBLISHER,
@@ -100,11 +100,11 @@ class YarpProgram:
             core.properties[LATCHED] = 1
         core.open()
         self._naming.set_property(core.name, "type", type_)
-        self._join(NestedName.parse(core.name))
+        self._connect(NestedName.parse(core.name))
         return core
 
-    def _join(self, own: NestedName) -> None:
-        """Connect with the other YARP ends of a topic, as `yarp_compat.os.ports.node` does."""
+    def _connect(self, own: NestedName) -> None:
+        """Connect to the topic's other YARP publishers or subscribers, as `yarp_compat.os.ports.node` does."""
         for contact in self._naming.list():
             other = NestedName.parse(contact.name)
             if other.topic == own.topic and other.role != own.role:
@@ -112,36 +112,36 @@ class YarpProgram:
                 with contextlib.suppress(OSError):
                     connections.connect(self._naming, source.port, target.port)
 
-    def _linked(self, number: int, event: ConnectionEvent) -> None:
+    def _on_connection(self, number: int, event: ConnectionEvent) -> None:
         if event.up and not event.incoming:
             target = event.route.target
             for message in self._last.get(number, []):
                 self._ports[number].write(message.to_wire, strict=True, chosen=lambda o: o.route.target == target)
 
-    def _hear(self, number: int, message: PortMessage) -> None:
-        found = self._types[number].from_bytes(bytes(message.payload))
+    def _on_message(self, number: int, message: PortMessage) -> None:
+        decoded = self._types[number].from_bytes(bytes(message.payload))
         with self._changed:
-            self._heard[number].append(as_fields(found))
+            self._received[number].append(as_fields(decoded))
             self._changed.notify_all()
 
     def publish(self, endpoint: int, message: dict[str, Any], times: int = 1) -> None:
-        made = self._types[endpoint]()
-        fill(made, message)
+        yarp_message = self._types[endpoint]()
+        fill(yarp_message, message)
         if endpoint in self._last:
-            self._last[endpoint] = [made]
+            self._last[endpoint] = [yarp_message]
         for _ in range(times):
-            self._ports[endpoint].write(made.to_wire, strict=True)
+            self._ports[endpoint].write(yarp_message.to_wire, strict=True)
 
     def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
         with self._changed:
-            self._changed.wait_for(lambda: len(self._heard[endpoint]) >= count, seconds)
-            return list(self._heard[endpoint])
+            self._changed.wait_for(lambda: len(self._received[endpoint]) >= count, seconds)
+            return list(self._received[endpoint])
 
     def drop(self, endpoint: int) -> None:
         self._ports.pop(endpoint).close()
 
     def graph(self) -> dict[str, Any]:
-        """Publishers and subscribers by topic, as the name server lists them."""
+        """Return the publishers and subscribers of each topic, as listed by the name server."""
         graph: dict[str, dict[str, list[str]]] = {"publishers": {}, "subscriptions": {}}
         for contact in self._naming.list():
             nested = NestedName.parse(contact.name)
@@ -155,7 +155,7 @@ class YarpProgram:
         for endpoint in list(self._ports):
             if seconds:
                 self.drop(endpoint)
-            else:  # as if it was killed: nobody unregisters
+            else:  # as if the process was killed: the ports stay registered
                 core = self._ports.pop(endpoint)
                 core.naming = Forgetful(self._naming)
                 core.close()
@@ -163,7 +163,7 @@ class YarpProgram:
 
 
 class Forgetful:
-    """A name server's client that does not unregister."""
+    """A name server client that does not unregister ports."""
 
     def __init__(self, naming: NameClient) -> None:
         self._naming = naming
@@ -172,12 +172,12 @@ class Forgetful:
         return getattr(self._naming, name)
 
     def unregister(self, name: str) -> None:
-        """Keep it at the name server."""
+        """Leave the port registered."""
         KEEPER.forget(self._naming, name)
 
 
 def fill(message: Message, fields: Mapping[str, Any]) -> None:
-    """Set a message's fields."""
+    """Set the fields of a message, including nested ones."""
     for name, value in fields.items():
         kind = next(field for field in message._definition.fields if field.name == name)
         setattr(message, name, _value(message, kind.type, value, array=kind.is_array))
@@ -185,18 +185,18 @@ def fill(message: Message, fields: Mapping[str, Any]) -> None:
 
 def _value(message: Message, kind: str, value: Any, *, array: bool) -> Any:
     if array:
-        return [_value(message, kind, one, array=False) for one in value]
+        return [_value(message, kind, item, array=False) for item in value]
     if isinstance(value, Mapping) and kind in message._nested:
-        made = message._nested[kind]()
-        fill(made, value)
-        return made
+        nested = message._nested[kind]()
+        fill(nested, value)
+        return nested
     if isinstance(value, Mapping):
         return TickTime(value.get("sec", 0), value.get("nanosec", 0))
     return value
 
 
 def as_fields(value: Any) -> Any:
-    """A message as a dict of plain values, with ROS 2's names; ROS 1's ``seq`` is left out."""
+    """Return a message as a dict of plain values with ROS 2's field names, without ROS 1's ``seq``."""
     if isinstance(value, Message):
         return {
             field.name: as_fields(getattr(value, field.name))
@@ -205,4 +205,4 @@ def as_fields(value: Any) -> Any:
         }
     if isinstance(value, TickTime):
         return {"sec": value.sec, "nanosec": value.nsec}
-    return [as_fields(one) for one in value] if isinstance(value, list) else value
+    return [as_fields(item) for item in value] if isinstance(value, list) else value

@@ -1,7 +1,7 @@
-"""A client of YARP's name server, ours or yarpserver: one TCP connection per command, as YARP's own programs do.
+"""A client of the YARP name server (Midspan's or yarpserver): one TCP connection per command, as YARP's programs do.
 
-The bytes are those of YARP 3.12.3 (`NameClient.cpp`, `NameserCarrier.cpp`, and captures): ``NAME_SERVER query /p``,
-quotes left out, ended by LF where an answer of lines is expected and CR LF where one line, a Bottle, is.
+The bytes are those of YARP 3.12.3 (`NameClient.cpp`, `NameserCarrier.cpp`, and captures): ``NAME_SERVER query /p``
+without quotes. The command ends with LF if the answer has several lines, and with CR LF if it is one line (a Bottle).
 """
 
 from __future__ import annotations
@@ -30,53 +30,53 @@ Lines = list[str]
 Words = list[Any]  # under other names than that of the method below
 
 TIMEOUT = 5.0
-MAX_ANSWER = 32 << 20  # bytes of the largest answer that is taken: a list of ten thousand ports is 1 MB
-PERIOD = 2.0  # seconds between looks, give or take a quarter
-AT_ONCE = 5  # ports asked for at a look, as long as nothing is amiss
+MAX_ANSWER = 32 << 20  # bytes of the largest accepted answer: a list of ten thousand ports is 1 MB
+PERIOD = 2.0  # seconds between two checks of the registered ports, plus or minus a quarter
+AT_ONCE = 5  # ports queried per check while all of them are registered
 _log = logging.getLogger("yarp.names")
 
 
 class NameClient:
-    """Asks a name server.
+    """A client of one name server.
 
-    Every method raises NoNameServerError where nobody answers, and NamingConfigError where yarp.conf cannot be used.
+    Every method raises NoNameServerError if the server does not answer, and NamingConfigError if yarp.conf is invalid.
     """
 
     def __init__(
         self,
-        address: Address | None = None,  # where it is; None looks it up in yarp.conf, again whenever it was not reached
+        address: Address | None = None,  # None: read from yarp.conf, and read again after each failed connection
         *,
-        namespace: str | None = None,  # the network's name; None: what the environment or YARP's file says
-        timeout: float = TIMEOUT,  # seconds that any command may take
-        # the TCP port numbers that ports registered here choose from; None: those of `allocation.beside`
+        namespace: str | None = None,  # the network's name; None: from the environment or from yarp_namespace.conf
+        timeout: float = TIMEOUT,  # seconds per command
+        # TCP port numbers for the ports that this client registers; None: derived from the name server's port number
         numbers: range | None = None,
     ) -> None:
         self._numbers = numbers
-        self._given = address
+        self._configured_address = address
         self._namespace = namespace
-        self._found: Address | None = None
+        self._last_address: Address | None = None
         self._timeout = timeout
         self._registered: dict[str, _Registered] = {}
-        self._left: set[str] = set()
-        self._asking: weakref.WeakSet[LineSocket] = weakref.WeakSet()
-        self._asking_lock = threading.Lock()
-        self._hurried = self._given_up = False
+        self._taken_over: set[str] = set()  # names that another port has registered meanwhile
+        self._pending: weakref.WeakSet[LineSocket] = weakref.WeakSet()
+        self._pending_lock = threading.Lock()
+        self._hurried = self._timed_out = False
 
     @property
     def address(self) -> Address:
-        """The address; raises `NoNameServerError` where no file says it, `NamingConfigError` where one is wrong."""
-        address = self._given or self._found or config.read(self._namespace)
+        """The address; raises `NoNameServerError` if no file has it, `NamingConfigError` if the file is invalid."""
+        address = self._configured_address or self._last_address or config.read(self._namespace)
         if address is None:
             raise NoNameServerError(
-                f"no file says where YARP's name server is: {config.file(self._namespace)} should hold a line such as"
-                " '127.0.0.1 10000 yarp' ('yarp detect --write' or 'midspan yarp server --write' makes it)"
+                f"no address of YARP's name server: {config.file(self._namespace)} should hold a line such as"
+                " '127.0.0.1 10000 yarp'; 'yarp detect --write' or 'midspan yarp server --write' writes it"
             )
-        self._found = address
+        self._last_address = address
         return address
 
     @property
     def numbers(self) -> range:
-        """The TCP port numbers that ports choose theirs from; see `Naming.numbers`."""
+        """The range of TCP port numbers for ports; see `Naming.numbers`."""
         return beside(self.address.port) if self._numbers is None else self._numbers
 
     @property
@@ -85,97 +85,97 @@ class NameClient:
         return self.address.contact(self._namespace or config.namespace())
 
     def use(self, address: Address) -> None:
-        """Ask the name server at this address from now on, whatever yarp.conf says."""
-        self._given = address
+        """Use the name server at this address from now on, instead of the one in yarp.conf."""
+        self._configured_address = address
 
     def hurry(self, seconds: float) -> None:
-        """Limit every command to so many seconds, those under way too; after one that takes longer, all fail."""
+        """Limit every command to ``seconds``, including pending ones; after the first timeout all commands fail."""
         self._timeout, self._hurried = seconds, True
-        with self._asking_lock:
-            pending = list(self._asking)
+        with self._pending_lock:
+            pending = list(self._pending)
         for peer in pending:
             peer.hurry(seconds)
 
     def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
-        """Register a port, and say what a C++ port says of itself; see `Naming.register`."""
+        """Register a port with the properties that a C++ port announces; see `Naming.register`."""
         wanted = "..." if name in ("", "...") else name
         if not is_name(wanted):
             raise NameRefusedError(
-                f"{name!r} cannot be the name of a port: YARP's names are like /robot/camera, without spaces"
+                f"{name!r} is not a valid port name: YARP's names are like /robot/camera, without spaces"
             )
-        host = host or ("" if carrier == "mcast" else self._own_host())  # a group's address is the name server's
+        host = host or ("" if carrier == "mcast" else self._own_host())  # the name server chooses a group's address
         command: list[Any] = ["register", wanted]
         if host or port or carrier:
             command += [carrier or "tcp", host or "...", port or "..."]
-        contact = self._enter(command)
+        contact = self._register(command)
         self._registered[contact.name] = _Registered(contact)
         return contact
 
-    def _enter(self, command: Sequence[Any]) -> PortContact:
-        """Register a port, and say what a C++ port says of itself."""
+    def _register(self, command: Sequence[Any]) -> PortContact:
         contact = PortContact.from_registration(self.line(command))
         if contact is None:
             raise NameRefusedError(
-                f"the name server at {self._where()} did not take {command[1]}: it may be full, or the name is its own"
+                f"the name server at {self._endpoint()} refused {command[1]}: it may be full, or that is its own name"
             )
-        for key, words in self._about().items():
-            self.line(["set", contact.name, key, *words])
+        for key, values in self._own_properties().items():
+            self.line(["set", contact.name, key, *values])
         return contact
 
     def restore(self, name: str) -> None:
-        """Tell a name server that forgot it of a port that listens, and of what was set at it."""
-        known = former = self._registered.get(name)
-        while known is not None:
-            contact = known.contact
-            self._enter(["register", name, contact.carrier, contact.host, contact.port])
-            for key, values in list(known.properties.items()):
+        """Register an open port and its properties again, after the name server has lost them."""
+        current = restored = self._registered.get(name)
+        while current is not None:
+            contact = current.contact
+            self._register(["register", name, contact.carrier, contact.host, contact.port])
+            for key, values in list(current.properties.items()):
                 self._set(name, key, values)
             self.lines(["announce", name])
-            former, known = known, self._registered.get(name)
-            if known is former:
+            restored, current = current, self._registered.get(name)
+            if current is restored:
                 return
-        if former is not None:
+        if restored is not None:
             self.lines(["unregister", name])  # it was closed meanwhile
 
     def unregister(self, name: str) -> None:
-        """Forget a port; see `Naming.unregister`."""
+        """Remove a port's registration; see `Naming.unregister`."""
         KEEPER.forget(self, name)
         self._registered.pop(name, None)
-        if name in self._left:
-            self._left.discard(name)
+        if name in self._taken_over:
+            self._taken_over.discard(name)
             return
         self.lines(["unregister", name])
 
     def is_taken(self, name: str) -> bool:
-        """Whether another port has taken a name that was registered here."""
-        known, found = self._registered.get(name), self.query(name)
-        if known is None or found is None:
+        """Whether another port now holds a name that this client has registered."""
+        registered, current = self._registered.get(name), self.query(name)
+        if registered is None or current is None:
             return False
-        return (found.host, found.port) != (known.contact.host, known.contact.port)
+        return (current.host, current.port) != (registered.contact.host, registered.contact.port)
 
     def leave(self, name: str) -> None:
-        """Another port has taken a name of ours: `unregister` will leave it to that one."""
-        self._left.add(name)
+        """Keep the registration on `unregister`, since another port holds this name now."""
+        self._taken_over.add(name)
 
     def query(self, name: str) -> PortContact | None:
-        """The address of a port; see `Naming.query`. ``tcp://host:10002/`` is its own answer."""
-        known = PortContact.parse(name)
-        if known.is_valid:
-            return known
-        if not is_name(known.name):
+        """Return the address of a port; see `Naming.query`. A contact such as ``tcp://host:10002/`` needs no lookup."""
+        contact = PortContact.parse(name)
+        if contact.is_valid:
+            return contact
+        if not is_name(contact.name):
             return None
-        if known.name == (self._namespace or config.namespace()):
+        if contact.name == (self._namespace or config.namespace()):
             return self.contact
-        answer = self.lines(["query", known.name])
+        answer = self.lines(["query", contact.name])
         return PortContact.from_registration(answer[0]) if answer else None
 
     def list(self, prefix: str = "") -> list[PortContact]:
-        """All registered ports, or those at and below a prefix."""
-        found = [PortContact.from_registration(line) for line in self.lines(["list", prefix] if prefix else ["list"])]
-        return [contact for contact in found if contact is not None]
+        """Return all registered ports, or only those at and below a prefix."""
+        lines = self.lines(["list", prefix] if prefix else ["list"])
+        contacts = [PortContact.from_registration(line) for line in lines]
+        return [contact for contact in contacts if contact is not None]
 
     def set_property(self, name: str, key: str, *values: Any) -> None:
-        """Keep values under a key of a port; see `Naming.set_property`."""
+        """Set a property of a port; see `Naming.set_property`."""
         if name in self._registered:
             self._registered[name].properties[key] = values
         self._set(name, key, values)
@@ -183,25 +183,28 @@ class NameClient:
     def _set(self, name: str, key: str, values: Sequence[Any]) -> None:
         command = ["set", name, key, *values]
         if any(_is_quoted(v) for v in values):
-            text_client.ask(self.contact, command, timeout=self._timeout)  # a carrier that keeps quotes
+            text_client.ask(self.contact, command, timeout=self._timeout)  # this carrier preserves quotes
         else:
             self.line(command)
 
     def get_property(self, name: str, key: str) -> Sequence[Any]:
-        """The values under a key of a port; see `Naming.get_property`."""
+        """Return the values of a port's property; see `Naming.get_property`."""
         return from_text(self.line(["bot", "get", name, key]))
 
     def announce(self, name: str, alive: bool = True) -> None:
-        """Say that a port listens now, or does not; see `Naming.announce`. `KEEPER` looks after those of our own."""
+        """Announce that a port listens, or no longer does; see `Naming.announce`.
+
+        `KEEPER` keeps the ports registered that this client registered.
+        """
         self.lines(["announce", name] if alive else ["announce", name, 0])
         if alive and name in self._registered:
             KEEPER.keep(self, self._registered[name].contact)
 
     def lines(self, command: Sequence[Any]) -> Lines:
-        """Any command that is answered in lines, without the end mark, or by a Bottle such as ``[ok]``, as one line."""
+        """Send a command and return the answer's lines without the end mark; a Bottle such as ``[ok]`` is one line."""
         answer: Lines = []
         with self._ask(_text(command) + b"\n") as peer:
-            # a Bottle has no end mark; the commands answered by one are few and known
+            # a Bottle has no end mark, so the commands that return one are listed
             single = self._is_single(command)
             while True:
                 line = peer.line()
@@ -212,13 +215,13 @@ class NameClient:
                     return answer
 
     def line(self, command: Sequence[Any]) -> str:
-        """Any command of which the answer's first line is enough; the end mark is no answer."""
+        """Send a command and return the first line of the answer; "" if the answer is only the end mark."""
         with self._ask(_text(command) + b"\r\n") as peer:
             line = peer.line()
             return "" if line.startswith("*") else line
 
     def command(self, words: Sequence[Any]) -> Words:
-        """Any command, answered as a Bottle: ``["bot", "list"]``, ``["subscribe", "/a", "/b"]``."""
+        """Send a command that returns a Bottle: ``["bot", "list"]``, ``["subscribe", "/a", "/b"]``."""
         return from_text(self.line(words))
 
     @staticmethod
@@ -228,51 +231,52 @@ class NameClient:
     def _ask(self, data: bytes) -> LineSocket:
         address, peer = self.address, None
         try:
-            if self._given_up:
+            if self._timed_out:
                 raise TimeoutError
             peer = LineSocket(address.host, address.port, self._timeout, limit=MAX_ANSWER)
-            with self._asking_lock:
-                self._asking.add(peer)
+            with self._pending_lock:
+                self._pending.add(peer)
             peer.send(data)
         except OSError as err:
-            self._found = None  # the file may say another place by now
+            self._last_address = None  # yarp.conf may have changed
             if peer is not None:
                 peer.close()
-            raise self._absent(err) from None
-        peer.on_error(self._absent)
+            raise self._unreachable(err) from None
+        peer.on_error(self._unreachable)
         return peer
 
-    def _absent(self, err: OSError) -> NamingError:
-        self._given_up = self._hurried and isinstance(err, TimeoutError)
+    def _unreachable(self, err: OSError) -> NamingError:
+        self._timed_out = self._hurried and isinstance(err, TimeoutError)
         why = f"no answer within {self._timeout:g} s" if isinstance(err, TimeoutError) else (err.strerror or str(err))
         msg = (
-            f"YARP's name server does not answer at {self._where()}: {why}."
+            f"YARP's name server does not answer at {self._endpoint()}: {why}."
             " Start it ('yarpserver' or 'midspan yarp server'), or correct that address in yarp.conf."
         )
         return NoNameServerError(msg)
 
-    def _where(self) -> str:
-        address = self._found or self._given
+    def _endpoint(self) -> str:
+        address = self._last_address or self._configured_address
         return f"{address.host} port {address.port}" if address else "its address"
 
     def _own_host(self) -> str:
-        """The address that ``YARP_IP`` chooses: it is one, or the beginning of one of this machine's."""
+        """Return this machine's address that starts with ``YARP_IP``, else ``YARP_IP`` itself."""
         prefix = os.environ.get("YARP_IP", "")
         return next((ip for ip in self._own_addresses() if ip.startswith(prefix)), prefix) if prefix else ""
 
     def _own_addresses(self) -> Lines:
-        """Loopback, and the address by which the name server's network sees this machine."""
+        """Return loopback and this machine's address on the name server's network."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
                 probe.connect((self.address.host, self.address.port))  # sends nothing
-                towards = str(probe.getsockname()[0])
+                local = str(probe.getsockname()[0])
             except OSError:
                 return ["127.0.0.1"]
-        return sorted({"127.0.0.1", towards})
+        return sorted({"127.0.0.1", local})
 
-    def _about(self) -> dict[str, Words]:
-        known = list(CARRIERS)
-        return {"offers": known, "accepts": known, "ips": self._own_addresses(), "process": [os.getpid()]}
+    def _own_properties(self) -> dict[str, Words]:
+        """Return the properties that every C++ port sets."""
+        carriers = list(CARRIERS)
+        return {"offers": carriers, "accepts": carriers, "ips": self._own_addresses(), "process": [os.getpid()]}
 
 
 @dataclass(slots=True)
@@ -284,120 +288,120 @@ class _Registered:
 
 
 def _is_quoted(value: Any) -> bool:
-    """Whether a value would be read as something else without its quotes."""
+    """Whether a value parses differently without its quotes."""
     text = value_text(value)
     return from_text(text.replace('"', "")) != [value] if '"' in text else False
 
 
 def _text(command: Sequence[Any]) -> bytes:
-    """A command as the text protocol has it: words without quotes, which old name servers do not know."""
+    """Encode a command without quotes, as old name servers do not parse them."""
     words = [plain_text(w) if isinstance(w, str) else value_text(w) for w in command]
     text = " ".join(["NAME_SERVER", *words]).replace('"', "")
     if "\n" in text or "\r" in text:
-        raise NamingError("a name server's command is one line: no line breaks in names and properties")
+        raise NamingError("a name server command is one line: names and properties cannot contain line breaks")
     return text.encode("utf-8", "surrogateescape")
 
 
-_Kept = tuple[NameClient, PortContact]  # a port and the client that registered it
+_OpenPort = tuple[NameClient, PortContact]  # a port and the client that registered it
 
 
 class Keeper:
-    """Keeps ports registered: registers them again at a name server that returns without its memory.
+    """Keeps ports registered: registers them again after a name server has restarted without its registrations.
 
-    YARP's own ports do not do that. One thread of the process asks each name server for a few of its ports now and
-    then, and for all of them where one is missing or the name server was away; it ends with the last port.
+    YARP's own ports do not do that. One thread per process queries a few ports at each name server in turn, and all of
+    them if one is missing or the name server was unreachable. The thread ends with the last port.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._kept: dict[NameClient, dict[str, PortContact]] = {}
-        self._away: set[Hashable] = set()
-        self._elsewhere: set[tuple[NameClient, str]] = set()
-        self._turn = 0
+        self._ports: dict[NameClient, dict[str, PortContact]] = {}
+        self._unreachable: set[Hashable] = set()
+        self._taken_over: set[tuple[NameClient, str]] = set()
+        self._round = 0
         self._wake = threading.Event()
         self._thread: threading.Thread | None = None
 
     def keep(self, names: NameClient, contact: PortContact) -> None:
-        """Look after a port that is registered there and listens."""
+        """Keep an open port registered."""
         with self._lock:
-            self._kept.setdefault(names, {})[contact.name] = contact
+            self._ports.setdefault(names, {})[contact.name] = contact
             if self._thread is None:
                 self._wake.clear()
                 self._thread = threading.Thread(target=self._run, name="yarp names", daemon=True)
                 self._thread.start()
 
     def forget(self, names: NameClient, name: str) -> None:
-        """Look after a port no more; returns when the thread has ended, where it was the last."""
+        """Stop keeping a port registered; after the last port, wait until the thread has ended."""
         with self._lock:
-            ports = self._kept.get(names, {})
+            ports = self._ports.get(names, {})
             ports.pop(name, None)
-            self._elsewhere.discard((names, name))
+            self._taken_over.discard((names, name))
             if not ports:
-                self._kept.pop(names, None)
-            ended = None if self._kept else self._thread
-            if ended is not None:
+                self._ports.pop(names, None)
+            thread = None if self._ports else self._thread
+            if thread is not None:
                 self._thread = None
                 self._wake.set()
-        if ended is not None and ended is not threading.current_thread():
-            ended.join(1.0)  # longer only where a name server does not answer
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(1.0)  # it can end later if a name server does not answer
 
     def _run(self) -> None:
-        me = threading.current_thread()
+        this_thread = threading.current_thread()
         while not self._wake.wait(PERIOD * random.uniform(0.75, 1.25)):  # noqa: S311 - no secret
             with self._lock:
-                if self._thread is not me:
+                if self._thread is not this_thread:
                     return
-                kept = [(names, contact) for names, ports in self._kept.items() for contact in ports.values()]
-            self.ask(kept)
+                open_ports = [(names, contact) for names, ports in self._ports.items() for contact in ports.values()]
+            self.ask(open_ports)
 
-    def ask(self, kept: list[_Kept]) -> None:
-        """Ask each name server for some of its ports: all clients' together, since each question is a connection."""
-        self._turn += 1
-        servers: dict[Hashable, list[_Kept]] = {}
-        for names, contact in kept:
+    def ask(self, open_ports: list[_OpenPort]) -> None:
+        """Query a few ports at each name server, for all its clients together, as each query is a connection."""
+        self._round += 1
+        servers: dict[Hashable, list[_OpenPort]] = {}
+        for names, contact in open_ports:
             servers.setdefault(_server(names), []).append((names, contact))
-        self._away &= servers.keys()
+        self._unreachable &= servers.keys()
         for server, ports in servers.items():
             try:
-                self._look(server, ports)
+                self._check(server, ports)
             except NamingError as err:
-                if server not in self._away:
+                if server not in self._unreachable:
                     _log.info("%s", err)
-                self._away.add(server)
+                self._unreachable.add(server)
             except Exception:
-                _log.exception("ports cannot be kept registered")
+                _log.exception("cannot keep the ports registered")
 
-    def _look(self, server: Hashable, ports: list[_Kept]) -> None:
-        first = self._turn * AT_ONCE % len(ports)
-        some = (ports[first:] + ports[:first])[:AT_ONCE]
-        lost = self._lost(some)
-        if lost or server in self._away:
-            lost += self._lost([port for port in ports if port not in some])
-        for names, contact in lost:
+    def _check(self, server: Hashable, ports: list[_OpenPort]) -> None:
+        first = self._round * AT_ONCE % len(ports)
+        sample = (ports[first:] + ports[:first])[:AT_ONCE]
+        missing = self._missing(sample)
+        if missing or server in self._unreachable:
+            missing += self._missing([port for port in ports if port not in sample])
+        for names, contact in missing:
             names.restore(contact.name)
-        if lost or server in self._away:
-            _log.info("the name server is back: %d of %d ports are registered again", len(lost), len(ports))
-        self._away.discard(server)
+        if missing or server in self._unreachable:
+            _log.info("the name server is back: registered %d of %d ports again", len(missing), len(ports))
+        self._unreachable.discard(server)
 
-    def _lost(self, ports: list[_Kept]) -> list[_Kept]:
-        lost = []
+    def _missing(self, ports: list[_OpenPort]) -> list[_OpenPort]:
+        missing = []
         for names, contact in ports:
-            found = names.query(contact.name)
-            if found is None:
-                lost.append((names, contact))
-            elif (found.host, found.port) != (contact.host, contact.port):
-                if (names, contact.name) not in self._elsewhere:
-                    _log.warning("the name %s was taken by a port at %s", contact.name, found.uri)
-                self._elsewhere.add((names, contact.name))
-        return lost
+            current = names.query(contact.name)
+            if current is None:
+                missing.append((names, contact))
+            elif (current.host, current.port) != (contact.host, contact.port):
+                if (names, contact.name) not in self._taken_over:
+                    _log.warning("the name %s was taken by a port at %s", contact.name, current.uri)
+                self._taken_over.add((names, contact.name))
+        return missing
 
 
 def _server(names: NameClient) -> Hashable:
-    """The name server that a client asks, the same for all its clients; where that is not known, the client itself."""
+    """Return a key for the client's name server: its address, or the client itself if the address is unknown."""
     try:
         return names.address
     except NamingError:
         return names
 
 
-KEEPER = Keeper()  # the process's own
+KEEPER = Keeper()  # one per process

@@ -1,6 +1,7 @@
-"""The edge of the YARP side: joins one YARP network, ours or the site's.
+"""The adapter of the YARP side: joins one YARP network, Midspan's own or an existing one.
 
-One thread, the clerk, asks the name server and opens, closes and connects ports; nothing else waits for anybody.
+One thread, the name-server thread, polls the name server and opens, closes and connects ports. No other thread blocks
+on the network.
 """
 
 from __future__ import annotations
@@ -43,11 +44,11 @@ _SETTLE = 0.02
 _MARK_AGAIN = 3.0
 """Seconds after the name server's return for which ports may be registered without their marks."""
 
-_LAST_WORDS = 0.4
-"""Seconds that a name server has for each command when we stop; one that hangs is given up."""
+_STOP_TIMEOUT = 0.4
+"""Seconds per name-server command while the adapter stops; after a timeout it sends no more commands."""
 
 _AWAKE = 0.9
-"""Seconds since its last record for which another worker is awake; less than `bridge.routing.election.SILENCE`."""
+"""Seconds since its last record for which another worker counts as alive; less than `election.SILENCE`."""
 
 
 class YarpEdge(SideEdge):
@@ -76,30 +77,30 @@ class YarpEdge(SideEdge):
         self._outputs: dict[str, TopicOutput] = {}
         self._endpoints = PortEndpoints(context, self.ports, self._services, self._outputs)
         self._subscriptions: dict[tuple[str, str], _Subscription] = {}
-        self._last_seen: tuple[object, ...] = ()
-        self._away = True
+        self._last_graph: tuple[object, ...] = ()
+        self._disconnected = True
         self._mark_until = 0.0
         self._wake = threading.Event()
         self._stopping = threading.Event()
-        self._clerk = threading.Thread(target=self._run, name="midspan-yarp-clerk", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="midspan-yarp-clerk", daemon=True)
 
-    # -- life ----------------------------------------------------------------------------------------------------------
+    # -- lifecycle -----------------------------------------------------------------------------------------------------
 
     def start(self, listener: EdgeListener) -> None:
-        """Join the network when its name server answers."""
+        """Join the network as soon as its name server answers."""
         self._listener = listener
         self._contents.now_ns = self.clock.now_ns
-        self._clerk.start()
+        self._thread.start()
 
     def stop(self) -> None:
-        """Give back everything; see `Edge.stop`."""
+        """Release all ports, threads and registrations; see `Edge.stop`."""
         if self._stopping.is_set():
             return
         self._stopping.set()
         self._wake.set()
-        self._network.naming.hurry(_LAST_WORDS)
-        if self._clerk.is_alive():
-            self._clerk.join(2 * _LAST_WORDS)
+        self._network.naming.hurry(_STOP_TIMEOUT)
+        if self._thread.is_alive():
+            self._thread.join(2 * _STOP_TIMEOUT)
         self.ports.stop()
         self._presence.close()
         self._ros1.close()
@@ -108,49 +109,50 @@ class YarpEdge(SideEdge):
     def _run(self) -> None:
         while not self._stopping.is_set():
             try:
-                self._turn()
+                self._update()
             except (NamingError, OSError) as err:
                 self._network.trouble = str(err)
                 _log.debug("yarp: %s", err)
             except Exception:
-                _log.exception("yarp: following the network failed")
+                _log.exception("yarp: cannot update the ports and connections")
             if self._wake.wait(self._poll):
                 self._wake.clear()
                 self._stopping.wait(_SETTLE)
 
-    def _turn(self) -> None:
-        started, peers = time.monotonic(), self.ports.peers()  # before the list, which then has them all
+    def _update(self) -> None:
+        """Read the name server's list, and adapt graph, ports and connections to it."""
+        started, peers = time.monotonic(), self.ports.peers()  # read before the list, which then includes them all
         contacts = self._network.look()
         if contacts is None:
-            self._away = True
+            self._disconnected = True
             return
-        found = {contact.name: contact for contact in contacts}
+        by_name = {contact.name: contact for contact in contacts}
         if not self._presence.is_open:
-            self.ports.bury(found)
+            self.ports.bury(by_name)
             self._presence.open()
-        self.ports.leave_taken(found)
-        returned = self._away or started < self._mark_until
-        if self._away:
-            self._away, self._mark_until = False, started + _MARK_AGAIN
+        self.ports.leave_taken(by_name)
+        returned = self._disconnected or started < self._mark_until
+        if self._disconnected:
+            self._disconnected, self._mark_until = False, started + _MARK_AGAIN
         if returned:
             self._presence.mark()
-        self.ports.mark_again(found, returned=returned)
-        ros1 = frozenset[str]() if self._network.is_own else self._ros1.among(found)
+        self.ports.mark_again(by_name, returned=returned)
+        ros1 = frozenset[str]() if self._network.is_own else self._ros1.among(by_name)
         self._graph.update(self._network.naming, contacts, peers, ros1)
         self._presence.look(self._graph.contacts, started)
-        self._follow()
-        before, self._last_seen = self._last_seen, (self.network(), *self.endpoints())
-        if before != self._last_seen:
+        self._update_ports()
+        previous, self._last_graph = self._last_graph, (self.network(), *self.endpoints())
+        if previous != self._last_graph:
             self._graph_changed()
 
-    def _follow(self) -> None:
+    def _update_ports(self) -> None:
         """Open the ports that the routes need, and connect them."""
         with self._lock:
-            outputs, heard = dict(self._outputs), dict(self._subscriptions)
+            outputs, subscriptions = dict(self._outputs), dict(self._subscriptions)
         served = self._services.served()
         plan = make_plan(
             [self._wanted(topic, output.side_type) for topic, output in outputs.items()],
-            [self._wanted(subscription.topic, subscription.side_type) for subscription in heard.values()],
+            [self._wanted(subscription.topic, subscription.side_type) for subscription in subscriptions.values()],
             self._contents,
             self._names,
             self._graph,
@@ -162,15 +164,15 @@ class YarpEdge(SideEdge):
         self.ports.connect()
 
     def _connect_subscription(self, input_port: InputPort) -> None:
-        """Connect an input port with its topic's subscription; several threads may do so at once."""
+        """Connect an input port with its topic's subscription. Safe to call from several threads."""
         with self._lock:
             subscription = self._subscriptions.get((input_port.topic, input_port.type))
             input_port.deliver_to(None if subscription is None else subscription.deliver)
         input_port.release()
 
     def _wanted(self, topic: str, side_type: SideType) -> Wanted:
-        known = self._registry.ros2(side_type.name).type_id
-        return Wanted(topic, side_type.name, "" if side_type.type_id == known else side_type.type_id)
+        local = self._registry.ros2(side_type.name).type_id
+        return Wanted(topic, side_type.name, "" if side_type.type_id == local else side_type.type_id)
 
     def _wake_up(self) -> None:
         self._wake.set()
@@ -179,7 +181,7 @@ class YarpEdge(SideEdge):
     # -- the network ---------------------------------------------------------------------------------------------------
 
     def network(self) -> str | None:
-        """The network's name, which stands at its name server; it stays while that one is away."""
+        """The network's id, stored at its name server; it stays valid while the server is unreachable."""
         return self._network.identity if self._presence.is_open else None
 
     def is_own_network(self, origin: Origin) -> bool:
@@ -187,7 +189,7 @@ class YarpEdge(SideEdge):
         return origin.side == self.side and origin.network == self._network.identity
 
     def settled(self, since: float) -> bool:
-        """See `Edge.settled`: the name server was asked for all since then."""
+        """See `Edge.settled`: the name server's full list has been read since then."""
         if self._presence.is_open and self._presence.settled(since):
             return True
         self._wake.set()
@@ -199,16 +201,16 @@ class YarpEdge(SideEdge):
         return any(s.id == PRESENCE + owner and s.record is not None and now - s.heard < _AWAKE for s in sightings)
 
     def warnings(self) -> list[str]:
-        """The name server that is away, ports that cannot be opened or connected, types that are unknown."""
-        away = [f"the YARP network: {self._network.trouble}"] if self._network.trouble else []
+        """Report an unreachable name server, ports that cannot be opened or connected, and unknown types."""
+        unreachable = [f"the YARP network: {self._network.trouble}"] if self._network.trouble else []
         untyped = [
             f"{node.port} does not announce its type; give one: yarp.topics, topic {node.topic}"
             for node in self._endpoints.untyped()
         ]
-        return [*away, *self.ports.warnings(), *sorted(self._graph.trouble.values()), *untyped]
+        return [*unreachable, *self.ports.warnings(), *sorted(self._graph.trouble.values()), *untyped]
 
     def details(self) -> dict[str, Any]:
-        """The ports: what they carry, and who is connected."""
+        """Return the ports, with their content and their peers."""
         return {"ports": self.ports.shown()}
 
     # -- the graph -----------------------------------------------------------------------------------------------------
@@ -218,21 +220,21 @@ class YarpEdge(SideEdge):
         return self._endpoints.all()
 
     def is_heard(self, topic: str) -> bool:
-        """See `Edge.is_heard`: a reader of a topic's port is no endpoint, as it needs no route."""
+        """See `Edge.is_heard`; a reader of a topic's port counts, although it is not an endpoint of the graph."""
         output = self._outputs.get(topic)
         return (output is not None and output.heard) or super().is_heard(topic)
 
     # -- types ---------------------------------------------------------------------------------------------------------
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """No conversion: the edge itself converts, since each port may carry another content."""
-        known = self._side_type(endpoint.type, endpoint.type_id)
-        return Conversion(known, known, None)
+        """No conversion: the adapter itself converts, since the content can differ between ports."""
+        side_type = self._side_type(endpoint.type, endpoint.type_id)
+        return Conversion(side_type, side_type, None)
 
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """A check of the message; each port's content is made of it when it is written."""
-        known = self._side_type(type_name, type_hash)
-        return Conversion(known, known, self._registry.hub_check(type_name, type_hash))
+        """Only check the message; it is converted to each port's content when it is written."""
+        side_type = self._side_type(type_name, type_hash)
+        return Conversion(side_type, side_type, self._registry.hub_check(type_name, type_hash))
 
     def _side_type(self, type_name: str, type_hash: str) -> SideType:
         if type_hash:
@@ -241,13 +243,13 @@ class YarpEdge(SideEdge):
         return self._registry.ros2(type_name)
 
     def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002
-        """An action's parts are not for YARP programs one by one."""
-        return "a part of an action; YARP programs have other ports for goals" if split(topic)[1] else ""
+        """Exclude the parts of actions: YARP programs send goals through the gateway's ports."""
+        return "part of an action; YARP programs send goals through the ports of the gateway" if split(topic)[1] else ""
 
     # -- services ------------------------------------------------------------------------------------------------------
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """Checks only: the edge itself converts calls, since each port may carry another content."""
+        """Only check calls: the adapter itself converts them, since the content can differ between ports."""
         return self._services.conversion(endpoint.type)
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
@@ -259,10 +261,10 @@ class YarpEdge(SideEdge):
         return self._services.caller(name, side_type)
 
     def serve(self, name: str, side_type: SideType, call: Call) -> OfferedService:
-        """Serve a service by an RPC port, which is opened as soon as the name server takes it."""
+        """Serve a service through an RPC port, which is opened as soon as the name server registers it."""
         return self._services.serve(name, side_type, call)
 
-    # -- endpoints of ours ---------------------------------------------------------------------------------------------
+    # -- own endpoints -------------------------------------------------------------------------------------------------
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> _Subscription:  # noqa: ARG002
         """Subscribe to a topic's ports."""
@@ -273,7 +275,7 @@ class YarpEdge(SideEdge):
         return subscription
 
     def unsubscribe(self, subscription: _Subscription) -> None:
-        """A subscription is closed."""
+        """Remove a closed subscription, and disconnect its ports from it."""
         key = subscription.topic, subscription.side_type.name
         with self._lock:
             if self._subscriptions.get(key) is not subscription:
@@ -288,14 +290,14 @@ class YarpEdge(SideEdge):
         self._wake.set()
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> YarpPublisher:
-        """Publish a topic; its ports are opened as soon as the name server takes them."""
+        """Publish a topic; its ports are opened as soon as the name server registers them."""
         content = self._contents.of(topic)
-        known = self._wanted(topic, side_type)
-        self._contents.codec(content, side_type.name, known.type_hash, content.profile)
+        wanted = self._wanted(topic, side_type)
+        self._contents.codec(content, side_type.name, wanted.type_hash, content.profile)
         with self._lock:
             output = self._outputs.get(topic)
             if output is None:
-                stamped = has_header(self._registry.schema(side_type.name, known.type_hash))
+                stamped = has_header(self._registry.schema(side_type.name, wanted.type_hash))
                 output = self._outputs[topic] = TopicOutput(topic, side_type, stamped, self._contents)
             elif output.side_type != side_type:
                 raise MessageTypeError(
@@ -325,12 +327,12 @@ class _Subscription:
 
 
 def _owner(file: Path) -> str:
-    """The id of this daemon's YARP worker, the same after a restart."""
+    """Return the id of this daemon's YARP worker, which is the same after a restart."""
     try:
-        known = file.read_text().strip()
+        owner = file.read_text().strip()
     except OSError:
-        known = ""
-    if len(known) != 12 or not known.isalnum():
-        known = new_id(12)
-        keep(file, known + "\n", "ports that a killed worker leaves at the name server will stay there for a while")
-    return known
+        owner = ""
+    if len(owner) != 12 or not owner.isalnum():
+        owner = new_id(12)
+        keep(file, owner + "\n", "ports that a killed worker leaves at the name server will stay there for a while")
+    return owner

@@ -1,4 +1,4 @@
-"""Which ports the bridge opens and connects, from what is routed and what is there; and how they are shown."""
+"""The ports that the bridge opens and connects, derived from routes and graph, and their status document."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from yarp_compat.wire.profile import Profile
 
 @dataclass(frozen=True, slots=True)
 class PlannedLink:
-    """A connection to be made; ``carrier`` "" is the usual one, ``profile`` None what the other port says itself."""
+    """A planned connection; ``carrier`` "" is the default, ``profile`` None the one that the other port announces."""
 
     carrier: str = ""
     profile: Profile | None = None
@@ -25,14 +25,15 @@ class PlannedLink:
 
 @dataclass(frozen=True, slots=True)
 class PortPlan:
-    """One port of ours.
+    """One port of the bridge.
 
     Attributes:
-        writes: it is an output of its topic; else an input.
-        type: ROS 2 name; with the hash where it is not this machine's own definition.
-        own: whether it is the topic's own port, to which anybody connects; else the ports in ``links`` alone count.
-        source: the id of the endpoint that its messages count as, None for that of each peer.
-        reply: what it answers, for a service; ``topic`` is its name then, and ``content`` what it is asked.
+        writes: True for an output of its topic, False for an input.
+        type: ROS 2 name.
+        type_hash: "" for this machine's definition of the type.
+        own: True for the topic's main port, open to any peer; False for a port that serves only those in ``links``.
+        source: id of the endpoint to which its messages are attributed; None attributes them to each peer.
+        reply: content of the reply, for a service; ``topic`` is then the service's name, ``content`` the request's.
     """
 
     name: str
@@ -48,13 +49,13 @@ class PortPlan:
 
     @property
     def rpc(self) -> bool:
-        """Whether it answers."""
+        """Whether the port serves a service."""
         return self.reply is not None
 
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A topic that is routed; ``type_hash`` is "" for this machine's own definition."""
+    """A routed topic; ``type_hash`` is "" for this machine's definition of the type."""
 
     topic: str
     type: str
@@ -64,7 +65,7 @@ class Wanted:
 def make_plan(
     outputs: Iterable[Wanted], inputs: Iterable[Wanted], contents: Contents, names: PortNames, graph: YarpGraph
 ) -> dict[str, PortPlan]:
-    """The ports by name, for topics that are published on YARP (``outputs``) and those heard there (``inputs``)."""
+    """Return the ports by name for the topics that the bridge publishes (``outputs``) or reads (``inputs``) on YARP."""
     plan: dict[str, PortPlan] = {}
     for wanted in outputs:
         for port in (*_outputs(wanted, contents, names, graph), _input(wanted, contents, names, None)):
@@ -129,20 +130,20 @@ def _inputs(wanted: Wanted, contents: Contents, names: PortNames, graph: YarpGra
         yield PortPlan(name, False, topic, wanted.type, wanted.type_hash, BOTTLE, False, links=nodes)
 
 
-def _same(one: Content, other: Content) -> bool:
-    """Whether two contents are one but for the profile."""
-    return (one.form, one.fields, one.missing) == (other.form, other.fields, other.missing)
+def _same(first: Content, second: Content) -> bool:
+    """Whether two contents are equal apart from the profile."""
+    return (first.form, first.fields, first.missing) == (second.form, second.fields, second.missing)
 
 
 def shown(plan: PortPlan, core: PortCore) -> dict[str, Any]:
-    """The port as it stands in the worker's status document."""
+    """Return the port's entry in the worker's status document."""
     connections = core.connections.outputs if plan.writes else core.connections.inputs
     peers = []
     for connection in connections:
         name = connection.route.target if plan.writes else connection.route.source
-        known = _peer(name, connection.carrier.name, connection.profile, plan)
-        peers.append(known | _dropped(connection.counters.dropped))
-    answers = {} if plan.reply is None else {"direction": "rpc", "replies": plan.reply.shown(plan.type)}
+        peer = _peer(name, connection.carrier.name, connection.profile, plan)
+        peers.append(peer | _dropped(connection.counters.dropped))
+    service = {} if plan.reply is None else {"direction": "rpc", "replies": plan.reply.shown(plan.type)}
     return {
         "port": core.name,
         "direction": "out" if plan.writes else "in",
@@ -152,22 +153,22 @@ def shown(plan: PortPlan, core: PortCore) -> dict[str, Any]:
         "profile": plan.content.profile.value,
         **_dropped(core.counters.dropped + core.lost),
         "peers": sorted(peers, key=lambda peer: peer["port"]),
-        **answers,
+        **service,
     }
 
 
 def _dropped(counted: Counter[str]) -> dict[str, Any]:
-    """The number of dropped messages by reason; empty if none were."""
-    found = {reason: count for reason, count in sorted(counted.items()) if count}
-    return {"dropped": found} if found else {}
+    """Return the number of dropped messages by reason, empty if no message was dropped."""
+    reasons = {reason: count for reason, count in sorted(counted.items()) if count}
+    return {"dropped": reasons} if reasons else {}
 
 
-def _peer(name: str, carrier: str, known: Profile | None, plan: PortPlan) -> dict[str, str]:
+def _peer(name: str, carrier: str, announced: Profile | None, plan: PortPlan) -> dict[str, str]:
     link = plan.links.get(name)
     if link is not None and link.profile is not None:
         profile, why = link.profile, "set by its rule"
-    elif known is not None:
-        profile, why = known, "announced by the peer"
+    elif announced is not None:
+        profile, why = announced, "announced by the peer"
     else:
-        profile, why = plan.content.profile, "as yarp.profile says; bytes that tell another are read as such"
+        profile, why = plan.content.profile, "set by yarp.profile; messages in the other profile are detected"
     return {"port": name, "carrier": carrier, "profile": profile.value, "profile_why": why}

@@ -1,4 +1,4 @@
-"""The edge itself, with what happens between two steps of its clerk."""
+"""The YARP adapter, with events between two steps of its name-server thread."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ LISTENER: Any = SimpleNamespace(
 
 
 def cdr(text: str) -> bytes:
-    """A String on the hub."""
+    """Encode a String as CDR."""
     content = text.encode() + b"\0"
     return b"\0\1\0\0" + len(content).to_bytes(4, "little") + content
 
 
-def clerks() -> list[threading.Thread]:
+def name_server_threads() -> list[threading.Thread]:
     return [thread for thread in threading.enumerate() if thread.name == "midspan-yarp-clerk"]
 
 
@@ -57,14 +57,14 @@ def names() -> Iterator[Names]:
 
 @pytest.fixture
 def edge(names: Names, tmp_path: Path) -> Iterator[YarpEdge]:
-    """One that is not started."""
+    """A YARP adapter that is not started."""
     yarp = {"nameserver": "site", "address": names.endpoint, "poll": 0.1}
     edge = YarpEdge(Config.model_validate({"name": "here", "state": tmp_path, "yarp": yarp}), REGISTRY, tmp_path)
     yield edge
     edge.stop()
 
 
-def test_who_connects_as_a_port_opens_gets_what_is_kept(
+def test_a_reader_that_connects_while_a_port_opens_receives_the_latched_message(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reader = YarpPort(names, "/late")
@@ -82,45 +82,45 @@ def test_who_connects_as_a_port_opens_gets_what_is_kept(
     reader.stop()
 
 
-def test_who_subscribes_during_a_turn_hears_everything_from_then_on(
+def test_a_subscriber_added_during_an_update_receives_every_message_from_then_on(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The turn knows of the subscriptions that there were at its beginning."""
-    writer, got = YarpPort(names, "/writer"), list[bytes]()
-    look, connect, turn = OwnPorts.look_for_callers, OwnPorts.connect, threading.Event()
+    """The update works with the subscriptions that existed when it began."""
+    writer, received = YarpPort(names, "/writer"), list[bytes]()
+    look_for_callers, connect, subscribed = OwnPorts.look_for_callers, OwnPorts.connect, threading.Event()
 
-    def looking(ports: OwnPorts) -> None:
-        if not turn.is_set() and ports.made_by("/writer") is MadeBy.NATIVE:
-            turn.set()
-            edge.subscribe("/talk", STRING, Qos(), lambda cdr, *_: got.append(cdr))
-        look(ports)
+    def subscribe_then_look(ports: OwnPorts) -> None:
+        if not subscribed.is_set() and ports.made_by("/writer") is MadeBy.NATIVE:
+            subscribed.set()
+            edge.subscribe("/talk", STRING, Qos(), lambda cdr, *_: received.append(cdr))
+        look_for_callers(ports)
 
-    def connecting(ports: OwnPorts) -> None:
-        if turn.is_set() and not got:
-            for word in ("one", "two"):
-                writer.core.write(encode([word], Profile.YARP3), wait=True, timeout=20)
+    def write_then_connect(ports: OwnPorts) -> None:
+        if subscribed.is_set() and not received:
+            for text in ("one", "two"):
+                writer.core.write(encode([text], Profile.YARP3), wait=True, timeout=20)
         connect(ports)
 
-    monkeypatch.setattr(OwnPorts, "connect", connecting)
-    monkeypatch.setattr(OwnPorts, "look_for_callers", looking)
+    monkeypatch.setattr(OwnPorts, "connect", write_then_connect)
+    monkeypatch.setattr(OwnPorts, "look_for_callers", subscribe_then_look)
     edge.advertise("/talk", STRING, Qos())
     edge.start(LISTENER)
     writer.write_to("/midspan/talk:i")
-    until(lambda: cdr("two") in got, "what is written after that")
-    assert got == [cdr("one"), cdr("two")]
+    until(lambda: cdr("two") in received, "the second message arrives")
+    assert received == [cdr("one"), cdr("two")]
     writer.stop()
 
 
-def test_a_late_turn_cuts_no_connection_of_the_port_that_has_the_name_by_now(
+def test_a_delayed_update_does_not_disconnect_the_new_owner_of_the_name(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The worker stood still between its look at the name server and its connections, and another took over."""
+    """The worker hung after it had read the name server's list, and another worker registered the port meanwhile."""
     reader = YarpPort(names, "/talk-@/reader")
     names.client.set_property(reader.name, "type", "std_msgs/String")
     edge.advertise("/talk", STRING, Qos())
     connect, port, others = OwnPorts.connect, "/midspan/talk:o", list[YarpPort]()
 
-    def late(ports: OwnPorts) -> None:
+    def connect_late(ports: OwnPorts) -> None:
         own = ports.own.get(port)
         if own is None or reader.name not in own.links or others:
             connect(ports)
@@ -130,104 +130,106 @@ def test_a_late_turn_cuts_no_connection_of_the_port_that_has_the_name_by_now(
         connect(ports)
         (making,) = own.making.values()
         assert not making.result(20)
-        others[0].write(["still heard"])
+        others[0].write(["still connected"])
 
-    monkeypatch.setattr(OwnPorts, "connect", late)
+    monkeypatch.setattr(OwnPorts, "connect", connect_late)
     edge.start(LISTENER)
-    assert reader.messages(1, 20), "the other one's connection is as it was"
+    assert reader.messages(1, 20), "the new owner is still connected to the reader"
     edge.stop()
     assert names.client.query(port) == others[0].core.contact
-    for one in (*others, reader):
-        one.stop()
+    for program in (*others, reader):
+        program.stop()
 
 
-def test_what_a_late_turn_opens_is_closed(names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The clerk is held up for longer than its end is waited for, and opens a port then."""
-    monkeypatch.setattr(edge_module, "_LAST_WORDS", 0.05)
-    follow, at, go_on = OwnPorts.follow, threading.Event(), threading.Event()
+def test_a_port_opened_by_a_delayed_update_is_closed(
+    names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The name-server thread hangs for longer than `stop` waits for it, and then opens a port."""
+    monkeypatch.setattr(edge_module, "_STOP_TIMEOUT", 0.05)
+    follow, reached, resume = OwnPorts.follow, threading.Event(), threading.Event()
 
-    def slowly(ports: OwnPorts, plan: dict[str, PortPlan], *more: Any) -> None:
+    def follow_slowly(ports: OwnPorts, plan: dict[str, PortPlan], *more: Any) -> None:
         if plan:
-            at.set()
-            assert go_on.wait(20)
+            reached.set()
+            assert resume.wait(20)
         follow(ports, plan, *more)
 
-    monkeypatch.setattr(OwnPorts, "follow", slowly)
+    monkeypatch.setattr(OwnPorts, "follow", follow_slowly)
     edge.advertise("/talk", STRING, Qos())
     edge.start(LISTENER)
-    assert at.wait(20)
+    assert reached.wait(20)
     edge.stop()
-    go_on.set()
-    until(lambda: not clerks(), "the turn is over", 20)
+    resume.set()
+    until(lambda: not name_server_threads(), "the update ends", 20)
     assert names.client.list("/midspan") == []
 
 
-def test_a_late_turn_does_not_come_onto_the_network(
+def test_a_delayed_update_does_not_join_the_network(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(edge_module, "_LAST_WORDS", 0.05)
-    at, go_on = threading.Event(), threading.Event()
+    monkeypatch.setattr(edge_module, "_STOP_TIMEOUT", 0.05)
+    reached, resume = threading.Event(), threading.Event()
 
-    def slowly(*_: object) -> None:
-        at.set()
-        assert go_on.wait(20)
+    def bury_slowly(*_: object) -> None:
+        reached.set()
+        assert resume.wait(20)
 
-    monkeypatch.setattr(OwnPorts, "bury", slowly)
+    monkeypatch.setattr(OwnPorts, "bury", bury_slowly)
     edge.start(LISTENER)
-    assert at.wait(20)
+    assert reached.wait(20)
     edge.stop()
-    go_on.set()
-    until(lambda: not clerks(), "the turn is over", 20)
+    resume.set()
+    until(lambda: not name_server_threads(), "the update ends", 20)
     assert edge.network() is None
     assert names.client.list("/midspan") == []
 
 
 class Failing(dict[str, PortPlan]):
-    """A plan without ports; a connection fails as it is looked at."""
+    """A plan without ports; each lookup in it records one more failed connection."""
 
     def __init__(self, trouble: dict[str, tuple[float, str]]) -> None:
         super().__init__()
         self._trouble = trouble
 
     def __contains__(self, name: object) -> bool:
-        self._trouble[f"/here /peer{len(self._trouble)}"] = 0.0, "it is gone"
+        self._trouble[f"/here /peer{len(self._trouble)}"] = 0.0, "connection refused"
         return name == "/here"
 
 
-def test_a_connection_that_fails_as_ports_are_planned_is_told(edge: YarpEdge) -> None:
+def test_a_connection_that_fails_while_ports_are_planned_is_a_warning(edge: YarpEdge) -> None:
     ports = edge.ports
-    ports.trouble = {"/gone /peer": (0.0, "it is not there")}
+    ports.trouble = {"/gone /peer": (0.0, "port not registered")}
     ports.follow(Failing(ports.trouble), {}, {})
-    assert ports.warnings() == ["it is gone"]
+    assert ports.warnings() == ["connection refused"]
 
 
-def test_a_service_may_go_as_ports_are_planned(
+def test_a_service_can_close_while_ports_are_planned(
     edge: YarpEdge, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     plan, connect = YarpServices.plan, OwnPorts.connect
     server = edge.serve("/lamp", REGISTRY.service_ros2("std_srvs/srv/SetBool"), lambda *_: lambda: None)
-    planned, ended = threading.Event(), threading.Event()
+    planned, updated = threading.Event(), threading.Event()
 
-    def planning(*args: Any) -> dict[str, PortPlan]:
-        found = plan(*args)
+    def plan_and_close(*args: Any) -> dict[str, PortPlan]:
+        ports = plan(*args)
         server.close()
         planned.set()
-        return found
+        return ports
 
-    def connecting(ports: OwnPorts) -> None:
+    def connect_and_report(ports: OwnPorts) -> None:
         connect(ports)
         if planned.is_set():
-            ended.set()
+            updated.set()
 
-    monkeypatch.setattr(YarpServices, "plan", planning)
-    monkeypatch.setattr(OwnPorts, "connect", connecting)
+    monkeypatch.setattr(YarpServices, "plan", plan_and_close)
+    monkeypatch.setattr(OwnPorts, "connect", connect_and_report)
     edge.start(LISTENER)
-    assert ended.wait(20)
-    assert "following the network failed" not in caplog.text
+    assert updated.wait(20)
+    assert "cannot update the ports and connections" not in caplog.text
 
 
-def test_the_id_of_the_worker_is_never_a_number_in_yarps_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A name server reads an id such as 715758e2 as a number, unless it is quoted."""
+def test_the_worker_id_never_parses_as_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A name server parses an unquoted id such as 715758e2 as a number."""
     monkeypatch.setattr(network_module.uuid, "uuid4", lambda: SimpleNamespace(hex="123456789e12" + 20 * "0"))
     yarp = {"nameserver": "site", "address": "127.0.0.1:10000"}
     edge = YarpEdge(Config.model_validate({"name": "here", "state": tmp_path, "yarp": yarp}), REGISTRY, tmp_path)

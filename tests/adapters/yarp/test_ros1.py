@@ -1,4 +1,4 @@
-"""Beside a ``yarpserver --ros``: what is ROS 1's crosses by the ROS 1 side alone."""
+"""With a ``yarpserver --ros``, topics of ROS 1 nodes cross only through the ROS 1 side."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def fixture_master() -> Iterator[RosMaster]:
 
 
 class NativeNaming(NameClient):
-    """A name server's client that tells of the carriers which a C++ program with YARP's ROS support has."""
+    """A name server client that announces the carriers of a C++ program with YARP's ROS support."""
 
     def announce(self, name: str, alive: bool = True) -> None:
         self.set_property(name, "offers", *ROS_CARRIERS)
@@ -46,7 +46,7 @@ class NativeNaming(NameClient):
 
 
 class Network:
-    """The names of a `Place`, at a name server that behaves as the real one."""
+    """Replaces the names of a `Place` by those of a server that behaves like ``yarpserver``."""
 
     def __init__(self, server: RealNameServer) -> None:
         self.server = server
@@ -54,28 +54,28 @@ class Network:
         self.endpoint = f"{server.address.host}:{server.address.port}"
 
     def stop(self) -> None:
-        """It ends with its fixture."""
+        """Do nothing: the fixture stops the server."""
 
 
 class NativeNode:
-    """What a C++ program with a ``yarp::os::Node`` and one port registers; it counts what comes by YARP.
+    """Registers like a C++ program with a ``yarp::os::Node`` and one port, and records messages received over YARP.
 
     Args:
         names: the network.
-        port: the port's name, with the node's behind its ``@``.
-        naming: what its program tells the name server.
+        port: the port's name, ``/topic@/node``.
+        naming: the program's name server client.
     """
 
     def __init__(self, names: Network, port: str, naming: type[NameClient] = NativeNaming) -> None:
-        self.came: list[bytes] = []
+        self.received: list[bytes] = []
         client = naming(names.server.address)
         self.node = PortCore(port.partition("@")[2], naming=client)
-        self.port = PortCore(port, naming=client, on_message=self._hear, type_name="std_msgs/String")
+        self.port = PortCore(port, naming=client, on_message=self._on_message, type_name="std_msgs/String")
         for core in (self.node, self.port):
             core.open()
 
-    def _hear(self, message: PortMessage) -> None:
-        self.came.append(bytes(message.payload))
+    def _on_message(self, message: PortMessage) -> None:
+        self.received.append(bytes(message.payload))
 
     def stop(self) -> None:
         for core in (self.port, self.node):
@@ -84,83 +84,83 @@ class NativeNode:
 
 @pytest.fixture(name="site")
 def fixture_site(tmp_path: Path, master: RosMaster) -> Iterator[Place]:
-    """A place whose YARP name server is on the ROS 1 master."""
+    """A place whose YARP name server uses the ROS 1 master."""
     with RealNameServer(free_port(room=20), master.uri) as server:
-        made = Place(tmp_path)
-        made.names.stop()
-        made.names = Network(server)  # type: ignore[assignment]
+        place = Place(tmp_path)
+        place.names.stop()
+        place.names = Network(server)  # type: ignore[assignment]
         try:
-            yield made
+            yield place
         finally:
-            made.close()
+            place.close()
 
 
 def native(site: Place, port: str, naming: type[NameClient] = NativeNaming) -> NativeNode:
     return site.keep(NativeNode(site.names, port, naming))  # type: ignore[no-any-return, arg-type]
 
 
-def expect_crossing(site: Place, heard: Callable[[], object], what: str) -> None:
-    """Publish on the hub until it is heard."""
+def publish_until(site: Place, condition: Callable[[], object], description: str) -> None:
+    """Publish on the hub until the condition holds."""
     publisher = site.far.advertise("/chatter", STRING)
 
-    def once() -> object:
+    def publish_and_check() -> object:
         site.far.publish(publisher, {"data": "hello"})
-        return heard()
+        return condition()
 
-    until(once, what, every=0.1)
+    until(publish_and_check, description, every=0.1)
 
 
-def test_to_a_port_that_is_ros1s_nothing_goes_by_yarp(site: Place, master: RosMaster) -> None:
-    """34 of 62 messages came twice: once by TCPROS from the ROS 1 side, once from a port of the YARP side."""
+def test_the_yarp_side_writes_nothing_to_the_port_of_a_ros1_node(site: Place, master: RosMaster) -> None:
+    """34 of 62 messages arrived twice: over TCPROS from the ROS 1 side, and from a port of the YARP side."""
     listener = native(site, "/chatter-@/listener")
     site.bridge(ros1={"enabled": True, "master": master.uri})
     plain = site.port("/plain")
-    expect_crossing(site, lambda: "/plain" in connected(site), "the output port of the topic is there")
-    expect_crossing(site, lambda: len(plain.messages(5, 0.1)) >= 5, "a port without ROS gets the topic")
+    publish_until(site, lambda: connect_plain(site), "the topic's output port is open")
+    publish_until(site, lambda: len(plain.messages(5, 0.1)) >= 5, "a port without ROS receives the topic")
     assert not listener.port.inputs()
-    assert listener.came == []
+    assert listener.received == []
 
 
-def connected(site: Place) -> set[str]:
-    """Connect the plain port once the topic's is there; who is connected."""
+def connect_plain(site: Place) -> bool:
+    """Connect the topic's output port to ``/plain``; return False if that port is not open yet."""
     with contextlib.suppress(NamingError):
         connections.connect(site.names.client, "/midspan/chatter:o", "/plain")
-        return {"/plain"}
-    return set()
+        return True
+    return False
 
 
-@pytest.mark.parametrize("where", ["no ROS 1 side", "another master"])
-def test_where_the_ros1_side_is_not_on_that_master_it_goes_by_yarp(site: Place, where: str) -> None:
+@pytest.mark.parametrize("ros1_side", ["no ROS 1 side", "another master"])
+def test_without_a_ros1_side_on_that_master_the_yarp_side_writes_to_the_port(site: Place, ros1_side: str) -> None:
     listener = native(site, "/chatter-@/listener")
     other = f"http://127.0.0.1:{free_port()}/"
-    site.bridge(ros1={"enabled": False} if where == "no ROS 1 side" else {"enabled": True, "master": other})
-    expect_crossing(site, lambda: listener.came, "the port is written to")
+    site.bridge(ros1={"enabled": False} if ros1_side == "no ROS 1 side" else {"enabled": True, "master": other})
+    publish_until(site, lambda: listener.received, "the port receives the topic")
 
 
-def test_from_a_port_that_is_ros1s_nothing_comes_by_yarp(site: Place, master: RosMaster) -> None:
-    """Beside it a program of `yarp_compat`, which the master has in name alone: it speaks no TCPROS."""
+def test_the_yarp_side_reads_nothing_from_the_port_of_a_ros1_node(site: Place, master: RosMaster) -> None:
+    """A program of `yarp_compat` is read over YARP: the master lists its name, but it has no TCPROS server."""
     talker, ours = native(site, "/chatter+@/talker"), native(site, "/chatter+@/ours", NameClient)
     site.bridge(ros1={"enabled": True, "master": master.uri})
-    heard = site.far.subscribe("/chatter", STRING)
+    subscription = site.far.subscribe("/chatter", STRING)
     site.names.client.set_property("/chatter+@/ours", "type", "std_msgs/String")
 
-    def said() -> bool:
+    def write_from_both() -> bool:
         for core, text in ((talker.port, "twice"), (ours.port, "once")):
             core.write(encode([text], Profile.YARP3), strict=True)
         return bool(ours.port.outputs())
 
-    until(said, "the program of yarp_compat is heard by YARP", every=0.1)
-    said()
-    assert {message["data"] for message in site.far.wait(heard, 1)} == {"once"}
+    until(write_from_both, "the YARP side reads the port of the yarp_compat program", every=0.1)
+    write_from_both()
+    assert {message["data"] for message in site.far.wait(subscription, 1)} == {"once"}
     assert not talker.port.outputs()
 
 
-def test_a_connection_that_was_made_before_is_ended(site: Place, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The master may come after the program."""
+def test_an_existing_connection_to_a_ros1_node_is_closed(site: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The master can start after the program."""
     known = frozenset[str]()
     monkeypatch.setattr(Ros1Ports, "among", lambda *_: known)
     listener = native(site, "/chatter-@/listener")
     site.bridge()
-    expect_crossing(site, lambda: listener.came, "the port is written to")
+    publish_until(site, lambda: listener.received, "the port receives the topic")
     known = frozenset({"/chatter-@/listener"})
-    until(lambda: not listener.port.inputs(), "the connection is ended")
+    until(lambda: not listener.port.inputs(), "the connection is closed")
