@@ -30,14 +30,14 @@ class Scene:
         self._first = len(rig.statuses)
 
     def goal(self, count: int = 1) -> bytes:
-        """Return the id of the so-many-th goal once the planner executes it and the gateway waits for its result."""
-        until(lambda: len(self.planner.goals) >= count, f"goal {count} is at the planner", SECONDS)
+        """Return the id of goal ``count`` (from 1) once the planner executes it and the gateway awaits its result."""
+        until(lambda: len(self.planner.goals) >= count, f"the planner has goal {count}", SECONDS)
         goal = self.planner.goals[count - 1]
         until(lambda: self.planner.waits(goal), "the gateway waits for its result", SECONDS)
         return goal
 
     def drive(self, x: float = 5.0, **more: Any) -> Asked:
-        """A client's goal, once the robot drives there."""
+        """Send a goal as a client, and return it once the robot drives."""
         count = len(self.planner.goals)
         asked = Asked(self.rig.client, pose(x, **more))
         self.goal(count + 1)
@@ -45,12 +45,12 @@ class Scene:
         return asked
 
     def moves(self) -> None:
-        """The base moves from now on."""
+        """Let the base move, and wait until the gateway's odometry shows it."""
         self.base.speed = SPEED
         until(lambda: self.rig.gateway.motion.stands() is False, "odometry shows that the base moves", SECONDS)
 
     def stands(self) -> None:
-        """The base stands from now on."""
+        """Let the base stand, and wait until the gateway's odometry shows it."""
         self.base.speed = 0.0
         until(lambda: self.rig.gateway.motion.stands() is True, "odometry shows that the base stands", SECONDS)
 
@@ -59,28 +59,29 @@ class Scene:
         return self.rig.far.call(f"/navigation/{service}", "std_srvs/Trigger")
 
     def restart(self) -> int:
-        """Start another gateway, as after a kill of the modules; returns how many statuses there were before."""
+        """Restart the gateway, as after a kill of the modules; return the number of statuses published before."""
         running = self.rig.worker.running("gateway")
         running.stop()
-        before = len(self.rig.statuses)
+        published = len(self.rig.statuses)
         running.start()
-        return before
+        return published
 
     def reported(self, asked: Asked) -> dict[str, Any]:
         """Return the first status that was published for a client's goal."""
 
         def find() -> dict[str, Any] | None:
-            return next((one for one in self.rig.statuses if bytes(one["goal_id"]) == asked.sent.id), None)
+            matching = (status for status in self.rig.statuses if bytes(status["goal_id"]) == asked.sent.id)
+            return next(matching, None)
 
         status: dict[str, Any] = until(find, "the goal has a status", SECONDS)
         return status
 
     def states(self, begin: int = 0) -> set[str]:
-        """The states that were published since the so-many-th status."""
+        """Return the states published since the status with index ``begin``."""
         return {status["state"] for status in self.rig.statuses[begin:]}
 
     def check(self) -> None:
-        """Check that no sentence repeats itself."""
+        """Check that no published reason repeats a sentence."""
         for status in self.rig.statuses[self._first :]:
             assert status["reason"].count("may still be moving") <= 1, status
             assert status["reason"].count("is not available") <= 1, status
@@ -88,20 +89,20 @@ class Scene:
 
 @contextmanager
 def scene(rig: Rig, planner: str, *, lists: bool) -> Iterator[Scene]:
-    """A scene with a base that moves; ``lists``: whether the planner's server publishes its list from the start."""
+    """Set up a scene with a moving base; with ``lists``, the planner publishes its goal list from the start."""
     action = f"/planner/{planner}/navigate_to_pose"
     server = RmwActionServer(rig.hubs.endpoint, rig.hubs.domain, planner, action, lists=lists)
     try:
         with Odometry(rig.far) as base:
-            made = Scene(rig, server, base)
-            until(lambda: rig.gateway.link.reachable, "the planner is found", SECONDS)
-            made.moves()
-            yield made
-            made.check()
+            driving = Scene(rig, server, base)
+            until(lambda: rig.gateway.link.reachable, "the planner is reachable", SECONDS)
+            driving.moves()
+            yield driving
+            driving.check()
             base.speed, base.silent = 0.0, False
             server.cancels = True
             server.cancel()
-            until(lambda: rig.ask("stop") and not rig.gateway.driving, "nothing drives", SECONDS)
+            until(lambda: rig.ask("stop") and not rig.gateway.driving, "no goal is active", SECONDS)
     finally:
         server.close()
-        made.restart()
+        driving.restart()

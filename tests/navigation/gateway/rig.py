@@ -1,4 +1,4 @@
-"""The gateway in its worker, planners and clients on its hub."""
+"""The gateway in its worker, with planners and clients on the same hub."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ SECONDS = 20.0
 
 
 def pose(x: float, y: float = 0.0, yaw: float = 0.0, frame: str = "map") -> dict[str, Any]:
-    turn = {"z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
-    return {"header": {"frame_id": frame}, "pose": {"position": {"x": x, "y": y}, "orientation": turn}}
+    orientation = {"z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
+    return {"header": {"frame_id": frame}, "pose": {"position": {"x": x, "y": y}, "orientation": orientation}}
 
 
 class Program:
@@ -50,10 +50,10 @@ class Program:
 
 
 class Planner(Program):
-    """A planner of the kind that drives to one goal at a time; the test says how each ends.
+    """A planner that executes one goal at a time; the test ends each goal.
 
     Attributes:
-        cancels: what it does where a goal is to be cancelled, and whether it says that it will; `cancel` at first.
+        cancels: handles a cancel request and returns whether the planner accepts it; initially `cancel`.
     """
 
     def __init__(self, settings: Any, name: str) -> None:
@@ -63,34 +63,36 @@ class Planner(Program):
         self.cancels: Callable[[Goal], bool] = self.cancel
         self.server = self.on(
             lambda: self.node.action_server(
-                f"/planner/{name}/navigate_to_pose", NAVIGATE, self._take, lambda goal: self.cancels(goal)
+                f"/planner/{name}/navigate_to_pose", NAVIGATE, self._accept, lambda goal: self.cancels(goal)
             )
         )
-        self._told = self.node.publisher(f"/planner/{name}/status", STATUS, LATCHED)
+        self._status = self.node.publisher(f"/planner/{name}/status", STATUS, LATCHED)
 
-    def _take(self, goal: Goal) -> bool:
+    def _accept(self, goal: Goal) -> bool:
         if self.rejects:
             self.rejects -= 1
             return False
-        for before in self.goals:
-            before.canceled({"error_msg": "another goal took its place"})
+        for previous in self.goals:
+            previous.canceled({"error_msg": "another goal took its place"})
         self.goals.append(goal)
         goal.execute()
         return True
 
     def cancel(self, goal: Goal) -> bool:
-        """Let go of it at once."""
+        """Accept the request, and end the goal as canceled at once."""
         self.loop.post(lambda: goal.canceled({"error_msg": "canceled"}))
         return True
 
     def until(self, count: int) -> Goal:
-        """The goal that came as the so manieth."""
-        until(lambda: len(self.goals) >= count, f"goal {count} is at the planner", SECONDS)
+        """Wait for the planner's ``count``-th goal (from 1), and return it."""
+        until(lambda: len(self.goals) >= count, f"the planner has goal {count}", SECONDS)
         return self.goals[count - 1]
 
     def tell(self, goal: Goal, state: State, why: str, code: int = 0) -> None:
-        told = status_message(SYSTEM.stamp(), PlannerStatus(state, why, code), goal_id=goal.id, goal=goal.goal["pose"])
-        self.on(lambda: self._told.publish(told))
+        """Publish the planner's status for a goal."""
+        pose = goal.goal["pose"]
+        status = status_message(SYSTEM.stamp(), PlannerStatus(state, why, code), goal_id=goal.id, goal=pose)
+        self.on(lambda: self._status.publish(status))
 
     def reach(self, goal: Goal) -> None:
         self.on(goal.succeed)
@@ -100,7 +102,7 @@ class Planner(Program):
 
 
 class Asked:
-    """A goal of a client of an action, and what it heard."""
+    """A goal that an action client has sent, with its feedback and result."""
 
     def __init__(
         self, program: Program, message: dict[str, Any], action: str = "/navigate_to_pose", tree: str = ""
@@ -121,13 +123,13 @@ class Asked:
         self._program.on(self.sent.cancel)
 
     def end(self) -> tuple[str, str]:
-        """How it ended, and why."""
-        until(lambda: self.ended, "the client's goal ended", SECONDS)
+        """Wait for the result; return the final status and the error message."""
+        until(lambda: self.ended, "the client's goal has ended", SECONDS)
         return self.sent.status.name, (self.result or {}).get("error_msg", "")
 
 
 class Rig(Place):
-    """All of it; ``planner`` is the one that the configuration names."""
+    """Modules worker, name server, client and planners; ``planner`` is the configured one."""
 
     def __init__(self, folder: Path, **navigation: Any) -> None:
         super().__init__(folder)
@@ -148,14 +150,14 @@ class Rig(Place):
         return self.config(navigation=self.section)
 
     def have(self, name: str, settings: Any = None) -> Planner:
-        """Start a planner, and wait until the gateway finds it where it is the chosen one."""
-        self.planners[name] = made = Planner(settings or self.hubs.settings(name), name)
-        until(lambda: self.gateway.planner != name or self.gateway.link.reachable, f"{name} is found", SECONDS)
-        return made
+        """Start a planner; if the gateway has chosen it, wait until the gateway reaches it."""
+        self.planners[name] = planner = Planner(settings or self.hubs.settings(name), name)
+        until(lambda: self.gateway.planner != name or self.gateway.link.reachable, f"{name} is reachable", SECONDS)
+        return planner
 
     @property
     def module(self) -> Any:
-        """The module itself: the worker is in this process."""
+        """The gateway module; its worker runs in this process."""
         return self.worker.running("gateway").module
 
     @property
@@ -163,18 +165,18 @@ class Rig(Place):
         return self.module.gateway
 
     def state(self, state: State, why: str = "") -> dict[str, Any]:
-        """The newest status, once it is this one."""
+        """Wait until the newest status has this state and its reason contains ``why``; return the status."""
 
-        def there() -> dict[str, Any] | None:
+        def matching() -> dict[str, Any] | None:
             last = self.statuses[-1] if self.statuses else None
             return last if last and last["state"] == state.value and why in last["reason"] else None
 
         try:
-            found: dict[str, Any] = until(there, f"the state {state.value} {why}", SECONDS)
+            status: dict[str, Any] = until(matching, f"the state {state.value} {why}", SECONDS)
         except AssertionError as err:
-            err.add_note(f"the last ones: {self.statuses[-3:]}")
+            err.add_note(f"the last statuses: {self.statuses[-3:]}")
             raise
-        return found
+        return status
 
     def ask(self, service: str, **request: Any) -> dict[str, Any]:
         """Call one of the gateway's services."""
@@ -184,10 +186,10 @@ class Rig(Place):
         return reply
 
     def fresh(self) -> None:
-        """No goals anywhere."""
-        until(lambda: self.ask("stop") and not self.gateway.driving, "nothing drives", SECONDS)
-        now = self.gateway.state()[0].value  # else the last test's status might be taken for this one's
-        until(lambda: self.statuses and self.statuses[-1]["state"] == now, "the client knows", SECONDS)
+        """Stop the robot and clear all goals."""
+        until(lambda: self.ask("stop") and not self.gateway.driving, "no goal is active", SECONDS)
+        current = self.gateway.state()[0].value  # without this wait, a test could match a status of the previous test
+        until(lambda: self.statuses and self.statuses[-1]["state"] == current, "the client has the status", SECONDS)
         for planner in self.planners.values():
             planner.goals.clear()
 

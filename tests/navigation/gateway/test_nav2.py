@@ -1,4 +1,4 @@
-"""Nav2 as planner: its other actions that move the base, its servers that vanish one by one, and its error codes."""
+"""Nav2 as planner: its other actions that move the base, servers that disappear one by one, and its error codes."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ TYPES = {"/follow_path": "nav2_msgs/action/FollowPath", "/spin": "nav2_msgs/acti
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with Rig(tmp_path_factory.mktemp("nav2"), planner=PLANNER) as made:
-        made.planners.pop("robot_goto").close()
-        yield made
+    with Rig(tmp_path_factory.mktemp("nav2"), planner=PLANNER) as rig:
+        rig.planners.pop("robot_goto").close()
+        yield rig
 
 
 @pytest.fixture
 def robot(rig: Rig) -> Iterator[Scene]:
-    with scene(rig, PLANNER, lists=False) as made:
-        yield made
+    with scene(rig, PLANNER, lists=False) as robot:
+        yield robot
 
 
 # -- other actions that move the base ----------------------------------------------------------------------------------
 
 
 class Controller(Program):
-    """A server of another action that moves the base: controller_server, or behavior_server.
+    """A server of another action that moves the base: controller_server or behavior_server.
 
     Attributes:
-        canceled: is set once a client has asked to cancel its goal, which goes on until the test ends it.
+        canceled: set when a client requests cancellation; the goal continues until the test ends it.
     """
 
     def __init__(self, rig: Rig, action: str) -> None:
@@ -78,15 +78,15 @@ class Controller(Program):
 
 @pytest.fixture(params=["/follow_path"])
 def controller(request: pytest.FixtureRequest, robot: Scene) -> Iterator[Controller]:
-    made = Controller(robot.rig, request.param)
+    server = Controller(robot.rig, request.param)
     try:
         robot.planner.tell()  # bt_navigator has no goal
         until(lambda: robot.rig.gateway.link.state.reported, "the gateway has the planner's goal list")
-        until(lambda: robot.rig.gateway.link.motion == (request.param,), "the gateway has its goal list")
-        yield made
+        until(lambda: robot.rig.gateway.link.motion == (request.param,), "the gateway has the controller's goal list")
+        yield server
     finally:
-        made.end()
-        made.close()
+        server.end()
+        server.close()
 
 
 def answered(calling: Calling) -> bool:
@@ -94,14 +94,14 @@ def answered(calling: Calling) -> bool:
 
 
 def confirmed(calling: Calling) -> str:
-    """Wait for the reply to a stop, which has to be ok; returns its message."""
+    """Wait for the reply to a stop or pause, which must be a success; return its message."""
     reply: dict[str, Any] = calling.result(LONG)["reply"]
     assert reply["success"], reply
     return str(reply["message"])
 
 
 @pytest.mark.parametrize("controller", TYPES, indirect=True)
-def test_a_stop_cancels_what_another_client_has_the_base_do(
+def test_a_stop_cancels_another_clients_goal_that_moves_the_base(
     robot: Scene, controller: Controller, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(gateway_module, "ANSWER_SECONDS", LONG)
@@ -111,7 +111,7 @@ def test_a_stop_cancels_what_another_client_has_the_base_do(
     assert controller.canceled.wait(20)
     rig.state(State.MOVING, "stopping: it was stopped")
     polls = count_polls(rig)
-    until(lambda: polls() > 5, "the gateway has polled what it knows")
+    until(lambda: polls() > 5, "the gateway has polled its state")
     assert rig.gateway.held, "the controller's velocities are held, although Nav2 itself has no goal"
     assert not answered(stop)
     controller.end()
@@ -126,7 +126,7 @@ def test_a_stop_cancels_what_another_client_has_the_base_do(
 def test_an_abort_is_reported_when_the_controller_has_ended_and_the_base_stands(
     robot: Scene, controller: Controller
 ) -> None:
-    """bt_navigator gives up on a busy machine, and controller_server drives on for seconds."""
+    """On a busy machine bt_navigator aborts the goal, and controller_server continues to drive for seconds."""
     rig = robot.rig
     asked = robot.drive()
     begin = len(rig.statuses)
@@ -148,8 +148,8 @@ def test_a_stop_that_is_late_names_the_action_that_has_not_ended(robot: Scene, c
     answer = robot.rig.ask("stop")
     assert controller.canceled.is_set()
     assert answer == {"success": False, "message": f"{MAY_MOVE}: /follow_path of {PLANNER} has not ended"}
-    told = robot.rig.state(State.MOVING, f"it was stopped; {MAY_MOVE}: /follow_path of {PLANNER} has not ended")
-    assert told["error_code"] == Fault.MAY_MOVE
+    status = robot.rig.state(State.MOVING, f"it was stopped; {MAY_MOVE}: /follow_path of {PLANNER} has not ended")
+    assert status["error_code"] == Fault.MAY_MOVE
 
 
 def test_a_client_that_cancels_its_goal_has_the_controllers_goal_canceled_too(
@@ -193,7 +193,7 @@ def test_without_odometry_a_stop_needs_the_end_of_the_controllers_goal_and_zero_
         controller.end()
         until(lambda: not rig.gateway.held, "the controller's goal has ended")
         sent = commander.sent
-        until(lambda: commander.sent > sent + 20, "velocities go on for longer than zeros would have to")
+        until(lambda: commander.sent > sent + 20, "more velocities arrive than the zeros that a stop needs")
         assert not answered(stop)
         commander.speed = 0.0
         assert confirmed(stop)
@@ -243,7 +243,7 @@ def test_a_planner_whose_parts_vanish_one_by_one_is_lost_and_has_not_aborted(rob
     rig.state(State.MOVING, f"{PLANNER} is not available; waiting for it; {MAY_MOVE}")
     planner.serve()
     planner.tell()
-    robot.goal(1)  # it is followed again
+    robot.goal(1)  # the gateway tracks it again
     until(lambda: rig.gateway.drive.state is DriveState.DRIVING, "contact is back")
     until(lambda: rig.statuses[-1]["reason"] == "", "the status is that of a normal drive")
     assert robot.states(begin - 1) == {State.MOVING}
@@ -254,7 +254,7 @@ def test_a_planner_whose_parts_vanish_one_by_one_is_lost_and_has_not_aborted(rob
 
 
 def test_a_goal_that_a_bridge_reports_as_lost_has_not_aborted(robot: Scene) -> None:
-    """A worker of a side answers with an unknown state while all parts of the action are still on the hub."""
+    """A side's worker responds with status UNKNOWN while all parts of the action are still on the hub."""
     asked = robot.drive()
     robot.planner.answer(GoalState.UNKNOWN, why="nav2 gave it up")
     lost(robot)
@@ -269,7 +269,7 @@ def test_a_goal_that_a_bridge_reports_as_lost_has_not_aborted(robot: Scene) -> N
     assert len(robot.planner.goals) == 1
 
 
-def test_a_planner_that_comes_back_without_the_goal_is_given_it_again(robot: Scene) -> None:
+def test_a_planner_that_returns_without_the_goal_receives_it_again(robot: Scene) -> None:
     rig, planner = robot.rig, robot.planner
     asked = robot.drive()
     planner.withdraw()
@@ -284,7 +284,7 @@ def test_a_planner_that_comes_back_without_the_goal_is_given_it_again(robot: Sce
 
 
 def test_a_goal_that_only_the_list_of_a_killed_planner_has_is_sent_again(robot: Scene) -> None:
-    """The parts of a killed bt_navigator, and its last list, stay for its DDS lease beside those of the next one."""
+    """The parts of a killed bt_navigator and its last goal list remain for its DDS lease, next to the new server's."""
     rig, planner = robot.rig, robot.planner
     asked = robot.drive()
     planner.tell()
@@ -336,8 +336,8 @@ def test_a_goal_that_fails_for_want_of_a_transform_is_sent_again_within_the_pati
     asked = robot.drive()
     begin = len(rig.statuses)
     planner.end(GoalState.ABORTED, code)
-    told = rig.state(State.MOVING, f"{PLANNER}: a transform is missing or too old (Nav2 {code}); trying again")
-    assert told["error_code"] == Fault.OTHER
+    status = rig.state(State.MOVING, f"{PLANNER}: a transform is missing or too old (Nav2 {code}); trying again")
+    assert status["error_code"] == Fault.OTHER
     robot.goal(2)
     assert not asked.ended
     planner.end(GoalState.SUCCEEDED)
@@ -345,7 +345,7 @@ def test_a_goal_that_fails_for_want_of_a_transform_is_sent_again_within_the_pati
     assert State.ABORTED not in robot.states(begin)
 
 
-def test_a_transform_that_stays_missing_ends_the_goal_in_words_after_the_patience(robot: Scene) -> None:
+def test_a_transform_that_stays_missing_aborts_the_goal_after_the_patience(robot: Scene) -> None:
     rig, planner = robot.rig, robot.planner
     rig.worker.reload(rig.configured(patience=1.2))
     try:
@@ -354,7 +354,7 @@ def test_a_transform_that_stays_missing_ends_the_goal_in_words_after_the_patienc
         while not asked.ended:
             count += 1
             planner.end(GoalState.ABORTED, 102)
-            until(lambda: asked.ended or len(planner.goals) > count, "it ends, or is sent again")  # noqa: B023
+            until(lambda: asked.ended or len(planner.goals) > count, "the goal ends, or is sent again")  # noqa: B023
             until(lambda: asked.ended or planner.waits(planner.goals[-1]), "its result is awaited")
         assert count > 1
         assert asked.end() == ("ABORTED", "a transform is missing or too old (Nav2 102)")
@@ -367,7 +367,7 @@ def test_a_transform_that_stays_missing_ends_the_goal_in_words_after_the_patienc
 @pytest.mark.parametrize(
     ("code", "why"), [(204, "the goal is outside the map"), (208, "no path to the goal"), (106, "velocity command")]
 )
-def test_other_codes_of_nav2_end_the_goal_in_words(robot: Scene, code: int, why: str) -> None:
+def test_other_codes_of_nav2_abort_the_goal_with_a_reason(robot: Scene, code: int, why: str) -> None:
     asked = robot.drive()
     robot.planner.end(GoalState.ABORTED, code)
     status, text = asked.end()
@@ -380,7 +380,7 @@ def test_other_codes_of_nav2_end_the_goal_in_words(robot: Scene, code: int, why:
 
 @pytest.mark.parametrize("first", ["list", "result"])
 def test_a_goal_that_nav2s_own_client_preempts_is_canceled(robot: Scene, first: str) -> None:
-    """Nav2 ends it as aborted without a code; its list shows why, a moment before or after the result."""
+    """Nav2 aborts it without a code; its goal list shows the reason, shortly before or after the result."""
     rig, planner = robot.rig, robot.planner
     asked = robot.drive()
     planner.set(b"a foreign goal..")
@@ -388,7 +388,7 @@ def test_a_goal_that_nav2s_own_client_preempts_is_canceled(robot: Scene, first: 
         planner.end(GoalState.ABORTED)
     else:
         planner.answer(GoalState.ABORTED)
-        until(lambda: rig.gateway.drive.state is DriveState.JUDGING, "the result is there")
+        until(lambda: rig.gateway.drive.state is DriveState.JUDGING, "the gateway has the result")
         planner.tell()
     status, why = asked.end()
     assert status == "CANCELED"

@@ -1,4 +1,4 @@
-"""A navigation goal of another machine, by TLS through the robot's door."""
+"""Navigation goals from another machine, over TLS through the robot's external listener."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.support.wait import until
 
 
 class Robot:
-    """A robot with a gateway and a planner, whose door is open; ``friend`` may command it, ``guest`` may not."""
+    """A robot with a gateway, a planner and an external listener; ``friend`` may command it, ``guest`` may not."""
 
     def __init__(self, folder: Path) -> None:
         self.machines = Machines(make_keys(folder))
@@ -29,7 +29,7 @@ class Robot:
         self.planner = Planner(network.settings("robot_goto"), "robot_goto")
         module: Any = self.worker.running("gateway").module
         gateway = module.gateway
-        until(lambda: gateway.link.reachable, "the planner is found", 20)
+        until(lambda: gateway.link.reachable, "the planner is reachable", 20)
 
     def operator(self, name: str) -> Program:
         return Program(self.machines.settings(name))
@@ -42,11 +42,11 @@ class Robot:
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
-    made = Robot(tmp_path_factory.mktemp("robot"))
+    robot = Robot(tmp_path_factory.mktemp("robot"))
     try:
-        yield made
+        yield robot
     finally:
-        made.close()
+        robot.close()
 
 
 def test_the_operators_goal_its_feedback_and_its_end_cross(robot: Robot) -> None:
@@ -60,7 +60,7 @@ def test_the_operators_goal_its_feedback_and_its_end_cross(robot: Robot) -> None
             robot.planner.on(lambda: goal.feedback({"distance_remaining": 1.5}))
             return bool(asked.feedback)
 
-        until(driving, "the operator hears how far it is", 20)
+        until(driving, "the operator receives the feedback", 20)
         robot.planner.give_up(goal, "a door is closed")
         assert asked.end() == ("ABORTED", "a door is closed")
         asked = Asked(operator, pose(3.0))
@@ -71,15 +71,15 @@ def test_the_operators_goal_its_feedback_and_its_end_cross(robot: Robot) -> None
         goal = robot.planner.until(3)
     finally:
         operator.close()
-    until(lambda: not goal.active, "nobody is left who could cancel it", 20)
+    until(lambda: not goal.active, "the goal ends, as its client has disconnected", 20)
 
 
-def test_a_goal_of_a_machine_that_is_not_trusted_is_none(robot: Robot) -> None:
-    guest, before = robot.operator("guest"), len(robot.planner.goals)
+def test_a_goal_of_an_untrusted_machine_is_rejected(robot: Robot) -> None:
+    guest, count = robot.operator("guest"), len(robot.planner.goals)
     try:
         asked = Asked(guest, pose(1.0))
-        until(lambda: asked.ended, "the guest is told", 30)
+        until(lambda: asked.ended, "the guest's goal has ended", 30)
         assert asked.sent.accepted is not True
-        assert len(robot.planner.goals) == before
+        assert len(robot.planner.goals) == count
     finally:
         guest.close()
