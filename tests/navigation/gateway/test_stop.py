@@ -1,4 +1,4 @@
-"""What a stop says, and does, while the planner is out of reach, hangs, or has gone."""
+"""Stops while the planner is unreachable, hangs, or has exited: replies and effects."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def unmoved(_goal: object) -> bool:
 
 
 class FarPlanner:
-    """A planner behind a link that can be cut: what a side's worker that is killed is to the gateway."""
+    """A planner with a link that can be cut; to the gateway, this looks like a killed worker of the planner's side."""
 
     def __init__(self, rig: Rig, link: FaultProxy) -> None:
         rig.planners.pop(PLANNER).close()
@@ -87,16 +87,16 @@ def behind(rig: Rig, link: FaultProxy) -> Any:
 
 
 class SlowPlanner(Planner):
-    """It thinks about a goal before it takes it."""
+    """A planner that delays the acceptance of a goal."""
 
     def __init__(self, settings: Any, name: str) -> None:
         self.asked, self.takes = threading.Event(), threading.Event()
         super().__init__(settings, name)
 
-    def _take(self, goal: Goal) -> bool:
+    def _accept(self, goal: Goal) -> bool:
         self.asked.set()
         self.takes.wait(20)
-        return super()._take(goal)
+        return super()._accept(goal)
 
 
 def test_a_stop_out_of_the_planners_reach_says_so_and_is_done_once_it_is_back(rig: Rig, odometry: Odometry) -> None:
@@ -125,7 +125,7 @@ def test_a_stop_out_of_the_planners_reach_says_so_and_is_done_once_it_is_back(ri
         assert goal.active
         link.thaw()
         link.cut()
-        until(lambda: not goal.active, "the planner was told to stop", 30)
+        until(lambda: not goal.active, "the planner has ended the goal", 30)
         assert asked.end()[0] == "CANCELED"
         rig.state(State.IDLE, "it was stopped")
         assert len(planner.goals) == 1, "and the goal was not sent again before"
@@ -146,11 +146,11 @@ def test_yarps_client_hears_no_ok_of_a_stop_that_is_not_confirmed(rig: Rig, odom
         assert (status, "the base stands" in why) == ("CANCELED", True)
         rig.state(State.IDLE, "has not answered, and the base stands")
         last = [one for one in rig.statuses if one["error_code"] == Fault.MAY_MOVE][-1]
-        assert "the base stands" not in last["reason"], "what was seen before the goal ended counts after it"
+        assert "the base stands" not in last["reason"], "odometry from before the goal's end does not count"
         assert client.stop_navigation_RPC()
         assert client.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_idle
         rig.state(State.IDLE)  # the status topic has it, too
-        odometry.speed = 0.3  # it goes on, as move_base does on SIGCONT where it turned in a recovery
+        odometry.speed = 0.3  # it moves on, as move_base does on SIGCONT during a recovery rotation
         assert rig.state(State.MOVING, "may still be moving")["error_code"] == Fault.MAY_MOVE
         assert client.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_moving
         rig.planner.on(goal.canceled)
@@ -162,7 +162,7 @@ def test_without_odometry_a_stop_that_nobody_confirms_ends_the_goal_as_aborted(
 ) -> None:
     monkeypatch.setattr(execution, "GIVE_UP_SECONDS", 1.0)
     odometry.silent = True
-    until(lambda: rig.gateway.motion.stands() is None, "nobody knows whether the base moves", 20)
+    until(lambda: rig.gateway.motion.stands() is None, "the motion of the base is unknown", 20)
     rig.planner.cancels = unmoved
     asked = Asked(rig.client, pose(5.0))
     goal = rig.planner.until(1)
@@ -201,7 +201,7 @@ def test_goals_that_others_gave_are_stopped_once_the_planner_is_back(rig: Rig) -
         rig.state(State.MOVING, "may still be moving")
         link.thaw()
         link.cut()
-        until(lambda: not goal.active, "the planner was told to stop", 30)
+        until(lambda: not goal.active, "the planner has ended the goal", 30)
 
 
 def test_a_planner_that_speaks_before_the_graph_tells_of_it_is_believed(
@@ -300,7 +300,7 @@ def test_a_stop_right_after_a_start_waits_for_what_the_planner_tells(
     said: list[str] = []
 
     def starting(module: GatewayModule, host: Host, section: Section) -> None:
-        """Stop before anything is heard: in one step of the module's thread."""
+        """Stop before any message arrives: in one step of the module's thread."""
         start(module, host, section)
         module.gateway.stop()
         module.gateway.when_confirmed(said.append)
@@ -328,7 +328,7 @@ def test_a_planner_that_tells_nothing_is_said_not_to_answer(rig: Rig) -> None:
     Asked(rig.client, pose(5.0))
     goal = rig.planner.until(1)
     rig.state(State.MOVING)
-    assert rig.gateway.link.telemetry.silent == 0.0, "a planner that has never told anything may be one that does not"
+    assert rig.gateway.link.telemetry.silent == 0.0, "a planner without any telemetry so far may not publish it at all"
     rig.planner.on(lambda: goal.feedback({"current_pose": pose(0.5)}))
     told = rig.state(State.MOVING, "move_base does not answer: no status or feedback for 0.5 s")
     assert told["error_code"] == Fault.SILENT
@@ -382,7 +382,7 @@ def test_a_planner_that_does_not_come_back_is_not_held_for_ever(
         assert asked.end()[0] == "CANCELED"
         assert rig.gateway.held
         monkeypatch.setattr(stop, "HELD_SECONDS", 0.0)
-        until(lambda: holds[-1] == {"data": False}, "they are no more", 20)
+        until(lambda: holds[-1] == {"data": False}, "the velocities are no longer held", 20)
         rig.state(State.IDLE, "the base stands")
     finally:
         rig.planner = rig.have(PLANNER)
