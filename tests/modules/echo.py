@@ -1,4 +1,4 @@
-"""A module that says again what it hears, on the hub and on YARP."""
+"""A module that republishes each message, on the hub and on YARP."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from bridge.worker import Health
 
 
 class Echo(Module):
-    """Says what comes on ``/heard`` and ``/<name>/heard:i`` on ``/said`` and ``/<name>/said:o``."""
+    """Republishes messages from its subscription and input port on its publisher and output port."""
 
     name = "echo"
 
     def start(self, host: Host, section: OwnModule) -> None:
         if section.options.get("refuse"):
-            msg = "it was told to refuse"
+            msg = "start refused by its options"
             raise RuntimeError(msg)
         self.prefix = section.options.get("prefix", "")
         self.host = host
@@ -52,4 +52,4 @@ class Echo(Module):
 
 
 class NoModule:
-    """Something else."""
+    """A class that is not a module."""

@@ -26,7 +26,7 @@ REGISTRY = Registry()
 
 
 class Two:
-    """Two nodes, each with a thread of its own."""
+    """A server node and a client node, each with its own thread."""
 
     def __init__(self) -> None:
         self.hubs = QuickHub()
@@ -50,17 +50,17 @@ class Two:
 
 @pytest.fixture
 def two() -> Iterator[Two]:
-    made = Two()
+    nodes = Two()
     try:
-        yield made
+        yield nodes
     finally:
-        made.close()
+        nodes.close()
 
 
 def ask(two: Two, client: Any, request: dict[str, Any]) -> list[Any]:
-    """The replies of one call: they come later."""
+    """Call a service; return the list to which its replies are appended."""
     replies: list[Any] = []
-    until(lambda: client.ready, "there is a server")
+    until(lambda: client.ready, "the server is available")
     two.on(two.client, lambda: client.call(request, replies.append))
     return replies
 
@@ -82,59 +82,59 @@ def test_a_call_has_one_reply_or_one_error(two: Two) -> None:
     with pytest.raises(ConversionError, match="dta"):
         client.call({"dta": True}, replies.append)
     assert server.counters.messages == 2
-    held = ask(two, client, {"data": True})
-    until(lambda: held, "a reply")
+    last_replies = ask(two, client, {"data": True})
+    until(lambda: last_replies, "a reply")
     server.close()
-    gone: list[Any] = []
-    client.call({"data": True}, gone.append)
-    assert isinstance(until(lambda: gone, "an error")[0], CallError)
+    late_replies: list[Any] = []
+    client.call({"data": True}, late_replies.append)
+    assert isinstance(until(lambda: late_replies, "an error")[0], CallError)
 
 
-def test_a_reply_that_is_none_and_a_busy_server_are_told(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:
-    waiting: list[Any] = []
-    two.server.server("/slow", BOOL, lambda _request, answer: waiting.append(answer))
+def test_a_malformed_reply_and_a_busy_server_are_errors(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:
+    pending: list[Any] = []
+    two.server.server("/slow", BOOL, lambda _request, answer: pending.append(answer))
     client = two.client.client("/slow", BOOL)
     monkeypatch.setattr("bridge.modules.services.MAX_WAITING", 2)
     first, second = ask(two, client, {}), ask(two, client, {})
-    until(lambda: len(waiting) == 2, "both came")
+    until(lambda: len(pending) == 2, "both requests are pending")
     third = ask(two, client, {})
-    assert "is busy" in str(until(lambda: third, "it is refused")[0])
-    waiting[0]({"sucess": True})
+    assert "is busy" in str(until(lambda: third, "the third request is rejected")[0])
+    pending[0]({"sucess": True})
     assert "malformed reply" in str(until(lambda: first, "an error")[0])
-    waiting[1]({"success": True})
+    pending[1]({"success": True})
     assert until(lambda: second, "a reply")[0]["success"]
     ask(two, client, {})
-    until(lambda: len(waiting) == 3, "there is room again")
+    until(lambda: len(pending) == 3, "the next request is accepted")
 
 
 class Served:
-    """An action whose goals do what their frame's name says."""
+    """An action server whose goals name their outcome in ``target_frame``."""
 
     def __init__(self, two: Two) -> None:
         self.goals: list[Goal] = []
         self.may_cancel = True
-        two.server.action_server("/lookup", LOOKUP, self.take, lambda _goal: self.may_cancel)
+        two.server.action_server("/lookup", LOOKUP, self.accept, lambda _goal: self.may_cancel)
 
-    def take(self, goal: Goal) -> bool:
+    def accept(self, goal: Goal) -> bool:
         self.goals.append(goal)
-        word = goal.goal["target_frame"]
-        if word == "done":
+        outcome = goal.goal["target_frame"]
+        if outcome == "done":
             goal.execute()
             goal.succeed({"transform": {"child_frame_id": "here"}})
-        if word == "broken":
-            raise ValueError(word)
-        return bool(word != "no")
+        if outcome == "broken":
+            raise ValueError(outcome)
+        return bool(outcome != "no")
 
 
 class Sent:
-    """One goal, and what its client heard."""
+    """A sent goal, with the feedback and results that its client received."""
 
-    def __init__(self, two: Two, client: Any, word: str) -> None:
+    def __init__(self, two: Two, client: Any, outcome: str) -> None:
         self.feedback: list[Any] = []
         self.ends: list[tuple[Any, ...]] = []
         self.goal = two.on(
             two.client,
-            lambda: client.send({"target_frame": word}, lambda *end: self.ends.append(end), self.feedback.append),
+            lambda: client.send({"target_frame": outcome}, lambda *end: self.ends.append(end), self.feedback.append),
         )
 
     def ended(self) -> tuple[GoalState, Any, str]:
@@ -142,57 +142,57 @@ class Sent:
         return goal.status, result, why
 
 
-def test_goals_end_as_their_server_says(two: Two) -> None:
+def test_goals_end_as_their_server_decides(two: Two) -> None:
     served = Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
-    until(lambda: client.ready, "there is a server")
+    until(lambda: client.ready, "the action is available")
     status, result, _ = Sent(two, client, "done").ended()
     assert status is GoalState.SUCCEEDED
     assert result["transform"]["child_frame_id"] == "here"
     assert "rejected" in Sent(two, client, "no").ended()[2]
     assert "ValueError" in Sent(two, client, "broken").ended()[2]
     late = Sent(two, client, "wait")
-    until(lambda: late.goal.accepted, "it is accepted")
+    until(lambda: late.goal.accepted, "the goal is accepted")
     goal = served.goals[-1]
     hub = two.server.hub
-    until(lambda: hub.graph.zid_of(goal.client) == two.client.hub.zid, "it is known whose it is")
-    until(lambda: two.client.hub.zid in hub.neighbours(), "which is of this machine")
+    until(lambda: hub.graph.zid_of(goal.client) == two.client.hub.zid, "the graph lists the goal's client")
+    until(lambda: two.client.hub.zid in hub.neighbours(), "the client's session is known to be on this machine")
     two.on(two.server, goal.execute)
-    until(lambda: (two.on(two.server, lambda: goal.feedback({})), late.feedback)[1], "feedback comes")
+    until(lambda: (two.on(two.server, lambda: goal.feedback({})), late.feedback)[1], "the client receives feedback")
     assert not late.ends
     two.on(two.server, lambda: (goal.abort(), goal.succeed()))
     assert late.ended()[0] is GoalState.ABORTED
     assert len(late.ends) == 1
-    again: list[Any] = []
-    asks = two.client.client("/lookup/_action/get_result", f"{LOOKUP}_GetResult")
-    until(lambda: asks.ready, "it can be asked")
-    asks.call({"goal_id": {"uuid": list(goal.id)}}, again.append)
-    assert until(lambda: again, "the result is kept")[0]["status"] == GoalState.ABORTED
+    results: list[Any] = []
+    get_result = two.client.client("/lookup/_action/get_result", f"{LOOKUP}_GetResult")
+    until(lambda: get_result.ready, "the get_result service is available")
+    get_result.call({"goal_id": {"uuid": list(goal.id)}}, results.append)
+    assert until(lambda: results, "the cached result")[0]["status"] == GoalState.ABORTED
 
 
-def test_one_goal_or_all_are_cancelled(two: Two) -> None:
+def test_one_goal_or_all_are_canceled(two: Two) -> None:
     served = Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
-    until(lambda: client.ready, "there is a server")
+    until(lambda: client.ready, "the action is available")
     goals = [Sent(two, client, "wait") for _ in range(3)]
-    until(lambda: all(sent.goal.accepted for sent in goals), "all are accepted")
+    until(lambda: all(sent.goal.accepted for sent in goals), "all goals are accepted")
     served.may_cancel = False
     two.on(two.client, goals[0].goal.cancel)
     cancel = two.client.client("/lookup/_action/cancel_goal", "action_msgs/srv/CancelGoal")
-    until(lambda: cancel.ready, "it can be asked")
+    until(lambda: cancel.ready, "the cancel_goal service is available")
     codes: list[Any] = []
     for uuid in (goals[0].goal.id, bytes([7] * 16)):
         cancel.call({"goal_info": {"goal_id": {"uuid": list(uuid)}}}, codes.append)
-    until(lambda: len(codes) == 2, "both are answered")
+    until(lambda: len(codes) == 2, "both requests have a reply")
     assert [code["return_code"] for code in codes] == [1, 2]
     served.may_cancel = True
     two.on(two.client, goals[0].goal.cancel)
     goal = next(g for g in served.goals if g.id == goals[0].goal.id)
-    until(lambda: goal.status is GoalState.CANCELING, "the server heard it")
+    until(lambda: goal.status is GoalState.CANCELING, "the goal is canceling")
     two.on(two.server, goal.canceled)
     assert goals[0].ended()[0] is GoalState.CANCELED
     two.on(two.client, client.cancel)
-    until(lambda: all(g.cancel_wanted for g in served.goals), "all are to end")
+    until(lambda: all(g.cancel_wanted for g in served.goals), "the cancel request applies to all goals")
     two.on(two.server, lambda: [g.canceled() for g in served.goals])
     assert [sent.ended()[0] for sent in goals] == [GoalState.CANCELED] * 3
 
@@ -201,72 +201,75 @@ CANCEL_GOAL = "/lookup/_action/cancel_goal"
 
 
 def until_cancelling(two: Two, client: ActionClient) -> None:
-    """Wait until goals can be sent, and cancelled."""
-    cancelling = two.client.client(CANCEL_GOAL, "action_msgs/srv/CancelGoal")
-    until(lambda: client.ready and cancelling.ready, "there is a server")
+    """Wait until goals can be sent and canceled."""
+    cancel = two.client.client(CANCEL_GOAL, "action_msgs/srv/CancelGoal")
+    until(lambda: client.ready and cancel.ready, "the action is available")
 
 
-def cancellations(monkeypatch: pytest.MonkeyPatch, fails: Callable[[int], bool]) -> list[bytes]:
-    """The goals whose cancellation was asked for; the so manieth call may find no server."""
-    asked, call = list[bytes](), ModuleClient.call
+def record_cancel_requests(monkeypatch: pytest.MonkeyPatch, fails: Callable[[int], bool]) -> list[bytes]:
+    """Record the goal ids of cancel requests; request ``n`` (from 1) fails without a server if ``fails(n)``."""
+    requested, call = list[bytes](), ModuleClient.call
 
-    def calling(self: ModuleClient, request: dict[str, Any], replied: Callable[[Any], None]) -> Any:
+    def record_and_call(self: ModuleClient, request: dict[str, Any], replied: Callable[[Any], None]) -> Any:
         if self.topic != CANCEL_GOAL:
             return call(self, request, replied)
-        asked.append(bytes(request["goal_info"]["goal_id"]["uuid"]))
-        return replied(CallError("no server")) if fails(len(asked)) else call(self, request, replied)
+        requested.append(bytes(request["goal_info"]["goal_id"]["uuid"]))
+        return replied(CallError("no server")) if fails(len(requested)) else call(self, request, replied)
 
-    monkeypatch.setattr(ModuleClient, "call", calling)
-    return asked
+    monkeypatch.setattr(ModuleClient, "call", record_and_call)
+    return requested
 
 
-def test_a_cancel_that_cannot_be_asked_for_is_asked_for_again(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cancel_request_that_fails_is_repeated_until_the_server_responds(
+    two: Two, monkeypatch: pytest.MonkeyPatch
+) -> None:
     served = Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
     until_cancelling(two, client)
     sent = Sent(two, client, "wait")
-    asked = cancellations(monkeypatch, lambda count: count < 3 or served.goals[0].status is GoalState.CANCELED)
-    until(lambda: sent.goal.accepted, "it is accepted")
+    ended = lambda: served.goals[0].status is GoalState.CANCELED  # noqa: E731
+    requested = record_cancel_requests(monkeypatch, lambda count: count < 3 or ended())
+    until(lambda: sent.goal.accepted, "the goal is accepted")
     two.on(two.client, sent.goal.cancel)
-    until(lambda: served.goals[0].cancel_wanted, "the server heard it")
-    assert asked == [sent.goal.id] * 3
+    until(lambda: served.goals[0].cancel_wanted, "the server has the cancel request")
+    assert requested == [sent.goal.id] * 3
     two.on(two.server, served.goals[0].canceled)
     assert sent.ended()[0] is GoalState.CANCELED
     two.on(two.client, sent.goal.cancel)
-    again = threading.Event()
-    two.client.loop.after(1.5 * CANCEL_AGAIN, again.set)
-    assert again.wait(40)
-    assert len(asked) == 4, "a goal that has ended is asked for no more"
+    period_over = threading.Event()
+    two.client.loop.after(1.5 * CANCEL_AGAIN, period_over.set)
+    assert period_over.wait(40)
+    assert len(requested) == 4, "the request for a goal that has ended is not repeated"
 
 
-def test_a_cancellation_of_all_goals_is_asked_for_again_until_one_is_sent(
+def test_a_request_to_cancel_all_goals_is_repeated_until_a_goal_is_sent(
     two: Two, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     served = Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
     until_cancelling(two, client)
     monkeypatch.setattr("bridge.modules.clients.CANCEL_ALL_SECONDS", 60.0)
-    asked = cancellations(monkeypatch, lambda count: count != 3)
+    requested = record_cancel_requests(monkeypatch, lambda count: count != 3)
     sent = Sent(two, client, "wait")
-    until(lambda: sent.goal.accepted, "it is accepted")
+    until(lambda: sent.goal.accepted, "the goal is accepted")
     two.on(two.client, client.cancel)
-    until(lambda: served.goals[0].cancel_wanted, "the server heard it")
-    assert asked == [bytes(16)] * 3
+    until(lambda: served.goals[0].cancel_wanted, "the server has the cancel request")
+    assert requested == [bytes(16)] * 3
     two.on(two.client, lambda: (client.cancel(), client.send({"target_frame": "wait"}, lambda *_end: None)))
-    again = threading.Event()
-    two.client.loop.after(1.5 * CANCEL_AGAIN, again.set)
-    assert again.wait(40)
-    assert len(asked) == 4, "the goal that was sent since is not cancelled"
+    period_over = threading.Event()
+    two.client.loop.after(1.5 * CANCEL_AGAIN, period_over.set)
+    assert period_over.wait(40)
+    assert len(requested) == 4, "the new goal is not canceled"
 
 
-def test_a_server_that_leaves_ends_its_goals(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_goals_abort_when_their_server_closes(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:
     asked, ask = list[None](), Goal.ask
     monkeypatch.setattr(Goal, "ask", lambda goal, answer: asked.append(ask(goal, answer)))
     Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
-    until(lambda: client.ready, "there is a server")
+    until(lambda: client.ready, "the action is available")
     sent = Sent(two, client, "wait")
-    until(lambda: asked, "its result is asked for")
+    until(lambda: asked, "the result is requested")
     two.server.close()
     status, _, why = sent.ended()
     assert status is GoalState.ABORTED

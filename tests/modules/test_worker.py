@@ -1,4 +1,4 @@
-"""The worker that hosts modules: start, live reload, failure, counters, YARP ports, one module alone."""
+"""The worker that hosts modules: start, live reload, failures, counters, YARP ports, and a worker for one module."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ ECHO = "tests.modules.echo:Echo"
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    with Place(tmp_path) as made:
-        yield made
+    with Place(tmp_path) as place:
+        yield place
 
 
 def echo(name: str = "echo", **options: Any) -> dict[str, Any]:
     return {"name": name, "factory": ECHO, "options": options}
 
 
-def test_a_module_hears_and_says_on_the_hub_and_counts(place: Place) -> None:
-    heard = place.far.subscribe("/said", STRING)
+def test_a_module_subscribes_publishes_and_counts_messages(place: Place) -> None:
+    subscription = place.far.subscribe("/said", STRING)
     place.worker.start(place.config(echo(prefix="again ")))
-    place.hears("hello", heard, "again hello")
+    place.hears("hello", subscription, "again hello")
 
     def counted() -> dict[str, Any] | None:
-        """Its status, once what it said is counted: that comes after it was heard."""
+        """Return the status once it counts messages on all topics, which is after their delivery."""
         status = place.status("echo")
         return status if status and all(end["messages"] for end in status["topics"]) else None
 
-    status = until(counted, "the module counts what came and went")
+    status = until(counted, "the module counts received and published messages")
     assert status is not None
     assert status["state"] == "running"
     assert status["heard"] >= 1
@@ -54,21 +54,21 @@ def test_a_module_hears_and_says_on_the_hub_and_counts(place: Place) -> None:
     assert "heard" in place.worker.health().text
 
 
-def test_a_step_that_fails_stops_nothing(place: Place, caplog: pytest.LogCaptureFixture) -> None:
-    heard = place.far.subscribe("/said", STRING)
+def test_a_module_continues_after_a_failed_callback(place: Place, caplog: pytest.LogCaptureFixture) -> None:
+    subscription = place.far.subscribe("/said", STRING)
     place.worker.start(place.config(echo()))
-    place.hears("one", heard, "one")
+    place.hears("one", subscription, "one")
     out = place.far.advertise("/heard", STRING)
-    until(lambda: (place.far.publish(out, {"data": "break"}), "one step failed" in caplog.text)[1], "it broke")
-    place.hears("two", heard, "two")
+    until(lambda: (place.far.publish(out, {"data": "break"}), "one step failed" in caplog.text)[1], "a callback fails")
+    place.hears("two", subscription, "two")
 
 
-def test_its_ports_open_when_a_name_server_comes(place: Place) -> None:
+def test_ports_open_when_a_name_server_starts(place: Place) -> None:
     place.worker.start(place.config(echo()))
-    until(lambda: "waiting" in str(place.status("echo")), "it tells that its ports wait")
+    until(lambda: "waiting" in str(place.status("echo")), "the status reports waiting ports")
     with NameServer(port=place.port, gc_seconds=0):
         until(lambda: connections.exists(place.names, "/echo/said:o"), "the port is registered")
-        until(lambda: "waiting" not in str(place.answer("echo")["ports"]), "all are open")
+        until(lambda: "waiting" not in str(place.answer("echo")["ports"]), "all ports are open")
         with Client("/echo/rpc", naming=place.names) as client:
             assert client.ask(["hello", 4], timeout=40) == ["said", "hello", 4]
         with (
@@ -85,28 +85,28 @@ def test_its_ports_open_when_a_name_server_comes(place: Place) -> None:
         assert place.names.query("/echo/rpc") is None
 
 
-def test_what_comes_to_a_module_that_has_stopped_is_left_undone(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stopped_module_runs_no_more_callbacks(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     place.worker.start(place.config(echo()))
     running = place.worker.running("echo")
     host, module = running.host, running.module
-    done: list[str] = []
+    executed: list[str] = []
     close = host.yarp.close
 
-    def slowly() -> None:
-        host.loop.post(lambda: done.append("posted"))
+    def post_and_close() -> None:
+        host.loop.post(lambda: executed.append("posted"))
         with pytest.raises(TimeoutError, match="has ended"):
-            host.loop.call(lambda: done.append("called"))
+            host.loop.call(lambda: executed.append("called"))
         close()
 
     def stop() -> None:
-        host.loop.after(0.0, lambda: done.append("timer"))
-        host.loop.post(lambda: done.append("posted before"))
-        done.append("stopped")
+        host.loop.after(0.0, lambda: executed.append("timer"))
+        host.loop.post(lambda: executed.append("posted before"))
+        executed.append("stopped")
 
-    monkeypatch.setattr(host.yarp, "close", slowly)
+    monkeypatch.setattr(host.yarp, "close", post_and_close)
     monkeypatch.setattr(module, "stop", stop)
     running.stop()
-    assert done == ["stopped"]
+    assert executed == ["stopped"]
 
 
 def test_a_failing_health_check_does_not_affect_other_modules(
@@ -125,85 +125,84 @@ def test_a_failing_health_check_does_not_affect_other_modules(
     assert caplog.text.count("echo: health check failed") == 1
 
 
-def test_reload_touches_what_changed_alone(place: Place) -> None:
-    """All modules share a session: what one has there comes and goes without the others'."""
+def test_a_reload_only_touches_changed_modules(place: Place) -> None:
+    """All modules share a session, on which the endpoints of one module open and close without the others'."""
     graph = place.far.hub.graph
 
     def ends(node: str) -> dict[str, bytes]:
         return {end.topic: end.gid for end in graph.endpoints() if end.node == node}
 
-    heard = place.far.subscribe("/said", STRING)
+    subscription = place.far.subscribe("/said", STRING)
     place.worker.start(place.config(echo(), echo("other")))
-    place.hears("a", heard, "a")
-    until(lambda: ends("echo").keys() == ends("other").keys() == {"/heard", "/said"}, "both are on the hub by name")
-    before, zid = ends("echo"), place.answer("echo")["zid"]
-    looks: list[dict[str, bytes]] = []
-    unwatch = graph.watch(lambda: looks.append(ends("echo")))
+    place.hears("a", subscription, "a")
+    until(lambda: ends("echo").keys() == ends("other").keys() == {"/heard", "/said"}, "the graph names both modules")
+    original, zid = ends("echo"), place.answer("echo")["zid"]
+    snapshots: list[dict[str, bytes]] = []
+    unwatch = graph.watch(lambda: snapshots.append(ends("echo")))
     assert place.worker.reload(place.config(echo(prefix="new "), echo("third")))
-    place.hears("b", heard, "new b")
-    until(lambda: place.status("third") and ends("third") and not ends("other"), "the one has come, the other gone")
+    place.hears("b", subscription, "new b")
+    until(lambda: place.status("third") and ends("third") and not ends("other"), "the third replaces the other")
     assert place.status("other") is None
     unwatch()
-    assert looks, "that was seen"
-    assert all(look == before for look in looks), "it took up its section while it ran"
+    assert snapshots, "the graph has changed"
+    assert all(snapshot == original for snapshot in snapshots), "the module reloads without a restart"
     assert {node.zid for node in graph.nodes() if node.node in {"echo", "third"}} == {zid}, "on one session"
     assert place.worker.reload(place.config(echo(restart=True), echo("third")))
-    until(lambda: ends("echo").keys() == before.keys() and ends("echo") != before, "it runs again")
-    place.hears("c", heard, "c")
-    assert not place.worker.reload(place.config(echo(), name="elsewhere")), "the worker is to be started again"
+    until(lambda: ends("echo").keys() == original.keys() and ends("echo") != original, "the module has restarted")
+    place.hears("c", subscription, "c")
+    assert not place.worker.reload(place.config(echo(), name="elsewhere")), "the worker needs a restart"
 
 
-def test_one_that_stands_still_delays_no_other(place: Place) -> None:
-    heard = place.far.subscribe("/said", STRING)
+def test_a_blocked_module_does_not_delay_others(place: Place) -> None:
+    subscription = place.far.subscribe("/said", STRING)
     place.worker.start(place.config(echo(), echo("other", prefix="other ")))
-    place.hears("a", heard, "other a")
-    still, goes_on = place.worker.running("echo").host.loop, threading.Event()
-    still.post(goes_on.wait)
+    place.hears("a", subscription, "other a")
+    blocked, release = place.worker.running("echo").host.loop, threading.Event()
+    blocked.post(release.wait)
     try:
-        place.hears("b", heard, "other b")
-        assert "b" not in {message["data"] for message in place.far.wait(heard, 0)}
+        place.hears("b", subscription, "other b")
+        assert "b" not in {message["data"] for message in place.far.wait(subscription, 0)}
         assert place.status("other") is not None
     finally:
-        goes_on.set()
-    place.hears("c", heard, "c")
+        release.set()
+    place.hears("c", subscription, "c")
 
 
-def test_a_release_of_yarp_is_taken_up_while_all_runs(place: Place) -> None:
-    """Nothing restarts, and who is connected stays so: the next call is answered otherwise."""
+def test_a_changed_yarp_release_applies_without_a_restart(place: Place) -> None:
+    """Connections stay open; the next call is answered in the new release's format."""
     place.worker.start(place.config(echo(), yarp=place.yarp_section()))
-    before = place.answer("echo")
+    original = place.answer("echo")
     host = place.worker.running("echo").host
     assert host is not None
     assert not host.yarp.generations.of("/nav").sure
-    topics = [{"topic": "/scan", "as": "natural"}]  # what other workers' ports carry
+    topics = [{"topic": "/scan", "as": "natural"}]  # concerns only the ports of other workers
     for changed in ({"release": "3.9"}, {"peers": [{"port": "/nav", "release": "3.9"}], "topics": topics}):
         assert place.worker.reload(place.config(echo(), yarp=place.yarp_section(**changed)))
         assert host.yarp.generations.of("/nav").generation is Generation.YARP_3_6
     assert not host.yarp.generations.of("/other").sure
-    assert place.answer("echo")["zid"] == before["zid"], "it goes on"
-    assert not place.worker.reload(place.config(echo(), yarp=place.yarp_section(namespace="/other"))), (
-        "its ports are others"
-    )
+    assert place.answer("echo")["zid"] == original["zid"], "the module keeps running"
+    another_network = place.yarp_section(namespace="/other")
+    assert not place.worker.reload(place.config(echo(), yarp=another_network)), "the ports need a restart"
 
 
-def test_one_that_cannot_start_keeps_no_other_from_it_and_is_tried_again(place: Place) -> None:
-    heard = place.far.subscribe("/said", STRING)
+def test_a_module_that_cannot_start_affects_no_other_and_is_started_again(place: Place) -> None:
+    subscription = place.far.subscribe("/said", STRING)
     bad = [
         {"name": "nowhere", "factory": "tests.modules.nowhere:Module"},
         {"name": "nothing", "factory": "tests.modules.echo:NoModule"},
         echo("refuses", refuse=True),
     ]
     place.worker.start(place.config(*bad, echo()))
-    place.hears("a", heard, "a")
+    place.hears("a", subscription, "a")
     health = place.worker.health()
     assert health.state == "running"
-    assert "refuses: waiting it was told to refuse" in health.text
+    assert "refuses: waiting start refused by its options" in health.text
     assert place.worker.reload(place.config(*bad[:2], echo("refuses"), echo()))
-    until(lambda: "told to refuse" not in place.worker.health().text, "it was started again")
+    until(lambda: "start refused" not in place.worker.health().text, "the module has started")
 
 
-def test_one_module_alone(place: Place) -> None:
+def test_a_worker_for_one_module(place: Place) -> None:
     place.worker = ModulesWorker("other")
     place.worker.start(place.config(echo(), echo("other")))
-    until(lambda: place.status("other"), "the one runs")
+    until(lambda: place.status("other"), "the module runs")
     assert place.status("echo") is None
