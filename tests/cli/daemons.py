@@ -42,7 +42,7 @@ class RobotDaemon:
 
     def configure(self, **sections: Any) -> None:
         """Write the configuration file."""
-        known = {
+        config = {
             "name": "robot",
             "state": str(self.folder / "state"),
             "hub": {"listen": f"tcp/127.0.0.1:{self.port}"},
@@ -51,7 +51,7 @@ class RobotDaemon:
             **OFF,
             **sections,
         }
-        self.file.write_text(json.dumps(known))
+        self.file.write_text(json.dumps(config))
 
     def start(self) -> None:
         """Start the daemon."""
@@ -64,7 +64,7 @@ class RobotDaemon:
         return process
 
     def worker(self, name: str) -> dict[str, Any]:
-        """A worker as the daemon reports it; empty without a daemon."""
+        """Return the daemon's report of a worker, empty if the daemon does not run."""
         report = ask_daemon(load(self.file)) or {"workers": []}
         return next((dict(worker) for worker in report["workers"] if worker["worker"] == name), {})
 
@@ -75,25 +75,25 @@ class RobotDaemon:
             report = self.worker(worker)
             return report if report.get("phase") == phase and report["restarts"] >= restarts else None
 
-        found: dict[str, Any] = until(reached, f"{worker} is {phase}", 40)
-        return found
+        report: dict[str, Any] = until(reached, f"{worker} is {phase}", 40)
+        return report
 
     def kill(self) -> int:
-        """Kill the daemon only, and wait until its workers have ended; returns the process of its router."""
+        """Kill the daemon only, and wait until its workers have exited; return the process id of its router."""
         assert self.daemon is not None
         router, modules = self.worker("router")["pid"], self.worker("modules").get("pid", 0)
         os.kill(self.daemon.pid, signal.SIGKILL)
         self.daemon.popen.wait(20)
-        until(lambda: not modules or not psutil.pid_exists(modules), "the other workers have ended", 20)
+        until(lambda: not modules or not psutil.pid_exists(modules), "the other workers have exited", 20)
         return int(router)
 
     def __call__(self, *words: str) -> subprocess.CompletedProcess[str]:
-        """Run a command to its end."""
+        """Run a command, and return its output and exit code."""
         command = [*MIDSPAN, *words, "--config", str(self.file)]
         return subprocess.run(command, env=self.env, capture_output=True, text=True, timeout=60, check=False)
 
     def close(self) -> None:
-        """End all processes, also a router that has outlived its daemon."""
+        """Stop all processes, including a router that has outlived its daemon."""
         workers = [
             psutil.Process(process.pid).children() for process in self._processes if process.popen.poll() is None
         ]

@@ -1,4 +1,4 @@
-"""A deployment of a test's own: roscore, ROS 2 domain, hub port, state folder, and the real daemon."""
+"""A deployment for one test: roscore, ROS 2 domain, hub port, state folder, and the real daemon."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from tests.support.wait import until
 
 MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
 ANSWER_SECONDS = 5.0
-"""So long a worker of a busy machine has to answer; who is dead is not waited for."""
+"""Timeout (s) for a worker's answer on a busy machine; a worker that has exited is not waited for."""
 
 
 class Deployment:
@@ -50,7 +50,7 @@ class Deployment:
         self._sides = ["ros1", "ros2"]
         self._open: list[Any] = []
         self._own = 0
-        """So many of these are the deployment's own."""
+        """Number of leading items in ``_open`` that belong to the deployment rather than to a test."""
         self._names = 0
         self._watch: Hub | None = None
         self._registry = Registry(folders=PEER_FOLDERS)
@@ -72,13 +72,13 @@ class Deployment:
         self.file.write_text(yaml.safe_dump(config))
 
     def start(self, **sections: Any) -> None:
-        """Start roscore and the daemon; returns when the workers of ROS, and of YARP if it is used, have joined."""
+        """Start roscore and the daemon; return when the workers of ROS, and of YARP if it is used, have joined."""
         self.master.start()
         self.configure(**sections)
         self.run()
 
     def run(self) -> None:
-        """Start the daemon; returns when the workers have joined, which come up one after the other."""
+        """Start the daemon; return when all its workers have joined."""
         self.daemon = Process([*MIDSPAN, "run", "--config", self.file], imports=DAEMON)
         until(self.joined, f"the workers of {self._sides} have joined", 40, every=0.05)
         self._own = len(self._open)
@@ -108,16 +108,16 @@ class Deployment:
         return [line for a in answers if isinstance(a.value, list) for line in a.value]
 
     def worker(self, side: str) -> dict[str, Any]:
-        """One worker's status."""
+        """Return the status of one side's worker, empty if it does not answer."""
         return next((d for d in self.status() if d.get("side") == side), {})
 
     def route(self, side: str, topic: str, direction: str) -> dict[str, Any] | None:
-        """One route of one worker."""
+        """Return one route of one worker."""
         routes = self.worker(side).get("routes", [])
         return next((r for r in routes if r["topic"] == topic and r["direction"] == direction), None)
 
     def ros1(self, name: str = "") -> Peer:
-        """A real rospy program."""
+        """Start a rospy program."""
         peer = self.master.peer(name or self._name("ros1"))
         self._open.append(peer)
         for type_ in CUSTOM_TYPES:
@@ -125,21 +125,21 @@ class Deployment:
         return peer
 
     def ros2(self, name: str = "") -> Peer:
-        """A real rclpy program."""
+        """Start an rclpy program."""
         env = {**ros2_environment(), **environment([build(read_folders([CUSTOM_FOLDER]))])}
         peer = Peer(ROS2_PEER, ros2_python(), env, name or self._name("ros2"))
         self._open.append(peer)
         return peer
 
     def zenoh(self) -> RmwSide:
-        """A node of rmw_zenoh, but for its services, which are those of a session of Midspan."""
+        """Start an rmw_zenoh node, whose services run on a Midspan session."""
         hub = Hub.open(self.settings(self._name("zenoh"), "far"))
-        end = RmwSide(hub, self._registry, f"tcp/127.0.0.1:{self.port}")
-        self._open.append(_Closer(end))
-        return end
+        side = RmwSide(hub, self._registry, f"tcp/127.0.0.1:{self.port}")
+        self._open.append(_Closer(side))
+        return side
 
     def sdk(self) -> Peer:
-        """A zenoh-ros2-sdk program, independent of our code."""
+        """Start a zenoh-ros2-sdk program, which shares no code with Midspan."""
         env = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "HOME": "/nonexistent"}
         peer = Peer(SDK_PROGRAM, Path(sys.executable), env, str(self.port), "0")
         self._open.append(peer)
@@ -151,7 +151,7 @@ class Deployment:
         return thing
 
     def settings(self, node: str, worker: str = "") -> HubSettings:
-        """Of a session in the test's process; that would hold the shared memory of every worker that a test kills."""
+        """Return settings for a session in the test's process, without the shared memory of workers that it kills."""
         router = f"tcp/127.0.0.1:{self.port}"
         return HubSettings(router=router, node=node, daemon="far", worker=worker or node, shared_memory=False)
 
@@ -162,25 +162,25 @@ class Deployment:
     def until_route(self, side: str, topic: str, direction: str, **values: Any) -> dict[str, Any]:
         """Wait for a route with these values."""
 
-        def found() -> dict[str, Any] | None:
+        def matching() -> dict[str, Any] | None:
             route = self.route(side, topic, direction)
             return route if route and all(route[k] == v for k, v in values.items()) else None
 
-        return until(found, f"{side} routes {topic} {direction} with {values}", 60, every=0.1)  # type: ignore[return-value]
+        return until(matching, f"{side} routes {topic} {direction} with {values}", 60, every=0.1)  # type: ignore[return-value]
 
     def hang_up(self) -> None:
-        """Tell the daemon to reload."""
+        """Reload the daemon's configuration by SIGHUP."""
         assert self.daemon is not None
         os.kill(self.daemon.pid, signal.SIGHUP)
 
     def stop_programs(self) -> None:
-        """End the programs that a test started; all else goes on, for the next one."""
+        """Stop the programs that a test has started; daemon and master run on for the next test."""
         programs = self._open[self._own :]
         del self._open[self._own :]
         stop_all(programs)
 
     def stop_daemon(self) -> int:
-        """SIGTERM; the exit code."""
+        """Stop the daemon by SIGTERM, and return its exit code."""
         assert self.daemon is not None
         daemon, self.daemon = self.daemon, None
         return daemon.stop()

@@ -1,4 +1,7 @@
-"""What the machine refuses: broken files at reload, a full or read-only disk, no descriptors. Everything else flows."""
+"""Failures of the machine: broken configuration files, a full or read-only disk, no file descriptors.
+
+The routes continue to carry messages during each of them.
+"""
 
 from __future__ import annotations
 
@@ -29,65 +32,68 @@ needs_root = pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, re
 
 
 class Flow:
-    """A topic each way between real rospy and rclpy programs, which must go on."""
+    """One topic in each direction between real rospy and rclpy programs, for checks that messages still cross."""
 
     def __init__(self, deployment: Deployment) -> None:
         self._ros1, self._ros2 = deployment.ros1(), deployment.ros2()
-        self._ways = [self._way(self._ros1, self._ros2, "/to_ros2"), self._way(self._ros2, self._ros1, "/to_ros1")]
+        self._topics = [
+            self._connect(self._ros1, self._ros2, "/to_ros2"),
+            self._connect(self._ros2, self._ros1, "/to_ros1"),
+        ]
         self._sent = 0
         self.begin()
 
     def begin(self) -> None:
-        """Wait until both ways cross: the routes are made."""
+        """Wait until the routes of both topics carry messages."""
         first = self._sent
-        before = [len(hearer.wait(heard, 0, 0)) for _, _, hearer, heard in self._ways]
+        counts = [len(receiver.wait(inbox, 0, 0)) for _, _, receiver, inbox in self._topics]
 
         def cross() -> bool:
             self.send()
             return all(
-                any(int(m["data"]) > first for m in hearer.wait(heard, count + 1, 0.2, since=count))
-                for (_, _, hearer, heard), count in zip(self._ways, before, strict=True)
+                any(int(m["data"]) > first for m in receiver.wait(inbox, count + 1, 0.2, since=count))
+                for (_, _, receiver, inbox), count in zip(self._topics, counts, strict=True)
             )
 
-        until(cross, "both ways cross", 60)
+        until(cross, "messages cross in both directions", 60)
 
-    def _way(self, sender: Peer, hearer: Peer, topic: str) -> tuple[Peer, int, Peer, int]:
-        heard = hearer.subscribe(topic, STRING)
-        return sender, sender.advertise(topic, STRING), hearer, heard
+    def _connect(self, sender: Peer, receiver: Peer, topic: str) -> tuple[Peer, int, Peer, int]:
+        inbox = receiver.subscribe(topic, STRING)
+        return sender, sender.advertise(topic, STRING), receiver, inbox
 
     def send(self) -> str:
-        """One message each way; its text."""
+        """Publish one message on each topic; return its text."""
         self._sent += 1
-        for sender, out, _, _ in self._ways:
+        for sender, out, _, _ in self._topics:
             sender.publish(out, {"data": str(self._sent)})
         return str(self._sent)
 
     def check(self) -> None:
-        """Each way carries ten messages, none lost."""
+        """Check that ten messages cross in each direction without a loss."""
         sent = [self.send() for _ in range(10)]
-        for _, _, hearer, heard in self._ways:
-            came: list[str] = []
+        for _, _, receiver, inbox in self._topics:
+            received: list[str] = []
 
-            def all_came(hearer: Peer = hearer, heard: int = heard, came: list[str] = came) -> bool:
-                came[:] = [m["data"] for m in hearer.wait(heard, 0, 0)]
-                return set(came) >= set(sent)
+            def complete(receiver: Peer = receiver, inbox: int = inbox, received: list[str] = received) -> bool:
+                received[:] = [m["data"] for m in receiver.wait(inbox, 0, 0)]
+                return set(received) >= set(sent)
 
             try:
-                until(all_came, "ten cross", 20)
+                until(complete, "ten messages cross", 20)
             except AssertionError as err:
-                msg = f"of {sent} came {came[-20:]}"
+                msg = f"sent {sent}, received {received[-20:]}"
                 raise AssertionError(msg) from err
 
 
 def pids(deployment: Deployment) -> set[int]:
-    """The processes of the daemon and its workers."""
+    """Return the process ids of the daemon and its workers."""
     assert deployment.daemon is not None
     return {deployment.daemon.pid, *(int(d["pid"]) for d in deployment.status())}
 
 
 def broken(number: int, good: str) -> str:
-    """One of many broken configurations: cut off, of the wrong kind, unknown keys, bad rules, no text at all."""
-    wrong = [
+    """Return a broken configuration: truncated, binary, or with a wrong type, an unknown key or an invalid rule."""
+    files = [
         f"{good}rooting: {{rule_{number}: 1}}\n",
         f"{good}routing: {{rules: [{{topic: /a, rate: -{number}}}]}}\n",
         f"{good}routing:\n  rules:\n    - {{topic: no_slash_{number}}}\n",
@@ -101,12 +107,12 @@ def broken(number: int, good: str) -> str:
         "- " * number + "x\n",
         f"{good}log: !!python/object/apply:os.abort [{number}]\n",
     ]
-    return wrong[number % len(wrong)]
+    return files[number % len(files)]
 
 
 def test_a_hundred_broken_configurations(running: Deployment) -> None:
     flow = Flow(running)
-    before, good = pids(running), running.file.read_text()
+    processes, good = pids(running), running.file.read_text()
     assert running.daemon is not None
     daemon = running.daemon
     for number in range(1, BROKEN + 1):
@@ -122,25 +128,25 @@ def test_a_hundred_broken_configurations(running: Deployment) -> None:
     flow.check()
     running.file.write_text(good + "log: {level: info}\n" + yaml.safe_dump({"routing": {"rules": [{"topic": "/x"}]}}))
     running.hang_up()
-    until(lambda: "configuration loaded again" in daemon.output(), "a good one is taken up", 20)
+    until(lambda: "configuration loaded again" in daemon.output(), "the daemon loads a valid file", 20)
     flow.check()
-    assert pids(running) == before
+    assert pids(running) == processes
 
 
 @contextmanager
 def small_disk(folder: Path) -> Iterator[Path]:
-    """A real file system of 3 MB."""
+    """Mount a file system of 3 MB."""
     folder.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(folder)], check=True)
     try:
         yield folder
     finally:
-        while os.path.ismount(folder):  # also what a test laid over it
+        while os.path.ismount(folder):  # also mounts that a test has added on top
             subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
 def fill(disk: Path) -> Path:
-    """Leave not one byte of room."""
+    """Fill the file system to the last byte; return the file that does."""
     litter = disk / "litter"
     with litter.open("wb", buffering=0) as file:
         try:
@@ -152,22 +158,22 @@ def fill(disk: Path) -> Path:
 
 
 def kill_each_worker(deployment: Deployment, flow: Flow) -> None:
-    """Kill each side's worker; each comes back, and its routes."""
+    """Kill the worker of each side, and wait until it and its routes are back."""
     for side in ("ros1", "ros2"):
         pid = int(deployment.worker(side)["pid"])
         os.kill(pid, 9)
 
-        def back(side: str = side, pid: int = pid) -> bool:
+        def restarted(side: str = side, pid: int = pid) -> bool:
             worker = deployment.worker(side)
             return worker.get("pid", pid) != pid and worker["state"] == "running"
 
-        until(back, f"{side} is back", 40, every=0.2)
+        until(restarted, f"the worker {side} has restarted", 40, every=0.2)
     flow.begin()
 
 
 @needs_root
 def test_a_full_disk_from_the_start(deployment: Deployment, tmp_path: Path) -> None:
-    """State folder and log on a disk without a byte left."""
+    """The state folder and the log are on a full disk."""
     with small_disk(tmp_path / "disk") as disk:
         log = disk / "log"
         log.touch()
@@ -179,13 +185,13 @@ def test_a_full_disk_from_the_start(deployment: Deployment, tmp_path: Path) -> N
         deployment.daemon = Process(logged, os.environ)
         until(deployment.joined, "both workers have joined", 60, every=0.2)
         flow = Flow(deployment)
-        said = deployment.command("status").stdout
-        assert f": the state folder {disk / 'state'} has 0 kB of room left; make room" in said
+        status = deployment.command("status").stdout
+        assert f": the state folder {disk / 'state'} has 0 kB of room left; make room" in status
         flow.check()
         assert log.read_text() == ""
         litter.unlink()
         deployment.hang_up()
-        until(lambda: "configuration loaded again" in log.read_text(), "the log goes on", 20)
+        until(lambda: "configuration loaded again" in log.read_text(), "the log continues", 20)
         flow.check()
         assert deployment.stop_daemon() == 0
 
@@ -198,14 +204,18 @@ def test_a_disk_that_fills_up_and_turns_read_only(deployment: Deployment, tmp_pa
         daemon = deployment.daemon
         flow = Flow(deployment)
         litter = fill(disk)
-        until(lambda: "has 0 kB of room left; make room" in daemon.output(), "it is told", 20)
+        until(lambda: "has 0 kB of room left; make room" in daemon.output(), "the log reports the full disk", 20)
         kill_each_worker(deployment, flow)
         flow.check()
         litter.unlink()
-        # Not the file system itself: it holds files that are open for writing, which a failing disk would not ask.
+        # The file system itself cannot be remounted while files are open for writing; a failing disk does not wait.
         subprocess.run(["mount", "--bind", str(disk), str(disk)], check=True)
         subprocess.run(["mount", "-o", "remount,bind,ro", str(disk)], check=True)
-        until(lambda: "Read-only file system; make it writable" in daemon.output(), "it is told", 20)
+        until(
+            lambda: "Read-only file system; make it writable" in daemon.output(),
+            "the log reports the read-only disk",
+            20,
+        )
         warning = f": the state folder {disk / 'state'}: Read-only file system; make it writable, or set 'state'"
         assert warning in deployment.command("status").stdout
         doctor = deployment.command("doctor", "--only", "state-folder")
@@ -214,9 +224,9 @@ def test_a_disk_that_fills_up_and_turns_read_only(deployment: Deployment, tmp_pa
         kill_each_worker(deployment, flow)
         flow.check()
         deployment.hang_up()
-        until(lambda: "configuration loaded again" in daemon.output(), "a good file is taken up all the same", 20)
+        until(lambda: "configuration loaded again" in daemon.output(), "the daemon loads a valid file", 20)
         subprocess.run(["mount", "-o", "remount,bind,rw", str(disk)], check=True)
-        until(lambda: "the state folder can be written again" in daemon.output(), "it is told", 20)
+        until(lambda: "the state folder can be written again" in daemon.output(), "the log reports the recovery", 20)
         flow.check()
 
 
@@ -233,42 +243,44 @@ def test_no_descriptors_left(running: Deployment) -> None:
     assert running.daemon is not None
     daemon = running.daemon
     flow = Flow(running)
-    before = pids(running)
+    processes = pids(running)
     ros1, ros2 = running.ros1(), running.ros2()
-    for side, program, hearer in (("ros1", ros1, ros2), ("ros2", ros2, ros1)):
+    for side, program, receiver in (("ros1", ros1, ros2), ("ros2", ros2, ros1)):
         pid = int(running.worker(side)["pid"])
         used = len(list(Path(f"/proc/{pid}/fd").iterdir()))
         limits = resource.prlimit(pid, resource.RLIMIT_NOFILE)
         resource.prlimit(pid, resource.RLIMIT_NOFILE, (used + 4, limits[1]))
         topics = [f"/{side}_{number}" for number in range(12)]
-        heard = [hearer.subscribe(topic, STRING) for topic in topics]
+        inboxes = [receiver.subscribe(topic, STRING) for topic in topics]
         out = [program.advertise(topic, STRING) for topic in topics]
-        until(lambda s=side: NO_DESCRIPTORS in str(running.worker(s).get("warnings")), "it is told", 20)
+        until(lambda s=side: NO_DESCRIPTORS in str(running.worker(s).get("warnings")), "a warning", 20)
         flow.check()
-        said = running.command("status").stdout
-        assert NO_DESCRIPTORS in said
-        until(lambda s=side: re.search(f"{s}: .*{NO_DESCRIPTORS}", daemon.output()), "the log tells it, too", 20)
-        assert "Errno" not in said
-        if side == "ros1":  # one socket for each publisher that is heard
+        status = running.command("status").stdout
+        assert NO_DESCRIPTORS in status
+        until(lambda s=side: re.search(f"{s}: .*{NO_DESCRIPTORS}", daemon.output()), "the log has the warning", 20)
+        assert "Errno" not in status
+        if side == "ros1":  # it needs one socket per publisher
             refused = "this process has no file descriptor left"
-            until(lambda r=refused: r in running.command("status").stdout, "the refused topics say why", 20)
+            until(lambda r=refused: r in running.command("status").stdout, "the reason of the refused topics", 20)
         doctor = running.command("doctor", "--only", "descriptors")
         assert doctor.returncode == 1
         assert "LimitNOFILE=" in doctor.stdout
         resource.prlimit(pid, resource.RLIMIT_NOFILE, limits)
 
-        def all_cross(program: Peer = program, hearer: Peer = hearer, out: list = out, heard: list = heard) -> bool:
+        def all_cross(
+            program: Peer = program, receiver: Peer = receiver, out: list = out, inboxes: list = inboxes
+        ) -> bool:
             for endpoint in out:
                 program.publish(endpoint, {"data": "late"})
-            return all(hearer.wait(h, 1, 0.1) for h in heard)
+            return all(receiver.wait(inbox, 1, 0.1) for inbox in inboxes)
 
-        until(all_cross, f"what was refused on {side} crosses", 40)
+        until(all_cross, f"the refused topics of {side} cross", 40)
         flow.check()
-    assert pids(running) == before
+    assert pids(running) == processes
 
 
 def test_a_router_without_descriptors(running: Deployment) -> None:
-    """Nobody can join; who has joined goes on, the log says why, and it recovers."""
+    """Programs cannot join, but joined ones continue; the log has the reason, and the router recovers."""
     assert running.daemon is not None
     daemon = running.daemon
     flow = Flow(running)
@@ -276,10 +288,10 @@ def test_a_router_without_descriptors(running: Deployment) -> None:
     limits = resource.prlimit(pid, resource.RLIMIT_NOFILE)
     used = len(list(Path(f"/proc/{pid}/fd").iterdir()))
     resource.prlimit(pid, resource.RLIMIT_NOFILE, (used, limits[1]))
-    until(lambda: re.search(f"router: .*{NO_DESCRIPTORS}", daemon.output()), "the log tells it", 20)
+    until(lambda: re.search(f"router: .*{NO_DESCRIPTORS}", daemon.output()), "the log has the warning", 20)
     assert running.command("status").returncode == 1
     flow.check()
     resource.prlimit(pid, resource.RLIMIT_NOFILE, limits)
-    until(lambda: running.command("status").returncode == 0, "others can join again", 30)
+    until(lambda: running.command("status").returncode == 0, "programs can join again", 30)
     flow.check()
     assert running.worker("router")["pid"] == pid

@@ -1,4 +1,4 @@
-"""The ROS 1 edge beside real rospy programs."""
+"""The ROS 1 adapter with real rospy programs."""
 
 import base64
 import contextlib
@@ -46,11 +46,11 @@ def latest(messages):
     return [m["data"] for m in messages]
 
 
-def test_what_is_on_the_graph(master, edge):
+def test_the_graph_lists_publishers_and_subscribers(master, edge):
     with master.peer("graph_talker") as peer:
         peer.advertise("/graph/plain", "std_msgs/String")
         peer.advertise("/graph/latched", "sensor_msgs/LaserScan", latched=True)
-        peer.subscribe("/graph/heard", "std_msgs/Int32")
+        peer.subscribe("/graph/numbers", "std_msgs/Int32")
         plain = edge.endpoint(topic="/graph/plain", made_by="native")
         assert (plain["kind"], plain["type"], plain["latched"]) == ("publisher", "std_msgs/String", False)
         assert (plain["node"], plain["type_id"]) == ("/graph_talker", STRING_MD5)
@@ -58,10 +58,10 @@ def test_what_is_on_the_graph(master, edge):
         assert (latched["type"], latched["latched"]) == ("sensor_msgs/LaserScan", True)
         assert "float32[] ranges" in latched["definition"]
         assert "MSG: std_msgs/Header" in latched["definition"]
-        heard = edge.endpoint(topic="/graph/heard")
-        assert (heard["kind"], heard["type"], heard["made_by"]) == ("subscription", "std_msgs/Int32", "native")
+        numbers = edge.endpoint(topic="/graph/numbers")
+        assert (numbers["kind"], numbers["type"], numbers["made_by"]) == ("subscription", "std_msgs/Int32", "native")
         assert len({e["id"] for e in edge.endpoints()}) == len(edge.endpoints())
-    until(lambda: not edge.endpoints(topic="/graph/plain"), "the endpoints go with their node")
+    until(lambda: not edge.endpoints(topic="/graph/plain"), "the endpoints disappear with their node")
 
 
 def test_publishers_of_different_types_on_one_topic(master, edge):
@@ -77,31 +77,33 @@ def test_publishers_of_different_types_on_one_topic(master, edge):
         assert [base64.b64decode(p) for p, _ in edge.received(numbers, 1)] == [struct.pack("<i", 5)]
         first.publish(a, {"data": "more"})
         assert [text(p) for p, _ in edge.received(strings, 2)] == ["text", "more"]
-        assert len(edge.received(numbers, 2, 0.2)) == 1, "what has another type is not delivered"
+        assert len(edge.received(numbers, 2, 0.2)) == 1, "messages of the other type are not delivered"
 
 
-def test_messages_come_in_with_their_source(master, edge):
+def test_messages_are_received_with_their_source(master, edge):
     with master.peer("in_a") as first, master.peer("in_b") as second:
-        one = first.advertise("/in", "std_msgs/String", latched=True)
-        first.publish(one, {"data": "latched before"})
+        first_out = first.advertise("/in", "std_msgs/String", latched=True)
+        first.publish(first_out, {"data": "latched before"})
         inbox = edge.open("/in", "std_msgs/String")
-        two = second.advertise("/in", "std_msgs/String", latched=True)
-        second.publish(two, {"data": "latched later"})
-        got = edge.received(inbox, 2)
+        second_out = second.advertise("/in", "std_msgs/String", latched=True)
+        second.publish(second_out, {"data": "latched later"})
+        received = edge.received(inbox, 2)
         ids = {e["node"]: e["id"] for e in edge.endpoints(topic="/in", kind="publisher")}
-        assert {(text(p), s) for p, s in got} == {
+        assert {(text(p), s) for p, s in received} == {
             ("latched before", ids["/in_a"]), ("latched later", ids["/in_b"])
         }  # fmt: skip
         for n in range(50):
-            first.publish(one, {"data": str(n)})
+            first.publish(first_out, {"data": str(n)})
         assert [text(p) for p, _ in edge.received(inbox, 52)[2:]] == [str(n) for n in range(50)]
         edge.drop(inbox)
-        until(lambda: "/midspan" not in master.state()["subscribers"].get("/in", []), "it is unregistered")
-        until(lambda: first.ask("connections", id=one)["count"] == 0, "it is disconnected")
+        until(
+            lambda: "/midspan" not in master.state()["subscribers"].get("/in", []), "the subscription is unregistered"
+        )
+        until(lambda: first.ask("connections", id=first_out)["count"] == 0, "the publisher is disconnected")
 
 
-def test_roscpp_programs_both_ways(master, edge):
-    # roscore's rosout is a roscpp program: it hears /rosout and publishes what it heard on /rosout_agg
+def test_messages_from_and_to_roscpp_programs(master, edge):
+    # roscore's rosout is a roscpp program: it republishes /rosout on /rosout_agg
     with master.peer("logger") as peer:
         endpoint = edge.endpoint(topic="/rosout_agg", made_by="native")
         assert (endpoint["type"], endpoint["node"]) == ("rosgraph_msgs/Log", "/rosout")
@@ -111,7 +113,7 @@ def test_roscpp_programs_both_ways(master, edge):
             peer.ask("log", text="from rospy over roscpp")
             return any(b"from rospy over roscpp" in base64.b64decode(p) for p, _ in edge.received(inbox, 0, 0))
 
-        until(logged, "a message of a roscpp publisher comes in", every=0.2)
+        until(logged, "a message of a roscpp publisher arrives", every=0.2)
         aggregated = peer.subscribe("/rosout_agg", "rosgraph_msgs/Log")
         publisher = edge.ask("advertise", topic="/rosout", type="rosgraph_msgs/Log", latched=True, depth=1)["id"]
         words = [w.encode() for w in ("/bridged", "over roscpp", "file", "function")]
@@ -120,13 +122,13 @@ def test_roscpp_programs_both_ways(master, edge):
         edge.ask("send", id=publisher, payload=base64.b64encode(log).decode())
         until(
             lambda: "over roscpp" in [m["msg"] for m in peer.wait(aggregated, 0, 0)],
-            "a roscpp subscriber took our message",
+            "a roscpp subscriber received the adapter's message",
         )
         edge.drop(publisher)
         edge.drop(inbox)
 
 
-def test_a_custom_type_both_ways(master, edge):
+def test_a_custom_type_in_both_directions(master, edge):
     with master.peer("custom") as peer:
         md5 = peer.ask("define", type="my_pkg/Thing", definition=THING)["md5"]
         out = peer.advertise("/thing/in", "my_pkg/Thing", latched=True)
@@ -146,7 +148,7 @@ def test_a_custom_type_both_ways(master, edge):
         assert thing == A_THING
 
 
-def test_late_joiners_get_what_each_source_left(master, edge):
+def test_late_joiners_receive_the_latched_messages_of_each_source(master, edge):
     publisher = edge.ask("advertise", topic="/late", type="std_msgs/String", latched=True, depth=1)["id"]
     for source in "abc":
         edge.send(publisher, f"old {source}", source)
@@ -160,29 +162,28 @@ def test_late_joiners_get_what_each_source_left(master, edge):
         edge.send(publisher, "live", "b")
         assert latest(peer.wait(inbox, 4))[3:] == ["live"]
         edge.ask("forget", id=publisher, source="a")
-        again = master.peer("later")
-        with again:
-            inbox = again.subscribe("/late", "std_msgs/String")
-            again.wait(inbox, 2)
+        with master.peer("later") as later:
+            inbox = later.subscribe("/late", "std_msgs/String")
+            later.wait(inbox, 2)
             edge.send(publisher, "end", "c")
-            assert latest(again.wait(inbox, 3)) == ["live", "last c", "end"]
+            assert latest(later.wait(inbox, 3)) == ["live", "last c", "end"]
 
 
-def test_a_subscriber_with_another_definition_is_named(master, edge):
+def test_a_warning_names_a_subscriber_with_another_definition(master, edge):
     publisher = edge.ask("advertise", topic="/version", type="std_msgs/String")["id"]
     warnings = lambda: [w for w in edge.ask("status")["warnings"] if w.startswith("/version: ")]  # noqa: E731
     with master.peer("old_version") as peer:
         md5 = peer.ask("define", type="std_msgs/String", definition="string data\nint32 extra\n")["md5"]
         peer.subscribe("/version", "std_msgs/String")
-        (warning,) = until(warnings, "it is named")
+        (warning,) = until(warnings, "a warning")
         assert "/old_version does not receive it" in warning
         assert md5 in warning
         assert STRING_MD5 in warning
-    until(lambda: not warnings(), "it is gone")
+    until(lambda: not warnings(), "the warning has ended")
     edge.ask("drop", id=publisher)
 
 
-def test_a_depth_of_more_than_one_is_kept_per_source(master, edge):
+def test_a_latched_depth_applies_per_source(master, edge):
     publisher = edge.ask("advertise", topic="/deep", type="std_msgs/String", latched=True, depth=3)["id"]
     for n in range(5):
         edge.send(publisher, str(n), "a")
@@ -204,20 +205,20 @@ def test_latched_and_volatile_publishers_share_a_topic(master, edge):
         with pytest.raises(AssertionError, match="already published on ROS 1 as std_msgs/String"):
             edge.ask("advertise", topic="/shared", type="std_msgs/Int32")
         edge.drop(volatile)
-        until(lambda: "/shared" not in master.state()["publishers"], "it is unregistered with its last publisher")
+        until(lambda: "/shared" not in master.state()["publishers"], "the topic is unregistered")
     with master.peer("shared") as peer:
-        again = edge.ask("advertise", topic="/shared", type="std_msgs/Int32")["id"]
+        numbers = edge.ask("advertise", topic="/shared", type="std_msgs/Int32")["id"]
         inbox = peer.subscribe("/shared", "std_msgs/Int32")
-        edge.heard(again)
-        edge.ask("send", id=again, payload=base64.b64encode(struct.pack("<i", 9)).decode())
+        edge.heard(numbers)
+        edge.ask("send", id=numbers, payload=base64.b64encode(struct.pack("<i", 9)).decode())
         assert latest(peer.wait(inbox, 1)) == [9]
 
 
 @pytest.mark.thorough
-def test_what_a_midspan_published_is_never_taken_up(master, edge, tmp_path):
+def test_messages_published_by_a_midspan_are_not_bridged_back(master, edge, tmp_path):
     with edge_on(master, tmp_path / "second", "other") as second, master.peer("loop") as peer:
-        ours = edge.ask("advertise", topic="/loop", type="std_msgs/String", latched=True)["id"]
-        edge.send(ours, "from the first")
+        own = edge.ask("advertise", topic="/loop", type="std_msgs/String", latched=True)["id"]
+        edge.send(own, "from the first")
         endpoint = second.endpoint(topic="/loop", made_by="midspan")
         assert endpoint["type"] == "std_msgs/String"
         native = peer.advertise("/loop", "std_msgs/String", latched=True)
@@ -225,50 +226,50 @@ def test_what_a_midspan_published_is_never_taken_up(master, edge, tmp_path):
         inboxes = [(e, e.open("/loop", "std_msgs/String")) for e in (edge, second)]
         for e, inbox in inboxes:
             assert [text(p) for p, _ in e.received(inbox, 1)] == ["native"]
-        edge.send(ours, "again from the first")
+        edge.send(own, "again from the first")
         peer.publish(native, {"data": "native again"})
         for e, inbox in inboxes:
             assert [text(p) for p, _ in e.received(inbox, 2)] == ["native", "native again"]
-        assert not edge.endpoints(node="/midspan"), "our own endpoints are not among the others'"
-        heard = second.endpoint(topic="/loop", node="/midspan", kind="subscription")
-        assert heard["made_by"] == "midspan"
+        assert not edge.endpoints(node="/midspan"), "the graph excludes the adapter's own endpoints"
+        subscription = second.endpoint(topic="/loop", node="/midspan", kind="subscription")
+        assert subscription["made_by"] == "midspan"
 
 
-def test_a_publication_made_anew_at_once_is_heard_again(master, edge):
-    with master.peer("anew_listener") as peer:
-        heard = peer.subscribe("/anew", "std_msgs/String")
+def test_a_topic_advertised_again_at_once_is_received_again(master, edge):
+    with master.peer("again_listener") as peer:
+        inbox = peer.subscribe("/again", "std_msgs/String")
         for number in range(8):
-            out = edge.ask("advertise", topic="/anew", type="std_msgs/String")["id"]
+            out = edge.ask("advertise", topic="/again", type="std_msgs/String")["id"]
 
-            def once(out=out, number=number) -> bool:
+            def received(out=out, number=number) -> bool:
                 edge.ask("send", id=out, payload=string(str(number)))
-                return str(number) in latest(peer.wait(heard, 10_000, 0.05))
+                return str(number) in latest(peer.wait(inbox, 10_000, 0.05))
 
-            until(once, f"the subscriber hears publication {number}")
+            until(received, f"the subscriber receives publication {number}")
             edge.ask("drop", id=out)
 
 
-def test_who_comes_as_a_publication_ends_gets_its_header_and_is_let_go(master, edge):
-    """Else rospy would never connect to us for this topic again after an error."""
+def test_a_subscriber_that_connects_as_a_publication_ends_gets_its_header_and_is_disconnected(master, edge):
+    """After an error header, rospy would never connect to this node for the topic again."""
     out = edge.ask("advertise", topic="/ends", type="std_msgs/String")["id"]
     with ServerProxy(until(lambda: master.call("lookupNode", "/midspan"), "the node is known")) as node:
         _, _, (_, _, port) = node.requestTopic("/late", "/ends", [["TCPROS"]])
     edge.ask("drop", id=out)
-    ours = {"callerid": "/late", "topic": "/ends", "type": "*", "md5sum": "*"}
+    request = {"callerid": "/late", "topic": "/ends", "type": "*", "md5sum": "*"}
     for md5 in ("*", STRING_MD5):
-        sock, header = come(port, ours | {"md5sum": md5})
+        sock, header = connect(port, request | {"md5sum": md5})
         with sock:
             assert (header["type"], header["md5sum"]) == ("std_msgs/String", STRING_MD5)
             assert ORIGIN_FIELD in header
             assert sock.recv(1) == b""
     for wrong in ({"md5sum": "0" * 32}, {"topic": "/never"}):
-        sock, header = come(port, ours | wrong)
+        sock, header = connect(port, request | wrong)
         with sock:
             assert "is not a publisher of" in header["error"]
 
 
-def come(port: int, header: dict) -> tuple[DeadlineSocket, dict]:
-    """Connect as a subscriber that was told our port before; what is answered."""
+def connect(port: int, header: dict) -> tuple[DeadlineSocket, dict]:
+    """Connect to the adapter's TCPROS port as a subscriber; return the socket and the response header."""
     sock = DeadlineSocket.connected("127.0.0.1", port, time.monotonic() + 40)
     sock.sendall(encode(header))
     return sock, read_header(sock)
@@ -298,7 +299,7 @@ def test_a_type_without_md5_is_refused(edge):
 
 @contextlib.contextmanager
 def registered(master, topic, node, uri):
-    """A publisher that is in the master's state, whatever it is."""
+    """Register a publisher of the topic at the master, with any URI."""
     with ServerProxy(master.uri) as proxy:
         proxy.registerPublisher(node, topic, "std_msgs/String", uri)
         try:
@@ -307,17 +308,17 @@ def registered(master, topic, node, uri):
             proxy.unregisterPublisher(node, topic, uri)
 
 
-def test_dead_and_odd_publishers_beside_a_good_one(master, edge):
+def test_dead_and_malformed_publishers_do_not_affect_a_good_one(master, edge):
     def garbage(sock) -> None:
         sock.sendall(b"\xff" * 1000)
         until_closed(sock)
 
     with contextlib.ExitStack() as stack:
         host, port = stack.enter_context(tcp_server(until_closed))
-        odd = stack.enter_context(publisher(garbage))
+        malformed = stack.enter_context(publisher(garbage))
         for n in range(30):
             stack.enter_context(registered(master, f"/dead{n}", "/hung", f"http://{host}:{port}/"))
-        stack.enter_context(registered(master, "/odd", "/odd", odd))
+        stack.enter_context(registered(master, "/odd", "/odd", malformed))
         stack.enter_context(registered(master, "/dead0", "/killed", "http://127.0.0.1:9/"))
         peer = stack.enter_context(master.peer("alive"))
         inbox = edge.open("/dead0", "std_msgs/String")
@@ -325,60 +326,60 @@ def test_dead_and_odd_publishers_beside_a_good_one(master, edge):
         peer.publish(out, {"data": "alive"})
         assert [text(p) for p, _ in edge.received(inbox, 1)] == ["alive"]
         assert {e["made_by"] for e in edge.endpoints(node="/hung")} == {"unknown"}
-        warning = until(lambda: [w for w in edge.ask("status")["warnings"] if "/odd" in w], "a warning of the odd one")
+        warning = until(lambda: [w for w in edge.ask("status")["warnings"] if "/odd" in w], "a warning about /odd")
         assert "connection header claims" in warning[0]
 
 
-def test_a_publisher_that_breaks_off_behind_its_header_is_tried_again(master, edge):
-    """Its connection is over before it is read."""
-    tries = []
+def test_a_publisher_that_disconnects_after_its_header_is_connected_again(master, edge):
+    """Its connection is reset before the adapter has read the header."""
+    attempts = []
 
     def reset(sock) -> None:
-        with DeadlineSocket(fileno=os.dup(sock.fileno())) as whole:
-            read_header(whole)
+        with DeadlineSocket(fileno=os.dup(sock.fileno())) as copy:
+            read_header(copy)
         fields = {"callerid": "/reset", "type": "std_msgs/String", "md5sum": STRING_MD5, "message_definition": "x"}
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         sock.sendall(encode(fields))
         sock.close()
-        tries.append(fields)
+        attempts.append(fields)
 
     with publisher(reset) as uri, registered(master, "/reset", "/reset", uri):
         edge.open("/reset", "std_msgs/String")
-        until(lambda: len(tries) >= 6, "it is tried again and again")
+        until(lambda: len(attempts) >= 6, "six connection attempts")
 
 
-def test_a_killed_publisher_counts_no_more(master, edge):
+def test_a_killed_publisher_is_no_longer_native(master, edge):
     with master.peer("killed") as peer:
         peer.advertise("/killed", "std_msgs/String", latched=True)
         edge.endpoint(topic="/killed", made_by="native")
         inbox = edge.open("/killed", "std_msgs/String")
-        until(lambda: "/midspan" in master.state()["subscribers"].get("/killed", []), "it is registered")
+        until(lambda: "/midspan" in master.state()["subscribers"].get("/killed", []), "the adapter is subscribed")
         peer.signal(9)
         peer.popen.wait()
         assert "/killed" in master.state()["publishers"], "the master does not notice"
         edge.endpoint(topic="/killed", made_by="unknown")
     with master.peer("killed") as peer:
-        again = peer.advertise("/killed", "std_msgs/String", latched=True)
-        peer.publish(again, {"data": "back"})
+        out = peer.advertise("/killed", "std_msgs/String", latched=True)
+        peer.publish(out, {"data": "back"})
         assert [text(p) for p, _ in edge.received(inbox, 1)] == ["back"]
         edge.endpoint(topic="/killed", made_by="native")
 
 
-def test_a_silent_peer_keeps_no_other_out(master, edge):
-    publisher = edge.ask("advertise", topic="/door", type="std_msgs/String", latched=True)["id"]
+def test_silent_clients_do_not_block_other_subscribers(master, edge):
+    publisher = edge.ask("advertise", topic="/open", type="std_msgs/String", latched=True)["id"]
     edge.send(publisher, "open")
     state = until(lambda: master.call("lookupNode", "/midspan"), "the node is known")
     with ServerProxy(state) as node, contextlib.ExitStack() as stack:
-        _, _, (_, host, port) = node.requestTopic("/silent", "/door", [["TCPROS"]])
+        _, _, (_, host, port) = node.requestTopic("/silent", "/open", [["TCPROS"]])
         for start in (b"", b"\xff\xff\xff\xff", b"\x10\0\0\0half a header"):
             sock = stack.enter_context(socket.create_connection((host, port)))
             sock.sendall(start)
-        with master.peer("door") as peer:
-            assert latest(peer.wait(peer.subscribe("/door", "std_msgs/String"), 1)) == ["open"]
+        with master.peer("open") as peer:
+            assert latest(peer.wait(peer.subscribe("/open", "std_msgs/String"), 1)) == ["open"]
 
 
 @pytest.mark.thorough
-def test_a_subscriber_that_stands_still_holds_up_nobody(master, edge):
+def test_a_stopped_subscriber_does_not_delay_others(master, edge):
     publisher = edge.ask("advertise", topic="/slow", type="std_msgs/String", depth=5)["id"]
     with master.peer("slow") as slow, master.peer("quick") as quick:
         slow.subscribe("/slow", "std_msgs/String")
@@ -394,7 +395,7 @@ def test_a_subscriber_that_stands_still_holds_up_nobody(master, edge):
         slow.signal(18)
 
 
-def test_rosnode_can_read_our_connections(master, edge):
+def test_rosnode_can_read_the_adapters_connections(master, edge):
     with master.peer("info") as peer:
         peer.advertise("/info/in", "std_msgs/String")
         edge.endpoint(topic="/info/in", made_by="native")
@@ -409,4 +410,4 @@ def test_rosnode_can_read_our_connections(master, edge):
                 assert node.getBusStats("/test")[0] == 1
             return {c[4] for c in connections} == {"/info/in", "/info/out"}
 
-        until(topics, "both connections are told")
+        until(topics, "the bus info lists both connections")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -230,7 +231,7 @@ def test_a_service_can_close_while_ports_are_planned(
 
 def test_the_worker_id_never_parses_as_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A name server parses an unquoted id such as 715758e2 as a number."""
-    monkeypatch.setattr(network_module.uuid, "uuid4", lambda: SimpleNamespace(hex="123456789e12" + 20 * "0"))
+    monkeypatch.setattr(uuid, "uuid4", lambda: SimpleNamespace(hex="123456789e12" + 20 * "0"))
     yarp = {"nameserver": "site", "address": "127.0.0.1:10000"}
     edge = YarpEdge(Config.model_validate({"name": "here", "state": tmp_path, "yarp": yarp}), REGISTRY, tmp_path)
     owner = (tmp_path / "yarp_owner").read_text().strip()

@@ -1,9 +1,10 @@
-"""The ros1 dialect, key for key and byte for byte."""
+"""The ros1 dialect: keys and bytes exactly as zenoh-plugin-ros1 writes them."""
 
 from __future__ import annotations
 
 import threading
 import time
+from functools import partial
 from typing import Any
 
 import pytest
@@ -51,44 +52,43 @@ def test_keys_are_written_as_the_plugin_writes_them() -> None:
         f"ros1_discovery_info/*/pub/{'41' * 3000}/992ce8a1687cec8c8bd883ec73ca41d1/*/t",
     ],
 )
-def test_keys_that_are_none(key: str) -> None:
+def test_invalid_keys_are_rejected(key: str) -> None:
     with pytest.raises(HubWireError):
         parse(key)
 
 
-def test_out_what_a_bridge_sees(place: Place) -> None:
-    """Our beacons, and the sample byte for byte."""
+def test_a_bridge_receives_beacons_and_exact_samples(place: Place) -> None:
     bridge = place.ros1()
     place.bridge({"dialect": "ros1"})
     out = place.far.advertise("/chatter", STRING)
-    until(lambda: f"ros1_discovery_info/*/pub/{KEY}" in bridge.beacons(), "our beacon")
+    until(lambda: f"ros1_discovery_info/*/pub/{KEY}" in bridge.beacons(), "Midspan's beacon")
     samples: list[zenoh.Sample] = []
     bridge.session.declare_subscriber(KEY, zenoh.handlers.Callback(samples.append, indirect=False))
 
-    def heard() -> bool:
+    def publish_and_check() -> bool:
         place.far.publish(out, {"data": "hi"})
         return bool(samples)
 
-    until(heard, "the sample")
+    until(publish_and_check, "the sample")
     assert (str(samples[0].key_expr), samples[0].payload.to_bytes(), samples[0].attachment) == (KEY, HI, None)
     place.far.drop(out)
-    until(lambda: f"ros1_discovery_info/*/pub/{KEY}" not in bridge.beacons(), "our beacon ends with the topic")
+    until(lambda: f"ros1_discovery_info/*/pub/{KEY}" not in bridge.beacons(), "the beacon ends with the topic")
 
 
-def test_in_what_a_bridge_says_and_that_it_is_gone_when_silent(place: Place) -> None:
+def test_a_bridges_topic_crosses_and_disappears_when_its_beacon_stops(place: Place) -> None:
     bridge = place.ros1()
     place.bridge({"dialect": "ros1"})
     out = bridge.advertise("/chatter", STRING)
-    heard = place.far.subscribe("/chatter", STRING)
-    assert cross(bridge, out, place.far, heard, {"data": "hi"}) == {"data": "hi"}
-    until(lambda: f"ros1_discovery_info/*/sub/{KEY}" in bridge.beacons(), "we ask for it")
+    subscription = place.far.subscribe("/chatter", STRING)
+    assert cross(bridge, out, place.far, subscription, {"data": "hi"}) == {"data": "hi"}
+    until(lambda: f"ros1_discovery_info/*/sub/{KEY}" in bridge.beacons(), "Midspan's subscription beacon")
     bridge.drop(out)
     place.far.until_unpublished("/chatter")
 
 
 @pytest.mark.thorough
-def test_native_bridges_never_fall_silent_because_of_us(place: Place) -> None:
-    """Both publish one topic, so that both beacon on one key; the native one is there all the time."""
+def test_midspans_beacons_never_silence_a_native_bridge(place: Place) -> None:
+    """Both publish one topic and send beacons on one key; the native publisher stays discovered all the time."""
     place.bridge({"dialect": "ros1"})
     place.far.advertise("/chatter", STRING)
     place.until_route(SIDE, "/chatter", "out")
@@ -102,12 +102,12 @@ def test_native_bridges_never_fall_silent_because_of_us(place: Place) -> None:
         time.sleep(PERIOD / 4)
 
 
-def test_a_native_bridge_that_fell_silent_speaks_again(place: Place) -> None:
-    """It heard us before we heard it."""
+def test_a_native_bridge_that_paused_its_beacons_resumes(place: Place) -> None:
+    """It pauses if it receives Midspan's beacon before it has sent one."""
     place.bridge({"dialect": "ros1"})
     place.far.advertise("/chatter", STRING)
     bridge = place.ros1()
-    until(lambda: f"ros1_discovery_info/*/pub/{KEY}" in bridge.beacons(), "our beacon")
+    until(lambda: f"ros1_discovery_info/*/pub/{KEY}" in bridge.beacons(), "Midspan's beacon")
     beacon = Beacon(bridge.session, bridge.discovery("pub", "/chatter", STRING), PERIOD, sending=False)
     try:
         place.far.until_published("/chatter", seconds=30)
@@ -115,20 +115,20 @@ def test_a_native_bridge_that_fell_silent_speaks_again(place: Place) -> None:
         beacon.undeclare()
 
 
-def test_all_midspans_leave_the_same_pauses(place: Place) -> None:
-    """Or there would be none; two are active where their hubs are not joined."""
+def test_all_midspans_pause_their_beacons_together(place: Place) -> None:
+    """Two daemons on separate hubs are active on one network; unaligned beacons would leave no pause."""
     sessions = [open_session(place.router.endpoint, id=new_zid()) for _ in range(2)]
     first, second = (Aloha(s, "*", lambda: None, lambda _topic, _first: None) for s in sessions)
-    what = (Kind.PUBLISHER, AnnouncedTopic("/chatter", STRING, "992ce8a1687cec8c8bd883ec73ca41d1"))
-    first.announce(*what)
-    due = first._own[what].due
+    endpoint = (Kind.PUBLISHER, AnnouncedTopic("/chatter", STRING, "992ce8a1687cec8c8bd883ec73ca41d1"))
+    first.announce(*endpoint)
+    due = first._own[endpoint].due
 
-    def rests() -> bool:
-        second.announce(*what)()
-        return first._own[what].due > due
+    def paused() -> bool:
+        second.announce(*endpoint)()
+        return first._own[endpoint].due > due
 
     try:
-        until(rests, "the first rests when the second beacons")
+        until(paused, "the first pauses when the second sends a beacon")
     finally:
         first.close()
         second.close()
@@ -136,21 +136,21 @@ def test_all_midspans_leave_the_same_pauses(place: Place) -> None:
             session.close()
 
 
-def test_while_we_stand_still_nobody_is_gone(place: Place) -> None:
-    """A worker that was stopped for longer than a bridge may be silent keeps what it knew."""
+def test_a_stall_of_the_worker_expires_no_bridge(place: Place) -> None:
+    """A worker that hangs for longer than the beacon timeout keeps the bridges that it had discovered."""
     bridge = place.ros1()
     bridge.advertise("/chatter", STRING)
     crossing = place.bridge({"dialect": "ros1"})
     place.far.until_published("/chatter")
     edge = crossing.edges[SIDE]
     assert isinstance(edge, Ros1KeysEdge)
-    before = edge.endpoints()
-    assert before
+    endpoints = edge.endpoints()
+    assert endpoints
     edge.tick(time.monotonic() + 100 * PERIOD)
-    assert edge.endpoints() == before
+    assert edge.endpoints() == endpoints
 
 
-def test_an_md5_that_is_not_known_here_is_reported(place: Place) -> None:
+def test_an_unknown_md5_is_reported(place: Place) -> None:
     bridge = place.ros1()
     place.bridge({"dialect": "ros1"})
     bridge.advertise("/odd", STRING, md5="0123456789abcdef0123456789abcdef")
@@ -163,49 +163,50 @@ def test_an_md5_that_is_not_known_here_is_reported(place: Place) -> None:
     assert "nowhere_msgs" in line["why"]
 
 
-def keep_one(place: Place) -> None:
-    """Have a bridge that keeps one latched message."""
+def cross_latched(place: Place) -> None:
+    """Start a bridge, and publish one latched message to it."""
     place.bridge({"dialect": "ros1"})
     out = place.far.advertise("/state", STRING, latched=True, depth=1)
     place.far.publish(out, {"data": "kept"})
-    until(lambda: (place.route(SIDE, "/state", "out") or {}).get("messages"), "it crossed", every=0.1)
+    until(lambda: (place.route(SIDE, "/state", "out") or {}).get("messages"), "the message has crossed", every=0.1)
 
 
-def test_what_is_latched_is_put_again_for_the_first_subscriber_and_for_another_bridge(place: Place) -> None:
-    keep_one(place)
+def test_a_latched_message_is_put_again_for_the_first_subscriber_and_for_another_bridge(place: Place) -> None:
+    cross_latched(place)
     first = place.ros1()
-    heard = first.subscribe("/state", STRING)
-    assert first.wait(heard, 1) == [{"data": "kept"}]
-    # a beacon before its session knows of us is lost, and the plugin may then be silent for ever: neither the first
-    # program, which hears all beacons and those of /state, nor its own session is who must know of it
+    subscription = first.subscribe("/state", STRING)
+    assert first.wait(subscription, 1) == [{"data": "kept"}]
+    # A beacon is lost if its session is not linked to Midspan yet, and the plugin may not send another one. The wait
+    # below is for a link to Midspan, so the first program must no longer match the beacons that it subscribes to.
     first.deafen()
-    list(first.session.liveliness().get("nothing"))  # once this is answered, the network knows it
+    list(first.session.liveliness().get("nothing"))  # its reply shows that the network has processed the change
     remote = zenoh.Locality.REMOTE
 
-    def said_again() -> list[Any]:
+    def received_by_another_bridge() -> list[Any]:
         another = place.ros1()
-        until(lambda: len(another.session.info.peers_zid()) > 1, "it is linked to us and to the first")
+        until(lambda: len(another.session.info.peers_zid()) > 1, "it is linked to Midspan and to the first")
         other = another.discovery("sub", "/other", STRING)
         probe = another.session.declare_publisher(other, allowed_destination=remote)
-        until(lambda: probe.matching_status.matching, "its beacons will be heard")  # type: ignore[attr-defined]
-        found: list[Any] = another.wait(another.subscribe("/state", STRING), 1, 5)
-        return found  # none where a busy machine lost its one beacon: a bridge that is known is not heard out again
+        until(lambda: probe.matching_status.matching, "its beacons have a subscriber")  # type: ignore[attr-defined]
+        messages: list[Any] = another.wait(another.subscribe("/state", STRING), 1, 5)
+        return messages  # empty if a busy machine lost its only beacon; only a new bridge receives the message again
 
-    assert until(said_again, "it is put again")[0] == {"data": "kept"}
+    assert until(received_by_another_bridge, "the latched message")[0] == {"data": "kept"}
 
 
-def test_who_tells_nobody_that_it_subscribes_takes_no_latched_message_from_another(place: Place) -> None:
-    keep_one(place)
+def test_a_subscriber_without_beacon_takes_no_latched_message_from_another(place: Place) -> None:
+    cross_latched(place)
     mute = place.ros1()
-    heard = threading.Event()
-    mute.session.declare_subscriber(mute.key("/state", STRING), zenoh.handlers.Callback(lambda _sample: heard.set()))
-    assert heard.wait(40)
-    time.sleep(SETTLE)  # nobody is taken for the first one now
+    received = threading.Event()
+    callback = zenoh.handlers.Callback(lambda _sample: received.set())
+    mute.session.declare_subscriber(mute.key("/state", STRING), callback)
+    assert received.wait(40)
+    time.sleep(SETTLE)  # until the next subscriber no longer counts as the first
     second = place.ros1()
     assert second.wait(second.subscribe("/state", STRING), 1) == [{"data": "kept"}]
 
 
-def test_what_is_latched_answers_a_get(place: Place) -> None:
+def test_a_get_returns_latched_messages(place: Place) -> None:
     place.bridge({"dialect": "ros1"})
     outs = [place.far.advertise("/state", STRING, latched=True, depth=1) for _ in range(2)]
     for number, out in enumerate(outs):
@@ -213,79 +214,80 @@ def test_what_is_latched_answers_a_get(place: Place) -> None:
     bridge = place.ros1()
     key = bridge.key("/state", STRING)
 
-    def got() -> list[str]:
+    def latched() -> list[str]:
         replies = bridge.session.get(key, consolidation=zenoh.ConsolidationMode.NONE)
         return sorted(bridge.decode(STRING, r.ok.payload.to_bytes())["data"] for r in replies if r.ok)
 
-    until(lambda: got() == ["of 0", "of 1"], "both are answered", every=0.1)
+    until(lambda: latched() == ["of 0", "of 1"], "the messages of both publishers", every=0.1)
     place.far.drop(outs[0])
-    until(lambda: got() == ["of 1"], "one is gone with its publisher", every=0.1)
+    until(lambda: latched() == ["of 1"], "the other's message is dropped with its publisher", every=0.1)
 
 
-def test_topics_that_are_configured_as_latched_are_kept(place: Place) -> None:
+def test_topics_configured_as_latched_are_cached(place: Place) -> None:
     bridge = place.ros1()
     place.bridge({"dialect": "ros1", "latched": ["/maps/*"]})
     out = bridge.advertise("/maps/one", STRING)
-    heard = place.far.subscribe("/maps/one", STRING)
-    cross(bridge, out, place.far, heard, {"data": "map"})
+    subscription = place.far.subscribe("/maps/one", STRING)
+    cross(bridge, out, place.far, subscription, {"data": "map"})
     late = place.far.subscribe("/maps/one", STRING, latched=True)
     assert place.far.wait(late, 1) == [{"data": "map"}]
 
 
 def test_free_fleet(place: Place) -> None:
-    """Its client knows the robot's namespace, tells nothing, and reads the same keys (free_fleet, ``utils.py``)."""
+    """Its client has the robot's namespace, sends no beacons, and uses the same keys (free_fleet, ``utils.py``)."""
     goal = {"topic": "/move_base_simple/goal", "type": "geometry_msgs/msg/PoseStamped"}
     place.bridge({"dialect": "ros1", "namespace": "nav1_tb3", "keys": [goal]})
     fleet = place.ros1("nav1_tb3")
     pose = "geometry_msgs/PoseStamped"
     publisher = fleet.session.declare_publisher(fleet.key("/move_base_simple/goal", pose))
-    heard = place.far.subscribe("/move_base_simple/goal", pose)
+    subscription = place.far.subscribe("/move_base_simple/goal", pose)
     place.far.until_published("/move_base_simple/goal")
 
-    def said() -> list:
+    def publish_goal() -> list:
         publisher.put(fleet.encode(pose, {"header": {"frame_id": "map"}, "pose": {"position": {"x": 1.5}}}))
-        return place.far.wait(heard, 1, 0.2)
+        return place.far.wait(subscription, 1, 0.2)
 
-    assert until(said, "the goal")[0]["pose"]["position"]["x"] == 1.5
+    assert until(publish_goal, "the goal")[0]["pose"]["position"]["x"] == 1.5
     transforms = "tf2_msgs/TFMessage"
     out = place.far.advertise("/tf", transforms)
-    read, hear = fleet.listener("/tf", transforms)
+    read, callback = fleet.listener("/tf", transforms)
     fleet.session.declare_subscriber(
-        "7466325f6d7367732f54464d657373616765/94810edda583a504dfda3829e70d7eec/nav1_tb3/tf", hear
+        "7466325f6d7367732f54464d657373616765/94810edda583a504dfda3829e70d7eec/nav1_tb3/tf", callback
     )
-    got = cross(place.far, out, fleet, read, {"transforms": [{"child_frame_id": "base_footprint"}]})
-    assert got["transforms"][0]["child_frame_id"] == "base_footprint"
+    received = cross(place.far, out, fleet, read, {"transforms": [{"child_frame_id": "base_footprint"}]})
+    assert received["transforms"][0]["child_frame_id"] == "base_footprint"
 
 
 def test_services_byte_for_byte(place: Place) -> None:
-    """Keys, beacons, requests and responses; a request without bytes is one, and a bridge of any namespace may ask."""
+    """Keys, beacons, requests and responses; an empty request is valid, and a bridge of any namespace may call."""
     set_bool, trigger, yes = "std_srvs/SetBool", "std_srvs/Trigger", {"success": True, "message": "hi"}
     bridge, named = place.ros1(), place.ros1("robot1")
     place.bridge({"dialect": "ros1"})
     served = bridge.ask("serve", service="/in", type=trigger, reply=yes)["id"]
     assert place.far.call("/in", trigger).result()["reply"] == yes
     key = "7374645f737276732f54726967676572/937c9679a518e3a18d831e57125ea522/*/in"
-    until(lambda: f"ros1_discovery_info/*/cl/{key}" in bridge.beacons(), "we tell that we call it")
+    until(lambda: f"ros1_discovery_info/*/cl/{key}" in bridge.beacons(), "Midspan's client beacon")
     assert bridge.ask("requests", id=served)["requests"] == [{"structure_needs_at_least_one_member": 0}]
     serving = place.far.serve("/out", set_bool, reply=yes)
     key = "7374645f737276732f536574426f6f6c/09fb03525b03e7ea1fd3992bafd87e16/*/out"
-    until(lambda: f"ros1_discovery_info/*/srv/{key}" in bridge.beacons(), "our beacon")
-    for asker in (bridge, named):
-        its = key.replace("*", asker.namespace)
-        reply = until(lambda k=its, a=asker: list(a.session.get(k, payload=b"\1", timeout=20.0)), "a reply")[0]
+    until(lambda: f"ros1_discovery_info/*/srv/{key}" in bridge.beacons(), "Midspan's server beacon")
+    for client in (bridge, named):
+        client_key = key.replace("*", client.namespace)
+        query = partial(client.session.get, client_key, payload=b"\1", timeout=20.0)
+        reply = until(lambda query=query: list(query()), "a reply")[0]
         assert reply.ok.payload.to_bytes() == b"\1" + HI
     assert serving.requests(2) == [{"data": True}] * 2
-    for bad in (b"", b"\1\1"):
-        assert "does not match its type" in bridge.call("/out", set_bool, bad).result()["error"]
+    for invalid in (b"", b"\1\1"):
+        assert "does not match its type" in bridge.call("/out", set_bool, invalid).result()["error"]
     bridge.drop(served)
-    until(lambda: not place.far.hub.graph.servers("/in"), "it is gone")
+    until(lambda: not place.far.hub.graph.servers("/in"), "the server has left the hub")
 
 
-def test_services_of_actions_stay_away(place: Place) -> None:
-    """ROS 1 has none: explain says so, and nothing is served."""
+def test_services_of_actions_do_not_cross(place: Place) -> None:
+    """ROS 1 has no action services, and explain gives that reason."""
     bridge = place.ros1()
     place.bridge({"dialect": "ros1"})
     place.node.action_server("/lookup", "tf2_msgs/action/LookupTransform", lambda _goal: True)
-    lines = until(lambda: place.explain(SIDE, "/lookup/_action/send_goal"), "it is decided", every=0.1)
+    lines = until(lambda: place.explain(SIDE, "/lookup/_action/send_goal"), "an explanation", every=0.1)
     assert "actions" in lines[0]["why"]
     assert not [key for key in bridge.beacons() if "_action" in key]

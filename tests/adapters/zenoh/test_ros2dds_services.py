@@ -1,4 +1,4 @@
-"""Services of the ros2dds dialect, token for token and byte for byte; what all sides share is in the contract suite."""
+"""Services of the ros2dds dialect: exact tokens and bytes. The contract suite has the tests that all sides share."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ REPLY = bytes.fromhex("00010000 01000000 04000000 79657300")
 
 
 def until_called(bridge: Ros2ddsBridge, service: str, type_: str = SET) -> None:
-    """Call a server of the hub until it answers: its token is seen a moment before zenoh has the way to it."""
+    """Call a server of the hub until it replies: its token arrives shortly before zenoh can route a query to it."""
     request = {"data": True} if type_ == SET else {}
     until(lambda: bridge.call(service, type_, request).result()["reply"] == YES, "the reply", every=0.1)
 
 
-def test_out_what_a_bridge_sees(place: Place) -> None:
-    """Our token, and a call byte for byte, by a bridge and by programs that know less."""
+def test_a_bridge_receives_tokens_and_exact_replies(place: Place) -> None:
+    """Calls come from a bridge, and from plain zenoh programs without the bridge's attachment."""
     bridge = place.ros2dds("robot1")
     place.bridge({"dialect": "ros2dds", "namespace": "/robot1"})
     serving = place.far.serve("/arm/light", SET, reply=YES)
     place.far.serve("/beep", TRIGGER, reply=YES)
-    token = until(lambda: bridge.tokens("/arm/light", "SS"), "our token")[0]
+    token = until(lambda: bridge.tokens("/arm/light", "SS"), "Midspan's token")[0]
     zid = token.split("/")[1]
     assert token == f"@/{zid}/@ros2_lv/SS/robot1§arm§light/std_srvs§srv§SetBool"
     until_called(bridge, "/arm/light")
@@ -49,22 +49,22 @@ def test_out_what_a_bridge_sees(place: Place) -> None:
     for payload in ({}, {"payload": b""}, {"payload": b"\0\1\0\0\0"}):
         (reply,) = plain("robot1/beep", **payload)
         assert reply.ok.payload.to_bytes() == REPLY
-    # a query without a request is no call of a service whose request has fields, nor is one of many keys
+    # a query without payload is invalid if the request has fields, and a query with a wildcard is never a call
     assert "has no payload" in plain("robot1/arm/light")[0].err.payload.to_bytes().decode()
     assert plain("robot1/**", payload=TRUE) == []
     assert serving.requests() == [{"data": True}] * 2
     place.far.servers["/arm/light"].close()
-    until(lambda: not bridge.tokens("/arm/light", "SS"), "our token goes with the server")
+    until(lambda: not bridge.tokens("/arm/light", "SS"), "the token disappears with the server")
 
 
-def test_requests_that_are_none(place: Place) -> None:
-    """Each gets an error, is counted, and disturbs nobody."""
+def test_invalid_requests_are_errors(place: Place) -> None:
+    """Each returns an error, is counted, and does not affect valid calls."""
     bridge = place.ros2dds()
     place.bridge({"dialect": "ros2dds"})
     serving = place.far.serve("/do", SET, reply=YES)
     until_called(bridge, "/do")
-    for bad in (b"\0", b"\0\1\0\0", b"\0\0\0\0\1", TRUE + b"more of it", b"\xff" * 100_000):
-        assert "does not match its type" in bridge.call("/do", SET, bad).result()["error"]
+    for invalid in (b"\0", b"\0\1\0\0", b"\0\0\0\0\1", TRUE + b"more of it", b"\xff" * 100_000):
+        assert "does not match its type" in bridge.call("/do", SET, invalid).result()["error"]
     assert serving.requests(0) == [{"data": True}]
     assert bridge.call("/do", SET, {"data": True}).result()["reply"] == YES
     route = place.route(SIDE, "/do", "out")
@@ -72,8 +72,7 @@ def test_requests_that_are_none(place: Place) -> None:
     assert route["drops"]["bad"] == 5
 
 
-def test_in_what_a_bridge_gets(place: Place) -> None:
-    """Our token, and a request's id, as another bridge would send it."""
+def test_a_bridge_receives_the_token_and_the_request_id_of_another_bridge(place: Place) -> None:
     bridge = place.ros2dds()
     served = bridge.ask("serve", service="/do", type=SET, reply=YES)["id"]
     place.bridge({"dialect": "ros2dds"})
@@ -86,11 +85,11 @@ def test_in_what_a_bridge_gets(place: Place) -> None:
     assert first[3:11] == second[3:11]
     assert int.from_bytes(second[11:19], "little") == int.from_bytes(first[11:19], "little") + 1
     bridge.drop(served)
-    until(lambda: not bridge.tokens("/do", "SC"), "our token goes with the server")
+    until(lambda: not bridge.tokens("/do", "SC"), "the token disappears with the server")
 
 
-def test_replies_that_are_none_and_errors(place: Place) -> None:
-    """A plain zenoh program may serve what a bridge announces; zenoh's error reply is the caller's."""
+def test_invalid_replies_and_error_replies(place: Place) -> None:
+    """A plain zenoh program can serve an announced service; the client receives zenoh's error reply."""
     bridge = place.ros2dds()
     answers = iter([None, b"\0\1\0\0", b"", REPLY])
 
@@ -109,71 +108,73 @@ def test_replies_that_are_none_and_errors(place: Place) -> None:
     for _ in range(2):
         assert "the reply does not match its type" in place.far.call("/do", SET).result()["error"]
     assert place.far.call("/do", SET).result()["reply"] == YES
-    queryable.undeclare()  # the token lives
-    # until zenoh has told that the queryable is gone, the call finds it so by itself
-    until(lambda: "no server" in place.far.call("/do", SET).result()["error"], "an error that says why")
+    queryable.undeclare()  # the token stays
+    # until zenoh has removed the queryable from its routes, calls can fail with another error
+    until(lambda: "no server" in place.far.call("/do", SET).result()["error"], "an error that gives the reason")
     token.undeclare()
 
 
 @pytest.mark.parametrize("dialect", ["ros2dds", "ros1"])
 def test_a_hundred_calls_at_once(place: Place, dialect: str) -> None:
-    """Both ways, the held ones among them answered last."""
+    """In both directions; held calls do not delay the replies to others."""
     bridge = place.ros2dds() if dialect == "ros2dds" else place.ros1()
     place.bridge({"dialect": dialect})
     slow = bridge.ask("serve", service="/slow", type=SET, reply=YES, held=True)["id"]
     bridge.ask("serve", service="/quick", type=SET, reply=YES)
-    waiting = [place.far.call("/slow", SET, data=True) for _ in range(100)]
+    pending = [place.far.call("/slow", SET, data=True) for _ in range(100)]
     quick = [place.far.call("/quick", SET) for _ in range(100)]
     assert [call.result(60)["reply"] for call in quick] == [YES] * 100
     bridge.ask("requests", id=slow, count=100)
-    assert not any(call.result(0)["done"] for call in waiting)
+    assert not any(call.result(0)["done"] for call in pending)
     bridge.ask("release", id=slow)
-    assert [call.result(60)["reply"] for call in waiting] == [YES] * 100
+    assert [call.result(60)["reply"] for call in pending] == [YES] * 100
     held = place.far.serve("/held", SET, reply=YES, held=True)
     place.until_route(f"zenoh_{dialect}", "/held", "out")
 
-    def known() -> bool:
+    def reachable() -> bool:
         return bool(held.requests(1, 0)) or not bridge.call("/held", SET, {"data": True}).ended.wait(0.3)
 
-    until(known, "the way is known")
+    until(reachable, "the server is reachable")
     calls = [bridge.call("/held", SET, {"data": False}) for _ in range(100)]
     held.requests(101)
     held.release()
     assert [call.result(60)["reply"] for call in calls] == [YES] * 100
 
 
-def test_a_caller_that_left(place: Place) -> None:
-    """The reply to it gets lost, and nothing else."""
+def test_a_client_that_disconnects_only_loses_its_own_reply(place: Place) -> None:
     leaver, other = place.ros2dds(), place.ros2dds()
     place.bridge({"dialect": "ros2dds"})
     serving = place.far.serve("/do", SET, reply=YES, held=True)
-    until(lambda: leaver.call("/do", SET, {"data": True}) and serving.requests(1, 0.3), "it is asked")
-    asked = len(serving.requests())
-    until(lambda: other.call("/do", SET, {"data": False}) and serving.requests(asked + 1, 0.3)[asked:], "again")
-    waiting = other.call("/do", SET, {"data": False})
+    until(lambda: leaver.call("/do", SET, {"data": True}) and serving.requests(1, 0.3), "a request arrives")
+    count = len(serving.requests())
+    until(
+        lambda: other.call("/do", SET, {"data": False}) and serving.requests(count + 1, 0.3)[count:],
+        "a request of the other client arrives",
+    )
+    pending = other.call("/do", SET, {"data": False})
     leaver.session.close()
     leaver.session = None
     serving.release()
-    assert waiting.result()["reply"] == YES
-    until(lambda: place.route(SIDE, "/do", "out")["pending"] == 0, "nothing waits", every=0.1)
+    assert pending.result()["reply"] == YES
+    until(lambda: place.route(SIDE, "/do", "out")["pending"] == 0, "no call is pending", every=0.1)
 
 
-def made_once(call: Callable[[], Any], taken: Callable[[], list[Any]]) -> None:
-    """A call is answered and was made once; while it is looked for who is active, none is made or one fails."""
+def expect_single_request(call: Callable[[], Any], requests: Callable[[], list[Any]]) -> None:
+    """Call until a call succeeds; each call reaches the server at most once, none during the daemons' election."""
 
-    def once() -> bool:
-        before = len(taken())
+    def succeeds() -> bool:
+        count = len(requests())
         reply = call()
-        made = taken()[before:]
-        assert made in ([], [{"data": True}])
-        return bool(made) and reply == YES
+        new = requests()[count:]
+        assert new in ([], [{"data": True}])
+        return bool(new) and reply == YES
 
-    until(once, "a call is made once", every=0.1)
+    until(succeeds, "a call reaches the server once", every=0.1)
 
 
 @pytest.mark.parametrize("hubs", ["one hub", "two hubs"])
 def test_two_daemons_on_one_network(place: Place, hubs: str) -> None:
-    """A call is made once, and nothing is served twice; what one Midspan serves there goes to no other's hub."""
+    """Each call is sent once, each service is served once, and neither daemon bridges the other's services."""
     bridge = place.ros2dds()
     served = bridge.ask("serve", service="/in", type=SET, reply=YES)["id"]
     with QuickHub() as other:
@@ -184,16 +185,18 @@ def test_two_daemons_on_one_network(place: Place, hubs: str) -> None:
         if hubs == "two hubs":
             ends.append(HubSide(Hub.open(other.settings("far")), Registry()))
         try:
-            for end in ends:  # while the two find each other a call may fail
+            for end in ends:  # a call may fail while the two daemons discover each other
                 until(lambda end=end: end.call("/in", SET).result()["reply"] == YES, "a reply", every=0.1)
-                until(lambda end=end: len(end.hub.graph.servers("/in")) == 1, "one offers it")
-                made_once(
+                until(lambda end=end: len(end.hub.graph.servers("/in")) == 1, "one daemon serves it")
+                expect_single_request(
                     lambda end=end: end.call("/in", SET, data=True).result()["reply"],
                     lambda: list(bridge.servings[served].taken),
                 )
             serving = place.far.serve("/out", SET, reply=YES)
             until_called(bridge, "/out")
-            made_once(lambda: bridge.call("/out", SET, {"data": True}).result()["reply"], lambda: serving.requests(0))
+            expect_single_request(
+                lambda: bridge.call("/out", SET, {"data": True}).result()["reply"], lambda: serving.requests(0)
+            )
             assert len(bridge.tokens("/out", "SS")) == 1
             assert not ends[-1].hub.graph.servers("/out") or hubs == "one hub"
         finally:

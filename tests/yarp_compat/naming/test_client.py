@@ -1,4 +1,4 @@
-"""The client: what it says, byte for byte as YARP's own programs, and what it does when nobody answers."""
+"""The name server client: its commands, byte for byte as YARP's programs send them, and its errors without an answer."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CONNECT = (15, 16, 17, 18)
 
 
 def script(talk: Talk, port: int | None = None) -> list[tuple[int, bytes | None]]:
-    """What a real peer answered, after how many lines; with another port number in place of its own."""
+    """Return the recorded answers of a real peer, with its port number replaced by ``port``."""
     steps = [(step.by, step.data) for step in talk.steps]
     asked = [data for by, data in steps if by == "C"]
     answers = [data for by, data in steps if by == "S"]
@@ -104,7 +104,7 @@ def test_yarp_ip(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_nobody_there() -> None:
-    """Nobody listens: an error at once that says where, and what to do."""
+    """If the port is closed, the client reports the address and the cure at once."""
     port = free_port()
     with pytest.raises(NoNameServerError) as caught:
         client(port).query("/p")
@@ -116,7 +116,7 @@ def test_nobody_there() -> None:
 
 @pytest.mark.parametrize("answer", [b"registration name /p ip 127", b"registration name /p\r\nmore\r\n"])
 def test_closed_early(answer: bytes) -> None:
-    """An answer that stops is no answer."""
+    """A truncated answer is an error."""
     with Scripted([(1, answer), (0, b"")]) as server, pytest.raises(NoNameServerError, match="closed before"):
         client(server.port).list()
 
@@ -140,7 +140,7 @@ def test_a_connection_that_breaks_at_once_is_closed(monkeypatch: pytest.MonkeyPa
 
 
 def test_silence_has_an_end() -> None:
-    """A name server that says nothing, or only a little again and again, costs the time limit and no more."""
+    """A call to a silent name server ends after the timeout."""
     with Scripted([(0, None)]) as server:
         began = time.monotonic()
         with pytest.raises(NoNameServerError, match=r"no answer within 0\.2 s"):
@@ -174,7 +174,7 @@ def test_without_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None
 
 
 def test_names_that_cannot_be() -> None:
-    """Bad names are refused before anybody is asked; addresses need nobody."""
+    """Invalid names are rejected without a query, and addresses need none."""
     names = client(free_port())
     for name in ("two words", "/a\nb", '/a"b', "/" + "x" * 2000):
         with pytest.raises(NameRefusedError, match="without spaces"):
@@ -189,7 +189,7 @@ def test_names_that_cannot_be() -> None:
 
 @pytest.mark.parametrize("greeting", [b"HTTP/1.1 400 Bad Request\r\n", b""])
 def test_what_is_no_port(greeting: bytes) -> None:
-    """Something else at a port's address."""
+    """The address of a port belongs to another kind of server."""
     problem = "no YARP port: it says 'HTTP" if greeting else "closed before"
     with Scripted([(2, greeting)]) as other, pytest.raises(PortError, match=problem):
         connections.ping(client(1), f"tcp://127.0.0.1:{other.port}/p")
