@@ -188,17 +188,17 @@ _REFERENCE_HEAD = """# Configuration reference
 
 Midspan reads one YAML file. Every key is optional, and the defaults run on one machine as they are:
 `midspan config example` prints them all. Without `--config` the first of these is used: `$MIDSPAN_CONFIG`,
-`./midspan.yaml`, `~/.config/midspan/midspan.yaml` (or under `$XDG_CONFIG_HOME`), `/etc/midspan/midspan.yaml`; if
-none exists, the defaults apply. Relative paths are relative to the file's folder.
+`./midspan.yaml`, `~/.config/midspan/midspan.yaml` (or under `$XDG_CONFIG_HOME`), `/etc/midspan/midspan.yaml`. Without
+any file Midspan uses the defaults. Relative paths are relative to the file's folder.
 
-`version` is the format of the file. `midspan config migrate FILE` brings an older file to today's keys: comments stay,
-removed keys become comments, the former file is kept as `FILE.old`, and what is left to do by hand is named, with
-exit code 3. A file of a format that is newer than this Midspan is refused; so write `version` into files that may meet
-an older one.
+`version` is the format of the file. `midspan config migrate FILE` converts an older file to the current keys. It
+preserves comments, turns obsolete keys into comments and saves the former file as `FILE.old`. If some changes have to
+be made by hand, it lists them and exits with code 3. Midspan rejects files in a newer format, so give the `version`
+in files that an older Midspan may read.
 
-`midspan config check FILE` names every problem with its line and column. An unknown key is a problem, and so is a key
-given twice. A list of texts may be written as one text (`trusted: operator1`), and the one address of a `listen` as a
-list of one. `midspan config schema` prints a JSON schema; with
+`midspan config check FILE` reports every problem with its line and column, including unknown and duplicate keys.
+A list of texts can also be written as one text (`trusted: operator1`), and the address of a `listen` as a list of one.
+`midspan config schema` prints a JSON schema; with
 
 ```yaml
 # yaml-language-server: $schema=midspan.schema.json
@@ -206,9 +206,8 @@ list of one. `midspan config schema` prints a JSON schema; with
 
 as the first line of a file, editors check and complete it while you type.
 
-`kill -HUP` (or `systemctl reload midspan`) loads the file again: it is checked first, a file with a problem changes
-nothing, and only the workers that use what changed are notified or restarted. `name` and `state` need a restart of the
-daemon.
+`kill -HUP` (or `systemctl reload midspan`) checks the file and loads it again. A file with a problem changes nothing.
+Only the workers that use changed keys reload or restart. `name` and `state` need a restart of the daemon.
 """
 
 

@@ -34,7 +34,7 @@ FIREFOX = "Mozilla/5.0 (X11; Linux x86_64; rv:140.0) Gecko/20100101 Firefox/140.
 
 
 class GuardedDesk(Desk):
-    """A server with TLS and tokens, and keys of its own."""
+    """A server with TLS, tokens and its own keys."""
 
     def __init__(self, folder: Path) -> None:
         self.keys = folder / "keys"
@@ -73,12 +73,12 @@ def test_it_is_off_and_of_this_machine_as_installed() -> None:
 @pytest.mark.parametrize(
     ("section", "why"),
     [
-        ({"listen": "0.0.0.0:8765"}, r"other machines reach 0\.0\.0\.0, and nobody is asked who they are"),
+        ({"listen": "0.0.0.0:8765"}, r"other machines reach 0\.0\.0\.0, and it would be open to anyone"),
         ({"listen": "0.0.0.0:8765", "drive": True}, "give foxglove.tokens"),
         ({"listen": "robot1:8765"}, "reach it by a tunnel"),
         ({"listen": "[::]:8765"}, "other machines reach ::"),
-        ({"listen": "8765"}, "is no address and port"),
-        ({"drive": True, "tokens": TOKENS}, "each of them says who may drive"),
+        ({"listen": "8765"}, "is not an address with a port"),
+        ({"drive": True, "tokens": TOKENS}, "the roles of the tokens decide who may drive"),
         ({"tokens": {"anna": {"role": "root", "sha256": ANNA[1]}}}, "watch"),
     ],
 )
@@ -127,7 +127,7 @@ def test_who_has_no_token_stays_out(guarded: GuardedDesk, monkeypatch: pytest.Mo
     assert status_of(guarded) == 401
     assert status_of(guarded, query="?token=wrong") == 401
     monkeypatch.setattr("bridge.web.serving.access.FIRST_WAIT", 60.0)
-    assert status_of(guarded, query=f"?token={HALL[1]}") == 401, "the hash is no token"
+    assert status_of(guarded, query=f"?token={HALL[1]}") == 401, "the hash is not accepted as a token"
     assert status_of(guarded, query=f"?token={HALL[0]}") == 429, "who guesses waits"
 
 
@@ -223,7 +223,7 @@ def test_who_takes_nothing_is_cut_and_holds_nobody_up(desk: Desk, monkeypatch: p
     word = cdr("x" * 500_000)
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
         deaf.subscribe("/flood")
-        deaf.until(publisher.matched, "it is heard")  # who reads no more asks no second time either
+        deaf.until(publisher.matched, "it is heard")  # a client that no longer reads does not subscribe twice either
         app.subscribe("/flood")
         app.until_taken()
         shares: list[int] = []

@@ -34,7 +34,7 @@ TOKENS = {"anna": {"role": "drive", "sha256": DRIVE[1]}, "hall": {"role": "watch
 
 
 class GuardedDesk(Desk):
-    """A console with TLS and tokens, and keys of its own."""
+    """A console with TLS, tokens and its own keys."""
 
     def __init__(self, folder: Path, keys: Path) -> None:
         self.keys = keys
@@ -89,7 +89,7 @@ def guarded(tmp_path: Path) -> Iterator[GuardedDesk]:
 
 def test_others_need_tls_and_somebody_who_may() -> None:
     assert not WebSection().guarded
-    with pytest.raises(ValidationError, match=r"other machines reach 0\.0\.0\.0, and nobody could get in"):
+    with pytest.raises(ValidationError, match=r"other machines reach 0\.0\.0\.0, but it has no login"):
         WebSection(listen="0.0.0.0:8480")
     for more in ({"tokens": TOKENS}, {"trusted": ["operator1"]}):
         for listen in ("0.0.0.0:8480", "127.0.0.1:8480", "[::]:8480"):
@@ -254,7 +254,7 @@ def test_a_login_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     assert grant == Grant("anna", "drive", grant.until if grant else 0.0)
     assert Access(section, b"t" * 32).grant(headers, "", "a") is None, "of another console"
     other = WebSection(tokens={"anna": TokenSection(sha256=WATCH[1])})
-    assert Access(other, b"s" * 32).grant(headers, "", "a") is None, "the token was made anew"
+    assert Access(other, b"s" * 32).grant(headers, "", "a") is None, "the token has been replaced"
     late = time.time() + access.LOGIN_SECONDS + 10.0
     monkeypatch.setattr(time, "time", lambda: late)
     assert mine.grant(headers, "", "a") is None

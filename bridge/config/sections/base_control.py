@@ -48,7 +48,7 @@ class JoySection(Section):
 
 
 class BaseControlSection(ModuleSection):
-    """The driver of a mobile base. Measures and limits are those of R1 unless told otherwise."""
+    """The driver of a mobile base. Default measures and limits are those of R1."""
 
     ini: Path | None = setting(None, "A `baseCtrl` file of an existing robot; keys set here override it.")
     kind: str = setting("cer", "`cer`: two wheels, as R1; `ikart_V1`: three omnidirectional wheels.")

@@ -15,8 +15,8 @@ class ControlBoardSection(Section):
     command: OptionalTopic = setting(
         "", "Topic of commands to its joints (`JointState`: velocities, or positions); empty: it takes none."
     )
-    joints: tuple[str, ...] = setting((), "Names of its joints, in its order; empty: those that it tells.")
-    timeout: float = setting(0.2, "Seconds after its last command at which a joint stands still.", gt=0.0, le=0.5)
+    joints: tuple[str, ...] = setting((), "Names of its joints, in its order; empty: the names that the board reports.")
+    timeout: float = setting(0.2, "Seconds after its last command at which a joint stops.", gt=0.0, le=0.5)
 
 
 class ControlBoardsSection(ModuleSection):

@@ -21,20 +21,20 @@ class FoxgloveSection(Section):
     )
     drive: bool = setting(
         False,
-        "Whether the programs of this machine may publish, call and set, or look alone; with `tokens` those say it.",
+        "Whether programs on this machine may publish, call and set parameters, or only watch. With `tokens`, each"
+        " token's role decides instead.",
     )
     tokens: dict[PersonName, TokenSection] = setting(
-        {}, 'Who gets in by a token, by name: `anna: {role: drive, sha256: "..."}`; with one, loopback has TLS, too.'
+        {}, 'Tokens by name: `anna: {role: drive, sha256: "..."}`; with one, connections on loopback use TLS as well.'
     )
     origins: tuple[Annotated[str, Field(min_length=1, max_length=255)], ...] = setting(
         ("https://app.foxglove.dev", "file://"),
-        "Pages that may ask where there are no `tokens`, by the `Origin` that browsers send; a program that is no"
-        " browser sends none.",
+        "Pages that may connect without `tokens`, by the `Origin` header that browsers send; other programs send none.",
     )
 
     @property
     def guarded(self) -> bool:
-        """Whether it has TLS, and who comes must say who they are."""
+        """Whether it requires TLS and a token."""
         return bool(self.tokens)
 
     @property
@@ -46,10 +46,10 @@ class FoxgloveSection(Section):
     def _safe(self) -> FoxgloveSection:
         address, _ = split(self.listen)
         if self.tokens and self.drive:
-            raise ValueError("drive: with tokens each of them says who may drive (role: drive); leave drive out")
+            raise ValueError("drive: the roles of the tokens decide who may drive (role: drive); remove drive")
         if not self.tokens and not is_loopback_address(address):
             msg = (
-                f"listen: other machines reach {address}, and nobody is asked who they are: give foxglove.tokens"
+                f"listen: other machines reach {address}, and it would be open to anyone: give foxglove.tokens"
                 " ('midspan web --token NAME' makes one), or listen on 127.0.0.1:8765 and reach it by a tunnel"
                 " (ssh -L 8765:127.0.0.1:8765 robot)"
             )

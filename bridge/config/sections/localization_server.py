@@ -1,4 +1,4 @@
-"""The section ``modules.localization_server``: where the robot is, for all sides."""
+"""The section ``modules.localization_server``: the robot's pose for all sides."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ class LocaliserSection(Section):
 
 
 class LocalizationServerSection(ModuleSection):
-    """Where the robot is, and who says so."""
+    """The robot's pose, and its source."""
 
     source: Source | None = setting(
         None,
-        "Who says where the robot is: `own` (Midspan's localiser, by laser and odometry), `amcl` (of ROS 1 or ROS 2),"
+        "Source of the robot's pose: `own` (Midspan's localiser, by laser and odometry), `amcl` (of ROS 1 or ROS 2),"
         " `tf` (the odometry's frame on the map), `topic` (a pose topic), `port` (a YARP port of poses), `server`"
         " (another server of ILocalization2D); empty: `navigation.localizer`, or else `own`.",
     )
@@ -67,13 +67,14 @@ class LocalizationServerSection(ModuleSection):
     base_frame: FrameName = setting("base_link", "The robot's frame.")
     scan: OptionalTopic = setting("/scan", "The laser (`sensor_msgs/msg/LaserScan`), for `own`.")
     initial_pose: tuple[float, float, float] | None = setting(
-        None, "For `own`: where the robot starts: x, y (metres), direction (degrees); empty: unknown."
+        None, "For `own`: the robot's start: x, y (metres), direction (degrees); empty: unknown."
     )
     initial_spread: Spread = setting((0.5, 15.0), "Deviations of a start without a covariance: metres, degrees.")
     usual_spread: Spread = setting((0.1, 5.0), "Standard deviations of a pose without a covariance: metres, degrees.")
     initialpose: OptionalTopic = setting(
         "/initialpose",
-        "Topic of starts (`PoseWithCovarianceStamped`): `own` hears it, and `setInitialPose` sends it to `amcl`.",
+        "Topic of start poses (`PoseWithCovarianceStamped`): `own` subscribes to it, and `setInitialPose` publishes it"
+        " for `amcl`.",
     )
     amcl_pose: OptionalTopic = setting("/amcl_pose", "amcl's pose and covariance (`PoseWithCovarianceStamped`).")
     particlecloud: OptionalTopic = setting("/particlecloud", "The particles of ROS 1's amcl (`PoseArray`).")

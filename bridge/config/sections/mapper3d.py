@@ -31,24 +31,24 @@ class DepthSource(Section):
 
 
 class LayerSection(Section):
-    """The layer: what decides where the robot may drive."""
+    """The layer, a grid of the cells that the robot would touch."""
 
     topic: OptionalTopic = setting(
         "/mapper3d/layer",
-        "Topic of the layer (`nav_msgs/msg/OccupancyGrid`, latched); the heights of what is hit are on the topic of"
-        ' this name with `_heights` behind it. "": none.',
+        "Topic of the layer (`nav_msgs/msg/OccupancyGrid`, latched); the heights of the obstacles are on a topic with"
+        ' the suffix `_heights`. "": none.',
     )
-    period: float = setting(
-        0.5, "Seconds between two changes of the layer that are published, at least.", ge=0.05, le=60
-    )
+    period: float = setting(0.5, "Minimum seconds between two published changes of the layer.", ge=0.05, le=60)
     height: float = setting(
-        1.5, "Metres of the robot above the floor: under what hangs higher it fits.", gt=0.0, le=10.0
+        1.5, "Height of the robot above the floor, metres; it passes under higher obstacles.", gt=0.0, le=10.0
     )
-    width: float = setting(0.5, "Metres of the robot across: it stands on floor of this width.", gt=0.0, le=10.0)
-    step: float = setting(0.02, "Metres of the highest step that its wheels take.", ge=0.0, le=1.0)
-    margin: float = setting(0.05, "Metres that it needs free above itself.", ge=0.0, le=2.0)
-    slope: float = setting(8.0, "Degrees of the steepest ramp that it takes.", ge=0.0, le=45.0)
-    largest: float = setting(40.0, "Metres of the layer's sides at most, about the robot.", ge=1.0, le=400.0)
+    width: float = setting(0.5, "Width of the robot, metres; it needs floor of this width.", gt=0.0, le=10.0)
+    step: float = setting(0.02, "Highest step that its wheels climb, metres.", ge=0.0, le=1.0)
+    margin: float = setting(0.05, "Free space that it needs above itself, metres.", ge=0.0, le=2.0)
+    slope: float = setting(8.0, "Steepest ramp that it climbs, degrees.", ge=0.0, le=45.0)
+    largest: float = setting(
+        40.0, "Maximum length of the layer's sides, metres; the robot is in its middle.", ge=1.0, le=400.0
+    )
     name: str = setting("layer", "Its name among the maps of the store.", min_length=1, max_length=64)
 
 
@@ -58,12 +58,12 @@ class Mapper3DSection(ModuleSection):
     mapping: bool = setting(True, "Whether it maps from the start, or only after `start`.")
     map_name: str = setting("map", "The map's name among the store's 3D maps, for `save`.", min_length=1, max_length=64)
     load: str = setting(
-        "", "Name of the store's 3D map that it begins with, where none is kept (`keep`); empty: none.", max_length=64
+        "", "Name of the store's 3D map to start with, unless `keep` has one; empty: none.", max_length=64
     )
     clouds: tuple[TopicName, ...] = setting((), "Topics of clouds (`sensor_msgs/msg/PointCloud2`).")
     depth: tuple[DepthSource, ...] = setting((), "Depth cameras.")
     pixels: int = setting(
-        1, "Of depth images every so manieth pixel of each row and column is taken: 2 takes a quarter.", ge=1, le=32
+        1, "Use every n-th pixel of each row and column of depth images: 2 uses a quarter of them.", ge=1, le=32
     )
     sync: float = setting(0.1, "Seconds by which an image and its `CameraInfo` may differ.", ge=0.0, le=10.0)
     resolution: float = setting(0.05, "Metres of a voxel.", ge=0.005, le=1.0)
@@ -71,15 +71,15 @@ class Mapper3DSection(ModuleSection):
     farthest: float = setting(4.0, "Metres to which rays are believed.", gt=0.0, le=100.0)
     forget_after: float = setting(
         0.0,
-        "Seconds after which what is in plain sight, and is not seen there any more, is forgotten; 0: never.",
+        "Seconds after which an obstacle is removed that its sensor no longer sees in plain view; 0: never.",
         ge=0.0,
     )
     memory: int = setting(256, "Megabytes (1,048,576 bytes) that the map may have.", ge=1, le=65536)
     when_full: Literal["stop", "forget"] = setting(
-        "stop", "Then: `stop` leaves out what is new; `forget` gives up what is farthest from the sensor."
+        "stop", "If the memory is full: `stop` ignores new voxels; `forget` drops those farthest from the sensor."
     )
     layer: LayerSection = subsection(LayerSection, "What the robot would touch, as a grid.")
-    map_frame: FrameName = setting("map", "The map's frame. Without a localiser, `odom` maps by odometry alone.")
+    map_frame: FrameName = setting("map", "The map's frame. Without a localiser, `odom` maps by odometry only.")
     odom_frame: FrameName = setting("odom", "The odometry's frame.")
     base_frame: FrameName = setting("base_link", "The robot's frame.")
     floor: float | None = setting(None, FLOOR, ge=-3.0, le=3.0)

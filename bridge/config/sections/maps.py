@@ -29,11 +29,13 @@ class StoreSection(Section):
     enabled: Enabled = setting("auto", "Whether this daemon keeps a copy; `auto`: if a module uses it.")
     maps: Path | None = setting(
         None,
-        "A collection of maps (`maps_collection.ini`) or one map (`.map`, `.yaml`), imported at start. What the store"
-        " has, or what was deleted from it, stays as it is.",
+        "A collection of maps (`maps_collection.ini`) or one map (`.map`, `.yaml`), imported at start. The import"
+        " neither replaces nor restores maps that the store has or has deleted.",
     )
-    locations: Path | None = setting(None, "A file of locations, areas, paths and objects (`locations.ini`), likewise.")
-    keys: int = setting(10_000, "Values that the store holds at most.", ge=1, le=100_000)
+    locations: Path | None = setting(
+        None, "A file of locations, areas, paths and objects (`locations.ini`), imported at start."
+    )
+    keys: int = setting(10_000, "Maximum number of values in the store.", ge=1, le=100_000)
     megabytes: int = setting(1024, "Megabytes (1,048,576 bytes) of all values together.", ge=1, le=1 << 20)
     deleted: int = setting(10_000, "Deleted names that it remembers, the latest ones.", ge=0, le=100_000)
     deleted_days: float = setting(
@@ -70,7 +72,7 @@ class Map2DServerSection(ModuleSection):
     folder: Path | None = setting(
         None, "The only folder in which clients may save and load; default `maps` in the module's state folder."
     )
-    current: str = setting("", "The current map while nobody has chosen one.")
+    current: str = setting("", "The current map until a client chooses one.")
     frame: FrameName = setting("map", "The frame of all maps and markers.")
     take: tuple[TakenMap, ...] = setting(
         (), "Maps of other servers and mappers for the store. The server does not publish `/map` that it takes."
@@ -121,7 +123,7 @@ class Mapper2DSection(ModuleSection):
     )
     initial_pose: OptionalTopic = setting("", 'Topic that sets the pose (`PoseWithCovarianceStamped`); "": none.')
     map_frame: FrameName = setting(
-        "map", "The map's frame. Without a localiser, `odom` maps by odometry alone.", min_length=1, max_length=100
+        "map", "The map's frame. Without a localiser, `odom` maps by odometry only.", min_length=1, max_length=100
     )
     odom_frame: FrameName = setting("odom", "The odometry's frame.")
     base_frame: FrameName = setting("base_link", "The robot's frame.")

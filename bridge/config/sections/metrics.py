@@ -1,4 +1,4 @@
-"""The section ``metrics``: figures for Prometheus, at an address of their own."""
+"""The section ``metrics``: figures for Prometheus, at a separate address."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ from bridge.config.sections.web import WebSection, is_loopback_address, split
 
 
 class MetricsSection(Section):
-    """What Prometheus scrapes; the console answers the same at its own address, whatever stands here."""
+    """The address that Prometheus scrapes; the console always serves the same figures at its own address."""
 
     enabled: bool = setting(False, "Whether `/metrics`, `/healthz` and `/readyz` are served without the console, too.")
     listen: str = setting(
         "127.0.0.1:9480",
-        "Address and port; port 0: any. One that other machines reach has TLS and asks who comes, as the console does:"
-        " by `web.tokens` and `web.trusted`, with the certificate of `hub.open`; see [metrics](metrics.md).",
+        "Address and port; port 0: any. An address that other machines reach requires TLS and a login, as the console"
+        " does: by `web.tokens` and `web.trusted`, with the certificate of `hub.open`; see [metrics](metrics.md).",
     )
     diagnostics: bool = setting(
         True,
-        "Whether `/diagnostics` of the hub tells how each part is, while somebody hears it.",
+        "Whether the state of each part is published on the hub's `/diagnostics` while it has a subscriber.",
     )
     routes: int = setting(
-        200, "Routes of each side that are told of at most; of more, only their number.", ge=1, le=5000
+        200, "Maximum number of routes reported per side; of further routes, only the count is.", ge=1, le=5000
     )
 
     @property
     def reached(self) -> bool:
-        """Whether other machines reach the address, so that who comes must say who they are."""
+        """Whether other machines reach the address, so that clients must authenticate."""
         return not is_loopback_address(split(self.listen)[0])
 
     def unguarded(self, web: WebSection) -> str:
-        """Why it may not be served so, "" where it may."""
+        """Return why the address may not be served without authentication; "" if it may."""
         if not self.enabled or not self.reached or web.guarded:
             return ""
         return (
-            f"other machines reach {self.listen}, and nobody could get in: give web.tokens"
+            f"other machines reach {self.listen}, but it has no login: give web.tokens"
             " ('midspan web --token NAME --role watch' makes one) or web.trusted, or listen on 127.0.0.1"
         )
 

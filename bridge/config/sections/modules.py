@@ -58,7 +58,9 @@ class OwnModule(Section):
     """A module of your own."""
 
     name: SmallName = Field(description="Its name on the hub: small letters, digits and underscores.")
-    factory: _Factory = Field(description="Its class as `package.module:Class`, in a package installed beside Midspan.")
+    factory: _Factory = Field(
+        description="Its class as `package.module:Class`, in a package installed in Midspan's environment."
+    )
     options: dict[str, Any] = Field(default_factory=dict, description="Options that it starts with.")
 
 
@@ -86,7 +88,7 @@ class ModulesSection(Section):
         Mapper3DSection, "Makes an octree of clouds and depth images; see docs/navigation/mapper3d.md."
     )
     robot_goto: RobotGotoSection = subsection(
-        RobotGotoSection, "Drives to a goal by laser and frames alone; see docs/navigation/robot_goto.md."
+        RobotGotoSection, "Drives to a goal with only laser and frames; see docs/navigation/robot_goto.md."
     )
     robot_path_planner: RobotPathPlannerSection = subsection(
         RobotPathPlannerSection,

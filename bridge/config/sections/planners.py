@@ -1,4 +1,4 @@
-"""The sections ``modules.robot_path_planner`` and ``modules.robot_goto``: ways over the map, and who drives them."""
+"""The sections ``modules.robot_path_planner`` (global planner) and ``modules.robot_goto`` (local navigator)."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ _Navigator = Annotated[
 
 
 class ObstacleSection(Section):
-    """A source of obstacles beside the laser, as a camera that sees a table's board."""
+    """An additional source of obstacles, for example a camera that sees the tops of tables."""
 
-    topic: TopicName = setting(..., "Where it is said.")
+    topic: TopicName = setting(..., "Its topic.")
     type: Literal["cloud", "layer"] = setting(
         "layer",
-        "`cloud`: points (`sensor_msgs/msg/PointCloud2`), heard live; `layer`: cells of the map that the robot would"
-        " touch (`nav_msgs/msg/OccupancyGrid`, from 50 on), as Mapper3D's.",
+        "`cloud`: live points (`sensor_msgs/msg/PointCloud2`); `layer`: cells of the map that the robot would"
+        " touch (`nav_msgs/msg/OccupancyGrid`, from 50 on), such as Mapper3D's.",
     )
     timeout: float | None = setting(
         None, "Seconds without a message after which it counts as silent; empty: 0.5, of a layer 5.", gt=0, le=3600
     )
 
     def silent(self, heard: float | None, now: float) -> str:
-        """Since when it is silent, which was heard last at seconds, or never; "" where it is not."""
+        """Return why the source counts as silent, else ""; ``heard`` is the time of its last message, or None."""
         if heard is None:
             return f"the {self.type} {self.topic} has not come yet"
         if now - heard <= (self.timeout or {"cloud": 0.5, "layer": 5.0}[self.type]):
@@ -57,9 +57,9 @@ class ObstacleSection(Section):
 
 
 class DrivenSection(Section):
-    """What holds on the way to a waypoint or to the goal; what is empty is as the local navigator's own settings say.
+    """Settings for driving to a waypoint or to the goal; empty ones are those of the local navigator.
 
-    The speeds and gains are RobotGoto's; local navigators that are not Midspan's do not hear of them.
+    Speeds and gains only apply to RobotGoto, not to other local navigators.
     """
 
     tolerance_lin: float | None = setting(None, "Metres.", gt=0.0, le=10.0)
@@ -73,13 +73,15 @@ class DrivenSection(Section):
 
 
 class WaypointSection(DrivenSection):
-    """What holds on the way to a waypoint."""
+    """Settings for driving to a waypoint."""
 
-    tolerance_lin: float | None = setting(0.1, "Metres at which it sends the next waypoint.", gt=0.0, le=10.0)
+    tolerance_lin: float | None = setting(
+        0.1, "Metres to the waypoint at which it sends the next one.", gt=0.0, le=10.0
+    )
 
 
 class GoalSection(DrivenSection):
-    """What holds on the way to the goal itself."""
+    """Settings for driving to the goal itself."""
 
     tolerance_lin: float | None = setting(0.05, "Metres.", gt=0.0, le=10.0)
     tolerance_ang: float | None = setting(0.6, "Degrees.", gt=0.0, le=180.0)
@@ -96,15 +98,15 @@ class RobotPathPlannerSection(ModuleSection):
     base_frame: FrameName = setting("base_link", "The robot's frame.")
     navigator: _Navigator = setting(
         "/planner/robot_goto/navigate_to_pose",
-        "Who drives to waypoints: an action on the hub (`nav2_msgs/action/NavigateToPose`), or `yarp:` and the port"
-        " prefix of an INavigation2D server: `yarp:/robotGoto`.",
+        "The local navigator, which drives to waypoints: an action on the hub (`nav2_msgs/action/NavigateToPose`), or"
+        " `yarp:` and the port prefix of an INavigation2D server: `yarp:/robotGoto`.",
     )
     scan: OptionalTopic = setting("/scan", 'Laser that shows new obstacles (`sensor_msgs/msg/LaserScan`); "": none.')
-    obstacles: tuple[ObstacleSection, ...] = setting((), "Layers that it plans around beside what the laser sees.")
+    obstacles: tuple[ObstacleSection, ...] = setting((), "Layers that it plans around, in addition to the laser.")
     robot_radius: float = setting(0.3, "Metres that it keeps from walls and keep-out cells.", gt=0.0, le=10.0)
-    clearance: float = setting(0.2, "Metres that it keeps beyond the radius where there is room.", ge=0.0, le=10.0)
-    waypoint: WaypointSection = subsection(WaypointSection, "On the way to waypoints.")
-    goal: GoalSection = subsection(GoalSection, "To the goal itself.")
+    clearance: float = setting(0.2, "Additional clearance that it keeps if the space allows, metres.", ge=0.0, le=10.0)
+    waypoint: WaypointSection = subsection(WaypointSection, "Settings for driving to waypoints.")
+    goal: GoalSection = subsection(GoalSection, "Settings for driving to the goal.")
     min_waypoint_distance: float = setting(0.2, "Metres within which it joins waypoints if it can.", ge=0.0, le=10.0)
     use_optimized_path: bool = setting(True, "Whether it straightens paths; else every cell is a waypoint.")
     recoveries: int = setting(5, "How often in a row it tries another path without coming nearer.", ge=0, le=100)
@@ -116,7 +118,7 @@ class RobotPathPlannerSection(ModuleSection):
         300.0, "Seconds that it waits at a link to another map for the change of maps.", ge=0.0, le=86400.0
     )
     obstacle_memory: float = setting(30.0, "Seconds for which it remembers what the laser saw.", gt=0.0, le=86400.0)
-    obstacle_distance: float = setting(5.0, "Metres up to which it heeds what the laser sees.", gt=0.0, le=100.0)
+    obstacle_distance: float = setting(5.0, "Range of laser points that it considers, metres.", gt=0.0, le=100.0)
     period: float = setting(0.05, "Seconds between two steps.", ge=0.01, le=1.0)
     image_hz: float = setting(2.0, "Pictures per second on `map:o` while it is connected; 0: none.", ge=0.0, le=30.0)
     prefix: OptionalPort = setting("/robotPathPlanner", 'Prefix of its YARP ports; "": none.')
@@ -124,7 +126,7 @@ class RobotPathPlannerSection(ModuleSection):
     @field_validator("obstacles")
     @classmethod
     def _are_layers(cls, value: tuple[ObstacleSection, ...]) -> tuple[ObstacleSection, ...]:
-        cloud = next((one.topic for one in value if one.type == "cloud"), None)
+        cloud = next((source.topic for source in value if source.type == "cloud"), None)
         if cloud is not None:
             raise ValueError(f"{cloud} is a cloud: RobotPathPlanner plans around layers; give clouds to RobotGoto")
         return value
@@ -134,7 +136,7 @@ _DEGREES = "degrees per second"
 
 
 class LaserPose(Section):
-    """Where a laser that is heard by a YARP port is on the robot; that of a topic is where its frame is."""
+    """The pose of a YARP laser on the robot; the pose of a topic's laser is that of its frame."""
 
     x: float = setting(0.0, "Metres to the front (`laser_pos_x`).", ge=-10.0, le=10.0)
     y: float = setting(0.0, "Metres to the left (`laser_pos_y`).", ge=-10.0, le=10.0)
@@ -142,7 +144,7 @@ class LaserPose(Section):
 
 
 class RobotGotoSection(ModuleSection):
-    """The local navigator. Limits are those of R1 unless told otherwise."""
+    """The local navigator. Default limits are those of R1."""
 
     ini: Path | None = setting(None, "A `robotGoto` file of an existing robot; keys set here override it.")
     frame: FrameName = setting("map", "The map's frame.")
@@ -152,17 +154,18 @@ class RobotGotoSection(ModuleSection):
     )
     scan: str = setting("/scan", 'The laser (`sensor_msgs/msg/LaserScan`); "": none.')
     laser_port: str = setting("", "A laser on YARP (`/cer/laser:o`) for `laser:i`; empty: none.", pattern=PORT_OR_NONE)
-    laser_pose: LaserPose = subsection(LaserPose, "Where the laser on YARP is.")
+    laser_pose: LaserPose = subsection(LaserPose, "Pose of the YARP laser.")
     obstacles: tuple[ObstacleSection, ...] = setting(
-        (), "Clouds and layers that show what the laser does not see. It drives only while all of them are heard."
+        (),
+        "Clouds and layers that show obstacles outside the laser's plane. It only drives while it receives them all.",
     )
-    height: float = setting(1.3, "Metres: what clouds show higher above the floor it does not touch.", gt=0.0, le=3.0)
-    max_step: float = setting(0.05, "Metres up or down that its wheels take, of what clouds show.", gt=0.0, le=1.0)
+    height: float = setting(1.3, "Height of the robot, metres; points of clouds above it are ignored.", gt=0.0, le=3.0)
+    max_step: float = setting(0.05, "Steps up or down in clouds that its wheels climb, metres.", gt=0.0, le=1.0)
     floor: float | None = setting(None, FLOOR, ge=-3.0, le=3.0)
     laser_offset: float = setting(
         0.08,
-        "Metres from the robot's middle to the lasers of a scan that merges several: nearer to corners and blind"
-        " sectors, beams are not believed.",
+        "Metres from the robot's center to the lasers of a scan that merges several: beams closer than this to corners"
+        " and blind sectors are ignored.",
         ge=0.0,
         le=1.0,
     )
@@ -191,11 +194,15 @@ class RobotGotoSection(ModuleSection):
     min_detection_distance: float = setting(0.4, "The same at rest.", gt=0.0, le=10.0)
     max_waiting_time: float = setting(60.0, "Seconds that it waits before it gives up the goal.", ge=0.0, le=86400.0)
     enable_obstacles_avoidance: bool = setting(True, "Whether it drives around obstacles.")
-    frontal_blind_angle: float = setting(25.0, "Degrees from the front; nothing within is beside it.", ge=0.0, le=180.0)
-    speed_reduction_factor: float = setting(0.5, "Largest share of speed given up beside obstacles.", ge=0.0, le=0.95)
+    frontal_blind_angle: float = setting(
+        25.0, "Degrees from the front; obstacles within do not count as lateral.", ge=0.0, le=180.0
+    )
+    speed_reduction_factor: float = setting(
+        0.5, "Largest reduction of speed for lateral obstacles, as a share.", ge=0.0, le=0.95
+    )
     enable_retreat: bool = setting(False, "Whether it backs off before it drives to a new goal.")
     retreat_duration: float = setting(0.3, "Seconds for which it backs off.", ge=0.0, le=2.0)
     laser_timeout: float = setting(0.5, "Seconds without a scan after which it stops.", gt=0.0, le=10.0)
     memory: float = setting(20.0, "Seconds for which it believes what the laser saw of a place.", ge=1.0, le=600.0)
     deadlock_time: float = setting(20.0, "Seconds without progress that count as a deadlock.", ge=1.0, le=3600.0)
-    on_deadlock: Literal["abort", "pause"] = setting("abort", "Then: give up the goal, or wait until resumed.")
+    on_deadlock: Literal["abort", "pause"] = setting("abort", "In a deadlock: abort the goal, or wait until resumed.")

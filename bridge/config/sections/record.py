@@ -15,7 +15,7 @@ def _compiles(value: str) -> str:
     try:
         re.compile(value)
     except re.error as err:
-        raise ValueError(f"{value!r} is no regular expression: {err}") from None
+        raise ValueError(f"{value!r} is not a regular expression: {err}") from None
     return value
 
 
@@ -31,7 +31,7 @@ class SplitSection(Section):
 
 
 class RingSection(Section):
-    """Keep the last minutes alone, and write them when something happens."""
+    """Keep only the last minutes, and write them to a file on a trigger."""
 
     seconds: float = setting(0.0, "Seconds that are kept; 0: no ring, all is kept.", ge=0.0, le=86400.0)
     size: int = setting(2048, "Megabytes of them at most.", ge=16, le=1 << 20)
@@ -45,7 +45,7 @@ class KeepSection(Section):
 
 
 class TriggerSection(Section):
-    """What writes the ring: each of these, besides `midspan record --daemon trigger`."""
+    """Triggers that write the ring to a file, in addition to `midspan record --daemon trigger`."""
 
     topics: tuple[TopicName, ...] = setting((), "A message on one of these topics.", max_length=64)
     halt: bool = setting(True, "`midspan halt`, and the console's.")
@@ -63,12 +63,12 @@ class RecordSection(Section):
         (), "Regular expressions: topics in whose name one is found are left out."
     )
     sides: tuple[SideName, ...] = setting(
-        (), "From these sides alone, and of these also what does not cross; default: all that is on the hub."
+        (), "Record only topics of these sides, including those that do not cross; default: all topics on the hub."
     )
     folder: Path | None = setting(None, "Where files are written; default `recordings` in the state folder.")
     compression: Literal["zstd", "lz4", "none"] = setting("zstd", "Of the file's chunks.")
     queue: int = setting(128, "Megabytes of messages that wait to be written at most.", ge=1, le=4096)
-    split: SplitSection = subsection(SplitSection, "When it goes on in another file.")
-    ring: RingSection = subsection(RingSection, "Whether the last minutes alone are kept.")
+    split: SplitSection = subsection(SplitSection, "When it continues in another file.")
+    ring: RingSection = subsection(RingSection, "Whether only the last minutes are kept.")
     keep: KeepSection = subsection(KeepSection, "How much the folder holds.")
-    trigger: TriggerSection = subsection(TriggerSection, "What writes the ring.")
+    trigger: TriggerSection = subsection(TriggerSection, "Triggers that write the ring.")

@@ -16,11 +16,13 @@ class Ros1Section(SideSection):
     ip: str | None = setting(None, "Address that this machine gives to ROS 1 peers (ROS_IP).")
     hostname: str | None = setting(None, "Host name that this machine gives to ROS 1 peers (ROS_HOSTNAME).")
     node: NodeName = setting("midspan", "Node name on the ROS 1 graph.")
-    poll: float = setting(0.5, "Seconds between looks at the master; up to 2 with hundreds of topics.", ge=0.05, le=10)
+    poll: float = setting(
+        0.5, "Seconds between two polls of the master; up to 2 with hundreds of topics.", ge=0.05, le=10
+    )
     goal_frames: Literal["check", "pass"] = setting(
         "check",
         "Frames of action goals: `check` removes leading slashes and rejects goals in frames that no transform of this"
-        " side names, which a move_base would follow for ever; `pass` leaves them alone.",
+        " side names, which a move_base would follow for ever; `pass` leaves them unchanged.",
     )
     packages: Path | None = setting(None, "Folder with the ROS 1 Python packages; default the system's dist-packages.")
 
@@ -33,7 +35,7 @@ class Ros2Section(SideSection):
     node: NodeName = setting("midspan", "Node name on the ROS 2 graph.")
     transport: Literal["auto", "shared_memory", "udp"] = setting(
         "auto",
-        "Fast DDS transports. `auto`: shared memory and UDP; UDP alone if /dev/shm is too small, or other users run"
+        "Fast DDS transports. `auto`: shared memory and UDP; only UDP if /dev/shm is too small, or other users run"
         " ROS 2 nodes here (shared memory delivers nothing between users).",
     )
     profile: Path | None = setting(None, "Your own Fast DDS XML profile, used instead of the generated one.")

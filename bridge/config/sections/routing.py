@@ -42,7 +42,7 @@ class ParameterRule(Section):
 
 
 def parameters_trouble(rules: Sequence[ParameterRule]) -> str:
-    """Why these rules contradict each other, "" where they do not."""
+    """Return why these rules contradict each other, "" if they do not."""
     for number, rule in enumerate(rules, 1):
         for other_number, other in enumerate(rules[number:], number + 1):
             if rule.node == other.node and rule.owner != other.owner:
@@ -72,7 +72,7 @@ class QosOverride(Section):
 
 
 def rename_trouble(rename: str, topic: str | None, regex: str | None, *, ros1: bool) -> str:
-    """What is wrong with a rule's new name, "" where it is good; ``ros1``: only ROS 1 gets to see it."""
+    """Return what is wrong with a rule's new name, "" if it is valid; ``ros1``: the name is only used in ROS 1."""
     if regex is not None:
         pattern = re.compile(regex)
         for number, name in _GROUP.findall(rename):
@@ -107,7 +107,9 @@ class Rule(Section):
         None, "Glob over the type's ROS 2 name: `sensor_msgs/msg/*`, `nav_msgs/srv/GetMap`, `nav2_msgs/action/*`."
     )
     from_: SideName | None = Field(default=None, alias="from", description="Only what comes from this side.")
-    to: SideName | None = setting(None, "Only on the way out to this side; by default, on the way into the hub.")
+    to: SideName | None = setting(
+        None, "Apply only from the hub to this side; by default a rule applies from its side to the hub."
+    )
     deny: bool = setting(False, "It does not cross; this wins over every other rule.")
     rename: str | None = setting(
         None, "New name; with `regex`, groups as `\\1`; with a glob, `*` and `**` keep what they matched there."

@@ -56,9 +56,9 @@ class EncodersSection(Section):
 
 
 class CameraSection(Section):
-    """The depth camera: a RealSense D435, unless told otherwise (Intel's data sheet 337029)."""
+    """The depth camera; the defaults are a RealSense D435 (Intel's data sheet 337029)."""
 
-    rate: float = setting(0.0, "Pictures per second; 0: there is no camera.", ge=0, le=90)
+    rate: float = setting(0.0, "Images per second; 0: without camera.", ge=0, le=90)
     width: int = setting(640, "Pixels.", ge=16, le=1280)
     height: int = setting(480, "Pixels.", ge=16, le=960)
     fov: tuple[_Angle, _Angle] = setting(
@@ -97,7 +97,7 @@ class SimSection(Section):
     resolution: float = setting(0.05, "Metres per pixel of a plan that is an image.", gt=0, le=10)
     robot: str = setting("r1", "`r1`, `r1_gazebo`, `ikart_v1`, or a file that describes another robot.")
     start: tuple[float, float, float] | None = setting(
-        None, "Where the robot starts: x, y (metres), direction (degrees); empty: as the plan says."
+        None, "The robot's start: x, y (metres), direction (degrees); empty: from the plan."
     )
     people: bool = setting(True, "Whether the plan's people walk about.")
     speed: float | Literal["max", "step"] = setting(

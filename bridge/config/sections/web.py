@@ -16,7 +16,7 @@ Role = Literal["watch", "drive"]
 
 _ADDRESS = re.compile(r"(?:\[(?P<six>[0-9A-Fa-f:.]+)\]|(?P<name>[^\[\]:/\s]+)):(?P<port>\d{1,5})")
 _HOST = r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]{0,251}[A-Za-z0-9_])?|[0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*"
-_NOBODY = "nobody could get in: give web.tokens ('midspan web --token NAME' makes one), or web.trusted for certificates"
+_NO_LOGIN = "it has no login: give web.tokens ('midspan web --token NAME' makes one), or web.trusted for certificates"
 
 HostName = Annotated[str, matching(_HOST, "is neither a host name nor an IP address; leave port and scheme out")]
 PersonName = Annotated[str, matching(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}", "is not a name: letters, digits, '_' and '-'")]
@@ -25,7 +25,7 @@ PersonName = Annotated[str, matching(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}", "is not 
 class TokenSection(Section):
     """A token by which a person or a program gets in."""
 
-    role: Role = setting("drive", "`watch`: look alone; `drive`: command, too.")
+    role: Role = setting("drive", "`watch`: only watch; `drive`: also command.")
     sha256: str = Field(
         description="SHA-256 of the token, as `midspan web --token NAME` prints it.", pattern=r"^[0-9a-f]{64}$"
     )
@@ -34,7 +34,7 @@ class TokenSection(Section):
 class OtherRobot(Section):
     """A robot of ``web.robots``."""
 
-    name: str = Field(description="What the map writes beside it.", min_length=1, max_length=64)
+    name: str = Field(description="Its label on the map.", min_length=1, max_length=64)
     base_frame: FrameName = Field(description="Its frame, for instance `r2/base_link`.")
     path: OptionalTopic = setting("", 'Topic of its path (`nav_msgs/Path`) on the hub; "": none is drawn.')
     radius: float = setting(0.3, "Metres: the disc that the map draws for it.", gt=0.0, le=10.0)
@@ -61,8 +61,8 @@ class WebSection(Section):
     laser: OptionalTopic = setting("/scan", 'Topic of the laser that the map shows; "": none.')
     layer: OptionalTopic = setting(
         "/mapper3d/layer",
-        "Topic of the layer (`nav_msgs/OccupancyGrid`) that the map is tinted with; the heights of what is hit are on"
-        ' the topic of this name with `_heights` behind it (`grid_map_msgs/GridMap`). "": none.',
+        "Topic of the layer (`nav_msgs/OccupancyGrid`) that the map is tinted with; the heights of the obstacles are on"
+        ' a topic with the suffix `_heights` (`grid_map_msgs/GridMap`). "": none.',
     )
     path: OptionalTopic = setting("", 'Topic of the path that the map shows; "": that of the chosen planner.')
     radius: float = setting(0.3, "Metres: the disc that the map draws for the robot.", gt=0.0, le=10.0)
@@ -70,21 +70,21 @@ class WebSection(Section):
         (), "Corners of the robot to draw in its place, x ahead and y to the left, metres: `[[0.4, 0.3], ...]`."
     )
     robots: tuple[OtherRobot, ...] = setting(
-        (), "Other robots that the map shows, each in a colour of its own.", max_length=16
+        (), "Other robots that the map shows, each in a different color.", max_length=16
     )
-    speed: float = setting(0.3, "m/s that driving by hand commands at the most.", gt=0.0, le=2.0)
-    turn: float = setting(0.6, "rad/s that driving by hand commands at the most.", gt=0.0, le=3.0)
+    speed: float = setting(0.3, "Maximum speed when driving by hand, m/s.", gt=0.0, le=2.0)
+    turn: float = setting(0.6, "Maximum angular speed when driving by hand, rad/s.", gt=0.0, le=3.0)
 
     @property
     def guarded(self) -> bool:
-        """Whether it has TLS, and who comes must say who they are."""
+        """Whether it requires TLS and a token or certificate."""
         return bool(self.tokens or self.trusted)
 
     @field_validator("footprint")
     @classmethod
     def _is_a_shape(cls, value: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
         if value and not 3 <= len(value) <= 64:
-            raise ValueError(f"{len(value)} corners are no footprint: give 3 to 64, or none for a disc")
+            raise ValueError(f"{len(value)} corners do not make a footprint: give 3 to 64, or none for a disc")
         if any(not math.isfinite(part) or abs(part) > 100.0 for corner in value for part in corner):
             raise ValueError("corners are at most 100 metres away")
         return value
@@ -93,7 +93,7 @@ class WebSection(Section):
     def _safe(self) -> WebSection:
         address, _ = split(self.listen)
         if not self.guarded and not is_loopback_address(address):
-            msg = f"listen: other machines reach {address}, and {_NOBODY}"
+            msg = f"listen: other machines reach {address}, but {_NO_LOGIN}"
             raise ValueError(msg)
         return self
 
@@ -102,7 +102,7 @@ def split(listen: str) -> tuple[str, int]:
     """Address and port; raises `ValueError`."""
     found = _ADDRESS.fullmatch(listen)
     if found is None or int(found["port"]) > 65535:
-        msg = f"{listen!r} is no address and port: write it as 127.0.0.1:8480 or [::1]:8480"
+        msg = f"{listen!r} is not an address with a port: write it as 127.0.0.1:8480 or [::1]:8480"
         raise ValueError(msg)
     return found["six"] or found["name"], int(found["port"])
 

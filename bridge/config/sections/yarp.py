@@ -58,11 +58,11 @@ _Release = Annotated[str, AfterValidator(_release)]
 
 
 class TopicPort(Section):
-    """One rule: what the ports of some topics carry, or which port of a YARP program is a topic.
+    """One rule: the content of some topics' ports, or a YARP program's port as a topic.
 
-    Without `port` it is about the topics' own ports, and the first rule whose `topic` matches counts; with a `type` the
-    input port exists even while nobody else has the topic. With `port` it is about that port alone, on any machine:
-    Midspan makes the connection, and makes it again whenever the port returns.
+    Without `port` it applies to the topics' own ports, and the first rule whose `topic` matches counts; with a `type`
+    the input port exists even without other publishers and subscribers of the topic. With `port` it applies only to
+    that port, on any machine: Midspan connects to it, and connects again whenever the port returns.
     """
 
     topic: str = Field(description="The topic, for example `/scan`; without `port` also a glob: `/camera/**`.")
@@ -75,8 +75,8 @@ class TopicPort(Section):
         default=None,
         alias="as",
         description="What the port carries. `bottle`: the nested lists of YARP's own converter of ROS messages;"
-        " `natural`: the YARP type that says the same, where there is one; `fields`: the Bottle of `fields`."
-        " Default `yarp.as`, with `fields` those.",
+        " `natural`: the corresponding YARP type, if it exists; `fields`: the Bottle of `fields`."
+        " Default `yarp.as`, or `fields` if they are given.",
     )
     fields: tuple[_Field, ...] = setting(
         (),
@@ -85,7 +85,7 @@ class TopicPort(Section):
     )
     carrier: str | None = setting(None, "With `port`: the carrier of the connection, for example `fast_tcp`.")
     profile: ProfileName | None = setting(
-        None, "The YARP release whose bytes the port speaks; by default Midspan asks it, and falls back on `profile`."
+        None, "The YARP release whose wire format the port uses; by default Midspan asks the port, else uses `profile`."
     )
     latched: bool = setting(False, "Keep the last message from YARP for late joiners.")
     frame: str = setting("", "Frame of messages whose YARP type has none.")
@@ -96,12 +96,12 @@ class TopicPort(Section):
 
     @property
     def form(self) -> Literal["bottle", "natural", "fields"] | None:
-        """What the port carries, None where this does not say it."""
+        """The content of the port; None if the rule does not define it."""
         return "fields" if self.fields else self.as_
 
     @property
     def brings(self) -> bool:
-        """Whether messages come from YARP by this rule alone."""
+        """Whether this rule is enough to receive messages from YARP."""
         return self.type is not None and self.direction != "out"
 
     @model_validator(mode="after")
@@ -112,9 +112,9 @@ class TopicPort(Section):
         elif self.port is not None and not plain:
             msg = f"{self.topic!r} is not a topic name, and a port is one topic"
         elif self.port is not None and self.direction == "both":
-            msg = f"say whether {self.port} brings messages (direction: in) or takes them (direction: out)"
+            msg = f"set 'direction: in' if {self.port} sends messages, 'direction: out' if it receives them"
         elif self.port is not None and self.direction == "in" and self.type is None:
-            msg = f"a port does not say its type: give the 'type' of what {self.port} brings"
+            msg = f"a port does not announce its type: give the 'type' of what {self.port} brings"
         elif self.port is None and self.type is not None and not plain:
             msg = f"{self.topic!r} is not a topic name; with a 'type' it is about one topic"
         elif self.port is None and self.carrier is not None:
@@ -136,9 +136,9 @@ class Peer(Section):
 
 
 class ServicePort(Section):
-    """One rule: what the RPC port of some services carries, or which RPC port of a YARP program is a service.
+    """One rule: the content of some services' RPC ports, or a YARP program's RPC port as a service.
 
-    Without `port` it is about the services' own RPC ports, and the first rule whose `service` matches counts. With
+    Without `port` it applies to the services' own RPC ports, and the first rule whose `service` matches counts. With
     `port` that port, on any machine, serves the service of the type `type`.
     """
 
@@ -160,7 +160,7 @@ class ServicePort(Section):
         elif self.port is not None and ROS2_NAME.fullmatch(self.service) is None:
             msg = f"{self.service!r} is not a service name, and a port is one service"
         elif self.port is not None and self.type is None:
-            msg = f"a port does not say its type: give the 'type' of the service that {self.port} serves"
+            msg = f"a port does not announce its type: give the 'type' of the service that {self.port} serves"
         elif self.port is None and (self.type or self.carrier):
             msg = "'type' and 'carrier' are for a 'port'"
         else:
@@ -186,17 +186,17 @@ class YarpSection(SideSection):
     )
     ip: str | None = setting(None, "Address that our ports listen on and announce; default YARP_IP's.")
     profile: ProfileName = setting(
-        "yarp3", "Bytes for ports that do not say which YARP they are: `yarp3` for YARP 3, `yarp4` for YARP 4."
+        "yarp3", "Wire format for ports that do not announce their release: `yarp3` for YARP 3, `yarp4` for YARP 4."
     )
     release: _Release | None = setting(
         None,
         "Release of this network's programs, such as `3.9`. It decides how their calls are answered, which changed"
         " with 3.11, 3.12 and 4.0. Clients of 4.0 announce it. By default, clients of YARP 3 get the answers of 3.12,"
-        " except where another release would take a failure for success.",
+        " except for answers that another release would read as a success although they report a failure.",
     )
     peers: tuple[Peer, ...] = setting((), "The release of some ports; the first match counts.")
     as_: Literal["bottle", "natural"] = Field(
-        default="bottle", alias="as", description="What ports carry if no rule of `topics` says it."
+        default="bottle", alias="as", description="Content of ports without a matching rule in `topics`."
     )
     output: _Scheme = setting("/midspan{topic}:o", "Name of the port that sends a topic's messages to YARP programs.")
     input: _Scheme = setting("/midspan{topic}:i", "Name of the port that takes a topic's messages from YARP programs.")
@@ -209,7 +209,7 @@ class YarpSection(SideSection):
 
     @property
     def place(self) -> tuple[str, int] | None:
-        """Host and port of the name server, None where yarp.conf is to say it."""
+        """Host and port of the name server; None to read yarp.conf."""
         if self.address is None:
             return None
         host, _, port = self.address.rpartition(":")
@@ -217,14 +217,14 @@ class YarpSection(SideSection):
 
     @property
     def numbers(self) -> range | None:
-        """What `ports` says; None for the default."""
+        """The range that `ports` gives; None for the default."""
         if self.ports is None:
             return None
         first, _, last = self.ports.partition("-")
         return range(0) if self.ports == "server" else range(int(first), int(last) + 1)
 
     def generations(self) -> Generations:
-        """Decides how calls of a port's peers are answered; remembers what peers say of themselves."""
+        """Decides how calls of a port's peers are answered, also by what the peers announce."""
         return Generations(
             None if self.release is None else Generation.of(self.release),
             [(peer.port, Generation.of(peer.release)) for peer in self.peers],
@@ -244,7 +244,7 @@ class YarpSection(SideSection):
 
     @property
     def configured(self) -> bool:
-        """Whether anything is said here."""
+        """Whether the section has a key."""
         return self.model_copy(update={"enabled": "auto"}) != YarpSection()
 
     @field_validator("ports")

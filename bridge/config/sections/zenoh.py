@@ -50,7 +50,7 @@ class DialectKey(Section):
             msg = f"{value!r} is not a plain zenoh key: parts between slashes, without blanks and any of * $ ? # @"
             raise ValueError(msg)
         if value is not None and _HUB_KEY.fullmatch(value):
-            raise ValueError(f"{value!r} is a key of the hub itself: its programs speak ROS 2, not JSON")
+            raise ValueError(f"{value!r} is a key of the hub itself: its programs exchange CDR, not JSON")
         return value
 
     @model_validator(mode="after")
@@ -78,7 +78,7 @@ class Dialect(Section):
     )
     latched: tuple[str, ...] = setting(
         _USUALLY_LATCHED,
-        "`ros1` alone: globs of topics whose last message is kept; that dialect does not say what is latched.",
+        "Only for `ros1`: globs of topics whose last message is kept; that dialect does not mark latched topics.",
     )
 
     @model_validator(mode="after")
@@ -95,13 +95,13 @@ class Dialect(Section):
         elif not json and any(key.topic is None for key in self.keys):
             msg = "an entry of keys has no 'topic'"
         elif not json and (for_json or any(key.is_service for key in self.keys)):
-            msg = "'key', 'direction', 'latched' and services of an entry of keys are for json alone"
+            msg = "'key', 'direction', 'latched' and services of an entry of keys are only for json"
         elif len(set(topics)) < len(topics):
             msg = f"names the topic {max(topics, key=topics.count)} twice"
         elif json and len({key.key for key in self.keys}) < len(self.keys):
             msg = "names a key twice"
         elif self.dialect != "ros1" and self.latched != _USUALLY_LATCHED:
-            msg = "'latched' here is for ros1 alone"
+            msg = "'latched' here is only for ros1"
         elif self.dialect == "ros2dds" and not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", self.namespace or "/", re.ASCII):
             msg = f"namespace {self.namespace!r} is not a ROS 2 namespace, as /robot1"
         elif self.dialect == "ros1" and not re.fullmatch(r"\*|[A-Za-z0-9_.-]+", self.namespace or "*", re.ASCII):
@@ -112,7 +112,7 @@ class Dialect(Section):
 
 
 class ZenohSection(SideSection):
-    """The other key dialects in use on zenoh networks; each is a side of its own for the rules.
+    """The other key dialects in use on zenoh networks; each is a separate side for the rules.
 
     The sides are called ``zenoh_ros2dds``, ``zenoh_ros1`` and ``zenoh_json``; ``zenoh`` stands for the hub itself.
     """
