@@ -1,4 +1,4 @@
-"""Measures the house: files, lines, import circles, classes that share a name, the longest way of a message.
+"""Measures the code: files, lines, import cycles, classes that share a name, the number of files on a message's path.
 
     python scripts/house.py            prints the figures
     python scripts/house.py --check    also prints what must not be, and fails if there is any: circles, large files,
@@ -72,7 +72,7 @@ def _imports(file: File, files: Mapping[str, File]) -> Iterable[str]:
 
 
 def _defines(module: str, name: str, files: Mapping[str, File]) -> str:
-    """Follow a name through what packages hand on."""
+    """Resolve a name through the re-exports of packages."""
     if f"{module}.{name}" in files:
         return f"{module}.{name}"
     if files[module].path.name != "__init__.py":
@@ -115,7 +115,7 @@ def circles(graph: Graph) -> list[list[str]]:
 
 
 def packages(files: Mapping[str, File], graph: Graph) -> Graph:
-    """The same among packages of the second level (``bridge.hub``); a file beside them stands for itself."""
+    """Return cycles among packages of the second level (``bridge.hub``); a file next to them counts as its own package."""
 
     def package(name: str) -> str:
         short = ".".join(name.split(".")[:2])
@@ -128,7 +128,7 @@ def packages(files: Mapping[str, File], graph: Graph) -> Graph:
 
 
 def package_circles(files: Mapping[str, File], graph: Graph) -> list[list[str]]:
-    """Circles that go through a package; those of files alone are told as such."""
+    """Return the cycles through a package; `circles` reports those among files."""
     return [
         group
         for group in circles(packages(files, graph))
@@ -160,7 +160,7 @@ def _is_private(node: ast.AST) -> bool:
 
 
 def assertless(root: Path) -> list[str]:
-    """Tests that cannot fail by what they look at: they assert nothing, and call nothing that says that it does."""
+    """Tests that cannot fail by what they look at: they contain no assert, and call no function whose name implies one."""
     return [
         f"{path.relative_to(root)}:{test.lineno} {test.name}"
         for path, tree in _tests(root)
@@ -183,10 +183,10 @@ def _tests(root: Path) -> list[tuple[Path, ast.Module]]:
 
 
 def ways(root: Path) -> dict[str, int]:
-    """The ways that ARCHITECTURE.md follows, each with its number of files."""
+    """Return the paths that ARCHITECTURE.md describes, each with its number of files."""
     found = dict[str, int]()
     page = root / "ARCHITECTURE.md"
-    for title, text in re.findall(r"^## (The way of [^\n]*)\n((?:(?!^## ).*\n?)*)", page.read_text(), re.MULTILINE):
+    for title, text in re.findall(r"^## (The path of [^\n]*)\n((?:(?!^## ).*\n?)*)", page.read_text(), re.MULTILINE):
         found[title] = len(set(re.findall(r"^\| *\d+ *\| *`([\w/]+\.py)`", text, re.MULTILINE)))
     return found
 
@@ -213,18 +213,18 @@ def report(files: Mapping[str, File]) -> None:
 
 
 def wrong(files: Mapping[str, File], known_large: AbstractSet[str] = KNOWN_LARGE) -> list[str]:
-    """Everything that must not be."""
+    """Return all violations of the limits."""
     graph = imports(files)
     found = [f"circle among files: {' '.join(group)}" for group in circles(graph)]
     found += [f"circle among packages: {' '.join(group)}" for group in package_circles(files, graph)]
     large = {file.name: file for file in files.values() if file.lines > LARGE}
     found += [f"{f.path}: {f.lines} lines, at most {LARGE}" for f in large.values() if f.name not in known_large]
-    found += [f"{name} is no large file; take it out of KNOWN_LARGE" for name in sorted(known_large - large.keys())]
+    found += [f"{name} is not a large file; remove it from KNOWN_LARGE" for name in sorted(known_large - large.keys())]
     return found
 
 
 def main() -> int:
-    """Print the figures and, where asked, what must not be."""
+    """Print the figures; with ``--check``, also the violations."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
     parser.add_argument("--check", action="store_true", help="fail for circles, large files, idle tests")
     check = parser.parse_args().check

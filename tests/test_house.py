@@ -68,6 +68,6 @@ def test_a_large_file_is_found_and_one_that_is_known_for_it_must_be(tmp_path: Pa
     files = write(tmp_path, {"sim/a.py": "x = 1\n" * (house.LARGE + 1)})
     assert house.wrong(files, known_large={"sim.b"}) == [
         f"{tmp_path}/sim/a.py: {house.LARGE + 1} lines, at most {house.LARGE}",
-        "sim.b is no large file; take it out of KNOWN_LARGE",
+        "sim.b is not a large file; remove it from KNOWN_LARGE",
     ]
     assert house.wrong(files, known_large={"sim.a"}) == []

@@ -1,4 +1,4 @@
-"""Every path and name in ARCHITECTURE.md exists, and its ways are no longer than they are meant to be."""
+"""Every path and name in ARCHITECTURE.md exists, and its paths stay within their limits."""
 
 from __future__ import annotations
 
@@ -59,12 +59,12 @@ def test_there_are_paths_and_names() -> None:
     assert len(NAMES) > 10
 
 
-def test_a_scans_way_is_short() -> None:
-    assert 0 < house.ways(ROOT)["The way of a message"] <= 9
+def test_the_path_of_a_scan_is_short() -> None:
+    assert 0 < house.ways(ROOT)["The path of a message"] <= 9
 
 
-def test_a_goals_way_is_short() -> None:
-    assert 0 < house.ways(ROOT)["The way of a goal"] <= 15
+def test_the_path_of_a_goal_is_short() -> None:
+    assert 0 < house.ways(ROOT)["The path of a goal"] <= 15
 
 
 def diagram(table: Mapping[Any, Mapping[Any, Any]], first: Enum, without: frozenset[str] = frozenset()) -> str:
