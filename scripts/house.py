@@ -115,7 +115,7 @@ def circles(graph: Graph) -> list[list[str]]:
 
 
 def packages(files: Mapping[str, File], graph: Graph) -> Graph:
-    """Return cycles among packages of the second level (``bridge.hub``); a file next to them counts as its own package."""
+    """Return imports among packages of the second level (``bridge.hub``); a file next to them counts as a package."""
 
     def package(name: str) -> str:
         short = ".".join(name.split(".")[:2])
@@ -160,7 +160,7 @@ def _is_private(node: ast.AST) -> bool:
 
 
 def assertless(root: Path) -> list[str]:
-    """Tests that cannot fail by what they look at: they contain no assert, and call no function whose name implies one."""
+    """Return the tests that cannot fail: without an assert, and without a call whose name implies one."""
     return [
         f"{path.relative_to(root)}:{test.lineno} {test.name}"
         for path, tree in _tests(root)

@@ -1,4 +1,4 @@
-"""The name server client: its commands, byte for byte as YARP's programs send them, and its errors without an answer."""
+"""The name server client: its commands, byte for byte as YARP's programs send them, and its errors."""
 
 from __future__ import annotations
 
