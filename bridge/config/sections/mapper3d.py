@@ -35,8 +35,8 @@ class LayerSection(Section):
 
     topic: OptionalTopic = setting(
         "/mapper3d/layer",
-        "Topic of the layer (`nav_msgs/msg/OccupancyGrid`, latched); the heights of the obstacles are on a topic with"
-        ' the suffix `_heights`. "": none.',
+        "Topic of the layer (`nav_msgs/msg/OccupancyGrid`, latched); the obstacles' heights are on the topic of this"
+        ' name with the suffix `_heights`. "": none.',
     )
     period: float = setting(0.5, "Minimum seconds between two published changes of the layer.", ge=0.05, le=60)
     height: float = setting(

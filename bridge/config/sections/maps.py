@@ -33,7 +33,7 @@ class StoreSection(Section):
         " neither replaces nor restores maps that the store has or has deleted.",
     )
     locations: Path | None = setting(
-        None, "A file of locations, areas, paths and objects (`locations.ini`), imported at start."
+        None, "A file of locations, areas, paths and objects (`locations.ini`), imported in the same way."
     )
     keys: int = setting(10_000, "Maximum number of values in the store.", ge=1, le=100_000)
     megabytes: int = setting(1024, "Megabytes (1,048,576 bytes) of all values together.", ge=1, le=1 << 20)

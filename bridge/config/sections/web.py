@@ -61,8 +61,8 @@ class WebSection(Section):
     laser: OptionalTopic = setting("/scan", 'Topic of the laser that the map shows; "": none.')
     layer: OptionalTopic = setting(
         "/mapper3d/layer",
-        "Topic of the layer (`nav_msgs/OccupancyGrid`) that the map is tinted with; the heights of the obstacles are on"
-        ' a topic with the suffix `_heights` (`grid_map_msgs/GridMap`). "": none.',
+        "Topic of the layer (`nav_msgs/OccupancyGrid`) that the map is tinted with; the obstacles' heights are on the"
+        ' topic of this name with the suffix `_heights` (`grid_map_msgs/GridMap`). "": none.',
     )
     path: OptionalTopic = setting("", 'Topic of the path that the map shows; "": that of the chosen planner.')
     radius: float = setting(0.3, "Metres: the disc that the map draws for the robot.", gt=0.0, le=10.0)
