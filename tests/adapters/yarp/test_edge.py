@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 from bridge.adapters.yarp import edge as edge_module
-from bridge.adapters.yarp import network as network_module
 from bridge.adapters.yarp.edge import YarpEdge
 from bridge.adapters.yarp.network import OWNER, new_id
 from bridge.adapters.yarp.plan import PortPlan
