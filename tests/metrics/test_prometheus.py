@@ -49,7 +49,7 @@ class Watched(Deployment):
             navigation={"planner": "nav2"}, store={"enabled": True}, yarp={"enabled": False},
         )  # fmt: skip
         talker, hearer = self.ros1(), self.ros2()
-        out, heard = talker.advertise("/said", STRING), hearer.subscribe("/said", STRING)
+        out, heard = talker.advertise("/chat", STRING), hearer.subscribe("/chat", STRING)
 
         def crosses() -> bool:
             talker.publish(out, {"data": "x"})
@@ -119,7 +119,7 @@ def test_a_scrape_of_a_real_daemon_is_openmetrics(watched: Watched) -> None:
     families = {family.name: family for family in parse_openmetrics(text)}
 
     def said(family: str) -> dict[tuple[str, str], float]:
-        counts = [s for s in families[family].samples if s.labels["topic"] == "/said" and s.name.endswith("_count")]
+        counts = [s for s in families[family].samples if s.labels["topic"] == "/chat" and s.name.endswith("_count")]
         return {(s.labels["side"], s.labels["direction"]): s.value for s in counts}
 
     delivered, carried = said("midspan_route_latency_seconds"), said("midspan_route_carry_seconds")
@@ -215,9 +215,9 @@ def test_a_real_prometheus_scrapes_it(watched: Watched, tmp_path: Path) -> None:
     prometheus = Prometheus(tmp_path, watched.address)
     try:
         until(lambda: prometheus.query('up{job="midspan"} == 1'), "it scrapes", 9, every=0.2)
-        routes = until(lambda: prometheus.query('midspan_route_messages_total{topic="/said"}'), "routes", 20, every=0.2)
+        routes = until(lambda: prometheus.query('midspan_route_messages_total{topic="/chat"}'), "routes", 20, every=0.2)
         assert {route["metric"]["side"] for route in routes} == {"ros1", "ros2"}
-        quantile = "histogram_quantile(0.5, sum by (le) (midspan_route_latency_seconds_bucket{topic='/said'}))"
+        quantile = "histogram_quantile(0.5, sum by (le) (midspan_route_latency_seconds_bucket{topic='/chat'}))"
         assert 0.0 < float(prometheus.query(quantile)[0]["value"][1]) < 2.5
         assert prometheus.query("midspan_worker_up == 1 and midspan_worker_answering == 1")
         anew = 'ALERTS{alertname="MidspanWorkerRestarts", worker="modules", alertstate="firing"}'
