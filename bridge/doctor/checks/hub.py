@@ -18,8 +18,9 @@ from bridge.doctor.context import CheckContext, Document
 from bridge.doctor.hub_problems import absence
 from bridge.hub.errors import HubConfigError, HubError
 from bridge.hub.router import port_held, probe_router
-from bridge.hub.security.certificates import Certificate, CertificateError, KeyFiles, read_certificate, signed_by
+from bridge.hub.security.certificates import Certificate, CertificateError, read_certificate, signed_by
 from bridge.hub.security.door import has_tls, key_files
+from bridge.hub.security.key_files import KeyFiles
 from bridge.hub.zenoh_config import connect_endpoint
 
 _COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}

@@ -22,6 +22,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from bridge.hub.errors import HubConfigError
+from bridge.hub.security.key_files import KeyFiles
 from yarp_compat.file_names import forbidden
 
 AUTHORITY = "ca"
@@ -38,25 +39,6 @@ _EARLIER = timedelta(days=1)
 
 class CertificateError(Exception):
     """A certificate cannot be made or read; the text has the reason."""
-
-
-@dataclass(frozen=True, slots=True)
-class KeyFiles:
-    """The files of a machine's identity."""
-
-    ca: Path
-    certificate: Path
-    key: Path
-
-    def check(self) -> None:
-        """Raise `HubConfigError` if one is missing or cannot be read."""
-        for file in (self.ca, self.certificate, self.key):
-            if not file.exists():
-                raise HubConfigError(
-                    f"there is no {file}; 'midspan keys make' makes it, and prints which files to copy here"
-                )
-            if not os.access(file, os.R_OK):
-                raise HubConfigError(f"{file} cannot be read by this process's user; give it to that user (chown)")
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,9 +23,9 @@ from bridge.config.sections.section import is_loopback
 from bridge.hub.errors import HubConfigError, HubError, zenoh_reason
 from bridge.hub.links import LinkLimits
 from bridge.hub.security.access import ANYBODY, access_control
-from bridge.hub.security.certificates import KeyFiles, trouble
 from bridge.hub.security.endpoints import EndpointMonitor, EndpointStatus
 from bridge.hub.security.handshake import Identity
+from bridge.hub.security.key_files import KeyFiles
 from bridge.hub.security.zenoh_log import ZenohLog
 from bridge.hub.zenoh_config import MAX_PAYLOAD, connect_endpoint, make_config, router_tree
 from yarp_compat.file_names import escaped
@@ -79,7 +79,7 @@ class HubDoor:
             self._open.connect,
             identity,
             zenoh_log,
-            (lambda: trouble(files)) if files is not None else None,
+            (lambda: _trouble(files)) if files is not None else None,
         )
 
     @property
@@ -120,6 +120,12 @@ def key_files(config: Config) -> KeyFiles:
         door.certificate or folder / escaped(f"{config.name}.pem"),
         door.key or folder / escaped(f"{config.name}.key"),
     )
+
+
+def _trouble(files: KeyFiles) -> str:
+    from bridge.hub.security.certificates import trouble  # with the library that reads certificates, for TLS only
+
+    return trouble(files)
 
 
 def has_tls(door: OpenSection) -> bool:

@@ -45,7 +45,7 @@ _TROUBLE_SECONDS = 60.0
 """Time between two checks whether this machine's certificate has expired."""
 
 _THREADS = 4
-_MOST_CAUSES, _MOST_CALLERS = 8, 5
+_MOST_CAUSES, _MOST_CALLERS, _MOST_LOGGED = 8, 5, 1000
 
 
 class ZenohLink(Protocol):
@@ -249,6 +249,8 @@ class _Listen(_Endpoint):
         """Log a cause once, and again for each further machine that it is found for."""
         key, reason = f"{refusals.error} {sorted(refusals.callers)[1:]}", refusals.reason()
         if reason is not None and key not in self._logged:
+            if len(self._logged) >= _MOST_LOGGED:
+                self._logged.clear()
             self._logged.add(key)
             _log.warning("hub.open.listen %s: %s; %s", self.status.endpoint, reason.text, reason.cure)
 
