@@ -1,4 +1,4 @@
-"""One time scale for all stamps of a process: the system's clock, or ``/clock`` of a simulation."""
+"""The time scale of a process: the system clock, or ``/clock`` of a simulation; and jumps of either."""
 
 from __future__ import annotations
 
@@ -11,69 +11,228 @@ from collections.abc import Callable
 _log = logging.getLogger(__name__)
 _TIME = struct.Struct("<iI")
 _HEADER = 4
+_SECOND = 1_000_000_000
 
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 CLOCK_TOPIC = "/clock"
 DONE_TOPIC = "/sim/acknowledge"
-"""Where whoever runs on a simulation's clock says that it is done with a time, so that the next step may come."""
+"""Nodes that run on a simulation's clock acknowledge a time here, so that the simulation may make its next step."""
 
 DONE_TYPE = "std_msgs/msg/Header"
 
+SILENCE_SECONDS = 5.0
+"""A clock without a message on ``/clock`` for longer is reported as a problem."""
+
+STEP_NS = 100_000_000
+"""A change of the system clock by more than this is a jump, beside what slewing may change meanwhile.
+
+ntpd steps from 128 ms on and systemd-timesyncd from 400 ms on. A smaller step delays transforms by less than this.
+"""
+
+SLEW = 0.11
+"""The most by which slewing changes the system clock, in seconds per second.
+
+Linux allows 10 % (ADJ_TICK) plus 500 ppm (ADJ_FREQUENCY); chrony uses up to 8.3 % of that by default (maxslewrate).
+"""
+
+POLL_SECONDS = 0.2
+
+_READ_NS = 1_000_000
+_READS = 5
+
 Jumped = Callable[[], None]
-"""Hears that time was set back: what depends on it is to be forgotten."""
+"""Called after a jump: discard what depends on time."""
+
+
+def steady_ns() -> int:
+    """Return a clock that is never set, and that also runs while the machine is suspended if the system has one."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic_ns()
+
+
+def _wall_ns() -> int:
+    return time.time_ns()
+
+
+class SystemClock:
+    """The system clock, and who is notified when it is set, by NTP or by hand. Safe to use from any thread.
+
+    A thread compares it with a monotonic clock while there is anyone to notify. Slewing is not a jump.
+
+    Args:
+        wall: a clock in ns, by default that of this machine.
+        steady: a clock in ns that is never set.
+        poll: seconds between two comparisons; 0 for none, when the owner calls `check`.
+    """
+
+    def __init__(
+        self, wall: Callable[[], int] | None = None, steady: Callable[[], int] = steady_ns, poll: float = POLL_SECONDS
+    ) -> None:
+        self._wall, self._steady, self._poll = wall or _wall_ns, steady, poll
+        self._lock = threading.Lock()
+        self._listeners: list[Jumped] = []
+        self._wake: threading.Event | None = None
+        self._last, self._offset, self._error = self._read()
+
+    def now_ns(self) -> int:
+        """Return nanoseconds since 1970."""
+        return self._wall()
+
+    def on_jump(self, jumped: Jumped) -> Callable[[], None]:
+        """Notify of jumps, on a thread of this clock, until the returned function is called."""
+        with self._lock:
+            if not self._listeners:
+                self._last, self._offset, self._error = self._read()
+                if self._poll:
+                    wake = self._wake = threading.Event()
+                    threading.Thread(target=self._run, args=(wake,), name="midspan-clock", daemon=True).start()
+            self._listeners.append(jumped)
+        return lambda: self._withdraw(jumped)
+
+    def check(self) -> int:
+        """Compare the clocks, and notify if the system clock has jumped since the last call; return by how many ns."""
+        now, offset, error = self._read()
+        with self._lock:
+            jump, passed = offset - self._offset, max(now - self._last, 0)
+            limit = STEP_NS + error + self._error + round(SLEW * passed)
+            self._last, self._offset, self._error = now, offset, error
+            listeners = tuple(self._listeners)
+        if abs(jump) <= limit:
+            return 0
+        direction = "back" if jump < 0 else "forward"
+        _log.warning("the system clock was set %s by %.3f s; transforms start again", direction, abs(jump) / _SECOND)
+        _notify(listeners)
+        return jump
+
+    def _read(self) -> tuple[int, int, int]:
+        """Return the monotonic time, by how much the system clock is ahead of it, and the largest error of that."""
+        best = (0, 0, -1)
+        for _ in range(_READS):
+            before = self._steady()
+            wall = self._wall()
+            error = self._steady() - before
+            if best[2] < 0 or error < best[2]:
+                best = (before, wall - before, error)
+            if error < _READ_NS:
+                break
+        return best
+
+    def _run(self, wake: threading.Event) -> None:
+        while not wake.wait(self._poll):
+            self.check()
+
+    def _withdraw(self, jumped: Jumped) -> None:
+        with self._lock:
+            _discard(self._listeners, jumped)
+            if not self._listeners and self._wake is not None:
+                self._wake.set()
+                self._wake = None
+
+
+SYSTEM_CLOCK = SystemClock()
+"""The clock of this machine, watched once for the whole process."""
 
 
 class RunClock:
-    """Says the time: the system's, or where ``simulated`` what `hear` took last. Safe to use from any thread."""
+    """The time of a run: the system clock, or the last time on ``/clock`` if ``simulated``. Safe from any thread.
 
-    def __init__(self, *, simulated: bool = False) -> None:
+    Args:
+        simulated: the time is that of ``/clock``, of which `hear` accepts the messages.
+        system: the clock of a run that is not simulated.
+    """
+
+    def __init__(self, *, simulated: bool = False, system: SystemClock | None = None) -> None:
         self.simulated = simulated
+        self._system = system or SYSTEM_CLOCK
         self._now = 0
         self._lock = threading.Lock()
-        self._jumped: list[Jumped] = []
-        self._heard: list[Callable[[int], None]] = []
+        self._listeners: list[Jumped] = []
+        self._withdrawals: list[Callable[[], None]] = []
+        self._on_time: list[Callable[[int], None]] = []
         self._after: list[Callable[[int], None]] = []
+        self._arrived = time.monotonic()
+        self._running = False
 
     def now_ns(self) -> int:
-        """Nanoseconds since 1970, or of the simulation; 0 until that has said the time."""
-        return self._now if self.simulated else time.time_ns()
+        """Return nanoseconds since 1970, or of the simulation; 0 before its first message."""
+        return self._now if self.simulated else self._system.now_ns()
+
+    def elapsed_ns(self) -> int:
+        """Return nanoseconds for ages and time-outs: of the simulation, or of a clock that is never set."""
+        return self._now if self.simulated else time.monotonic_ns()
 
     def stamp(self) -> dict[str, int]:
-        """The time as ``builtin_interfaces/msg/Time``."""
-        seconds, nanoseconds = divmod(self.now_ns(), 1_000_000_000)
+        """Return the time as ``builtin_interfaces/msg/Time``."""
+        seconds, nanoseconds = divmod(self.now_ns(), _SECOND)
         return {"sec": seconds, "nanosec": nanoseconds}
 
+    def trouble(self) -> str:
+        """Return why a simulated time stands still, "" if it runs or the time is the system's."""
+        if not self.simulated or time.monotonic() - self._arrived <= SILENCE_SECONDS:
+            return ""
+        if self._running:
+            return (
+                f"{CLOCK_TOPIC} is silent (clock.source: sim): simulated time stands still at"
+                f" {self._now / _SECOND:.3f} s; go on with the simulation, or restart it"
+            )
+        return (
+            f"no message on {CLOCK_TOPIC} (clock.source: sim): stamps stay 0, and programs on simulated time wait in"
+            " sleep; start the simulation or 'midspan play --clock', or set clock.source: system"
+        )
+
     def hear(self, cdr: bytes) -> None:
-        """Take up a message of ``/clock``, CDR with its encapsulation header."""
+        """Accept a message of ``/clock``, CDR with its encapsulation header."""
         if not self.simulated or len(cdr) < _HEADER + _TIME.size:
             return
         seconds, nanoseconds = _TIME.unpack_from(cdr, _HEADER)
-        found = seconds * 1_000_000_000 + nanoseconds
+        now = seconds * _SECOND + nanoseconds
+        self._arrived, self._running = time.monotonic(), True
         with self._lock:
-            back, self._now = found < self._now, found
-            jumped = tuple(self._jumped) if back else ()
-            heard = (*self._heard, *self._after)
+            back, self._now = now < self._now, now
+            listeners = tuple(self._listeners) if back else ()
+            followers = (*self._on_time, *self._after)
         if back:
-            _log.warning("%s was set back to %.3f s", CLOCK_TOPIC, found / 1e9)
-        for forget in jumped:
-            forget()
-        for tell in heard:
-            tell(found)
+            _log.warning("%s was set back to %.3f s", CLOCK_TOPIC, now / _SECOND)
+        _notify(listeners)
+        for follower in followers:
+            follower(now)
 
     def on_jump(self, jumped: Jumped) -> Callable[[], None]:
-        """Tell when the time was set back, until the returned function is called; on the thread that hears the time."""
-        self._jumped.append(jumped)
-        return lambda: _discard(self._jumped, jumped)
+        """Notify of jumps until the returned function is called, or `close`.
 
-    def on_time(self, heard: Callable[[int], None], *, last: bool = False) -> Callable[[], None]:
+        The system clock jumps back and forward. ``/clock`` jumps only back, since a simulation may make steps of any
+        length; it notifies on the thread that receives the time.
+        """
+        if not self.simulated:
+            withdraw = self._system.on_jump(jumped)
+            self._withdrawals.append(withdraw)
+            return withdraw
+        self._listeners.append(jumped)
+        return lambda: _discard(self._listeners, jumped)
+
+    def on_time(self, follower: Callable[[int], None], *, last: bool = False) -> Callable[[], None]:
         """Report each time of a simulation in ns until the returned function is called; ``last``: after all others."""
-        among = self._after if last else self._heard
-        among.append(heard)
-        return lambda: _discard(among, heard)
+        among = self._after if last else self._on_time
+        among.append(follower)
+        return lambda: _discard(among, follower)
+
+    def close(self) -> None:
+        """Stop notifying of jumps. Safe to call twice."""
+        self._listeners.clear()
+        while self._withdrawals:
+            self._withdrawals.pop()()
 
 
 SYSTEM = RunClock()
-"""The system's clock."""
+"""The system clock."""
+
+
+def _notify(listeners: tuple[Jumped, ...]) -> None:
+    """Notify every listener; an error of one must not keep the time of the others from going on."""
+    for jumped in listeners:
+        try:
+            jumped()
+        except Exception:
+            _log.exception("a jump of the clock was not handled")
 
 
 def _discard(among: list[Callable[..., None]], what: Callable[..., None]) -> None:

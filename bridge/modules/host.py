@@ -105,7 +105,7 @@ class Host:
         self.loop.post(lambda: self._done.publish(said))
 
     def on_jump(self, forget: Callable[[], Any]) -> None:
-        """Have the module forget what depends on time when the clock is set back, on the module's thread."""
+        """Discard what depends on time when the clock jumps (see `RunClock.on_jump`), on the module's thread."""
         self.clock.on_jump(lambda: self.loop.post(forget))
 
     def acknowledge(self) -> None:
@@ -134,6 +134,7 @@ class Host:
 
     def close(self) -> None:
         """Close everything that was handed out."""
+        self.clock.close()
         self.yarp.close()
         self.node.close()
         self.loop.close()

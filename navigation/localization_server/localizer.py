@@ -88,12 +88,17 @@ class Localizer:
         self._track.add(pose)
 
     def forget_time(self) -> None:
-        """The clock was set back: what was said of odometry does not hold any more; the pose does."""
+        """Start at the current pose with the usual spread: the clock of a simulation was set back."""
         where = self.pose
-        self._track.clear()
-        self._scan_ns = self._searched_ns = _NEVER
+        self.forget_stamps()
         if where is not None:
             self.initial(where)
+
+    def forget_stamps(self) -> None:
+        """Discard all stamps, and keep the particles: the system clock was set while the robot drove on."""
+        self._start = self.pose or self._start
+        self._track.clear()
+        self._scan_ns = self._searched_ns = _NEVER
 
     def initial(self, pose: Pose, covariance: Floats | None = None) -> None:
         """Begin at a pose on the map; raises `ValueError` if something is not finite.

@@ -66,14 +66,14 @@ class OtherServer(PolledServer[ILocalization2DMsgs], Given):
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
         """What it said before was of the map before."""
         if grid.name != self._map:
-            self.forget()
+            self.drop()
         self._map = grid.name
         PoseSource.use_map(self, grid, start)
 
     def _place(self, location: Map2DLocation, covariance: Floats | None) -> None:
         """Take where it says that the robot is, where that is on our map."""
         if self._elsewhere(location):
-            self.forget()
+            self.drop()
             self.refuse(
                 f"{self.place} says where the robot is on the map {location.map_id!r}, not on {self._map_name()!r},"
                 " which is in use here: change one of them (/change_map, setInitialPose)"

@@ -41,7 +41,7 @@ class OwnLocalizer(PoseSource):
     def __init__(
         self, host: Host, section: LocalizationServerSection, frames: RobotFrames, changed: Callable[[], None]
     ) -> None:
-        self._now_ns, self._frames, self._section, self._changed = host.clock.now_ns, frames, section, changed
+        self._clock, self._frames, self._section, self._changed = host.clock, frames, section, changed
         self._localizer: Localizer | None = None
         self._trouble = "no map is there yet"
         self._start: Pose | None = None
@@ -60,7 +60,7 @@ class OwnLocalizer(PoseSource):
             return unknown(self._trouble)
         self._heed_odometry(localizer)
         found = localizer.estimate()
-        status, reason = localizer.check(self._now_ns())
+        status, reason = localizer.check(self._clock.now_ns())
         if "laser" in reason and self._laser:
             reason = f"{reason}: {self._laser}"
         found = PoseEstimate(found.pose, found.covariance, found.quality, status, reason)
@@ -75,7 +75,7 @@ class OwnLocalizer(PoseSource):
 
     def correction(self) -> Pose | None:
         localizer = self._localizer
-        if localizer is None or localizer.scan_age(self._now_ns()) > SCAN_AGE:
+        if localizer is None or localizer.scan_age(self._clock.now_ns()) > SCAN_AGE:
             return None
         return localizer.correction
 
@@ -129,8 +129,10 @@ class OwnLocalizer(PoseSource):
         self._resting = on
 
     def forget(self) -> None:
-        if self._localizer is not None:
+        if self._localizer is not None and self._clock.simulated:
             self._localizer.forget_time()
+        elif self._localizer is not None:
+            self._localizer.forget_stamps()
 
     def status(self) -> dict[str, Any]:
         found: dict[str, Any] = {"scans": self._scans, "left_out": self._left_out, "laser": self._laser}
@@ -142,7 +144,7 @@ class OwnLocalizer(PoseSource):
         localizer = self._localizer
         if localizer is None or self._resting:
             return
-        stamp = stamp_ns(message["header"]) or self._now_ns()
+        stamp = stamp_ns(message["header"]) or self._clock.now_ns()
         frames = self._frames
         try:
             odometry = frames.transform(frames.odom_frame, frames.base_frame, stamp, extrapolate=LATE)

@@ -227,7 +227,7 @@ class Given(PoseSource):
         now = self._host.clock.now_ns()
         if not pose.stamp_ns:
             pose = pose._replace(stamp_ns=now)
-        self._pose, self._heard_ns, self._trouble = pose, now, ""
+        self._pose, self._heard_ns, self._trouble = pose, self._host.clock.elapsed_ns(), ""
         self._covariance = self._usual if covariance is None else covariance
         self._correction = self._corrected(pose)
 
@@ -249,7 +249,7 @@ class Given(PoseSource):
     def estimate(self) -> PoseEstimate:
         if self._pose is None:
             return unknown(self._trouble or f"no pose has come from {self.place}")
-        age = (self._host.clock.now_ns() - self._heard_ns) / 1e9
+        age = (self._host.clock.elapsed_ns() - self._heard_ns) / 1e9
         if age > self._section.pose_age:
             return unknown(self._trouble or f"{self.place} has been silent for {age:.1f} s", LocalizationStatus.ERROR)
         if self._correction is None:  # odometry may have been heard of since
@@ -275,6 +275,11 @@ class Given(PoseSource):
         """Ignore it: poses come as before."""
 
     def forget(self) -> None:
+        if self._host.clock.simulated:  # the robot may be somewhere else when a simulation starts again
+            self.drop()
+
+    def drop(self) -> None:
+        """Discard the pose."""
         self._pose = self._correction = None
 
 

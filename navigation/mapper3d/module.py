@@ -44,7 +44,7 @@ class Mapper3D(Module):
         assert isinstance(section, Mapper3DSection)
         self._host, self._section = host, section
         self.space = Space(section)
-        self._began = host.clock.now_ns()
+        self._began = host.clock.elapsed_ns()
         self._kept, self._kept_clouds = host.folder / "map.ot", 0
         folder = MapsFolder(section.folder or host.folder / "maps")
         self._words = SpaceCommands(
@@ -69,7 +69,7 @@ class Mapper3D(Module):
 
     def _take(self, seen: Seen, seat: Seat) -> None:
         if self._words.mapping:
-            self.space.take(seen.points, seat, seen.view, (self._host.clock.now_ns() - self._began) / 1e9)
+            self.space.take(seen.points, seat, seen.view, (self._host.clock.elapsed_ns() - self._began) / 1e9)
             self._layer_changed = self._map_changed = True
 
     def _take_up(self) -> str:

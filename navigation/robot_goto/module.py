@@ -77,7 +77,8 @@ class RobotGoto(PlannerModule):
         host.answer("halt", lambda _params: host.loop.call(self.halt))
         if section.prefix:
             self._serve_yarp(host, section)
-        host.on_jump(self._forget)
+        if host.clock.simulated:  # the system clock may be set while the robot drives: `now` does not depend on it
+            host.on_jump(self._forget)
         host.every(section.period, self._step)
 
     def _serve_yarp(self, host: Host, section: RobotGotoSection) -> None:

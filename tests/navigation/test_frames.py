@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from bridge.clock import RunClock, SystemClock
 from bridge.messages.scan import Turn
 from bridge.tf.stamped import TF, TF_STATIC, Stamped, write
 from navigation.frames import FramesError, RobotFrames
@@ -32,6 +33,7 @@ class Said:
         node = SimpleNamespace(
             subscription_cdr=lambda topic, _type, heard, _qos, *, at_once: self.heard.update({topic: heard})  # noqa: ARG005
         )
+        self.node = node
         clock = SimpleNamespace(now_ns=lambda: self.now, on_jump=lambda _: None)
         host: Any = SimpleNamespace(node=node, clock=clock)
         self.frames = RobotFrames(host, **options)
@@ -156,3 +158,23 @@ def test_the_floor_is_as_it_is_told_or_at_the_robots_footprint() -> None:
     said.heard[TF_STATIC](write([foot]))
     assert said.frames.floor(None) == pytest.approx(-0.164)
     assert said.frames.floor(-0.1) == -0.1
+
+
+@pytest.mark.parametrize("jump", [-40 * S, -3600 * S, 3600 * S])
+def test_the_pose_is_known_again_as_soon_as_it_is_published_after_a_jump_of_the_system_clock(jump: int) -> None:
+    said = Said()
+    system = SystemClock(lambda: said.now, lambda: 0, poll=0)
+    host: Any = SimpleNamespace(node=said.node, clock=RunClock(system=system))
+    frames = RobotFrames(host)
+    said.say("base_link", "laser", Pose(0.1, 0.0, 0.0), topic=TF_STATIC)
+    said.say("map", "odom", Pose(1.0, 0.0, 0.0), ago=-0.2)
+    said.say("odom", "base_link", Pose(1.0, 0.0, 0.0))
+    assert frames.pose().x == pytest.approx(2.0)
+    said.now += jump
+    assert system.check() == jump
+    with pytest.raises(FramesError):
+        frames.pose()
+    said.say("map", "odom", Pose(1.0, 0.0, 0.0))
+    said.say("odom", "base_link", Pose(2.0, 0.0, 0.0))
+    assert frames.pose().x == pytest.approx(3.0)
+    assert frames.transform("base_link", "laser", said.now).x == pytest.approx(0.1)

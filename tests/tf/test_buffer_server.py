@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
-from bridge.clock import RunClock
+from bridge.clock import RunClock, SystemClock
 from bridge.messages.actions import GoalState
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.server.buffer_server import ACTION, FRAME_GRAPH, FRAMES, LOOKUP, BufferServer
@@ -166,3 +166,18 @@ def test_the_frames_are_told_as_tf2_tells_them(asked: Asked) -> None:
     assert told["laser"]["rate"] == 10000.0
     assert told["laser"]["broadcaster"] == "no recorded authority"
     assert yaml.safe_load(TransformBuffer().yaml()) == {}
+
+
+def test_the_time_limit_of_a_lookup_does_not_depend_on_the_system_clock(asked: Asked) -> None:
+    now = [START]
+    asked.two.server.clock = RunClock(system=SystemClock(lambda: now[0], poll=0))
+    patient = asked.lookup("map", "base", timeout=HOUR)
+    asked.waits()
+    for jump in (-2 * 3600 * S, 5 * 3600 * S):
+        now[0] += jump
+        asked.buffer.set_transform("map", "other", now[0], (0, 0, 0), UNIT)
+        hasty = asked.lookup("map", "base", timeout={"nanosec": S // 10})
+        assert result(hasty)["error"]["error"] == 1
+    assert not patient
+    asked.buffer.set_transform("map", "base", now[0], (0, 0, 0), UNIT)
+    assert result(patient)["error"]["error"] == 0

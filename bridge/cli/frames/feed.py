@@ -112,6 +112,7 @@ class TransformListener:
     def open(self) -> None:
         """Subscribe."""
         follow_clock(self.clock, self.client.hub)
+        self.clock.on_jump(self.buffer.clear)
         self.client.catch_up()  # who comes a moment later is met by the looks while it listens
         self.look()
 
@@ -182,6 +183,7 @@ class TransformListener:
 
     def close(self) -> None:
         """Unsubscribe, and print what was wrong."""
+        self.clock.close()
         for feed in self._feeds:
             feed.close()
         if refused := self.buffer.refused:  # the first of each kind was logged in words

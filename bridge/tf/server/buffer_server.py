@@ -51,7 +51,7 @@ class BufferServer:
         return {"waiting": len(self._waiting), **self._ended}
 
     def _take(self, goal: Goal) -> bool:
-        lookup = _Lookup(goal, self._node.clock.now_ns())
+        lookup = _Lookup(goal, self._node.clock.elapsed_ns())
         goal.execute()
         if not self._end(lookup):
             self._waiting[goal.id] = lookup
@@ -67,7 +67,7 @@ class BufferServer:
 
     def _look(self) -> None:
         """Ask again for those that wait, where something new has come or their time is over."""
-        changes, now = self._buffer.changes, self._node.clock.now_ns()
+        changes, now = self._buffer.changes, self._node.clock.elapsed_ns()
         new, self._seen = changes != self._seen, changes
         for lookup in list(self._waiting.values()):
             if new or lookup.over(now):
@@ -81,7 +81,7 @@ class BufferServer:
         try:
             found = lookup.ask(self._buffer)
         except TransformError as err:
-            final = isinstance(err, InvalidArgumentError) or lookup.over(self._node.clock.now_ns())
+            final = isinstance(err, InvalidArgumentError) or lookup.over(self._node.clock.elapsed_ns())
             if final:
                 code = _ERRORS.get(type(err), _TRANSFORM_ERROR)
                 self._answer(lookup, "failed", {"error": {"error": code, "error_string": str(err)}})

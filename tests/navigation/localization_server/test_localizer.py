@@ -195,3 +195,21 @@ def test_a_pose_is_remembered_over_restarts(tmp_path: Path, monkeypatch: pytest.
     assert again.recall("lab", of_this_run=False) == Pose(3.0, 2.0, 0.5)
     (tmp_path / "pose.json").write_text('{"map": "lab", "pose": [1, 2')
     assert again.recall("lab", of_this_run=False) is None
+
+
+def test_the_system_clock_may_be_set_while_it_is_localized() -> None:
+    there = tour()
+    localizer = Localizer(there.grid)
+    localizer.initial(truth(there))
+    list(drive(there, localizer, 5.0, []))
+    before, cloud = localizer.estimate(), localizer.cloud()
+    localizer.forget_stamps()
+    after = localizer.estimate()
+    assert (after.pose, after.status) == (before.pose, LocalizationStatus.OK)
+    assert np.array_equal(localizer.cloud(), cloud)
+    assert localizer.check(0)[1] == "odometry is not heard"
+    assert before.pose is not None
+    odometry = Pose(*there.there.estimate.pose)._replace(stamp_ns=S)  # an hour before, say
+    localizer.odometry(odometry)
+    assert off(localizer, there)[0] < METRES
+    assert max(error[0] for _, *error in drive(there, localizer, 5.0, [])) < METRES

@@ -11,6 +11,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
+from bridge.clock import RunClock, SystemClock
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.modules.host import Host
 from navigation.localization_server.estimate import plane_of, pose_of
@@ -98,3 +99,25 @@ def test_nobody_hears_it(outside: Outside) -> None:
     module = outside.module(source="amcl", set_map="")
     with pytest.raises(RuntimeError, match="nobody hears /initialpose"):
         module.begin(*THERE, "cellar")
+
+
+@pytest.mark.parametrize("jump", [-3600, 3600])
+def test_a_pose_from_a_topic_stays_known_if_the_system_clock_is_set(outside: Outside, jump: int) -> None:
+    now = [1_790_000_000_000_000_000]
+    clock: Any = RunClock(system=SystemClock(lambda: now[0], poll=0))
+    outside.clock = clock
+    source: Any = outside.module(source="topic").source
+    source.take(THERE.pose)
+    now[0] += jump * 1_000_000_000
+    source.forget()
+    assert source.estimate().pose[:3] == THERE.pose[:3]
+
+
+def test_a_pose_from_a_topic_is_unknown_after_a_simulation_started_again(outside: Outside) -> None:
+    clock: Any = RunClock(simulated=True)
+    outside.clock = clock
+    source: Any = outside.module(source="topic").source
+    source.take(THERE.pose)
+    assert source.estimate().pose is not None
+    source.forget()
+    assert source.estimate().pose is None

@@ -1,0 +1,60 @@
+"""The system clock is set, back and forward, while the robot drives: it drives on after a moment."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.chain import Chain
+from tests.support.process import Process
+from tests.support.shifted_clock import ShiftedClock
+from tests.support.wait import until
+
+SECONDS = 12.0
+"""For the first meter after a jump; without people in the way it takes 4 s."""
+
+
+class ShiftedChain(Chain):
+    """The deployment, whose daemon and workers have a clock that the test sets."""
+
+    def __init__(self, folder: Path, **options: Any) -> None:
+        super().__init__(folder, **options)
+        self.clock = ShiftedClock(folder, 3600)
+
+    def start(self) -> None:
+        self.write()
+        command = [sys.executable, "-m", "bridge.cli.main", "run", "--config", self.file]
+        self.daemon = Process(command, self.clock.environment)
+        self.client = self.join("client")
+        self.listen(self.client, self.client)
+
+    def until_it_drives(self, meters: float, seconds: float) -> None:
+        """Wait until the robot has moved so far from where it is now."""
+        begin = self.truth
+        assert begin is not None
+        moved = lambda: math.dist((self.truth.x, self.truth.y), (begin.x, begin.y)) > meters  # type: ignore[union-attr]  # noqa: E731
+        until(moved, "the robot drives on", seconds)
+
+
+@pytest.mark.alone
+@pytest.mark.parametrize("shifts", [(3560,), (0,), (4200, 4198)], ids=["40 s back", "1 h back", "10 min on, 2 s back"])
+def test_the_robot_drives_on(tmp_path: Path, shifts: tuple[int, ...]) -> None:
+    with ShiftedChain(tmp_path, sim={"people": False}) as chain:
+        chain.start()
+        asked = chain.goto("kitchen")
+        chain.until_moving()
+        chain.until_it_drives(0.3, SECONDS)
+        for shift in shifts:
+            chain.clock.set(shift)
+            set_at = time.monotonic()
+            until(lambda: chain.output().count("the system clock was set ") >= 2, "simulator and modules noticed", 10)
+            chain.until_it_drives(1.0, SECONDS)
+            assert time.monotonic() - set_at < SECONDS + 10
+            assert asked.ended is None, asked.reason
+        until(lambda: asked.ended, "the goal ends", 90)
+        assert chain.off("kitchen") < 0.3, asked.reason

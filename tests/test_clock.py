@@ -1,0 +1,173 @@
+"""Jumps of the system clock, by injected clocks; and a simulated time that stands still."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+
+import pytest
+
+from bridge import clock as clocks
+from bridge.clock import RunClock, SystemClock
+from tests.support.wait import until
+
+S = 1_000_000_000
+NOON = 1_790_000_000 * S
+YEAR = 365 * 86_400 * S
+
+
+class Clocks:
+    """A system clock and a monotonic one, which tests set and advance."""
+
+    def __init__(self, poll: float = 0.0) -> None:
+        self.wall, self.steady = NOON, 5 * S
+        self.pauses: list[int] = []  # ns for which the process stands still between its readings of the two clocks
+        self.system = SystemClock(self._wall, lambda: self.steady, poll)
+        self.jumps = 0
+
+    def _wall(self) -> int:
+        wall = self.wall
+        if self.pauses:
+            self.advance(self.pauses.pop())
+        return wall
+
+    def advance(self, ns: int, slewed: float = 0.0) -> None:
+        """Let time pass, while slewing adds a share of it to the system clock."""
+        self.steady += ns
+        self.wall += ns + round(ns * slewed)
+
+    def count(self) -> None:
+        self.jumps += 1
+
+
+@pytest.fixture
+def watched() -> Clocks:
+    made = Clocks()
+    made.system.on_jump(made.count)
+    return made
+
+
+@pytest.mark.parametrize("jump", [-40 * S, -3600 * S, -S, -S // 4, S // 4, 40 * S, 3600 * S, 50 * YEAR, -50 * YEAR])
+@pytest.mark.parametrize("passed", [0, S // 5, S])
+def test_a_clock_that_is_set_is_reported_once(watched: Clocks, jump: int, passed: int) -> None:
+    watched.advance(passed)
+    watched.wall += jump
+    assert watched.system.check() == jump
+    watched.advance(S // 5)
+    assert watched.system.check() == 0
+    assert watched.jumps == 1
+
+
+def test_several_jumps_are_reported_each(watched: Clocks, caplog: pytest.LogCaptureFixture) -> None:
+    for jump in (-S, 3600 * S, -3600 * S):
+        watched.advance(S // 5)
+        watched.wall += jump
+        assert watched.system.check() == jump
+    assert watched.jumps == 3
+    assert "set back by 1.000 s" in caplog.text
+    assert "set forward by 3600.000 s" in caplog.text
+
+
+@pytest.mark.parametrize("slewed", [500e-6, -500e-6, 0.0833, -0.0833, 0.1005, -0.1005])
+@pytest.mark.parametrize("period", [S // 5, 3 * S, 600 * S])
+def test_slewing_is_no_jump(watched: Clocks, slewed: float, period: int) -> None:
+    for _ in range(2000):
+        watched.advance(period, slewed)
+        assert watched.system.check() == 0
+    assert not watched.jumps
+
+
+def test_a_suspended_machine_and_a_busy_one_are_no_jumps(watched: Clocks) -> None:
+    watched.advance(8 * 3600 * S)
+    assert watched.system.check() == 0
+    watched.pauses = [3 * S] * 20  # every reading is interrupted
+    assert watched.system.check() == 0
+    watched.pauses = []
+    watched.advance(S // 5)
+    assert watched.system.check() == 0
+    watched.pauses = [3 * S]  # the next reading counts
+    watched.wall -= S
+    assert watched.system.check() == -S
+    assert watched.jumps == 1
+
+
+def test_a_jump_that_nobody_was_there_for_is_not_reported() -> None:
+    made = Clocks()
+    made.wall -= 3600 * S
+    made.system.on_jump(made.count)
+    assert made.system.check() == 0
+    assert not made.jumps
+
+
+def test_an_error_of_one_does_not_keep_the_others_from_hearing(
+    watched: Clocks, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail() -> None:
+        raise ValueError("no")
+
+    made = Clocks()
+    withdraw = made.system.on_jump(fail)
+    made.system.on_jump(made.count)
+    made.wall -= S
+    made.system.check()
+    assert made.jumps == 1
+    assert "a jump of the clock was not handled" in caplog.text
+    withdraw()
+    withdraw()
+    caplog.clear()
+    made.wall -= S
+    made.system.check()
+    assert made.jumps == 2
+    assert "not handled" not in caplog.text
+    assert not watched.jumps
+
+
+def test_its_thread_runs_while_there_is_anyone_to_notify() -> None:
+    def threads() -> int:
+        return sum(thread.name == "midspan-clock" for thread in threading.enumerate())
+
+    before = threads()
+    made = Clocks(poll=0.005)
+    one, two = RunClock(system=made.system), RunClock(system=made.system)
+    one.on_jump(made.count)
+    two.on_jump(made.count)
+    assert threads() == before + 1
+    made.wall -= 40 * S
+    until(lambda: made.jumps == 2, "both are notified")
+    one.close()
+    one.close()
+    made.wall += 40 * S
+    until(lambda: made.jumps == 3, "the other is notified")
+    two.close()
+    until(lambda: threads() == before, "the thread ends")
+    one.on_jump(made.count)
+    made.wall -= 40 * S
+    until(lambda: made.jumps == 4, "it is watched again")
+    one.close()
+    until(lambda: threads() == before, "the thread ends again")
+
+
+def test_ages_do_not_depend_on_the_system_clock() -> None:
+    made = Clocks()
+    run = RunClock(system=made.system)
+    assert run.now_ns() == NOON
+    began = run.elapsed_ns()
+    made.wall -= 3600 * S
+    assert run.now_ns() == NOON - 3600 * S
+    assert 0 <= run.elapsed_ns() - began < 60 * S
+
+
+def test_simulated_time_that_stands_still_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(clocks, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    system, run = RunClock(), RunClock(simulated=True)
+    assert run.trouble() == ""
+    now[0] += clocks.SILENCE_SECONDS + 0.1
+    assert run.trouble().startswith("no message on /clock (clock.source: sim)")
+    assert "midspan play --clock" in run.trouble()
+    run.hear(b"\0\1\0\0" + (7).to_bytes(4, "little") + bytes(4))
+    assert run.trouble() == ""
+    now[0] += clocks.SILENCE_SECONDS + 0.1
+    assert "/clock is silent" in run.trouble()
+    assert "7.000 s" in run.trouble()
+    assert system.trouble() == ""
