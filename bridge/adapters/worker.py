@@ -49,6 +49,7 @@ DRAIN_SECONDS = 2.2
 `bridge.modules.worker.WIND_DOWN_SECONDS`, and within the 2.8 s that the daemon allows."""
 
 _DRAIN_PERIOD = 0.02
+_FIXED = ("name", "state", "hub", "types", "limits", "clock")
 _LAST_SECONDS = 0.1
 
 
@@ -93,7 +94,7 @@ class BridgeWorker(Worker):
         old = self.config
         if old is None or not self.crossings:
             return False
-        if any(getattr(config, part) != getattr(old, part) for part in ("name", "state", "hub", "types", "limits")):
+        if any(getattr(config, part) != getattr(old, part) for part in _FIXED):
             return False
         section: SideSection = getattr(config, self.side.name)
         if not section.joins_as(getattr(old, self.side.name)):
@@ -256,6 +257,7 @@ class Crossing:
         self._hold.close()
         self._stopped = True
         self._engine.stop()
+        self._engine.edge.clock.close()
         self._hub.close()
 
     def _status(self) -> dict[str, Any]:
@@ -273,7 +275,11 @@ class Crossing:
             **document,
             **engine.edge.details(),
             "lane": self._hub.lane(),
-            "warnings": [*document["warnings"], *resources.warnings(state_folder(self._config))],
+            "warnings": [
+                *document["warnings"],
+                *filter(None, [engine.edge.clock.trouble()]),
+                *resources.warnings(state_folder(self._config)),
+            ],
         }
 
     def _running(self) -> Engine:

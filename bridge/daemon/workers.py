@@ -92,7 +92,7 @@ class WorkerKind:
 
 
 def _of_side(side: Side) -> WorkerKind:
-    sections = frozenset({side.name, "types", "routing", "navigation", "metrics", "modules"})
+    sections = frozenset({side.name, "types", "limits", "routing", "navigation", "metrics", "modules", "clock"})
     return WorkerKind(side.name, "bridge.adapters.worker:BridgeWorker", (side.name,), sections, side.environment)
 
 
@@ -104,7 +104,7 @@ WORKERS = (
     WorkerKind(
         "modules",
         "bridge.modules.worker:ModulesWorker",
-        sections=frozenset({"modules", "navigation", "store", "types", "limits", "yarp", "metrics"}),
+        sections=frozenset({"modules", "navigation", "store", "types", "limits", "yarp", "metrics", "clock"}),
     ),
     WorkerKind(
         "sim",
@@ -120,7 +120,7 @@ WORKERS = (
     WorkerKind(
         "web",
         "bridge.web.worker:WebWorker",
-        sections=frozenset({"web", "metrics", "navigation", "modules", "types", "limits"}),
+        sections=frozenset({"web", "metrics", "navigation", "modules", "types", "limits", "clock", "routing"}),
         needs=_WEB,
         extra="web",
     ),

@@ -173,7 +173,7 @@ class Running:
             **costs(self._process),
             "routes": [],
             "refused": [],
-            "warnings": list(filter(None, [host.yarp.trouble()])),
+            "warnings": list(filter(None, [host.yarp.trouble(), host.clock.trouble()])),
             **host.status(),
             **module.status(),
         }
@@ -190,7 +190,7 @@ def _end(module: Module, host: Host) -> None:
 SWITCH_INTERVAL = 0.0005
 """Seconds after which a computing thread yields to one with a message to handle."""
 
-_FIXED = ("name", "state", "hub", "store", "types", "limits")
+_FIXED = ("name", "state", "hub", "store", "types", "limits", "clock")
 
 
 class ModulesWorker(Worker):

@@ -255,3 +255,21 @@ def test_a_console_that_shows_the_doors_certificate_starts_again_with_another() 
 
     assert part(guarded, "/a") != part(guarded, "/b")
     assert part(plain, "/a") == part(plain, "/b")
+
+
+_HUB_NODES = [name for name in worker_kinds({}) if name != "router"]
+_RECEIVERS = [name for name in _HUB_NODES if name != "metrics"]
+
+
+@pytest.mark.parametrize(
+    ("name", "section"),
+    [
+        *((name, {"clock": {"source": "sim"}}) for name in _HUB_NODES),
+        *((name, {"limits": {"message": 1}}) for name in _RECEIVERS),
+    ],
+)
+def test_a_reload_reaches_all_workers_that_use_the_section(name: str, section: dict[str, object]) -> None:
+    kind, state = worker_kinds({})[name], {"state": "/state"}
+    before, after = Config.model_validate(state), Config.model_validate({**state, **section})
+    assert kind.config_part(before) == kind.config_part(Config.model_validate(state))
+    assert kind.config_part(before) != kind.config_part(after)

@@ -8,8 +8,10 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -19,6 +21,7 @@ from bridge.doctor.check import Finding, Result
 from bridge.doctor.checks import machine, sharedmemory
 from bridge.doctor.checks.sharedmemory import shared_files
 from bridge.doctor.context import Offset
+from bridge.hub.graph.tokens import EndpointKind
 from tests.doctor.parts import around, hub, only, results
 from tests.support.process import Process
 from tests.support.wait import until
@@ -60,6 +63,25 @@ def test_clocks(seconds: float, error: float, result: Result) -> None:
     assert finding.result is result
     assert "robot2" in finding.seen
     assert bool(finding.cure) == (result is not Result.OK)
+
+
+@pytest.mark.parametrize(
+    ("source", "kinds", "missing"),
+    [
+        ("sim", [], True), ("sim", [EndpointKind.SUBSCRIPTION], True), ("sim", [EndpointKind.PUBLISHER], False),
+        ("system", [], False),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("clocks", [{}, {"robot/ros1": Offset(0.0, 0.001)}])
+def test_simulated_time_without_a_publisher(
+    source: str, kinds: list[EndpointKind], missing: bool, clocks: dict[str, Offset]
+) -> None:
+    ends: Any = [SimpleNamespace(topic="/clock", kind=kind) for kind in kinds]
+    view = replace(hub({"worker": "ros1", "side": "ros1"}, clocks=clocks), endpoints=ends)
+    found = only(machine.look_at_clocks(around({"clock": {"source": source}}, hub=view)))
+    assert (found.result is Result.FAIL) is missing
+    assert ("/clock has no publisher" in found.seen) is missing
+    assert ("midspan play --clock" in found.cure) is missing
 
 
 def test_a_worker_that_runs_out_of_descriptors() -> None:

@@ -26,7 +26,7 @@ CHECKS: tuple[Check, ...] = (
     Check("types", "message types that could not be used", types.look_at_refused),
     Check("type-hash", "definitions that differ between machines", types.look_at_hashes),
     Check("compiler", "the compiler for missing message packages (`midspan interfaces build`)", types.look_at_compiler),
-    Check("clock", "the clocks of the machines", machine.look_at_clocks),
+    Check("clock", "the clocks of the machines, and simulated time", machine.look_at_clocks),
     Check("shm-users", "users that share Fast DDS's shared memory", sharedmemory.look_at_users),
     Check("shm-size", "room in shared memory", sharedmemory.look_at_size),
     Check("shm-litter", "what dead processes left in shared memory", sharedmemory.look_at_litter),

@@ -11,9 +11,11 @@ from packaging.markers import default_environment
 from packaging.requirements import Requirement
 
 from bridge import kernels, state_file
+from bridge.clock import CLOCK_TOPIC
 from bridge.daemon.workers import worker_kinds
 from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
+from bridge.hub.graph.tokens import EndpointKind
 from bridge.resources import FULL, RAISE, folder_trouble
 
 WANTED = 4096
@@ -70,11 +72,14 @@ FAIL_SECONDS = 0.5
 _CURE_CLOCK = "synchronise them: apt install chrony on both machines, one of them serving the time to the other"
 
 
+_CURE_TIME = "start the simulation or 'midspan play --clock', or set clock.source: system"
+
+
 def look_at_clocks(context: CheckContext) -> Findings:
-    """One finding for each daemon whose clock differs."""
+    """One finding for each daemon whose clock differs, and one if simulated time has no publisher."""
+    findings = _simulated_time(context)
     if not context.hub.clocks:
-        return skip("no worker tells its time")
-    findings: list[Finding] = []
+        return findings or skip("no worker reports its time")
     daemons: dict[str, tuple[float, float]] = {}
     for name, offset in context.hub.clocks.items():
         daemon = name.partition("/")[0]
@@ -89,6 +94,15 @@ def look_at_clocks(context: CheckContext) -> Findings:
         elif sure > WARN_SECONDS:
             findings.append(warn(text, _CURE_CLOCK))
     return findings or ok(f"the clocks of {', '.join(sorted(daemons))} agree with this machine's")
+
+
+def _simulated_time(context: CheckContext) -> list[Finding]:
+    hub = context.hub
+    published = any(end.topic == CLOCK_TOPIC and end.kind is EndpointKind.PUBLISHER for end in hub.endpoints)
+    if not context.config.clock.simulated or not hub.documents or published:
+        return []
+    seen = f"clock.source is sim, and {CLOCK_TOPIC} has no publisher: programs on simulated time wait in sleep"
+    return [fail(seen, _CURE_TIME)]
 
 
 def look_at_wheels(context: CheckContext) -> Findings:

@@ -1,0 +1,61 @@
+"""`clock.source` by a reload, with a real master; and simulated time for which nobody publishes `/clock`."""
+
+from __future__ import annotations
+
+from tests.interop.deployment import Deployment
+from tests.support.wait import until
+
+CLOCK, NOBODY = "rosgraph_msgs/Clock", "no message on /clock"
+
+
+def simulated(running: Deployment) -> bool:
+    """Whether the ROS 1 worker has joined with simulated time, and has set the parameter on the master."""
+    joined = running.worker("ros1").get("state") == "running"
+    return joined and any(name == "/use_sim_time" for name in running.master.parameters())
+
+
+def test_simulated_time_begins_and_ends_by_a_reload(running: Deployment) -> None:
+    before = {side: running.worker(side)["pid"] for side in ("ros1", "ros2")}
+    assert not simulated(running)
+    running.configure(clock={"source": "sim"})
+    running.hang_up()
+    until(lambda: simulated(running), "the master has /use_sim_time", 40, every=0.1)
+    until(lambda: running.joined(), "all sides have joined again", 40, every=0.1)
+    after = {side: running.worker(side)["pid"] for side in before}
+    assert not set(before.values()) & set(after.values()), "every side uses the clock"
+
+    until(
+        lambda: all(NOBODY in str(running.worker(side).get("warnings")) for side in before),
+        "status warns of every side",
+        20,
+        every=0.2,
+    )
+    printed = running.command("status", seconds=60)
+    assert NOBODY in printed.stdout, printed.stdout + printed.stderr
+    printed = running.command("doctor", "--only", "daemon", "--only", "clock", seconds=90)
+    assert NOBODY in printed.stdout, printed.stdout + printed.stderr
+    assert "/clock has no publisher" in printed.stdout, printed.stdout + printed.stderr
+
+    ros1 = running.ros1("simulator")
+    out = ros1.advertise("/clock", CLOCK)
+    until(
+        lambda: (
+            ros1.publish(out, {"clock": {"secs": 7, "nsecs": 0}}),
+            not any("/clock" in str(running.worker(side).get("warnings")) for side in before),
+        )[1],
+        "no worker warns while time runs",
+        20,
+        every=0.2,
+    )
+    until(
+        lambda: "/clock is silent" in str(running.worker("ros2").get("warnings")), "its end is reported", 20, every=0.2
+    )
+
+    running.configure()
+    running.hang_up()
+    until(
+        lambda: running.worker("ros1").get("pid") not in {None, after["ros1"]} and running.joined(), "they start again",
+        40, every=0.1,
+    )  # fmt: skip
+    assert "set clock.source to sim, or the parameter to false" in str(running.worker("ros1")["warnings"])
+    assert "/clock" not in str(running.worker("ros2")["warnings"])
