@@ -74,6 +74,7 @@ class Written:
     """The contents of a closed file; times in nanoseconds since 1970.
 
     Attributes:
+        closed: monotonic seconds when it was closed.
         topics: each channel with its number of messages.
         whole: whether the file has a summary; one without is read sequentially, or mended.
     """
@@ -83,6 +84,7 @@ class Written:
     messages: int
     begin: int
     end: int
+    closed: float = field(default_factory=time.monotonic, compare=False)
     topics: tuple[tuple[ChannelInfo, int], ...] = field(default=())
     whole: bool = True
 
@@ -199,7 +201,7 @@ class RecordFile:
 
     def _written(self, *, whole: bool) -> Written:
         topics = tuple((info, self._counts.get(number, 0)) for number, info in self._channels.values())
-        return Written(self.path, self._out.position, self.messages, self.begin, self.end, topics, whole)
+        return Written(self.path, self._out.position, self.messages, self.begin, self.end, topics=topics, whole=whole)
 
 
 def total(counts: Iterable[TopicCounts]) -> tuple[int, int, dict[str, int]]:

@@ -7,6 +7,7 @@ import logging
 import shutil
 import time
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from typing import Protocol
 
@@ -86,6 +87,8 @@ class KeptFolder:
     def __init__(self, folder: Path, keep: KeepSection) -> None:
         self.folder, self._keep = folder, keep
         self._now: Path | None = None
+        self._numbers = count()
+        self._created: dict[str, int] = {}  # order of this run's recordings: the clock in the names may be set meanwhile
 
     def base(self) -> Path:
         """Return an unused name."""
@@ -94,6 +97,7 @@ class KeptFolder:
         number, found = 1, first
         while found.name in taken:
             found, number = first.with_name(f"{first.name}-{number}"), number + 1
+        self._created[found.name] = next(self._numbers)
         return found
 
     def next(self) -> Path:
@@ -109,7 +113,7 @@ class KeptFolder:
 
     def prune(self) -> None:
         """Delete the oldest recordings until the rest is within the limits; the newest stays."""
-        found = sorted(self._entries(), key=lambda entry: entry.name)
+        found = sorted(self._entries(), key=self._order)
         sizes = {entry: _size(entry) for entry in found}
         while len(found) > 1 and self._too_much(len(found), sum(sizes[entry] for entry in found)):
             oldest = found.pop(0)
@@ -118,6 +122,10 @@ class KeptFolder:
             _log.info("deleting %s, which exceeds record.keep", oldest)
             with contextlib.suppress(OSError):
                 shutil.rmtree(oldest) if oldest.is_dir() else oldest.unlink()
+
+    def _order(self, entry: Path) -> tuple[int, str]:
+        name = entry.name.removesuffix(".mcap")
+        return self._created.get(name, -1), name
 
     def _too_much(self, files: int, size: int) -> bool:
         keep = self._keep

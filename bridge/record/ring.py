@@ -70,9 +70,9 @@ class Ring:
 
     def prune(self) -> None:
         """Delete the files beyond the ring's time or size."""
-        oldest = time.time_ns() - int(self._section.seconds * 1e9)
+        oldest = time.monotonic() - self._section.seconds  # the system clock may be set meanwhile
         most = (self._section.size << 20) - self.segment_bytes  # the newest file is still growing
-        while self._segments and (self._segments[0].end < oldest or self.bytes > most):
+        while self._segments and (self._segments[0].closed < oldest or self.bytes > most):
             with contextlib.suppress(OSError):
                 self._segments.popleft().path.unlink()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
 from bridge.record import file as record_file
+from bridge.record import places as record_places
 from bridge.record import recorder as record_recorder
 from bridge.record.arrivals import ArrivalQueue, RecordedMessage, TopicCounts
 from bridge.record.places import PREFIX, BagFolder, Files, KeptFolder
@@ -327,3 +329,37 @@ def test_the_oldest_recordings_make_room(tmp_path: Path) -> None:
     (tmp_path / f"{PREFIX}2021" / "a.mcap").write_bytes(bytes(2 << 20))
     folder.prune()
     assert sorted(entry.name for entry in tmp_path.iterdir()) == [f"{PREFIX}2021", "mine.mcap"]
+
+
+@pytest.mark.parametrize("hours", [-1, 1])
+def test_a_ring_does_not_depend_on_the_system_clock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hours: int
+) -> None:
+    section = RecordSection.model_validate({"ring": {"seconds": 30.0}})
+    ring = Ring(KeptFolder(tmp_path, section.keep), section.ring)
+    closed = []
+    for number in range(3):
+        now = time.time_ns() + number * hours * 3_600_000_000_000
+        monkeypatch.setattr(time, "time_ns", lambda now=now: now)
+        path = ring.next()
+        file = record_file.RecordFile(path, "none", {})
+        closed.append(file.close())
+        ring.closed(closed[-1])
+    assert [written.path.exists() for written in closed] == [True] * 3
+    later = time.monotonic() + 31.0
+    monkeypatch.setattr(time, "monotonic", lambda: later)
+    ring.prune()
+    assert [written.path.exists() for written in closed] == [False] * 3
+
+
+def test_recordings_of_before_the_clock_was_set_back_are_the_older_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keep = RecordSection.model_validate({"keep": {"files": 2}}).keep
+    folder = KeptFolder(tmp_path, keep)
+    (tmp_path / f"{PREFIX}2026_01_01.mcap").touch()
+    for name in ("2026_01_03", "1970_01_02", "1970_01_01"):
+        monkeypatch.setattr(record_places, "stamp", lambda name=name: name)
+        folder.base().with_suffix(".mcap").touch()
+    folder.prune()
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [f"{PREFIX}1970_01_0{n}.mcap" for n in (1, 2)]
