@@ -221,7 +221,8 @@ class ActionServer:
         info = request["goal_info"]
         goal_id, until = bytes(info["goal_id"]["uuid"]), _nanoseconds(info["stamp"])
         goal = self._goals.get(goal_id)
-        wanted = [g for g in self.active if (until and _nanoseconds(g.stamp) <= until) or g is goal]
+        now = self._node.clock.now_ns()  # a goal with a later stamp was accepted before the clock was set back
+        wanted = [g for g in self.active if (until and not until < _nanoseconds(g.stamp) <= now) or g is goal]
         if not any(goal_id) and not until:
             wanted = self.active
         begun = [g for g in wanted if g.cancel_wanted or self._begin_cancel(g)]

@@ -83,7 +83,7 @@ class HubToSideRoute(TopicRoute):
         self._volatile: EdgePublisher | None = None
         self._subscription: HubSubscription | None = None
         self._depth = 1
-        self._since_ns = 0
+        self._subscribed = 0.0
         self._since, self._messages_then = time.monotonic(), 0
         self._heard = self._unheard = False
         self._lost_before = self._by_lane_before = 0
@@ -179,7 +179,7 @@ class HubToSideRoute(TopicRoute):
             return
         self._leave_hub()
         self._qos = qos
-        self._since_ns = time.time_ns()
+        self._subscribed = time.monotonic()
         source = self.conversion.source
         self._subscription = self._context.hub.subscription(
             self.hub_topic, source.name, self.key.type_id, qos, self.received, self._refused_by_hub
@@ -311,8 +311,10 @@ class HubToSideRoute(TopicRoute):
             self.bad(str(err))
             return
         self.counters.crossed(len(data))
-        if sample.source_time_ns >= self._since_ns:  # what was kept for late joiners says nothing of the way's length
-            self.counters.latency(time.time_ns() - sample.source_time_ns)
+        # A message cached for late joiners does not show how long messages take. The system clock may be set meanwhile.
+        latency = time.time_ns() - sample.source_time_ns
+        if time.monotonic() - latency / 1e9 >= self._subscribed:
+            self.counters.latency(latency)
 
     def _stale(self, sample: HubSample, source: _Source) -> bool:
         timeout = self.policy.timeout

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from bridge.clock import SYSTEM
+from bridge.clock import SYSTEM, RunClock, SystemClock
 from bridge.hub.endpoints.calls import CallError
 from bridge.hub.session import Hub
 from bridge.messages.actions import GoalState
@@ -274,3 +274,27 @@ def test_goals_abort_when_their_server_closes(two: Two, monkeypatch: pytest.Monk
     status, _, why = sent.ended()
     assert status is GoalState.ABORTED
     assert "left" in why
+
+
+def test_a_cancellation_by_time_covers_goals_of_before_the_clock_was_set_back(two: Two) -> None:
+    now = [1_790_000_000_000_000_000]
+    two.server.clock = RunClock(system=SystemClock(lambda: now[0], poll=0))
+    served = Served(two)
+    client = two.client.action_client("/lookup", LOOKUP)
+    until(lambda: client.ready, "there is a server")
+    early, late = Sent(two, client, "wait"), None
+    until(lambda: early.goal.accepted, "it is accepted")
+    now[0] -= 3_600_000_000_000
+    until_ns = now[0] + 1_000_000_000
+    now[0] += 2_000_000_000
+    late = Sent(two, client, "wait")
+    until(lambda: late.goal.accepted, "it is accepted")
+    cancel = two.client.client(CANCEL_GOAL, "action_msgs/srv/CancelGoal")
+    until(lambda: cancel.ready, "it can be asked")
+    codes: list[Any] = []
+    stamp = {"sec": until_ns // 10**9, "nanosec": 0}
+    cancel.call({"goal_info": {"goal_id": {"uuid": [0] * 16}, "stamp": stamp}}, codes.append)
+    until(lambda: codes, "it is answered")
+    wanted = {goal.id: goal.cancel_wanted for goal in served.goals}
+    assert wanted == {early.goal.id: True, late.goal.id: False}
+    two.on(two.server, lambda: [goal.canceled() for goal in served.goals])

@@ -479,3 +479,40 @@ def test_an_error_is_worth_one_log_line_for_each_change(monkeypatch: pytest.Monk
     assert logged("a third", "a third") == 1
     now += 61.0
     assert logged("a third") == 1
+
+
+@pytest.mark.parametrize("hours", [-1, 1])
+def test_latency_is_measured_after_the_system_clock_was_set(monkeypatch: pytest.MonkeyPatch, hours: int) -> None:
+    registry, network, topic = Registry(), FakeNetwork(), "/chat"
+    type_ = registry.ros2(STRING)
+    qos = Qos(Reliability.RELIABLE, Durability.VOLATILE, depth=10)
+    publisher = HubEndpoint(
+        "z", "n", "/", EndpointKind.PUBLISHER, topic, STRING, type_.type_id, qos, GID, None, pending=False, own=False
+    )
+    with HubNetwork() as hubs, Hub.open(hubs.settings("latency")) as hub:
+        idle, lease = Dispatcher("idle"), Lease()
+        lease.extend(math.inf)
+        context = EngineContext(
+            hub, FakeEdge(network, registry), StallDetector(), lease, cast("Any", None), idle, idle, lambda: None
+        )
+        policy = RoutePolicy(allowed=True, why="", name=topic)
+        key, conversion = RouteKey(topic, STRING, type_.type_id), Conversion(type_, type_, None)
+        route = HubToSideRoute(key, topic, None, conversion, policy, context)
+        latencies: list[int] = []
+        monkeypatch.setattr(Counters, "latency", lambda _counters, latency: latencies.append(latency))
+        route.update([publisher], [])
+        real = time.time_ns
+
+        def receive(number: int, age: float = 0.0) -> None:
+            stamp = time.time_ns() - round(age * 1e9)
+            route.handle(HubSample(zenoh.ZBytes(line("x")), number, stamp, GID, "z"))
+
+        receive(1, age=100.0)  # cached before the route subscribed
+        assert not latencies
+        receive(2)
+        monkeypatch.setattr(time, "time_ns", lambda: real() + hours * 3_600_000_000_000)
+        receive(3)
+        receive(4, age=100.0)
+        route.close()
+    assert len(latencies) == 2
+    assert all(0 <= latency < 10e9 for latency in latencies)

@@ -40,6 +40,7 @@ class ServedAction(ActionTopics):
         self._server: ActionlibServer | None = None
         self._order: CancelOrder | None = None
         self._hopeless = False
+        self._unwatch: Callable[[], object] = lambda: None
 
     @property
     def type(self) -> str:
@@ -131,6 +132,7 @@ class ServedAction(ActionTopics):
             empty(types.result_body),
         )
         self._order = CancelOrder(self._server, self._unread, time.monotonic)
+        self._unwatch = self._network.clock().on_jump(lambda: self._executor.submit(self._clock_jumped))
         self._server.open()
         if self._states:
             self._heard(ros2_action.STATUS, self._states)
@@ -141,11 +143,16 @@ class ServedAction(ActionTopics):
         server, self._server, self._order = self._server, None, None
         if server is None:
             return
+        self._unwatch()
         server.close(reason)
         under_way, self._under_way = self._under_way, {}
         for abandon in under_way.values():
             abandon()
         self._close_topics()
+
+    def _clock_jumped(self) -> None:
+        if self._server is not None:
+            self._server.forget_time()
 
     def _unread(self, client: Client, *, listed: bool) -> bool:
         goals = self._subscriptions.get(discovery.GOAL)

@@ -111,6 +111,10 @@ class ActionlibServer:
         """Say that the server is there."""
         self._flush()
 
+    def forget_time(self) -> None:
+        """Accept goals with stamps before the last cancel request again: the clock was set."""
+        self._last_cancel = ZERO
+
     # -- events of ROS 1 clients ---------------------------------------------------------------------------------------
 
     def goal(self, goal: GoalId, body: bytes) -> str:

@@ -397,3 +397,10 @@ def test_every_goal_ends_once_in_the_state_that_its_server_gave(seed: int, count
         seen = [Ros1State(found[id_].state) for found in world.lists if id_ in found]
         ranks = [9 if s.ended else ORDER[s] for s in seen]
         assert ranks == sorted(ranks), seen
+
+
+def test_a_clock_that_was_set_back_ends_the_memory_of_a_cancel_request(world):
+    world.server.cancel(GoalId(RosTime(3600, 0), ""))
+    assert world.goal("before", RosTime(15, 0)) is None
+    world.server.forget_time()
+    assert world.goal("after", RosTime(15, 0)) is not None
