@@ -136,7 +136,7 @@ class RunClock:
     """The time of a run: the system clock, or the last time on ``/clock`` if ``simulated``. Safe from any thread.
 
     Args:
-        simulated: the time is that of ``/clock``, of which `hear` accepts the messages.
+        simulated: the time is that of ``/clock``, whose messages the hub or a side passes on.
         system: the clock of a run that is not simulated.
     """
 

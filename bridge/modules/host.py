@@ -1,4 +1,4 @@
-"""What a module is given: its hub node, its YARP ports, its thread, its folder."""
+"""The host of a module: its hub node, YARP ports, thread and folder."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ class ModuleNode(Endpoints):
         kept: float = KEPT_SECONDS,
         brake: Brake | None = None,
     ) -> ActionServer:
-        """Serve an action; results are kept for so many seconds. Raises `bridge.messages.errors.MessageTypeError`."""
+        """Serve an action; results are stored for ``kept`` seconds.
+
+        Raises `bridge.messages.errors.MessageTypeError`.
+        """
         return ActionServer(self, name, type_name, take, cancel, kept=kept, brake=brake)
 
     def action_client(self, name: str, type_name: str) -> ActionClient:
@@ -46,10 +49,10 @@ class ModuleNode(Endpoints):
 
 
 class Host:
-    """All that a module needs of the outside. One for each start of a module.
+    """All that a module needs from Midspan; each start of a module has a new one.
 
     Args:
-        shared: what the modules of the process share, where there are several; it stays open when the module stops.
+        shared: session and store that all modules of the process use; they stay open when the module stops.
 
     Attributes:
         config: the whole configuration.
@@ -76,16 +79,16 @@ class Host:
 
     @property
     def folder(self) -> Path:
-        """The module's own folder in the state folder, made where it is not there."""
+        """The module's own folder in the state folder, created at first use."""
         folder = worker_folder(self.config) / self.name
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
     @property
     def store(self) -> Store:
-        """The store of maps and locations, one for all modules of the process; opened where it is not yet.
+        """The store of maps and locations, one for all modules of the process, opened at first use.
 
-        What is watched there is withdrawn by the module itself when it stops.
+        A module withdraws its own watches when it stops.
         Raises `StoreError` if it is switched off, or its file cannot be used.
         """
         if self._shared is None:
@@ -93,13 +96,13 @@ class Host:
         return self._shared.stores.store
 
     def every(self, seconds: float, action: Callable[[], Any]) -> Timer | ClockTimer:
-        """Run an action every so many seconds of the run's clock, on the module's thread."""
+        """Run an action periodically by the clock of the run, on the module's thread."""
         if self.clock.simulated:
             return ClockTimer(self.clock, self.loop, seconds, action)
         return self.loop.every(seconds, action)
 
     def _acknowledge(self, now: int) -> None:
-        """Tell a simulation that the module has done what was due at a time: its timers' actions were posted before."""
+        """Acknowledge a time of the simulation: the actions of timers that were due then were posted earlier."""
         seconds, nanoseconds = divmod(now, 1_000_000_000)
         said = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": self.name}
         self.loop.post(lambda: self._done.publish(said))
@@ -109,9 +112,9 @@ class Host:
         self.clock.on_jump(lambda: self.loop.post(forget))
 
     def acknowledge(self) -> None:
-        """Say of each time of a simulation that all that hangs on it is done: for one that waits, in lock-step.
+        """Acknowledge each time of a simulation once all timers have run, for simulations in lock-step.
 
-        Called once the module has begun: what it does every so many seconds is done before.
+        Called after the start of the module, so that its timers come first.
         """
         if self.clock.simulated:
             out = self.node.publisher(ACKNOWLEDGE_TOPIC, "std_msgs/msg/Header", priority="state")
@@ -120,11 +123,11 @@ class Host:
             )
 
     def answer(self, verb: str, handler: Callable[[dict[str, Any]], Any]) -> None:
-        """Answer a verb of the control plane under the module's name, on a thread of the hub."""
+        """Respond to a verb of the control plane under the module's name, on a thread of the hub."""
         self.node.hub.serve(verb, handler)
 
     def status(self) -> dict[str, Any]:
-        """Its ends, as they stand in the status document."""
+        """Return its topics and ports for the status document."""
         return {"topics": self.node.status(), "ports": self.yarp.status()}
 
     def tick(self) -> None:
@@ -133,7 +136,7 @@ class Host:
         self.yarp.tick()
 
     def close(self) -> None:
-        """Close everything that was handed out."""
+        """Close the node, the ports and the thread."""
         self.clock.close()
         self.yarp.close()
         self.node.close()

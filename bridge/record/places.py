@@ -88,7 +88,7 @@ class KeptFolder:
         self.folder, self._keep = folder, keep
         self._now: Path | None = None
         self._numbers = count()
-        self._created: dict[str, int] = {}  # order of this run's recordings: the clock in the names may be set meanwhile
+        self._created: dict[str, int] = {}  # order in this run: the clock in the names may be set meanwhile
 
     def base(self) -> Path:
         """Return an unused name."""

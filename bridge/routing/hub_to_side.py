@@ -33,11 +33,11 @@ PENDING_SECONDS = 2.0
 """How long a message of a publisher that is not known to the route waits for it."""
 
 UNHEARD = 10.0
-"""Seconds without a listener on the side after which a quick stream is left on the hub."""
+"""Seconds without a subscriber on the side after which a quick stream stays on the hub."""
 
 QUICK = 5.0
-"""Messages a second from which a stream counts as quick: who comes to listen misses a moment of it anyway. What comes
-less often may be an event, which a new listener must not miss."""
+"""Messages a second from which a stream counts as quick: a new subscriber misses a moment of it anyway. Rarer
+messages may be events, which a new subscriber must not miss."""
 
 _STATIC = "static transforms"
 
@@ -52,10 +52,10 @@ class _Source:
 class HubToSideRoute(TopicRoute):
     """One topic and type of the hub, published on the side.
 
-    Latched hub publishers each stay a source of their own on the side; samples of publishers that the engine did not
-    name (they come from this very network, or are not yet known) do not pass. ``origin`` is where the topic's first
-    publisher comes from, None for a native program of the hub. A quick stream that nobody on the side listens to stays
-    on the hub. ``pending``: what waits until its publisher is known.
+    Each latched hub publisher stays a separate source on the side. Samples of publishers that the engine did not name
+    (from this same network, or not yet known) do not pass. ``origin`` is that of the topic's first publisher, None for
+    a native program of the hub. A quick stream without a subscriber on the side stays on the hub. ``pending``:
+    messages that wait until their publisher is known.
     """
 
     direction = "out"
@@ -91,10 +91,10 @@ class HubToSideRoute(TopicRoute):
     def update(
         self, allowed: Sequence[HubEndpoint], refused: Sequence[HubEndpoint], waiting: Sequence[HubEndpoint] = ()
     ) -> None:
-        """Follow the hub's publishers of this topic; called by the engine's loop alone.
+        """Follow the hub's publishers of this topic; called only by the engine's loop.
 
-        ``waiting``: those that may pass later, once it is known who made them or agreed who carries them. What the
-        latched ones say meanwhile comes only once, and is kept for then.
+        ``waiting``: publishers that may pass later, once their origin is known or the election has ended. Their latched
+        messages arrive only once, and are stored until then.
         """
         followed = (allowed, refused, waiting)
         if followed != self._followed:
@@ -118,19 +118,19 @@ class HubToSideRoute(TopicRoute):
                 self._sources[gid] = _Source(endpoint, self.latches(endpoint.qos), AgeGate())
         self._refused = frozenset(e.gid for e in refused)
         self._waiting = {e.gid: e for e in waiting}
-        # Some participants (zenoh-ros2-sdk) put a GID of their own making in their samples.
+        # Some participants (zenoh-ros2-sdk) put an invented GID in their samples.
         self._natives = {s.endpoint.zid: s for s in self._sources.values() if s.endpoint.origin is None}
         self._advertise()
         if allowed and not self._unheard:
             self._subscribe(combined_qos([e.qos for e in allowed]))
 
     def _follow_listeners(self, allowed: Sequence[HubEndpoint]) -> None:
-        """Leave a quick stream on the hub while nobody listens, and take it up with the first listener."""
+        """Leave a quick stream on the hub without subscribers, and subscribe with the first one."""
         volatile = self._volatile if self._priority is Priority.STREAM and self._latched is None else None
         before, heard = self._heard, volatile is None or volatile.heard
         self._heard = heard
         seconds, messages = time.monotonic() - self._since, self.counters.messages - self._messages_then
-        if before or seconds > UNHEARD:  # who listened at the last look may have left just now
+        if before or seconds > UNHEARD:  # a subscriber of the last check may have left just now
             self._since, self._messages_then = time.monotonic(), self.counters.messages
         if heard and self._unheard:
             self._unheard = False
@@ -168,7 +168,7 @@ class HubToSideRoute(TopicRoute):
             self._volatile = self._advertise_as(Durability.VOLATILE, 1 if self._priority is Priority.COMMAND else depth)
 
     def _advertise_as(self, durability: Durability, depth: int) -> EdgePublisher:
-        # Reliable writers are heard by reliable and by best-effort readers alike.
+        # Reliable writers match reliable and best-effort readers.
         qos = self.policy.override(Qos(Reliability.RELIABLE, durability, depth=min(max(depth, 1), 1000)))
         return self._context.edge.advertise(self.side_topic, self.conversion.target, qos)
 

@@ -1,8 +1,8 @@
-"""The localiser: where the robot is on a map, by its laser and its odometry.
+"""The localizer: estimates the pose on a map from a laser and odometry.
 
-A particle filter on a likelihood field. What a filter alone cannot do, come back from a start that was wrong by metres,
-a search does: where the map explains too little of a scan, all poses around are tried, and particles are put where it
-would explain more. Nothing here knows of the hub or of a clock: all times are stamps that are given.
+A particle filter on a likelihood field. It cannot recover from a start that is wrong by meters; a search can: if
+the map explains too little of a scan, it tries all poses around, and adds particles at those that explain more. The
+localizer uses neither the hub nor a clock: the caller gives all times as stamps.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _SEARCH_TURN, _LOST_REACH = 0.79, 12.0
 """Radians to each side in which they are looked for; metres for a robot that is lost, in all directions."""
 
 _SPREAD = np.diag([0.5**2, 0.5**2, math.radians(15.0) ** 2])
-_FEWEST = 8  # beams that ended somewhere, below which a scan says nothing
+_FEWEST = 8  # a scan with fewer hits is useless
 _AFRESH = 0.5  # share of the particles that a search puts elsewhere
 _SCATTER = np.diag([0.1**2, 0.1**2, math.radians(3.0) ** 2])
 _FORCED = 5  # updates after a start, whether the base moves or not
@@ -60,7 +60,7 @@ class Localizer:
         walls = flags == MapFlag.WALL
         free = ~walls & (flags != MapFlag.UNKNOWN)
         if not walls.any() or not free.any():
-            raise ValueError(f"nobody can be localised on the map {grid.name!r}: it has no walls, or nothing free")
+            raise ValueError(f"localization on the map {grid.name!r} is impossible: it has no walls, or nothing free")
         self._corner = Pose(*grid.origin.to_ros())
         self._field = LikelihoodField(walls, free, grid.resolution)
         self._table = self._field.table(self.settings.laser_sigma, self.settings.laser_hit)
@@ -84,7 +84,7 @@ class Localizer:
         self.updates = 0
 
     def odometry(self, pose: Pose) -> None:
-        """Take up where odometry says that the base is, with its stamp."""
+        """Add a pose of the base by odometry, with its stamp."""
         self._track.add(pose)
 
     def forget_time(self) -> None:
@@ -104,7 +104,7 @@ class Localizer:
         """Begin at a pose on the map; raises `ValueError` if something is not finite.
 
         Args:
-            pose: where the robot is said to be now.
+            pose: the given current pose of the robot.
             covariance: (3, 3) of x, y, theta: metres, radians; None: 0.5 m and 15 degrees.
         """
         if covariance is None:
@@ -136,7 +136,7 @@ class Localizer:
         return self.correction @ newest
 
     def estimate(self) -> PoseEstimate:
-        """Where the robot is, and how sure that is."""
+        """Return the pose of the robot with its uncertainty."""
         return PoseEstimate(self.pose, self._covariance, self._judge.quality, self._judge.status, self._judge.reason)
 
     def cloud(self) -> Floats:
@@ -149,7 +149,7 @@ class Localizer:
         return found
 
     def scan_age(self, now_ns: int) -> float:
-        """Seconds since the last scan was taken; very many before the first."""
+        """Return the seconds since the last scan; a very large number before the first."""
         return (now_ns - self._scan_ns) / 1e9
 
     def check(self, now_ns: int) -> tuple[LocalizationStatus, str]:
@@ -163,19 +163,19 @@ class Localizer:
         ):
             age = (now_ns - stamp) / 1e9
             if age > most:
-                said = f"silent for {age:.1f} s" if stamp != _NEVER else "not heard"
+                silence = f"silent for {age:.1f} s" if stamp != _NEVER else "not heard"
                 return (
                     LocalizationStatus.NOT_YET
                     if self._judge.status is LocalizationStatus.NOT_YET
                     else LocalizationStatus.ERROR
-                ), f"{what} {said}"
+                ), f"{what} {silence}"
         return self._judge.status, self._judge.reason
 
     def scan(self, stamp_ns: int, points: Floats, odometry: Pose | None = None) -> bool:
-        """Take up a scan; whether the filter ran: it does where the base has moved, and after a start.
+        """Use a scan; return whether the filter ran, as it does if the base has moved, and after a start.
 
-        ``points`` are (n, 2), where its beams ended in the base's frame, metres; ``odometry`` is where odometry says
-        that the base was then, None: what was taken up says it.
+        ``points`` are the hits (n, 2) in the frame of the base, meters; ``odometry`` is the pose of the base at that
+        time by odometry, None: by the poses from `odometry`.
         """
         self._scan_ns = stamp_ns
         odometry = odometry or self._track.at(stamp_ns)
@@ -242,7 +242,7 @@ class Localizer:
         return found
 
     def _explained(self, here: tuple[float, float, float], points: Floats) -> tuple[float, float]:
-        """How well the map explains a scan, and how much of that speaks against the pose."""
+        """Return how well the map explains a scan, and how much of the scan contradicts the pose."""
         found, against = self._field.agreement(here, points, _EXPLAINED_WITHIN)
         return max(0.0, found - against), against
 

@@ -1,6 +1,6 @@
 """Midspan's own localiser, fed from the hub; it keeps its last pose over restarts."""
 
-# ruff: noqa: D102 - `PoseSource` says what each does
+# ruff: noqa: D102 - documented in `PoseSource`
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 class OwnLocalizer(PoseSource):
     """The localiser, with the laser and the odometry of the hub.
 
-    ``changed`` is called after a scan by which it came to be localised, or not to be: who is found at once somewhere
-    else is lost for a single scan, between two times that the pose is told.
+    ``changed`` is called after a scan that changes the status: a pose that is found again immediately is lost for only
+    one scan, between two publications.
     """
 
     hears_starts = True
@@ -71,7 +71,7 @@ class OwnLocalizer(PoseSource):
         try:
             localizer.odometry(self._frames.odometry())
         except FramesError:
-            return  # the localiser tells how long nothing was heard
+            return  # the localizer reports for how long
 
     def correction(self) -> Pose | None:
         localizer = self._localizer
@@ -84,7 +84,7 @@ class OwnLocalizer(PoseSource):
 
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
         if self._localizer is None:
-            raise RuntimeError(f"nobody can be localised: {self._trouble}")
+            raise RuntimeError(f"localization is impossible: {self._trouble}")
         self._heed_odometry(self._localizer)
         try:
             self._localizer.initial(pose, start_covariance(self._section) if covariance is None else covariance)
@@ -112,7 +112,7 @@ class OwnLocalizer(PoseSource):
         return memory.recall(name, of_this_run=True) or self._start or memory.recall(name, of_this_run=False)
 
     def _keep(self, found: PoseEstimate, *, now: bool = False) -> None:
-        """Keep where the robot is."""
+        """Save the pose of the robot."""
         if found.pose is None or found.status is not LocalizationStatus.OK:
             return
         try:
@@ -179,7 +179,7 @@ class Memory:
         self._written = -math.inf
 
     def keep(self, map_name: str, pose: Pose, *, now: bool = False) -> None:
-        """Keep a pose where the robot has moved, at most every 2 s unless ``now``; raises `OSError` if it cannot."""
+        """Save a pose if the robot has moved, at most every 2 s unless ``now``; raises `OSError` if it cannot."""
         if self._kept is not None and not self._far(map_name, pose, self._kept):
             return
         if not now and time.monotonic() - self._written < _EVERY:
@@ -190,7 +190,7 @@ class Memory:
         new.replace(self._file)
 
     def recall(self, map_name: str, *, of_this_run: bool) -> Pose | None:
-        """The pose kept on a map, if any; ``of_this_run``: since the daemon began, and nobody moved the robot since."""
+        """Return the saved pose on a map, if any; ``of_this_run``: only one that this run of the daemon saved."""
         try:
             kept = json.loads(self._file.read_text(encoding="utf-8"))
             x, y, theta = map(float, kept["pose"])

@@ -1,6 +1,6 @@
 """The sources of the robot's pose: frames that another localiser publishes, a topic, or a YARP port."""
 
-# ruff: noqa: D102 - `PoseSource` says what each does
+# ruff: noqa: D102 - documented in `PoseSource`
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from yarp_compat.pythonic import Received
 
 
 class Start(NamedTuple):
-    """Where the robot is, as somebody said: on a map that is taken for it."""
+    """A start pose that a client gave, with its uncertainty."""
 
     pose: Pose
     covariance: Floats | None = None  #: (3, 3) of x, y, theta: metres, radians; None: as sure as usual
@@ -39,22 +39,22 @@ def start_covariance(section: LocalizationServerSection) -> Floats:
 
 
 class PoseSource(ABC):
-    """One that says where the robot is. On the module's thread."""
+    """A source of the robot's pose. On the module's thread."""
 
-    # whether starts that are told on a topic are for it; who hears them by itself is not told twice
+    # whether the module passes starts from a topic on; amcl subscribes to them by itself
     hears_starts = False
     corrects = False  # whether the odometry's frame on the map is to be published for it
 
     @abstractmethod
     def estimate(self) -> PoseEstimate:
-        """The estimate of now, or the reason why there is none."""
+        """Return the current estimate, or the reason why the pose is unknown."""
 
     def correction(self) -> Pose | None:
-        """The odometry's frame on the map, where `corrects`; None where it is not known now."""
+        """Return the odometry frame on the map if it `corrects`; None if it is unknown."""
         return None
 
     def cloud(self) -> Floats:
-        """Where the robot may be, (n, 3): metres, radians."""
+        """Return possible poses of the robot, (n, 3): meters, radians."""
         return np.empty((0, 3))
 
     @abstractmethod
@@ -62,15 +62,15 @@ class PoseSource(ABC):
         """Begin there; None: with the usual covariance. Raises `RuntimeError` with why it cannot."""
 
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:  # noqa: ARG002 - most need not know the map
-        """Another map is in use; ``start``: where the robot is on it, if said. Raises `RuntimeError` if it cannot."""
+        """Switch to another map; ``start``: the pose on it, if given. Raises `RuntimeError` if it cannot."""
         if start is not None:
             self.initial(*start)
 
     def rest(self, *, on: bool) -> None:  # noqa: B027 - most need not
-        """Work no more, or again."""
+        """Pause, or continue."""
 
     def forget(self) -> None:  # noqa: B027 - most need not
-        """The clock was set back."""
+        """Discard what depends on time: the clock has jumped."""
 
     def status(self) -> dict[str, Any]:
         """Further entries of the status document."""
@@ -86,7 +86,7 @@ it, until the robot drives."""
 
 
 class FrameSource(PoseSource):
-    """Whoever publishes the odometry's frame on the map."""
+    """Any publisher of the odometry frame on the map."""
 
     def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:
         self._host, self._section, self._frames = host, section, frames
@@ -153,7 +153,7 @@ class AmclSource(FrameSource):
         return self._cloud
 
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
-        """Have amcl take a map that came after its first one: it does not follow the topic."""
+        """Send amcl every map after its first one: it does not follow the topic."""
         first, self._grid = self._grid is None, grid
         if first or self._set_map is None:
             super().use_map(grid, start)
@@ -209,7 +209,7 @@ class AmclSource(FrameSource):
 
 
 class Given(PoseSource):
-    """The pose that was given last, carried on by odometry where there is one; ``place``: where poses come from."""
+    """The newest pose from a topic or port, moved on by odometry if available; ``place``: that topic or port."""
 
     corrects = True
 
@@ -223,7 +223,7 @@ class Given(PoseSource):
         self._trouble = ""
 
     def take(self, pose: Pose, covariance: Floats | None = None) -> None:
-        """A pose of a time was given; without a time it is of now."""
+        """Accept a pose; without a stamp it is of now."""
         now = self._host.clock.now_ns()
         if not pose.stamp_ns:
             pose = pose._replace(stamp_ns=now)
@@ -232,7 +232,7 @@ class Given(PoseSource):
         self._correction = self._corrected(pose)
 
     def _corrected(self, pose: Pose) -> Pose | None:
-        """The odometry's frame on the map by a pose; None where odometry does not know of its time."""
+        """Return the odometry frame on the map by a pose; None if odometry does not cover its time."""
         frames = self._frames
         try:
             then = frames.transform(frames.odom_frame, frames.base_frame, pose.stamp_ns, extrapolate=LATE)
@@ -241,7 +241,7 @@ class Given(PoseSource):
         return pose @ then.inverse
 
     def refuse(self, why: str) -> None:
-        """What was given is no pose."""
+        """Report an invalid pose."""
         if why != self._trouble:
             self._host.log.warning("%s: %s", self.place, why)
         self._trouble = why
@@ -252,7 +252,7 @@ class Given(PoseSource):
         age = (self._host.clock.elapsed_ns() - self._heard_ns) / 1e9
         if age > self._section.pose_age:
             return unknown(self._trouble or f"{self.place} has been silent for {age:.1f} s", LocalizationStatus.ERROR)
-        if self._correction is None:  # odometry may have been heard of since
+        if self._correction is None:  # odometry may have arrived since
             self._correction = self._corrected(self._pose)
         return PoseEstimate(self._now(self._pose), self._covariance, 1.0, LocalizationStatus.OK, "")
 
@@ -267,9 +267,9 @@ class Given(PoseSource):
     def correction(self) -> Pose | None:
         return self._correction if self.estimate().pose is not None else None
 
-    def initial(self, pose: Pose, covariance: Floats | None) -> None:  # noqa: ARG002 - whatever is said
+    def initial(self, pose: Pose, covariance: Floats | None) -> None:  # noqa: ARG002 - refused in any case
         """Refuse: the poses come from elsewhere."""
-        raise RuntimeError(f"where the robot is, {self.place} says; tell its publisher where it begins")
+        raise RuntimeError(f"poses come from {self.place}; set the start pose at its publisher")
 
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
         """Ignore it: poses come as before."""
@@ -309,7 +309,7 @@ class TopicSource(Given):
 
 
 class PortSource(Given):
-    """A port that YARP programs write poses to: a Map2DLocation, or x, y and degrees."""
+    """A port to which YARP programs write poses: a Map2DLocation, or x, y and degrees."""
 
     def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:
         super().__init__(host, section, frames, section.pose_port)

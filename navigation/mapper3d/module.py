@@ -73,7 +73,7 @@ class Mapper3D(Module):
             self._layer_changed = self._map_changed = True
 
     def _take_up(self) -> str:
-        """Go on with the map that was kept, else with the store's; why not, "" where that is so or there is none."""
+        """Continue with the saved map, else with that of the store; return why that failed, else ""."""
         section, where = self._section, "modules.mapper3d.load"
         try:
             if section.keep and self._kept.is_file():
@@ -92,7 +92,7 @@ class Mapper3D(Module):
         return grid_of(self._columns(), self._section.layer.name, self._section.resolution)
 
     def _columns(self) -> LayerColumns:
-        """The columns about the robot; raises `ValueError` where it is not known where that is."""
+        """The columns around the robot; raises `ValueError` if its pose is unknown."""
         try:
             base = self._seats.base()
         except FramesError as err:
@@ -100,7 +100,7 @@ class Mapper3D(Module):
         section, found = self._section, self.space.layer(base)
         edges, floors = (np.count_nonzero(found.kinds == kind) for kind in (EDGE, FLOOR))
         self._floorless = (
-            f"there is no floor where {section.base_frame} has it, but drops all around: set modules.mapper3d.floor"
+            f"no floor at the height of {section.base_frame}, but drops all around: set modules.mapper3d.floor"
             if edges > _DROPS * floors
             else ""
         )
@@ -145,9 +145,7 @@ class Mapper3D(Module):
         heard, section = self._sources.heard, self._section
         if heard is None or not 0 <= self._host.clock.now_ns() - heard <= _SILENT_NS:
             topics = [*section.clouds, *(source.image for source in section.depth)]
-            return Health(
-                "waiting", f"nothing is heard on {', '.join(topics)}" if topics else "no clouds, no depth: set one"
-            )
+            return Health("waiting", f"no message on {', '.join(topics)}" if topics else "no clouds, no depth: set one")
         trouble = self._sources.trouble or self._trouble or self._floorless
         if trouble:
             return Health("waiting", trouble)

@@ -3,7 +3,7 @@
 What robotology/navigation's ``robotGotoDev`` is to a YARP robot.
 """
 
-# ruff: noqa: D102 - `PlannerModule` and `Module` say what each does
+# ruff: noqa: D102 - documented in `PlannerModule` and `Module`
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.pythonic import Received
 
-CLOUD_EVERY = 0.15  # seconds from one cloud that is taken up to the next: a camera's 30 Hz are a core's work
+CLOUD_EVERY = 0.15  # seconds between two clouds that it uses: 30 Hz of a camera would occupy a core
 
 
 class RobotGoto(PlannerModule):
-    """Drives to goals by laser and frames alone."""
+    """Drives to goals with only a laser and frames."""
 
     name = "robot_goto"
 
@@ -177,7 +177,7 @@ class RobotGoto(PlannerModule):
         self._tell(None)
 
     def approach(self, direction: float, speed: float, seconds: float) -> None:
-        """Move by the laser alone: radians, m/s. Raises `PlanError` where kernels are not compiled."""
+        """Move with only the laser: radians, m/s. Raises `PlanError` where kernels are not compiled."""
         self.compiled.check()
         self._goal.replace(None)
         self.driver.approach(direction, speed, seconds)
@@ -197,7 +197,7 @@ class RobotGoto(PlannerModule):
         self._tell(None)
 
     def local_map(self) -> MapGrid2D | None:
-        """The local grid; None before the first scan, or where the robot is lost."""
+        """The local grid; None before the first scan, or if the pose is unknown."""
         pose = self._pose_now()
         moved = self._moved(pose)
         if pose is None or moved is None or self.driver.grid.scanned is None:

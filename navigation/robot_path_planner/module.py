@@ -3,7 +3,7 @@
 What robotology/navigation's ``robotPathPlannerDev`` is to a YARP robot.
 """
 
-# ruff: noqa: D102 - `PlannerModule` and `Module` say what each does
+# ruff: noqa: D102 - documented in `PlannerModule` and `Module`
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from yarp_compat.pythonic import Received
 from yarp_compat.wire.errors import WireError
 
 _EVERY = 0.2
-_SILENT = 1.0  # seconds without a scan that says anything, after which the laser is held for silent
+_SILENT = 1.0  # seconds without a usable scan, after which the laser counts as silent
 
 
 class ObstacleScans:
@@ -75,9 +75,9 @@ class ObstacleScans:
         self._planner.scan(now, pose, turn)
 
     def silent(self, now: float) -> str:
-        """Why nothing is seen; "" where something is, and where no scan ever came."""
+        """Return why nothing is seen; "" if there are scans, or if there never was one."""
         silent = now - self._seen
-        return f"the laser is silent: it said nothing for {silent:.1f} s" if silent > _SILENT else ""
+        return f"the laser is silent: no usable scan for {silent:.1f} s" if silent > _SILENT else ""
 
 
 _SPEED = 0.2  # m/s, from which the time that is left is guessed until the robot has driven for some seconds
@@ -100,7 +100,7 @@ class RobotPathPlanner(PlannerModule):
         self._open(host, RobotFrames(host, section.frame, section.base_frame))
         self._laser = ObstacleScans(self.planner, self._frames)
         self._topics = PathPlannerTopics(host, section.frame, section.prefix)
-        # links and their locations are looked up whenever a way is planned
+        # links and their locations are read for every plan
         self._map = MapInUse(host, section.map, self._use, MAP, CURRENT, AREA, BEHAVIOUR)
         self._executor = SerialExecutor("midspan-brake")
         self._closing = [self._map.close, self._executor.close]
@@ -166,7 +166,7 @@ class RobotPathPlanner(PlannerModule):
         self._step()
 
     def brake(self) -> None:
-        """Have the robot stand still at once, on any thread; what is asked for follows on the module's own."""
+        """Stop the robot immediately, on any thread; the request follows on the thread of the module."""
         task = self.planner.task
         if task is not None:
             self.planner.brake(task)
@@ -213,7 +213,7 @@ class RobotPathPlanner(PlannerModule):
         self._use(self._map.grid)
 
     def picture(self) -> dict[str, Any]:
-        """The map with the way, as PNG in base64."""
+        """The map with the path, as PNG in base64."""
         file = png(self.planner, self._pose_now())
         return {"png": base64.b64encode(file).decode() if file else "", "status": self.planner.status.state.value}
 
@@ -227,7 +227,7 @@ class RobotPathPlanner(PlannerModule):
         try:
             self._host.loop.call(drive, late=False)
         except ValueError as err:
-            raise WireError(str(err)) from None  # the port counts it, and tells of it now and then
+            raise WireError(str(err)) from None  # the port counts it, and logs it at intervals
 
     # what happens
 

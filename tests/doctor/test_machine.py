@@ -45,7 +45,7 @@ def test_the_quickest_answer_counts(monkeypatch: pytest.MonkeyPatch) -> None:
         if wait is None:
             return None
         told = now[0]
-        now[0] += wait  # an answer that takes long on its way back looks like a clock that is behind
+        now[0] += wait  # a slow reply looks like a clock that is late
         return told
 
     monkeypatch.setattr(context, "time", SimpleNamespace(time_ns=lambda: now[0], monotonic_ns=lambda: now[0]))

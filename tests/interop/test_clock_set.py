@@ -42,7 +42,14 @@ class ShiftedChain(Chain):
 
 
 @pytest.mark.alone
-@pytest.mark.parametrize("shifts", [(3560,), (0,), (4200, 4198)], ids=["40 s back", "1 h back", "10 min on, 2 s back"])
+@pytest.mark.parametrize(
+    "shifts",
+    [
+        pytest.param((3560,), id="40 s back"),
+        pytest.param((0,), id="1 h back", marks=pytest.mark.thorough),
+        pytest.param((4200, 4198), id="10 min forward, 2 s back", marks=pytest.mark.thorough),
+    ],
+)
 def test_the_robot_drives_on(tmp_path: Path, shifts: tuple[int, ...]) -> None:
     with ShiftedChain(tmp_path, sim={"people": False}) as chain:
         chain.start()

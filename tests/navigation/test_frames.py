@@ -1,4 +1,4 @@
-"""Where the robot is, by frames that are told by several."""
+"""The pose of the robot by the frames of several publishers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ START = 1_790_000_000 * S
 
 
 class Said:
-    """A host whose clock stands where it is set, and all that is said of frames."""
+    """A host with a clock that only the test advances, and the frames that the test publishes."""
 
     def __init__(self, **options: Any) -> None:
         self.now = START

@@ -128,7 +128,7 @@ def test_lookups_wait_for_what_comes_and_no_longer_than_they_may(asked: Asked) -
     for n, ends in enumerate(patient):
         assert result(ends)["transform"]["transform"]["translation"]["x"] == pytest.approx(n / 20)
     assert asked.server.status() == {"waiting": 0, "found": 20, "failed": 1}
-    until(lambda: asked.server._timer is None, "it looks no more")
+    until(lambda: asked.server._timer is None, "it no longer polls")
 
 
 def test_a_clock_that_is_set_back_ends_what_waits(asked: Asked) -> None:
@@ -148,7 +148,7 @@ def test_a_lookup_that_waits_is_cancelled(asked: Asked) -> None:
 
 
 def test_the_frames_are_told_as_tf2_tells_them(asked: Asked) -> None:
-    moving(asked.buffer, "map", "no")  # a word that YAML takes for another value
+    moving(asked.buffer, "map", "no")  # a word that YAML reads as another value
     asked.buffer.set_transform("no", "laser", 0, (0, 2, 0), UNIT, static=True)
     client = asked.two.client.client(FRAMES, FRAME_GRAPH)
     until(lambda: client.ready, "there is a server")

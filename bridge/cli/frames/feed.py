@@ -68,7 +68,7 @@ class FrameMeter:
 
 
 QUIET, MOST = 0.15, 1.0
-"""Seconds without news after which all frames are known where every publisher spoke, and seconds listened at most."""
+"""Seconds without news after which all frames are known if every publisher has sent one, and the longest wait."""
 
 PATIENCE = 5.0
 """Seconds within which the first transform is to come."""
@@ -85,7 +85,7 @@ class TransformFeed(TopicFeed):
         self._listener, self._static = listener, static
 
     def take(self, sample: HubSample, type_name: str, type_hash: str, side: str) -> None:  # noqa: ARG002
-        """Take up a message, on a thread of zenoh."""
+        """Accept a message, on a thread of zenoh."""
         if type_name == TF_TYPE:
             self._listener.take(sample, side, static=self._static)
 
@@ -142,12 +142,12 @@ class TransformListener:
         return all(e.origin is None and not e.pending and e.gid in heard for e in others)
 
     def look(self) -> None:
-        """Take up publishers that came."""
+        """Subscribe to new publishers."""
         for feed in self._feeds:
             feed.look()
 
     def take(self, sample: HubSample, side: str, *, static: bool) -> None:
-        """Take up a message."""
+        """Accept a message."""
         cdr, now = sample.data(), self.clock.now_ns()
         authority = self._authority(sample.gid, side)
         try:
@@ -169,7 +169,7 @@ class TransformListener:
                 meter.add(arrived, None if static else now - transform.stamp)
 
     def meters(self) -> dict[str, FrameMeter]:
-        """What was counted of each frame, by its name."""
+        """Return the statistics of each frame by its name."""
         with self._lock:
             return {name: meter.copy() for name, meter in self._meters.items()}
 

@@ -1,4 +1,4 @@
-"""The localiser in the simulator, in lock-step: it holds, it comes back, and it says when it does not know."""
+"""The localizer in the simulator, in lock-step: it tracks, recovers, and reports when the pose is unknown."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_start_that_was_wrong_is_mended(world: str) -> None:
 
 
 def standing(localizer: Localizer, there: Tour, scans: int) -> None:
-    """Take up scans of a robot that stands, as of one a tenth of a second."""
+    """Use the scans of a standing robot, one each tenth of a second."""
     points = scan_points(there.there.scan)
     for n in range(scans):
         stamp = there.there.time_ns + n * S // 10
@@ -209,7 +209,7 @@ def test_the_system_clock_may_be_set_while_it_is_localized() -> None:
     assert np.array_equal(localizer.cloud(), cloud)
     assert localizer.check(0)[1] == "odometry is not heard"
     assert before.pose is not None
-    odometry = Pose(*there.there.estimate.pose)._replace(stamp_ns=S)  # an hour before, say
+    odometry = Pose(*there.there.estimate.pose)._replace(stamp_ns=S)  # decades before
     localizer.odometry(odometry)
     assert off(localizer, there)[0] < METRES
     assert max(error[0] for _, *error in drive(there, localizer, 5.0, [])) < METRES

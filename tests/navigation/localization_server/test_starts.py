@@ -1,4 +1,4 @@
-"""A start on another map than the one in use: with the map that is taken for it, and as sure as it was told."""
+"""A start on a map that is not in use: it arrives with that map, and with the given uncertainty."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def grid(name: str) -> MapGrid2D:
 
 
 class Outside:
-    """What sources and the module need of their host, and what they said to it."""
+    """A host for sources and the module, and the messages that they sent through it."""
 
     def __init__(self, folder: Path) -> None:
         self.maps = {name: grid(name) for name in ("house", "cellar")}

@@ -52,7 +52,7 @@ _STARTED = {Ros1State.PENDING: Ros1State.ACTIVE, Ros1State.RECALLING: Ros1State.
 
 
 class ServerOutput(Protocol):
-    """Where an `ActionlibServer`'s messages and calls go; nothing here waits."""
+    """Sends the messages and calls of an `ActionlibServer`; nothing here blocks."""
 
     def publish(self, part: str, payload: bytes, source: str = "") -> None:
         """Publish on ``status``, ``feedback`` or ``result``; those who connect later get each goal's result, too."""
@@ -108,7 +108,7 @@ class ActionlibServer:
         self._closed = False
 
     def open(self) -> None:
-        """Say that the server is there."""
+        """Publish the first status list, by which clients find the server."""
         self._flush()
 
     def forget_time(self) -> None:
