@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
 from bridge.interfaces.definition import BuildError, Form
+from bridge.messages.definitions.names import package_name
 
 
 def read_package_folder(folder: Path) -> dict[str, str]:
@@ -27,7 +27,7 @@ def read_folders(folders: Iterable[Path]) -> dict[str, dict[str, str]]:
         packages = {}
         for entry in _package_folders(folder.resolve()):
             if files := read_package_folder(entry):
-                packages[_package_name(entry)] = files
+                packages[package_name(entry)] = files
         if not packages:
             raise BuildError(
                 f"no .msg, .srv or .action files in {folder}",
@@ -54,18 +54,9 @@ def _package_folders(folder: Path) -> list[Path]:
     return [folder, *inner]
 
 
-def _package_name(folder: Path) -> str:
-    """Return the name in a package's ``package.xml``, else that of its folder."""
-    try:
-        match = re.search(r"<name>\s*([^<\s]+)\s*</name>", (folder / "package.xml").read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError):
-        match = None
-    return match[1] if match else folder.name
-
-
 def _text(file: Path) -> str:
     try:
-        return file.read_text(encoding="utf-8")
+        return file.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as err:
         raise BuildError(f"cannot be read: {err}", where=str(file)) from None
 

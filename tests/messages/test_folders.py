@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from bridge.interfaces.definition import read_package
+from bridge.interfaces.folders import read_folders
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
@@ -132,3 +133,41 @@ def test_a_type_of_an_installed_ros1_package_is_nested_in_ros2(tmp_path: Path) -
     found = Registry(folders=[folder.parent], ros1_packages=packages.parents[1])
     assert "int32 number" in found.ros2("my_robot/msg/Outer").definition
     assert found.hub_to_ros1("my_robot/msg/Outer").target.definition.startswith("old_msgs/Mark[] marks\n")
+
+
+@pytest.mark.parametrize("path", ["checkout-main", "checkout-main/msg", "", "own", "link", "link_msg", "own/msg/.."])
+def test_a_package_has_its_own_name_in_any_folder(tmp_path: Path, path: str) -> None:
+    """The name is that in ``package.xml``, else that of the folder itself, not of a link to it."""
+    for name, title in (("checkout-main", "my_robot"), ("own", "")):
+        folder = tmp_path / "src" / name
+        (folder / "msg").mkdir(parents=True)
+        (folder / "msg" / "Outer.msg").write_text("Inner inner\n")
+        (folder / "msg" / "Inner.msg").write_text("int32 a\n")
+        (folder / "srv").mkdir()
+        (folder / "srv" / "Ask.srv").write_text("Inner inner\n---\n")
+        if title:
+            (folder / "package.xml").write_text(f"<package><name>{title}</name></package>")
+    (tmp_path / "src" / "link").symlink_to(tmp_path / "src" / "own")
+    (tmp_path / "src" / "link_msg").symlink_to(tmp_path / "src" / "own" / "msg")
+    package = "own" if "own" in path or "link" in path else "my_robot"
+    found = Registry(folders=[tmp_path / "src" / path], ros1_packages=Path("/nonexistent"))
+    assert found.ros1(f"{package}/Outer").definition == found.ros2(f"{package}/msg/Outer").definition.replace(
+        f"{package}/Inner inner", "Inner inner"
+    )
+    assert found.hub_to_ros1(f"{package}/msg/Outer").target.name == f"{package}/Outer"
+    if not path.endswith("msg"):
+        assert found.service_ros2(f"{package}/srv/Ask").name == f"{package}/srv/Ask"
+
+
+@pytest.mark.parametrize("text", ["int32 a\n", "# words\r\nint32 a\r\n"])
+def test_a_byte_order_mark_is_no_part_of_a_definition(tmp_path: Path, text: str) -> None:
+    files = {"Outer": f"\ufeff{text}", "Ask": f"\ufeff---\n{text}", "Go": f"\ufeff---\n---\n{text}"}
+    found = registry(tmp_path, files)
+    assert (
+        found.ros2("my_robot/msg/Outer").type_id
+        == registry(tmp_path / "plain", {"Outer": text}).ros2("my_robot/msg/Outer").type_id
+    )
+    assert found.ros1_action("my_robot/Go").feedback.definition
+    assert found.service_ros1_to_hub("my_robot/Ask").hub.name == "my_robot/srv/Ask"
+    [package] = read_folders([tmp_path / "my_robot"]).items()
+    assert len(read_package(*package)) == len(files)

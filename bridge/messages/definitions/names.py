@@ -8,13 +8,24 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 MAX_NAME = 200  # characters of a type's name; longer ones cannot be the names of files that define them
 _ROS1_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*")
 _ROS2_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/(?:msg|srv|action)/[A-Za-z][A-Za-z0-9_]*")
+_XML_NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
 _LEGAL_PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
 _LEGAL_MESSAGE = re.compile(r"[A-Z][A-Za-z0-9]*")
 _LEGAL_CONSTANT = re.compile(r"(?!.*__)(?!.*_$)[A-Z][A-Z0-9_]*")
+
+
+def package_name(folder: Path) -> str:
+    """Return the name in a package's ``package.xml``, else that of its folder, not of a link to it."""
+    try:
+        match = _XML_NAME.search((folder / "package.xml").read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        match = None
+    return match[1] if match else folder.resolve().name
 
 
 def is_ros1_name(name: str) -> bool:

@@ -155,7 +155,7 @@ def read_sections(path: Path, kind: str) -> list[str]:
     In a service only the first separator counts, as for genmsg.
     """
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as err:
         raise MessageTypeError(f"cannot read {path}: {err}") from None
     sections = split_parts(text)

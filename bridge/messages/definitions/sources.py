@@ -17,12 +17,12 @@ import re
 import site
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
 from bridge.messages.definitions.hashes import EMPTY_MEMBER
-from bridge.messages.definitions.names import is_legal_type, is_ros1_name, is_ros2_name
+from bridge.messages.definitions.names import is_legal_type, is_ros1_name, is_ros2_name, package_name
 from bridge.messages.definitions.parts import (
     CONTENTS,
     actionlib_names,
@@ -56,7 +56,8 @@ class DefinitionSource(Protocol):
 class DefinitionFolder:
     """A folder of ``.msg``, ``.srv`` and ``.action`` (or ``.idl``) files.
 
-    Laid out as ``<package>/msg/<Name>.msg``, as ``<package>/<Name>.msg``, or being the package's own folder.
+    Laid out as ``<package>/msg/<Name>.msg``, as ``<package>/<Name>.msg``, or being the package's own folder or its
+    ``msg``. The package has the name in its ``package.xml`` or that of its folder.
     """
 
     def __init__(self, root: Path, world: World) -> None:
@@ -68,11 +69,32 @@ class DefinitionFolder:
         wanted = [self.root / package / kind]
         if kind == "msg":
             wanted.append(self.root / package)
-        if self.root.name == package:
+        for folder in self._renamed.get(package, ()):
+            wanted += [folder / kind, folder]
+        if package in self._names:
             wanted += [self.root / kind, self.root]
-        if self.root.name == kind and self.root.parent.name == package:
+        if package in self._parent_names and kind in (self.root.name, self.root.resolve().name):
             wanted.append(self.root)
         return [folder for folder in wanted if folder.is_dir()]
+
+    @cached_property
+    def _names(self) -> set[str]:
+        """The names of the package if this is a package's own folder."""
+        return {self.root.name, package_name(self.root)}
+
+    @cached_property
+    def _parent_names(self) -> set[str]:
+        """The names of the package if this is its folder ``msg``, ``srv`` or ``action``."""
+        return {self.root.parent.name, package_name(self.root.resolve().parent)}
+
+    @cached_property
+    def _renamed(self) -> Mapping[str, list[Path]]:
+        """The folders of packages in this folder that have other names than their packages, by package."""
+        found: dict[str, list[Path]] = {}
+        for file in sorted(self.root.glob("*/package.xml")):
+            if (name := package_name(file.parent)) != file.parent.name:
+                found.setdefault(name, []).append(file.parent)
+        return found
 
     def find(self, name: str) -> Found | None:
         parts = name.split("/")
@@ -251,7 +273,7 @@ def read_text(path: Path) -> str:
     try:
         if path.stat().st_size > MAX_TEXT:
             raise MessageTypeError(f"{path} is larger than {MAX_TEXT} bytes")
-        return path.read_text(encoding="utf-8", errors="replace")
+        return path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as err:
         raise MessageTypeError(f"cannot read {path}: {err}") from None
 
