@@ -7,6 +7,7 @@ Facts about rosbags 0.11 (typesys/msg.py and store.py, highlevel/anyreader.py):
 
 - In ``ros2msg`` it reads each name without ``/msg/`` or ``/action/`` as a message, so a type of a service, such as
   ``my_robot/srv/Ask_Event``, can only be decoded from ``ros2idl``.
+- It completes a name of one word by the folder of the type that nests it, also by ``pkg/action``.
 - It hashes ``char`` under a type id of its own, whereas rosidl hashes a ``.msg`` file's ``char`` as ``uint8``.
 - It refuses a whole ``.db3`` if the hash of one stored definition differs from the type's hash.
 
@@ -143,7 +144,8 @@ def _part_of_file(type_name: str, base: str, contents: tuple[str, ...], sections
 def without_char(schema: Schema) -> Schema:
     """Return the same types with ``uint8`` for ``char``, which ROS 2 serializes and hashes alike.
 
-    An author's text that names a type in three words is generated again, since ``.msg`` files have two.
+    An author's text that names a type in three words is generated again, since ``.msg`` files have two; that of a part
+    of an action, since there a name of one word would be of ``pkg/action``.
     """
     types = {name: _plain(definition) for name, definition in schema.types.items()}
     return Schema(types[schema.name], types)
@@ -154,7 +156,7 @@ def _plain(definition: Definition) -> Definition:
         replace(field, type=replace(field.type, base="uint8")) if field.type.base == "char" else field
         for field in definition.fields
     )
-    if fields == definition.fields and "/msg/" not in definition.text:
+    if fields == definition.fields and "/msg/" not in definition.text and "/action/" not in definition.name:
         return definition
     return replace(definition, fields=fields, text="")
 

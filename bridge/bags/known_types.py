@@ -71,7 +71,7 @@ def ros1_md5(registry: Registry, topic: BagTopic) -> str:
 
 
 def typed(topic: BagTopic, path: Path) -> BagTopic:
-    """Return the topic with its type as its world spells it; some writers of MCAP leave ``/msg/`` out."""
+    """Return the topic with its type as its world spells it; some writers of MCAP leave ``/msg/`` out, or add it."""
     if not topic.type_name:
         raise BagError(path, f"{topic.name} has no type: its channel has no schema")
     is_name = is_ros1_name if topic.world is World.ROS1 else is_ros2_name
@@ -79,6 +79,8 @@ def typed(topic: BagTopic, path: Path) -> BagTopic:
         return topic
     if topic.world is World.ROS2 and is_ros1_name(topic.type_name):
         return replace(topic, type_name=topic.type_name.replace("/", "/msg/"))
+    if topic.world is World.ROS1 and is_ros1_name(name := topic.type_name.replace("/msg/", "/", 1)):
+        return replace(topic, type_name=name)
     raise BagError(path, f"{topic.name} has type {topic.type_name!r}, which is not a type of {topic.world.value}")
 
 

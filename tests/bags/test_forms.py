@@ -24,6 +24,7 @@ from bridge.messages.definitions.text import closure, full_text, parse_full
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
 from bridge.routing.rules import NameFilter
+from tests.bags.foreign import Recorded, foreign_mcap
 from tests.bags.stock import mcap, member, rosbag, rosbags
 from tests.bags.written import START
 
@@ -206,11 +207,17 @@ OWN = "int32 n\n"
 ASK = "int32 a\nmy_msgs/Part part\n---\nint32 b\n" + LINE + "MSG: my_msgs/Part\nchar n\n"
 EMPTY = "---\nbool ok\nstring<=9[<=2] texts\n"
 DIG = "float32 depth\n---\nbool done\n---\nmy_msgs/Part part\n" + LINE + "MSG: my_msgs/Part\nfloat32 depth\n"
+NEAR = "Part part\n---\nbool done\n---\nPart[2] parts\n" + LINE + "MSG: my_robot/Part\nfloat32 depth\n"
+NEAR_GOAL = {"request": [{"goal": {"part": {"depth": 2.5}}}]}
+NEAR_PARTS = {"feedback": {"parts": [{"depth": 0.5}, {"depth": 1.5}]}}
 FILES = {
     "my_robot/srv/Ask_Event": (ASK, {"request": [{"a": 5, "part": {"n": 3}}]}, "request.0.part.n", 3),
     "my_robot/srv/Empty_Event": (EMPTY, {"response": [{"texts": ["x", "y"]}]}, "response.0.texts.1", "y"),
     "my_robot/action/Dig_FeedbackMessage": (DIG, {"feedback": {"part": {"depth": 1.5}}}, "feedback.part.depth", 1.5),
     "my_robot/action/Dig_SendGoal_Event": (DIG, {"request": [{"goal": {"depth": 2.5}}]}, "request.0.goal.depth", 2.5),
+    # of the same package, and named in one word
+    "my_robot/action/Near_FeedbackMessage": (NEAR, NEAR_PARTS, "feedback.parts.1.depth", 1.5),
+    "my_robot/action/Near_SendGoal_Event": (NEAR, NEAR_GOAL, "request.0.goal.part.depth", 2.5),
 }
 """A type with the text of its file, which rosbag2 stores; values; a member and its value."""
 
@@ -250,6 +257,26 @@ def test_a_definition_that_an_older_midspan_recorded_is_corrected(tmp_path: Path
     assert (topic_name, kind) == ("/dig/feedback", "my_robot/DigActionFeedback")
     assert member(message, "feedback.part.depth") == 1.5  # type: ignore[arg-type]
     assert member(message, "status.goal_id.id") == "midspan-07070707-0707-0707-0707-070707070707"
+
+
+@pytest.mark.parametrize("text", ['a # b "q"', "it's # b", '"q"', "both ' and \" # b", "", "\\"])
+def test_any_text_of_a_constant_of_ros_1_leaves_the_new_file_readable(text: str, tmp_path: Path) -> None:
+    definition = f"string S={text}\nstring EMPTY=\nint32 n\nchar c\n"
+    source = ros1_file(tmp_path / "a.bag", [("/own", "my_msgs/Own", definition, b"\5\0\0\0A")])
+    for target in (tmp_path / "b.mcap", tmp_path / "b.db3"):
+        converted(source, target)
+        assert [message.n for *_, message in rosbags(target)] == [5]
+    assert [message.n for *_, message in mcap(tmp_path / "b.mcap")] == [5]
+
+
+def test_a_type_of_three_words_becomes_one_of_ros_1(tmp_path: Path) -> None:
+    topic = Recorded("/text", "std_msgs/msg/String", "string data\n", [TEXT])
+    source = foreign_mcap(tmp_path / "a.mcap", topic, encoding="ros1")
+    for target in (tmp_path / "b.db3", tmp_path / "b.bag"):
+        converted(source, target)
+        assert [(type_name, m.data) for _, type_name, m in rosbags(target)] == [("std_msgs/msg/String", "hi")]
+    (found,) = rosbag([tmp_path / "b.bag"])
+    assert found == [("/text", "std_msgs/String", {"data": "hi"})]
 
 
 IDL = """\

@@ -268,7 +268,7 @@ def full_text(schema: Schema) -> str:
 
 
 def _constant(constant: Constant, world: World) -> str:
-    if constant.base == "string" and world is World.ROS2 and constant.text[:1] not in ("'", '"'):
+    if constant.base == "string" and world is World.ROS2 and not _QUOTED.fullmatch(constant.text):
         return f"string {constant.name}={_quoted(constant.text)}"
     return f"{constant.base} {constant.name}={constant.text}"
 
