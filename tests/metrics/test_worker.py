@@ -172,7 +172,7 @@ def test_an_address_that_others_reach_without_protection_is_refused(place: Place
         loads("metrics: {enabled: true, listen: '0.0.0.0:9480'}")
     with pytest.raises(RuntimeError, match=r"metrics\.listen: other machines reach"):
         place.start(metrics={"listen": "0.0.0.0:0"})
-    with pytest.raises(ConfigError, match="no address and port"):
+    with pytest.raises(ConfigError, match="not an address with a port"):
         loads("metrics: {listen: '9480'}")
     assert loads("metrics: {listen: '0.0.0.0:9480'}").metrics.reached
 

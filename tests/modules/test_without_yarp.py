@@ -50,7 +50,7 @@ def test_ports_that_are_switched_off_look_for_no_name_server(no_conf: Path, name
 def test_where_no_file_names_a_server_nothing_is_reported_until_one_does(no_conf: Path) -> None:
     ports = ports_of(no_conf)
     port = ports.output("/said:o")
-    until(lambda: "no file says" in port.trouble, "the port has looked for a name server")
+    until(lambda: "no address of YARP" in port.trouble, "the port has looked for a name server")
     assert ports.trouble() == ""
     assert ports.status()[0]["state"] == "waiting"
     number = free_port()
@@ -65,7 +65,7 @@ def test_where_no_file_names_a_server_nothing_is_reported_until_one_does(no_conf
 def test_a_missing_server_is_reported_if_yarp_is_used(no_conf: Path, yarp: dict[str, Any]) -> None:
     ports = ports_of(no_conf, **yarp)
     ports.output("/said:o")
-    until(lambda: "no file says" in ports.trouble(), "the trouble is reported")
+    until(lambda: "no address of YARP" in ports.trouble(), "the trouble is reported")
     ports.close()
 
 

@@ -598,9 +598,9 @@ def test_the_places_to_send_to_are_in_sight(
         operator.open("drive")
         operator.choose("Send")
         until(lambda: len(operator.texts(".places-list button")) == 9, "nine places are listed")
+        until(lambda: chrome.execute_script(SENDING)["visible"] == 9, "nine places are in sight")
         nine = chrome.execute_script(SENDING)
         assert nine["content"] <= nine["panel"], "the panel does not scroll"
-        assert nine["visible"] == 9
         assert operator.button("End drive").is_displayed()
         operator.choose("By hand")
         assert operator.button("Turn left").is_displayed()
