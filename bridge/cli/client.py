@@ -19,7 +19,7 @@ from bridge.cli.output import CliError
 from bridge.config.document import ConfigError
 from bridge.config.load import find, load
 from bridge.config.model import Config
-from bridge.doctor.daemon_state import DaemonState, Life, daemon_state, describe
+from bridge.doctor.daemon_state import DaemonState, Life, daemon_state, describe, unresponsive_router
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSession, HubSettings
@@ -156,8 +156,8 @@ def _connected(args: argparse.Namespace, config: Config) -> Iterator[CliClient]:
             missing = state.why_missing("router", config) or _report(state)
             if not missing:
                 raise
-            held = err.hint if _HELD in err.hint and "is held by" not in missing else ""
-            raise CliError("\n".join(filter(None, (err.text, missing, state.cure, held)))) from None
+            hint = "" if err.hint == _DOWN or (_HELD in err.hint and "is held by" in missing) else err.hint
+            raise CliError("\n".join(filter(None, (err.text, missing, state.cure, hint)))) from None
         yield client
 
 
@@ -195,7 +195,7 @@ def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[CliCli
         session = zenoh.open(client_session_config(config.hub.listen, config.hub.zenoh, seconds))
     except zenoh.ZError as err:
         text = f"no zenoh router answers for {where}: {_short(err)}"
-        raise UnreachableHubError(text, _hint(config.hub.listen)) from None
+        raise UnreachableHubError(text, _hint(config)) from None
     except HubError as err:
         raise CliError(f"hub.zenoh: {err}") from None
     try:
@@ -212,15 +212,20 @@ def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[CliCli
         hub.close()
 
 
+_DOWN = "Is the daemon running? Start it with 'midspan run', or name another router with --router."
 _HELD = "Another program holds"
 
 
-def _hint(endpoint: str) -> str:
-    """Return why no router may answer at an endpoint, and what to do."""
+def _hint(config: Config) -> str:
+    """Return why no router may answer at the hub's endpoint, and what to do."""
     from bridge.hub.router import port_held  # needed only here
 
+    endpoint = config.hub.listen
+    unresponsive = unresponsive_router(config)
+    if unresponsive:
+        return f"{unresponsive}; 'midspan doctor' names the cause, and its log may, too"
     if not port_held(endpoint):
-        return "Is the daemon running? Start it with 'midspan run', or name another router with --router."
+        return _DOWN
     place = connect_endpoint(endpoint)
     tls = ", or it refuses this machine's certificate" if place.startswith(("tls/", "quic/")) else ""
     cure = "Stop it, set hub.listen to a free port, or name another router with --router."

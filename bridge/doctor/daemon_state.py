@@ -22,6 +22,7 @@ from bridge.config.model import Config
 from bridge.daemon import units
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.daemon.workers import worker_kinds
+from bridge.hub.zenoh_config import connect_endpoint
 from bridge.state_file import state_folder
 
 Document = Mapping[str, Any]
@@ -128,6 +129,21 @@ def _places(config: Config) -> list[Config]:
     return [config.model_copy(update={"state": folder}) for folder in folders]
 
 
+def unresponsive_router(config: Config) -> str:
+    """Return that a configuration's router holds the hub's port, if its process does; "" otherwise.
+
+    For a port at which no router answers: one that hangs, or that has no free file descriptor, still listens there.
+    """
+    from bridge.hub.router import port_holder  # many verbs need no router
+
+    holder = port_holder(config.hub.listen)
+    routers = [_outliving(place) for place in _places(config)]
+    if holder is None or holder.pid not in routers:
+        return ""
+    place = connect_endpoint(config.hub.listen)
+    return f"the router of {config.name} (process {holder.pid}) listens at {place}, but accepts no connection"
+
+
 def describe(document: Document) -> str:
     """Return how a worker gets on by the daemon's report, with its crashes."""
     text, restarts, ended = (
@@ -210,7 +226,7 @@ def _lives(pid: int) -> bool:
 
 
 def _outliving(config: Config) -> int:
-    """The router that outlives this daemon, else 0."""
+    """Return the process of this daemon's router, which may outlive the daemon; 0 if it does not run."""
     pid = _holder(state_file.worker_lock(config, "router"))
     return pid if pid and _lives(pid) else 0
 

@@ -95,6 +95,19 @@ def port_held(endpoint: str) -> bool:
         return False
 
 
+def port_holder(endpoint: str) -> psutil.Process | None:
+    """Return the process that listens on an endpoint's TCP port, None if this user may not see it."""
+    port = connect_endpoint(endpoint).partition("?")[0].rpartition(":")[2]
+    try:
+        for connection in psutil.net_connections("tcp"):
+            listens = connection.status == psutil.CONN_LISTEN and tuple(connection.laddr)[1:] == (int(port),)
+            if listens and connection.pid:
+                return psutil.Process(connection.pid)
+    except (psutil.Error, OSError, ValueError):
+        return None
+    return None
+
+
 def create_router() -> RouterWorker:
     """Make the worker of a process that runs nothing else, so that zenoh's log may use its standard output."""
     return RouterWorker(ZenohLog.capture())

@@ -33,8 +33,8 @@ def register_status(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
         "Shows every daemon and worker on the hub, this machine's workers that start or cannot work, what blocks"
-        " topics, and for each route what crosses, how fast, and what was dropped. Exit code 1 if nothing answers, and"
-        " if this machine's daemon does not run although its router does."
+        " topics, and for each route what crosses, how fast, and what was dropped. Exit code 1 if the hub cannot be"
+        " joined, if nothing answers, and if this machine's daemon does not run although its router does."
     )
     parser.add_argument("--json", action="store_true", help="print the workers' status documents as JSON")
     add_hub_arguments(parser)
@@ -42,10 +42,12 @@ def register_status(parser: argparse.ArgumentParser) -> None:
 
 
 def run_status(args: argparse.Namespace) -> int:
-    """Show the status once."""
+    """Show the status once; a running daemon's workers also if the hub cannot be joined."""
     documents, refused = list[Document](), list[Refusal]()
     state = daemon_state(client_config(args), file=config_file(args)) if of_this_machine(args) else DaemonState("")
-    silent, joined = absent(state.document, looping=True), False
+    silent = absent(state.document, looping=True)
+    unreachable: CliError | None = None
+    joined = False
     try:
         with open_client(args, warn=False) as client:
             joined = True
@@ -56,8 +58,7 @@ def run_status(args: argparse.Namespace) -> int:
         if state.life is not Life.RUNNING:
             raise
         silent = absent(state.document, _ENABLED, looping=True)
-        if not joined:
-            print(f"midspan: warning: {err}", file=sys.stderr)
+        unreachable = None if joined else err
     if state.life is Life.UNKNOWN and of_this_machine(args):
         state = daemon_state(client_config(args), documents, config_file(args))
     documents = [*with_silent(documents, silent), *of_daemon(state)]
@@ -68,6 +69,8 @@ def run_status(args: argparse.Namespace) -> int:
         show(make_console(), documents, refused)
     if state.trouble:
         raise CliError(f"{state.trouble}\n{state.cure}")
+    if unreachable is not None:
+        raise unreachable
     return 0
 
 

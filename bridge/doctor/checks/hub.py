@@ -15,13 +15,13 @@ from bridge.daemon.units import start_hint, units_in_use
 from bridge.doctor.causes import cause, grouped, shared
 from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext, Document
+from bridge.doctor.daemon_state import unresponsive_router
 from bridge.doctor.hub_problems import absence
 from bridge.hub.errors import HubConfigError, HubError
-from bridge.hub.router import port_held, probe_router
+from bridge.hub.router import port_held, port_holder, probe_router
 from bridge.hub.security.certificates import Certificate, CertificateError, read_certificate, signed_by
 from bridge.hub.security.door import has_tls, key_files
 from bridge.hub.security.key_files import KeyFiles
-from bridge.hub.zenoh_config import connect_endpoint
 
 _COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}
 """What the daemon says of a worker that does not answer on the hub yet."""
@@ -154,6 +154,9 @@ def look_at_port(context: CheckContext) -> Findings:
     except HubError as err:
         return fail(str(err), "mend hub.zenoh")
     if info is None:
+        deaf = unresponsive_router(context.config)
+        if deaf:
+            return fail(deaf, "see the checks 'daemon' and 'descriptors'; if they are good, end that process")
         if not port_held(hub.listen):
             return ok(f"nothing listens at {hub.listen}: the daemon's router will")
         seen = f"{hub.listen} is held by a program that is not zenoh{_holder(hub.listen)}"
@@ -169,16 +172,12 @@ def look_at_port(context: CheckContext) -> Findings:
 
 
 def _holder(endpoint: str) -> str:
-    """The process that listens there, as far as this user may know."""
-    port = connect_endpoint(endpoint).partition("?")[0].rpartition(":")[2]
+    """Return the process that listens at an endpoint, "" if this user may not see it."""
     try:
-        for connection in psutil.net_connections("tcp"):
-            listens = connection.status == psutil.CONN_LISTEN and tuple(connection.laddr)[1:] == (int(port),)
-            if listens and connection.pid:
-                return f" (process {connection.pid}, {psutil.Process(connection.pid).name()})"
-    except (psutil.Error, OSError, ValueError):
+        holder = port_holder(endpoint)
+        return f" (process {holder.pid}, {holder.name()})" if holder is not None else ""
+    except psutil.Error:
         return ""
-    return ""
 
 
 SOON_DAYS = 30

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import resource
 import signal
 import socket
 from collections.abc import Callable, Iterator
@@ -19,6 +20,7 @@ from tests.support.ports import free_port
 from tests.support.wait import until
 
 DOWN = "the daemon robot is not running, although its router is (process {router})"
+UNRESPONSIVE = "the router of robot (process {router}) listens at tcp/127.0.0.1:{port}, but accepts no connection"
 STAND_IN = "tests.cli.stand_in:Modules"
 Start = Callable[..., RobotDaemon]
 
@@ -241,7 +243,7 @@ def test_status_while_another_program_holds_the_port(tmp_path: Path, words: list
             robot.process(*words)
             robot.until_phase("router", "restarting" if "--adopt" in words else "cannot work")
             done = robot("status")
-            assert done.returncode == 0, done
+            assert done.returncode == 1, done
             assert "router   restarting" in done.stdout or "router   cannot work" in done.stdout
             assert "held by a program" in done.stderr or f"Another program holds {place}" in done.stderr
             other_state(robot, tmp_path)
@@ -288,8 +290,63 @@ def test_status_of_a_daemon_without_a_router(tmp_path: Path) -> None:
         robot.until_phase("modules", "running")
         for words in (["status"], ["topic", "list"]):
             done = robot(*words)
-            assert (done.returncode == 0) == (words == ["status"]), done
+            assert done.returncode == 1, done
+            assert ("modules  running" in done.stdout) == (words == ["status"])
             assert "the daemon robot is running" in done.stderr
             assert "Is the daemon running?" not in done.stderr
+    finally:
+        robot.close()
+
+
+def exhaust(pid: int) -> None:
+    """Leave a process no file descriptor for another connection."""
+    _, hard = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+    resource.prlimit(pid, resource.RLIMIT_NOFILE, (len(list(Path(f"/proc/{pid}/fd").iterdir())), hard))
+
+
+def test_a_router_that_accepts_no_connection(tmp_path: Path) -> None:
+    """The kernel completes connections to its port, but they get no answer: no other program is to blame."""
+    robot = RobotDaemon(tmp_path, navigation={}, modules={})
+    try:
+        robot.start()
+        router = robot.until_phase("router", "running")["pid"]
+        exhaust(router)
+        cause = UNRESPONSIVE.format(router=router, port=robot.port)
+        for words in (["status"], ["topic", "list"]):
+            done = robot(*words)
+            assert done.returncode == 1
+            assert cause in done.stderr
+            assert "midspan doctor" in done.stderr
+            assert "Another program" not in done.stderr
+            assert ("router   running" in done.stdout) == (words == ["status"])
+        done = robot("doctor", "--only", "router-port", "--only", "descriptors")
+        assert done.returncode == 1
+        assert f"FAIL  router-port: {cause}" in done.stdout
+        assert re.search(r"FAIL  descriptors: robot/router has \d+ files open of \d+ allowed", done.stdout)
+        assert "stop that program" not in done.stdout
+    finally:
+        robot.close()
+
+
+def test_a_daemon_that_is_suspended_with_its_router(tmp_path: Path) -> None:
+    """As Ctrl-Z in its terminal does."""
+    robot = RobotDaemon(tmp_path, navigation={}, modules={})
+    try:
+        robot.start()
+        router = robot.until_phase("router", "running")["pid"]
+        assert robot.daemon is not None
+        for pid in (robot.daemon.pid, router):
+            os.kill(pid, signal.SIGSTOP)
+        done = robot("status")
+        assert done.returncode == 1
+        assert f"the daemon robot (process {robot.daemon.pid}) does not answer" in done.stderr
+        assert "Another program" not in done.stderr
+        robot.daemon.popen.kill()
+        robot.daemon.popen.wait(20)
+        done = robot("status")
+        assert done.returncode == 1
+        assert DOWN.format(router=router) in done.stderr
+        assert UNRESPONSIVE.format(router=router, port=robot.port) in done.stderr
+        assert "Another program" not in done.stderr
     finally:
         robot.close()
