@@ -67,7 +67,9 @@ def _unknown_key(model: type[BaseModel], path: KeyPath) -> str:
 
 def _choice(value: Any, expected: str) -> str:
     choices = [part.strip().strip("'") for part in expected.replace(" or ", ", ").split(",")]
-    near = difflib.get_close_matches(str(value), choices, n=1)
+    if isinstance(value, str) and value in ("true", "false") and value.title() in choices:
+        return f"{value!r} is a text here; write {value} without quotes"
+    near = difflib.get_close_matches(str(value), choices, n=1) if isinstance(value, str) else []
     hint = f"; did you mean '{near[0]}'?" if near else ""
     return f"{_shown(value)} is not one of {', '.join(choices)}{hint}".replace("True", "true").replace("False", "false")
 

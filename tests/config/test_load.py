@@ -66,6 +66,8 @@ CASES = [
         "log: {level: warn}",
         ["1:14: log.level: 'warn' is not one of debug, info, warning, error; did you mean 'warning'?"],
     ),
+    ("ros1: {enabled: 'true'}", ["1:17: ros1.enabled: 'true' is a text here; write true without quotes"]),
+    ("ros2: {enabled: [true]}", ["1:17: ros2.enabled: a list is not one of auto, true, false"]),
     ("ros1: {enabled: yes}", ["1:17: ros1.enabled: 'yes' is not one of auto, true, false"]),
     ("hub:\n  domain: 1\n  domain: 2", ["3:3: hub.domain: given twice (first in line 2); keep one"]),
     ("hub: 3", ["1:6: hub: must be a section with keys, not 3"]),
@@ -105,6 +107,30 @@ CASES = [
         "hub: {open: {connect: ['tcp/a:7448'], insecure: true, trusted: [a]}}",
         ["1:13: hub.open: without TLS no machine shows a certificate, and none can be recognized as 'a'; use TLS"],
     ),
+    (
+        "hub: {listen: tcp/127.0.0.1}",
+        ["1:15: hub.listen: 'tcp/127.0.0.1' has no port from 0 to 65535; write it like tcp/127.0.0.1:7447"],
+    ),
+    (
+        "hub: {listen: 'tcp/127.0.0.1:99999'}",
+        ["1:15: hub.listen: 'tcp/127.0.0.1:99999' has no port from 0 to 65535; write it like tcp/127.0.0.1:7447"],
+    ),
+    (
+        "hub: {open: {connect: tls/robot1}}",
+        ["1:23: hub.open.connect: 'tls/robot1' has no port from 0 to 65535; write it like tls/robot1:7447"],
+    ),
+    (
+        "hub: {open: {connect: 'tls/robot1:port'}}",
+        ["1:23: hub.open.connect: 'tls/robot1:port' has no port from 0 to 65535; write it like tls/robot1:7447"],
+    ),
+    (
+        "zenoh: {router: 'tcp/[fe80::1%eth0]'}",
+        ["1:17: zenoh.router: 'tcp/[fe80::1%eth0]' has no port from 0 to 65535; write it like tcp/[fe80::1%eth0]:7447"],
+    ),
+    (
+        "hub: {open: {connect: 'tls/:7448'}}",
+        ["1:23: hub.open.connect: 'tls/:7448' has no host; write it like tls/robot1:7448"],
+    ),
     ("hub: {open: {trusted: [a]}}", ["1:13: hub.open: names no endpoint: give 'listen' or 'connect'"]),
     (
         "hub: {open: {listen: ['tls/0.0.0.0:7447']}}",
@@ -112,6 +138,15 @@ CASES = [
             (
                 "1:6: hub: tls/0.0.0.0:7447 has the port of hub.listen (tcp/127.0.0.1:7447), which is taken; choose"
                 " another, such as 7448"
+            )
+        ],
+    ),
+    (
+        "hub: {listen: 'tcp/127.0.0.1:7448', open: {listen: ['tls/0.0.0.0:7448']}}",
+        [
+            (
+                "1:6: hub: tls/0.0.0.0:7448 has the port of hub.listen (tcp/127.0.0.1:7448), which is taken; choose"
+                " another, such as 7449"
             )
         ],
     ),

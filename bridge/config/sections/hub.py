@@ -102,7 +102,10 @@ class HubSection(Section):
         elif self.open.opened and self.listen.startswith(("tls/", "quic/")):
             msg = "with hub.open this machine's own programs join without TLS; write hub.listen: tcp/127.0.0.1:7447"
         elif taken:
-            msg = f"{taken[0]} has the port of hub.listen ({self.listen}), which is taken; choose another, such as 7448"
+            free = 7449 if same_port(self.listen, "tcp/127.0.0.1:7448") else 7448
+            msg = (
+                f"{taken[0]} has the port of hub.listen ({self.listen}), which is taken; choose another, such as {free}"
+            )
         else:
             return self
         raise ValueError(msg)

@@ -118,11 +118,32 @@ FLOOR = (
 PortName = Annotated[str, matching(YARP_PORT, _NOT_A_PORT)]
 OptionalPort = Annotated[str, matching(f"(?:{YARP_PORT.pattern})?", _NOT_A_PORT)]
 PORT, PORT_OR_NONE = f"^{YARP_PORT.pattern}$", f"^({YARP_PORT.pattern})?$"
+
+
+def _with_port(endpoint: str) -> str:
+    """Check the host and port of a zenoh endpoint on IP; port 0 of a listener is any free one."""
+    protocol, _, rest = endpoint.partition("/")
+    if protocol not in {"tcp", "udp", "tls", "quic", "ws"}:
+        return endpoint
+    address = re.fullmatch(r"(\[.+\]|[^:\[\]]*)(?::(\w*))?", re.split(r"[?#]", rest)[0])
+    if address is None:
+        raise ValueError(
+            f"{endpoint!r} has no valid address; write it like {protocol}/robot1:7447 or {protocol}/[::1]:7447"
+        )
+    host, port = address[1], address[2] or ""
+    if not host:
+        raise ValueError(f"{endpoint!r} has no host; write it like {protocol}/robot1:{port or 7447}")
+    if not re.fullmatch(r"[0-9]{1,5}", port) or int(port) > 65535:
+        raise ValueError(f"{endpoint!r} has no port from 0 to 65535; write it like {protocol}/{host}:7447")
+    return endpoint
+
+
 ZenohEndpoint = Annotated[
     str,
     matching(
         r"[a-z][a-z0-9_-]*/\S+", "is not a zenoh endpoint; give protocol and address, for example tcp/127.0.0.1:7447"
     ),
+    AfterValidator(_with_port),
 ]
 SmallName = Annotated[
     str, matching(r"[a-z][a-z0-9_]{0,62}", "is not a name: use small letters, digits and underscores, a letter first")
