@@ -38,10 +38,24 @@ class VerbParser(argparse.ArgumentParser):
     def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
         """Parse as argparse does; unknown arguments are errors of the verb that they were given to."""
         words = list(sys.argv[1:] if args is None else args)
+        self._refuse_before_verb(words)
         parsed, unknown = self.parse_known_args(words, namespace)
         if unknown:
             self._of_verb(words)._refuse(unknown)
         return parsed
+
+    def _refuse_before_verb(self, words: Sequence[str]) -> None:
+        """Refuse a verb's option that precedes the verb: argparse would read the option's value as the verb."""
+        option = words[0].partition("=")[0] if words else ""
+        known = any(name.startswith(option) for name in self._option_string_actions)
+        verb = next((word for word in words if self._of_verb([word]) is not self), None)
+        if (
+            option.startswith("-")
+            and not known
+            and verb is not None
+            and not _meant(option, self._option_string_actions)
+        ):
+            self.error(f"{option} belongs after the verb: '{self.prog} {verb} {option} ...'")
 
     def _of_verb(self, words: Iterable[str]) -> VerbParser:
         """Return the parser of the verb, or of its subverb, that a command line names."""
@@ -101,7 +115,9 @@ def _meant(text: str, known: Iterable[str], described: Mapping[str, str] | None 
     if len(word) < 3:
         return ""
     verbs = [verb for verb, about in (described or {}).items() if word in re.findall(r"\w+", about)]
-    names = list(dict.fromkeys([*verbs, *near(word, known, 2)]))[:3]
+    known = list(known)
+    same = [name for name in known if name.lower() == word]
+    names = list(dict.fromkeys([*same, *verbs, *near(word, known, 2)]))[:3]
     return f". Did you mean {', '.join(names)}?" if names else ""
 
 
@@ -140,8 +156,26 @@ def add_hub_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments by which every verb finds the hub."""
     group = parser.add_argument_group("which hub")
     add_config(group)
-    group.add_argument("--router", metavar="ENDPOINT", help="zenoh endpoint of the router, as tcp/192.168.1.4:7447")
-    group.add_argument("--hub-domain", type=int, metavar="N", help="the hub's domain; default the configuration's")
+    group.add_argument(
+        "--router", type=_endpoint, metavar="ENDPOINT", help="zenoh endpoint of the router, as tcp/192.168.1.4:7447"
+    )
+    group.add_argument("--hub-domain", type=_domain, metavar="N", help="the hub's domain; default the configuration's")
+
+
+def _endpoint(text: str) -> str:
+    from bridge.config.sections.section import zenoh_endpoint  # few command lines need it
+
+    try:
+        return zenoh_endpoint(text)
+    except ValueError as err:
+        raise argparse.ArgumentTypeError(str(err)) from None
+
+
+def _domain(text: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,3}", text) or int(text) > 232:
+        shown = text if re.fullmatch(r"-?[0-9]+", text) else repr(text)
+        raise argparse.ArgumentTypeError(f"{shown} is not a domain from 0 to 232")
+    return int(text)
 
 
 def add_exclude(parser: argparse._ActionsContainer) -> None:

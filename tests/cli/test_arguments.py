@@ -134,3 +134,35 @@ def test_the_short_option_of_the_configuration() -> None:
     for words in (["status"], ["run"], ["worker", "ros1"], ["topic", "list"], ["demo"], ["bag", "convert", "a", "b"]):
         for short in (["-c", "my.yaml"], ["-cmy.yaml"]):
             assert values(*words, *short).config == values(*words, "--config", "my.yaml").config == Path("my.yaml")
+
+
+@pytest.mark.parametrize("words", [["-c", "x.yaml"], ["--config", "x.yaml"], ["--config=x.yaml"]], ids=" ".join)
+def test_an_option_before_the_verb(words: list[str]) -> None:
+    option = words[0].partition("=")[0]
+    assert error_of(*words, "status").endswith(f"error: {option} belongs after the verb: 'midspan status {option} ...'")
+
+
+def test_options_without_a_verb() -> None:
+    assert error_of("--verbose").endswith("unrecognized arguments: --verbose. Did you mean --version?")
+
+
+@pytest.mark.parametrize(("word", "first"), [("Status", "status"), ("TOPIC", "topic"), ("Config", "config")])
+def test_the_verb_itself_is_the_first_proposal(word: str, first: str) -> None:
+    assert re.search(rf"Did you mean {first}[,?]", error_of(word))
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (
+            ["--router", "localhost:7447"],
+            "--router: 'localhost:7447' is not a zenoh endpoint; give protocol and address",
+        ),
+        (["--router", "tcp/robot1"], "--router: 'tcp/robot1' has no port from 0 to 65535; write it like tcp/robot1:"),
+        (["--hub-domain", "500"], "--hub-domain: 500 is not a domain from 0 to 232"),
+        (["--hub-domain", "-1"], "--hub-domain: -1 is not a domain from 0 to 232"),
+        (["--hub-domain", "lab"], "--hub-domain: 'lab' is not a domain from 0 to 232"),
+    ],
+)
+def test_which_hub(words: list[str], problem: str) -> None:
+    assert problem in error_of("status", *words)

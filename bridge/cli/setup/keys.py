@@ -74,8 +74,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _make(folder: Path, args: argparse.Namespace) -> None:
-    from bridge.hub.security.certificates import Authority
+    from bridge.hub.security.certificates import Authority, general_names
 
+    general_names(args.name, args.addresses)  # a mistake in the first call makes no authority
     authority = Authority(folder)
     if not authority.exists():
         made = authority.make()

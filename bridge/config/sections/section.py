@@ -120,8 +120,14 @@ OptionalPort = Annotated[str, matching(f"(?:{YARP_PORT.pattern})?", _NOT_A_PORT)
 PORT, PORT_OR_NONE = f"^{YARP_PORT.pattern}$", f"^({YARP_PORT.pattern})?$"
 
 
-def _with_port(endpoint: str) -> str:
-    """Check the host and port of a zenoh endpoint on IP; port 0 of a listener is any free one."""
+def zenoh_endpoint(endpoint: str) -> str:
+    """Return a zenoh endpoint; raises `ValueError` if it lacks a protocol, or one of IP a host or a port.
+
+    Port 0 of a listener is any free one.
+    """
+    if not re.fullmatch(r"[a-z][a-z0-9_-]*/\S+", endpoint):
+        mistake = "is not a zenoh endpoint; give protocol and address, for example tcp/127.0.0.1:7447"
+        raise ValueError(f"{endpoint!r} {mistake}")
     protocol, _, rest = endpoint.partition("/")
     if protocol not in {"tcp", "udp", "tls", "quic", "ws"}:
         return endpoint
@@ -138,13 +144,7 @@ def _with_port(endpoint: str) -> str:
     return endpoint
 
 
-ZenohEndpoint = Annotated[
-    str,
-    matching(
-        r"[a-z][a-z0-9_-]*/\S+", "is not a zenoh endpoint; give protocol and address, for example tcp/127.0.0.1:7447"
-    ),
-    AfterValidator(_with_port),
-]
+ZenohEndpoint = Annotated[str, AfterValidator(zenoh_endpoint)]
 SmallName = Annotated[
     str, matching(r"[a-z][a-z0-9_]{0,62}", "is not a name: use small letters, digits and underscores, a letter first")
 ]

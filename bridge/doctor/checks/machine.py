@@ -33,7 +33,7 @@ def look_at_descriptors(context: CheckContext) -> Findings:
     if hard != resource.RLIM_INFINITY and hard < WANTED:
         findings.append(warn(f"at most {hard} files may be open at once; 1,000 topics want {WANTED}", RAISE))
     workers = [{"daemon": context.daemon.name, **worker} for worker in context.daemon.workers]
-    for document in context.hub.documents or workers:  # a router without descriptors lets nobody join the hub
+    for document in context.hub.documents or workers:  # without descriptors the router lets no program join
         process = context.process(document)
         if process is not None:
             findings += _worker(f"{document.get('daemon')}/{document.get('worker')}", process)

@@ -106,17 +106,11 @@ class Authority:
         Raises:
             CertificateError: it exists already, a name is invalid, or the authority cannot be used.
         """
-        if not _NAME.fullmatch(name) or name == AUTHORITY:
-            raise CertificateError(
-                f"{name!r} is not a machine's name: letters, digits, '_', '.' and '-', not {AUTHORITY!r}"
-            )
-        if why := forbidden(f"{name}.pem"):
-            raise CertificateError(f"{name!r}: its certificate's {name}.pem {why}")
+        wanted = general_names(name, names)
         there = [file for file in (self.folder / f"{name}{end}" for end in (".pem", ".key")) if file.exists()]
         if there and not replace:
             raise CertificateError(f"{there[0]} is there already; --replace makes a new one in its place")
         signer, signer_key = self._load()
-        wanted = list(dict.fromkeys([name, f"{name}.local", *names]))
         key = ec.generate_private_key(ec.SECP256R1())
         certificate = (
             _builder(_x509_name(name), signer.subject, key.public_key(), days, signer.not_valid_after_utc)
@@ -126,7 +120,7 @@ class Authority:
                 x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]),
                 critical=False,
             )
-            .add_extension(x509.SubjectAlternativeName([_general_name(each) for each in wanted]), critical=False)
+            .add_extension(x509.SubjectAlternativeName(wanted), critical=False)
             .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(signer_key.public_key()), critical=False)
             .sign(signer_key, hashes.SHA256())
         )
@@ -251,12 +245,23 @@ def _common_name(name: x509.Name) -> str:
     return str(found[0].value) if found else ""
 
 
+def general_names(name: str, names: Sequence[str] = ()) -> list[x509.GeneralName]:
+    """Return the host names and addresses of a machine's certificate; raises `CertificateError` if one is invalid."""
+    if not _NAME.fullmatch(name) or name == AUTHORITY:
+        raise CertificateError(
+            f"{name!r} is not a machine's name: letters, digits, '_', '.' and '-', not {AUTHORITY!r}"
+        )
+    if why := forbidden(f"{name}.pem"):
+        raise CertificateError(f"{name!r}: its certificate's {name}.pem {why}")
+    return [_general_name(each) for each in dict.fromkeys([name, f"{name}.local", *names])]
+
+
 def _general_name(name: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ipaddress.ip_address(name))
     except ValueError:
         pass
-    if not _HOST.fullmatch(name):
+    if not _HOST.fullmatch(name) or re.fullmatch(r"[0-9]+(\.[0-9]+){2,}", name):
         raise CertificateError(f"{name!r} is neither a host name nor an IP address")
     return x509.DNSName(name)
 

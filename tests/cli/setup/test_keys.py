@@ -113,12 +113,23 @@ def test_names_that_are_none(tmp_path: Path, name: str) -> None:
         Authority(tmp_path).issue(name)
 
 
-@pytest.mark.parametrize("address", ["tls/robot1:7448", "10.1.2.3:7448", "a..b", "*", "10.0.0.0/8", "räuber"])
+@pytest.mark.parametrize(
+    "address", ["tls/robot1:7448", "10.1.2.3:7448", "a..b", "*", "10.0.0.0/8", "räuber", "192.168.1.256", "192.168.1"]
+)
 def test_addresses_that_are_none(tmp_path: Path, address: str) -> None:
     Authority(tmp_path).make()
     with pytest.raises(CertificateError, match="neither a host name nor an IP address"):
         Authority(tmp_path).issue("robot1", [address])
     assert not (tmp_path / "robot1.pem").exists()
+
+
+@pytest.mark.parametrize("words", [["a/b"], ["ca"], ["robot1", "192.168.1.256"]], ids=" ".join)
+def test_a_mistake_in_the_first_call_makes_no_authority(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    assert run(tmp_path / "keys", "make", *words) == 1
+    assert "midspan: '" in capsys.readouterr().err
+    assert not (tmp_path / "keys").exists()
 
 
 def test_a_certificate_ends_with_its_authority(tmp_path: Path) -> None:
