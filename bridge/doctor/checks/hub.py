@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ssl
 import stat
 from collections.abc import Container, Sequence
 
@@ -195,7 +196,7 @@ def look_at_keys(context: CheckContext) -> Findings:
         signed = signed_by(files.certificate, files.ca)
     except (HubConfigError, CertificateError) as err:
         return fail(str(err), "'midspan keys make' makes the files; see docs/operate/security.md")
-    findings = [*_expiry(own), *_expiry(authority), *_mode(files), *_distrust(own.name, context)]
+    findings = [*_expiry(own), *_expiry(authority), *_fit(files), *_mode(files), *_distrust(own.name, context)]
     if not signed:
         cure = "copy both from the same folder of 'midspan keys'"
         findings.append(fail(f"{files.certificate} was not signed by {files.ca}", cure))
@@ -223,6 +224,17 @@ def _expiry(certificate: Certificate) -> list[Finding]:
         return [fail(f"{certificate.file} expired on {certificate.until:%Y-%m-%d}: no machine accepts it", _RENEW)]
     if left < SOON_DAYS:
         return [warn(f"{certificate.file} expires in {left} days", _RENEW)]
+    return []
+
+
+def _fit(files: KeyFiles) -> list[Finding]:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    try:
+        context.load_cert_chain(files.certificate, files.key, password="")
+    except ssl.SSLError as err:
+        mismatch = err.reason in ("KEY_VALUES_MISMATCH", "KEY_TYPE_MISMATCH")
+        seen = f"is not the key of {files.certificate}" if mismatch else f"cannot be used: {err}"
+        return [fail(f"{files.key} {seen}", "copy both from the same folder of 'midspan keys'")]
     return []
 
 

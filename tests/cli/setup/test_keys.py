@@ -180,10 +180,20 @@ def test_doctor_finds_what_is_wrong_with_the_files(folder: Path) -> None:
     ((result, seen),) = looked_at(folder, ca=str(folder / "other" / "ca.pem"))
     assert (result, "was not signed by" in seen) == (Result.FAIL, True)
     Authority(folder).issue("robot2")
-    assert "names it 'robot2'" in looked_at(folder, certificate=str(folder / "robot2.pem"))[0][1]
+    assert "names it 'robot2'" in looked_at(folder, certificate=str(folder / "robot2.pem"))[-1][1]
     (folder / "robot1.pem").unlink()
     ((result, seen),) = looked_at(folder)
     assert (result, "there is no" in seen) == (Result.FAIL, True)
+
+
+def test_doctor_finds_a_key_that_does_not_fit(folder: Path) -> None:
+    Authority(folder).issue("robot2")
+    (folder / "robot1.key").write_bytes((folder / "robot2.key").read_bytes())
+    ((result, seen),) = looked_at(folder)
+    assert (result, seen) == (Result.FAIL, f"{folder / 'robot1.key'} is not the key of {folder / 'robot1.pem'}")
+    (folder / "robot1.key").write_text("rubbish")
+    ((result, seen),) = looked_at(folder)
+    assert (result, seen.startswith(f"{folder / 'robot1.key'} cannot be used: ")) == (Result.FAIL, True)
 
 
 def test_doctor_tells_who_takes_no_commands(folder: Path) -> None:
