@@ -1,12 +1,12 @@
-"""Runs the tests again and again, each time in another order, and tells which ever failed.
+"""Runs the tests again and again, each time in another order, and lists those that ever failed.
 
     python scripts/flaky.py 5                           `make test`, five times
     python scripts/flaky.py 20 tests/hub -k latched     some of them: arguments of pytest
     python scripts/flaky.py 5 --target test-all         another target
-    python scripts/flaky.py 3 --busy 4                  beside four processes that compute
+    python scripts/flaky.py 3 --busy 4                  with four busy processes in the background
     python scripts/flaky.py 1 --one-core                everything on one core
 
-What a run printed is kept in .cache/flaky. The order of run 3 again: ``make test ARGS='--randomly-seed=3'``.
+The output of each run is kept in .cache/flaky. To repeat the order of run 3: ``make test ARGS='--randomly-seed=3'``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (?! )(.+?)(?: - .*)?$|^(LEFT BEHIND: .*)$", re.MULTILINE)
-"""Lines of pytest's summary (``-ra``), and one of tests/conftest.py; a log's line has more blanks behind its level."""
+"""Lines of pytest's summary (``-ra``), and one of tests/conftest.py; a log line has more spaces after its level."""
 
 _COMPUTE = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: sum(range(100_000))"
 """A process that computes until its parent is gone, however that ended."""
@@ -38,10 +38,10 @@ class Run:
     """One run of the tests.
 
     Attributes:
-        seed: of its order, which is also its number.
-        seconds: that it took.
-        failed: what it says that failed, once each.
-        last: its last line.
+        seed: seed of its order, also its number.
+        seconds: its duration.
+        failed: the tests that failed, once each, and what was left behind.
+        last: the last line of its output.
     """
 
     seed: int
@@ -51,7 +51,7 @@ class Run:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run them; 1 where anything ever failed."""
+    """Run them; return 1 if anything ever failed."""
     args, pytest = _parser().parse_known_args(arguments)
     if args.one_core:
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_once(target: str, pytest: Sequence[str], seed: int, log: Path) -> Run:
-    """Run the tests once, in the order of a seed; what they print goes to a file."""
+    """Run the tests once, in the order of a seed; their output goes to a file."""
     arguments = shlex.join([*pytest, f"--randomly-seed={seed}"]).replace("$", "$$")
     began = time.monotonic()
     with log.open("wb") as file:
@@ -85,7 +85,7 @@ def run_once(target: str, pytest: Sequence[str], seed: int, log: Path) -> Run:
 
 
 def ever_failed(runs: Sequence[Run]) -> list[tuple[str, list[int]]]:
-    """What failed, the most frequent first, each with the seeds of its runs."""
+    """Return what failed, the most frequent first, each with the seeds of its runs."""
     seeds: dict[str, list[int]] = defaultdict(list)
     for run in runs:
         for name in run.failed:
@@ -95,7 +95,7 @@ def ever_failed(runs: Sequence[Run]) -> list[tuple[str, list[int]]]:
 
 @contextmanager
 def busy(count: int) -> Iterator[list[subprocess.Popen[bytes]]]:
-    """So many processes that compute all the time."""
+    """Keep a number of processes computing in the background."""
     processes = [subprocess.Popen([sys.executable, "-c", _COMPUTE]) for _ in range(count)]
     try:
         yield processes
@@ -112,9 +112,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("runs", type=int, help="how often")
     parser.add_argument("--target", default="test", choices=("test", "test-fast", "test-all"), help="of make")
     parser.add_argument("--seed", type=int, default=1, help="of the first run's order (1); each other has the next")
-    parser.add_argument("--busy", type=int, default=0, metavar="N", help="beside N processes that compute")
+    parser.add_argument("--busy", type=int, default=0, metavar="N", help="with N busy processes in the background")
     parser.add_argument("--one-core", action="store_true", help="with everything on one core")
-    parser.add_argument("--logs", type=Path, default=ROOT / ".cache" / "flaky", help="where output is kept")
+    parser.add_argument("--logs", type=Path, default=ROOT / ".cache" / "flaky", help="folder for the output")
     return parser
 
 

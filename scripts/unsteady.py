@@ -1,7 +1,7 @@
 """Runs the tests that failed in a run of `make test` or `make test-all` once more, one after the other.
 
-One that fails again, or a run in which many failed, is red. One that passes alone is UNSTEADY: its traceback is above,
-its name at the end, with the seed of the order that it failed in. Each is a defect, of the test or of Midspan.
+One that fails again, or a run in which many failed, is red. One that passes now is UNSTEADY: its traceback is above,
+its name at the end, with the seed of the order in which it failed. Each is a defect, of the test or of Midspan.
 CONTRIBUTING.md ("Unsteady tests") has the rules.
 """
 
@@ -17,7 +17,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / ".cache" / "pytest"
-"""Pytest's ``cache_dir`` of the runs before."""
+"""The ``cache_dir`` of the pytest runs before."""
 
 SEED = "midspan/seed"
 """Name of the order's seed in that cache; tests/conftest.py writes it."""
@@ -28,8 +28,8 @@ MOST = 5
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run them; return 1 if one fails again."""
-    parser = argparse.ArgumentParser(prog="scripts/unsteady.py", description="Run failed tests once more, alone.")
-    parser.add_argument("--kept", type=Path, default=KEPT, help="pytest's cache_dir of the runs before")
+    parser = argparse.ArgumentParser(prog="scripts/unsteady.py", description="Run failed tests once more.")
+    parser.add_argument("--kept", type=Path, default=KEPT, help="cache_dir of the pytest runs before")
     values = parser.parse_args(arguments).kept / "v"
     failed = sorted(_value(values / "cache" / "lastfailed") or ())
     if not 0 < len(failed) <= MOST:  # none: the run failed for another reason
@@ -40,13 +40,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if subprocess.run(pytest, cwd=ROOT, check=False).returncode:
         return 1
     order = f"--randomly-seed={_value(values / SEED)}"
-    print(f"UNSTEADY, to be mended: {len(failed)} failed among the others ({order}) and passed alone", end="\n  ")
+    print(f"UNSTEADY, to be mended: {len(failed)} failed in the whole run ({order}) and passed now", end="\n  ")
     print(*failed, sep="\n  ")
     return 0
 
 
 def _value(file: Path) -> Any:
-    """Return a value of pytest's cache, None if it has none."""
+    """Return a value from the cache of pytest, None if it is missing."""
     return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else None
 
 

@@ -26,9 +26,9 @@ target, strict, arguments = sys.argv[4:]
 assert strict == "STRICT=1"
 seed = int(re.search(r"--randomly-seed=(\\d+)", arguments)[1])
 parents = [stat.read_text().split(") ")[1].split()[1] for stat in Path("/proc").glob("[0-9]*/stat")]
-beside, cores = parents.count(str(os.getppid())) - 1, len(os.sched_getaffinity(0))
-told = {{"target": target, "arguments": arguments, "cores": cores, "beside": beside}}
-Path(__file__).with_name(f"told-{{seed}}").write_text(json.dumps(told))
+busy, cores = parents.count(str(os.getppid())) - 1, len(os.sched_getaffinity(0))
+record = {{"target": target, "arguments": arguments, "cores": cores, "busy": busy}}
+Path(__file__).with_name(f"record-{{seed}}").write_text(json.dumps(record))
 print("....", "x" * seed)
 if seed >= 3:
     print("FAILED tests/a.py::test_often[Image 1 MB] - assert 1 == 2")
@@ -60,12 +60,12 @@ def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def told(folder: Path, seed: int) -> dict[str, object]:
-    made: dict[str, object] = json.loads((folder / f"told-{seed}").read_text())
-    return made
+def recorded(folder: Path, seed: int) -> dict[str, object]:
+    record: dict[str, object] = json.loads((folder / f"record-{seed}").read_text())
+    return record
 
 
-def test_what_ever_failed_is_told_with_how_often(folder: Path) -> None:
+def test_each_failed_test_is_listed_with_its_runs(folder: Path) -> None:
     done = run(folder, "4")
     assert done.returncode == 1
     assert re.match(r"run 1: \d+ s, nothing failed: 1 passed in 1 s\n", done.stdout)
@@ -82,26 +82,26 @@ def test_nothing_failed(folder: Path) -> None:
     done = run(folder, "2", "--target", "test-all", "tests/hub", "-k", "latched or $HOME")
     assert done.returncode == 0
     assert "0 of 2 runs failed" in done.stdout
-    assert told(folder, 2)["target"] == "test-all"
-    assert told(folder, 2)["arguments"] == "ARGS=tests/hub -k 'latched or $$HOME' --randomly-seed=2"
+    assert recorded(folder, 2)["target"] == "test-all"
+    assert recorded(folder, 2)["arguments"] == "ARGS=tests/hub -k 'latched or $$HOME' --randomly-seed=2"
 
 
-def test_a_run_that_ends_without_a_test_failed_too(folder: Path) -> None:
+def test_a_run_without_a_failed_test_may_fail(folder: Path) -> None:
     (folder / "make").write_text("#!/bin/sh\necho no rule to make test\nexit 2\n")
     done = run(folder, "1", "--seed", "7")
     assert done.returncode == 1
     assert f"no test: it ended with exit code 2, see {folder / 'logs' / 'run-7.log'}" in done.stdout
 
 
-def test_beside_what_computes_and_on_one_core(folder: Path) -> None:
+def test_with_busy_processes_and_on_one_core(folder: Path) -> None:
     assert run(folder, "1").returncode == 0
-    assert told(folder, 1)["beside"] == 0
+    assert recorded(folder, 1)["busy"] == 0
     assert run(folder, "1", "--busy", "2", "--one-core").returncode == 0
-    assert told(folder, 1)["beside"] == 2
-    assert told(folder, 1)["cores"] == 1
+    assert recorded(folder, 1)["busy"] == 2
+    assert recorded(folder, 1)["cores"] == 1
 
 
-def test_what_computes_ends_with_the_runs() -> None:
+def test_busy_processes_end_with_the_runs() -> None:
     with flaky.busy(1) as processes:
         (process,) = processes
         busy = psutil.Process(process.pid)

@@ -20,23 +20,23 @@ from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.profile import Profile
 
 PRESENCE = "/midspan/daemon/"
-"""Where every worker on a YARP network has a port by which the others know it."""
+"""Prefix of the ports by which the workers on a YARP network recognize each other."""
 
 OWNER = "midspan_owner"
-"""The property at the name server that every port of Midspan's has: the id of the worker that opened it."""
+"""Property of each of Midspan's ports at the name server: the id of the worker that opened it."""
 
 DAEMON = "midspan"
-"""The property that names the daemon: on its port of presence, and on ports of topics that it carries."""
+"""Property that names the daemon: of its presence port, and of the topic ports that it bridges."""
 
 
 def new_id(length: int = 32) -> str:
-    """Return a new id, a letter and hexadecimal digits: YARP's text would read ``75e5e286e164`` as a number."""
+    """Return a new id, a letter and hexadecimal digits: YARP parses the text ``75e5e286e164`` as a number."""
     return "m" + uuid.uuid4().hex[: length - 1]
 
 
 @dataclass(frozen=True, slots=True)
 class PortNames:
-    """The configured scheme, ``{topic}`` being the topic's name; ``daemon`` is for names that another daemon has."""
+    """The configured scheme, with ``{topic}`` for the topic's name; ``daemon`` makes names unique that are taken."""
 
     output_scheme: str
     input_scheme: str
@@ -44,47 +44,47 @@ class PortNames:
     daemon: str
 
     def may_be(self, name: str) -> bool:
-        """Whether the bridge might have called a port so."""
+        """Whether the scheme can produce this port name."""
         return any(
             name.startswith(scheme.partition("{topic}")[0]) and name.endswith(scheme.partition("{topic}")[2])
             for scheme in (self.output_scheme, self.input_scheme, self.rpc_scheme)
         )
 
     def spare(self, name: str) -> str:
-        """Another name for a port, where a daemon on another hub has a port of the same topic."""
+        """Return an alternative name for a port, used if a daemon on another hub has a port for the same topic."""
         for scheme in (self.output_scheme, self.input_scheme, self.rpc_scheme):
-            before, _, behind = scheme.partition("{topic}")
-            if name.startswith(before) and name.endswith(behind):
-                return f"{before}/{self.daemon}{name[len(before) :]}"
+            prefix, _, suffix = scheme.partition("{topic}")
+            if name.startswith(prefix) and name.endswith(suffix):
+                return f"{prefix}/{self.daemon}{name[len(prefix) :]}"
         return name
 
     def output(self, topic: str) -> str:
-        """The port that writes a topic's messages."""
+        """Return the port that writes the messages of a topic."""
         return self.output_scheme.replace("{topic}", topic)
 
     def input(self, topic: str) -> str:
-        """The port by which anybody writes to a topic."""
+        """Return the port that receives messages for a topic."""
         return self.input_scheme.replace("{topic}", topic)
 
     def rpc(self, service: str) -> str:
-        """The port that serves a service."""
+        """Return the port that serves a service."""
         return self.rpc_scheme.replace("{topic}", service)
 
 
 _log = logging.getLogger(__name__)
 
 IDENTITY = "midspan_network"
-"""The property of the name server's own port that names the network."""
+"""Property of the root port of the name server: the id of the network."""
 
 ASK_SECONDS = 2.0
-"""Seconds that any command to the name server may take."""
+"""Timeout of a command to the name server."""
 
 PATIENCE = 2.0
-"""Seconds without an answer after which our own name server is opened, where it may be."""
+"""Seconds without an answer after which Midspan opens its embedded name server, if the configuration permits."""
 
 
 class _Names(NameClient):
-    """A client that looks names up at hand where the name server is this process's."""
+    """A client that queries the registry directly if the name server runs in this process."""
 
     server: NameServer | None = None
 
@@ -93,7 +93,7 @@ class _Names(NameClient):
 
 
 class YarpNetwork:
-    """Joins the network of one name server, on one thread; our own name server remembers in ``state``."""
+    """Joins the network of one name server, on one thread; the embedded name server keeps its state in ``state``."""
 
     def __init__(self, section: YarpSection, state: Path) -> None:
         self._section = section
@@ -106,7 +106,7 @@ class YarpNetwork:
         self.trouble = ""
 
     def look(self) -> list[PortContact] | None:
-        """All ports that are registered, None where no name server answers; ours is asked only where it changed."""
+        """Return all registered ports, None if no name server answers; the embedded one is read only after changes."""
         server = self.naming.server
         changes = None if server is None else server.changes
         if self._listed is not None and self._listed[0] == changes:
@@ -149,7 +149,7 @@ class YarpNetwork:
             self._tell(place)
 
     def _tell(self, place: Address) -> None:
-        """Say where the name server is, for programs of this user: as yarpserver does with ``--write``."""
+        """Write the name server's address for the programs of this user, as ``yarpserver --write`` does."""
         try:
             _log.info("wrote %s", conf.write(place, self._section.namespace))
         except NamingConfigError as err:
@@ -157,7 +157,7 @@ class YarpNetwork:
             self.naming.use(place)
 
     def _name_network(self) -> None:
-        """Learn the network's name, or give it one."""
+        """Read the id of the network, or assign one."""
         root = self.naming.contact.name
         values = [str(value) for value in self.naming.get_property(root, IDENTITY)]
         if not values:
@@ -167,18 +167,18 @@ class YarpNetwork:
 
     @property
     def is_own(self) -> bool:
-        """Whether the name server is this worker's."""
+        """Whether the name server is embedded in this worker."""
         return self.naming.server is not None
 
     def close(self) -> None:
-        """Stop our own name server."""
+        """Stop the embedded name server."""
         server, self.naming.server = self.naming.server, None
         if server is not None:
             server.close()
 
 
 def address_of(section: YarpSection) -> Address | None:
-    """The name server's address in the configuration, None where yarp.conf has it."""
+    """Return the name server's address in the configuration, None if yarp.conf is used."""
     return None if section.place is None else Address(*section.place)
 
 
