@@ -73,8 +73,10 @@ def test_make_test_runs_failed_tests_once_more(tmp_path: Path, strict: str, code
     shutil.copy(ROOT / "scripts" / "unsteady.py", tmp_path / "scripts")
     (tmp_path / "scripts" / "setup.sh").write_text("#!/bin/sh\n")
     (tmp_path / "scripts" / "setup.sh").chmod(0o755)
+    folder = Path(sys.executable).parent
+    pytest_command = f"{folder}/python -m pytest -o cache_dir=.cache/pytest -p no:randomly -p no:hypothesispytest"
     done = subprocess.run(
-        ["make", "-C", str(tmp_path), f"BIN={Path(sys.executable).parent}", "test", strict or "STRICT=", "ARGS=-n0"],
+        ["make", "-C", tmp_path, f"BIN={folder}", f"pytest={pytest_command}", "test", strict or "STRICT=", "ARGS=-n0"],
         capture_output=True, text=True, check=False, timeout=100,
     )  # fmt: skip
     assert done.returncode == code, done.stdout + done.stderr
