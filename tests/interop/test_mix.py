@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
+
 from tests.interop import mix_table
 from tests.interop.deployment import Deployment
 
 
+@pytest.mark.timeout(300)  # 55 to 95 s alone, with a fault of each kind
 def test_every_client_drives_by_every_planner(
     deployment: Deployment, record_property: Callable[[str, object], None]
 ) -> None:
@@ -15,7 +18,7 @@ def test_every_client_drives_by_every_planner(
     try:
         cells.extend(mix_table.table(deployment))
     except BaseException:
-        print(mix_table.text(cells))  # what was tried until then
+        print(mix_table.text(cells))  # the cells until the failure
         raise
     table = mix_table.text(cells)
     record_property("table", table)

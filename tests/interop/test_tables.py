@@ -26,6 +26,7 @@ middle and its other end come into sight for a moment only, or not at all, by th
 
 
 @pytest.mark.thorough
+@pytest.mark.timeout(300)  # the robot drives some 40 s of its own time
 def test_a_goal_behind_a_table_is_reached_without_a_contact(deployment: Deployment) -> None:
     need(DART)
     config: dict[str, Any] = yaml.safe_load((CONFIGS / "tables.yaml").read_text())
