@@ -143,7 +143,7 @@ def test_a_map_that_lies_turned() -> None:
 
 
 def test_maps_on_which_nobody_can_be_localised() -> None:
-    with pytest.raises(ValueError, match="the map 'empty': it has no walls"):
+    with pytest.raises(ValueError, match="the map 'empty' is impossible: it has no walls"):
         Localizer(MapGrid2D.of(np.full((9, 9), MapFlag.FREE, np.uint8), name="empty", resolution=0.1))
 
 
