@@ -287,7 +287,7 @@ class Execution:
                 drive.due = time.monotonic() + RETRY_SECONDS
                 drive.machine.on(DriveEvent.RESUMED_CONTACT)
             else:
-                drive.released = link.state.reported
+                drive.released = link.state.reported and not drive.forgotten  # a controller may still drive for it
                 drive.machine.on(DriveEvent.RETRY)
                 self._send(drive, None)
 
