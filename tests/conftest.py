@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 import uuid
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import psutil
 import pytest
 
 from tests.support import forks, missing, tiers
+from tests.support.process import outputs
 
 _REAL = (
     "demo", "interop", "daemon", "contract", "benchmarks", "adapters", "faults", "interfaces", "examples", "hub", "cli",
@@ -124,6 +126,15 @@ def pytest_runtest_logfinish(nodeid: str) -> None:
     """Remember which test a thread showed up in; processes are too costly to list after each test."""
     for thing in _threads():
         _started_by.setdefault(thing, nodeid)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
+    """Show what each running program of a failed test wrote."""
+    report = yield
+    if report.failed and report.when != "teardown":
+        report.sections.extend(outputs())
+    return report
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

@@ -262,7 +262,7 @@ def test_a_robot_and_its_operator(fresh: Begin, tmp_path: Path) -> None:
     robot["hub"]["open"] |= {"listen": [door], "keys": str(keys)}
     operator["hub"]["open"] |= {"connect": [door], "keys": str(keys)}
     alone = fresh(operator)
-    alone.until_all_is_well()
+    alone.until_it_waits(rf"hub\.open\.connect {door}: not answering: nothing listens")
     there = fresh(robot)
     there.until_all_is_well()
     until(lambda: "robot1/ros1" in str(alone.doctor("daemon")), "the operator sees the robot", SECONDS, every=0.5)

@@ -117,8 +117,6 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pair]:
         pair.start()
         yield pair
     finally:
-        for name, daemon in pair.daemons.items():
-            print(f"--- {name}\n{daemon.output()[-6000:]}")
         pair.close()
 
 

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import tempfile
+import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +15,10 @@ from typing import IO, Self
 
 from tests.support import forks
 from tests.support.forks import Forked
+
+_OUTPUT_CHARACTERS = 6000
+
+_running: weakref.WeakSet[Process] = weakref.WeakSet()
 
 
 class Process:
@@ -37,6 +42,7 @@ class Process:
         self.args = [str(a) for a in args]
         if imports or forks.possible(self.args):
             self.popen = Forked(self.args, os.environ if env is None else env, self._log, pipes=pipes, imports=imports)
+            _running.add(self)
             return
         self.popen = subprocess.Popen(
             self.args,
@@ -47,6 +53,7 @@ class Process:
             start_new_session=True,
             text=True if pipes else None,
         )
+        _running.add(self)
 
     @property
     def pid(self) -> int:
@@ -70,6 +77,7 @@ class Process:
                 self.popen.wait(seconds)
         self.signal(signal.SIGKILL)
         code = self.popen.wait()
+        _running.discard(self)
         for pipe in (self.popen.stdin, self.popen.stdout):
             if pipe is not None:
                 with contextlib.suppress(OSError):
@@ -82,6 +90,16 @@ class Process:
 
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
         self.stop()
+
+
+def outputs() -> list[tuple[str, str]]:
+    """Return the command and the last output of each process that was not stopped, for the report of a failed test."""
+    found = []
+    for process in sorted(_running, key=lambda each: each.pid):
+        with contextlib.suppress(OSError):
+            if text := process.output()[-_OUTPUT_CHARACTERS:]:
+                found.append((f"process {process.pid}: {' '.join(process.args)[-200:]}", text))
+    return found
 
 
 def stands_still(pid: int) -> bool:
