@@ -9,7 +9,8 @@ far but ``since`` first ones, after ``count`` have come or the time is over); ``
 ``count`` ``std_msgs/String`` with numbers from ``first`` on, ``rate`` a second, on a thread;
 ``counted`` id, now: wait for its end (or end it now) -> sent; ``tally`` id, since -> received, distinct numbers,
 ``last``: ``time.monotonic()`` at the last arrival, ``silence``: the longest time between two arrivals from ``since``
-on; ``exit``.
+on; ``silence`` id, since: those two of any type; ``broadcast`` id, child, rate (ROS 1): transforms from ``map`` to
+``child`` until ``counted``; ``exit``.
 An answer has ``ok``; when false, ``error``.
 Services: ``serve`` service, type, reply (fields of the response), error (a text: it fails with that), held (it answers
 only after ``release`` id) -> id; ``requests`` id, count, seconds -> requests (all so far, after ``count`` have come or

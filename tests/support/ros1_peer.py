@@ -208,17 +208,34 @@ class Peer:
         self.countings[id] = Counting(lambda text: publisher.publish(data=text), first, count, rate)
         return {}
 
+    def do_broadcast(self, id, child, rate, **_):
+        publisher = self.endpoints[id]
+        message = fill(message_class("tf2_msgs/TFMessage")(), {"transforms": [{"child_frame_id": child}]})
+
+        def publish(_text) -> None:
+            message.transforms[0].header = fill(message_class("std_msgs/Header")(), {"frame_id": "map"})
+            message.transforms[0].header.stamp = rospy.Time.now()
+            message.transforms[0].transform.rotation.w = 1.0
+            publisher.publish(message)
+
+        self.countings[id] = Counting(publish, 0, sys.maxsize, rate)
+        return {}
+
     def do_counted(self, id, now=False, **_):
         return self.countings.pop(id).end(now)
 
     def do_tally(self, id, since=0.0, **_):
         with self.endpoints[id].ready:
             numbers = [int(m.data) for m in self.endpoints[id].messages]
-            times = self.endpoints[id].times
-            later = [since, *(t for t in times if t >= since)]
+        silence = self.do_silence(id, since)
+        return {"received": len(numbers), "distinct": len(set(numbers)), **silence}
+
+    def do_silence(self, id, since=0.0, **_):
+        with self.endpoints[id].ready:
+            times = list(self.endpoints[id].times)
+        later = [since, *(t for t in times if t >= since)]
         silence = max((after - before for before, after in itertools.pairwise(later)), default=0.0)
-        last = times[-1] if times else 0.0
-        return {"received": len(numbers), "distinct": len(set(numbers)), "last": last, "silence": silence}
+        return {"last": times[-1] if times else 0.0, "silence": silence}
 
     def do_header(self, id, **_):
         return {"headers": self.endpoints[id].headers}

@@ -149,11 +149,15 @@ class Peer:
         endpoint = self.endpoints[params["id"]]
         with endpoint.arrived:
             numbers = [int(m.data) for m in endpoint.messages]
-            since, times = params.get("since", 0.0), endpoint.times
-            later = [since, *(t for t in times if t >= since)]
+        return {"received": len(numbers), "distinct": len(set(numbers)), **self.silence(params)}
+
+    def silence(self, params: dict[str, Any]) -> dict[str, Any]:
+        endpoint, since = self.endpoints[params["id"]], params.get("since", 0.0)
+        with endpoint.arrived:
+            times = list(endpoint.times)
+        later = [since, *(t for t in times if t >= since)]
         silence = max((after - before for before, after in itertools.pairwise(later)), default=0.0)
-        last = times[-1] if times else 0.0
-        return {"received": len(numbers), "distinct": len(set(numbers)), "last": last, "silence": silence}
+        return {"last": times[-1] if times else 0.0, "silence": silence}
 
     def serve(self, params: dict[str, Any]) -> dict[str, Any]:
         return self._add(self.calls.serve(params))

@@ -1,0 +1,114 @@
+"""Many nodes join one side at once, as a fleet's programs do after a restart (zenoh-plugin-ros2dds #690)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.contract.side import CUSTOM_FOLDER, PeerLike
+from tests.interop.deployment import Deployment
+from tests.support.peer import Peer
+from tests.support.wait import until
+from tests.support.yarp_programs import Definitions, Names, YarpProgram
+
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
+
+STRING, TF = "std_msgs/String", "tf2_msgs/TFMessage"
+NODES, PUBLISHED, SUBSCRIBED = 13, 8, 7
+PAUSE = 1.0
+"""Seconds that /tf may pause on its way between two sides."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Deployment, Names]]:
+    """A deployment with all sides."""
+    names = Names()
+    try:
+        with Deployment(tmp_path_factory.mktemp("burst")) as made:
+            made.start(yarp={"enabled": True, "nameserver": "site", "address": names.endpoint, "poll": 0.1})
+            yield made, names
+    finally:
+        names.stop()
+
+
+@dataclass
+class Joined:
+    """One node of the burst: the topics that it publishes, and its subscriptions by topic."""
+
+    node: PeerLike
+    published: list[str]
+    subscriptions: dict[str, int]
+
+
+def join(make: Callable[[], Any], topics: str) -> Joined:
+    """Start a node with all its endpoints; each message is its topic's name."""
+    node = make()
+    published = [f"{topics}/out{number}" for number in range(PUBLISHED)]
+    for topic in published:
+        node.publish(node.advertise(topic, STRING, latched=True), {"data": topic})
+    inwards = [f"{topics}/in{number}" for number in range(SUBSCRIBED)]
+    return Joined(node, published, {topic: node.subscribe(topic, STRING, latched=True) for topic in inwards})
+
+
+class Transforms:
+    """``/tf`` from a rospy program to an rclpy program, and to another rospy program, for pauses of the machine."""
+
+    def __init__(self, site: Deployment) -> None:
+        self._sender, self._across, self._beside = site.ros1(), site.ros2(), site.ros1()
+        self._ends = self._across.subscribe("/tf", TF, depth=1000), self._beside.subscribe("/tf", TF)
+        self._id = self._sender.advertise("/tf", TF)
+        self._sender.ask("broadcast", id=self._id, child="base_link", rate=50)
+        self.until_arriving(time.monotonic())
+
+    def until_arriving(self, since: float) -> None:
+        """Wait until transforms that were sent after ``since`` arrive."""
+        until(lambda: all(last > since for last, _ in self._arrivals(since)), "transforms arrive", every=0.1)
+
+    def pauses(self, since: float) -> tuple[float, float]:
+        """Return the longest pause since a time, across and beside."""
+        (_, across), (_, beside) = self._arrivals(since)
+        return across, beside
+
+    def _arrivals(self, since: float) -> list[tuple[float, float]]:
+        ends: list[tuple[Peer, int]] = list(zip((self._across, self._beside), self._ends, strict=True))
+        answers = [peer.ask("silence", id=end, since=since) for peer, end in ends]
+        return [(answer["last"], answer["silence"]) for answer in answers]
+
+
+@pytest.mark.parametrize("side", ["ros1", "ros2", "yarp", "zenoh"])
+def test_every_route_stands_after_a_burst_and_tf_goes_on(
+    site: tuple[Deployment, Names], tmp_path: Path, side: str
+) -> None:
+    deployment, names = site
+    try:
+        make: dict[str, Callable[[], Any]] = {
+            "ros1": deployment.ros1,
+            "ros2": deployment.ros2,
+            "zenoh": deployment.zenoh,
+            "yarp": lambda: deployment.keep(YarpProgram(names, "/burst", Definitions((CUSTOM_FOLDER,)))),
+        }
+        transforms = Transforms(deployment)
+        far = deployment.ros1() if side == "ros2" else deployment.ros2()
+        topics = [f"/burst_{side}/n{number}" for number in range(NODES)]
+        for topic in (f"{each}/in{number}" for each in topics for number in range(SUBSCRIBED)):
+            far.publish(far.advertise(topic, STRING, latched=True), {"data": topic})
+        begun = time.monotonic()
+        with ThreadPoolExecutor(NODES) as pool:
+            nodes = list(pool.map(lambda topic: join(make[side], topic), topics))
+        ends = {t: far.subscribe(t, STRING, latched=True) for node in nodes for t in node.published}
+        for topic, end in ends.items():
+            assert far.wait(end, 1) == [{"data": topic}]
+        for node in nodes:
+            for topic, end in node.subscriptions.items():
+                assert node.node.wait(end, 1, 40.0) == [{"data": topic}]
+        transforms.until_arriving(time.monotonic())
+        across, beside = transforms.pauses(begun)
+        assert across < PAUSE + beside
+    finally:
+        deployment.stop_programs()
