@@ -52,6 +52,14 @@ def _model_at(model: type[BaseModel], path: KeyPath) -> type[BaseModel] | None:
     return found
 
 
+def _field_at(model: type[BaseModel], path: KeyPath) -> FieldInfo | None:
+    """The field that holds the value at ``path``, which may be an entry of a list; None in a map of free keys."""
+    names = [part for part in path if not isinstance(part, int)]
+    around = _model_at(model, tuple(names[:-1])) if names else None
+    fields = around.model_fields.items() if around else ()
+    return next((info for name, info in fields if key_name(name, info) == names[-1]), None)
+
+
 def _unknown_key(model: type[BaseModel], path: KeyPath) -> str:
     name = str(path[-1])
     if path in REMOVED:
@@ -82,7 +90,7 @@ def _shown(value: Any) -> str:
 
 
 def _in_data(data: Any, location: tuple[str | int, ...]) -> KeyPath:
-    """The part of pydantic's location that is a path in the data: it also names the arms of unions."""
+    """Return the part of an error's location that is a path in the data: pydantic also names the arms of unions."""
     path: list[str | int] = []
     for part in location:
         inside = part in data if isinstance(data, dict) else isinstance(data, list) and part in range(len(data))
@@ -95,14 +103,65 @@ def _in_data(data: Any, location: tuple[str | int, ...]) -> KeyPath:
 def problems(document: Document, model: type[BaseModel], errors: list[Any]) -> list[Problem]:
     """Problems of a file, from `pydantic.ValidationError.errors`; the arms of a union make one problem."""
     found: dict[tuple[KeyPath, bool], list[str]] = {}
+    lengths = _fixed_lengths(errors)
     for error in errors:
         unknown = error["type"] == "extra_forbidden"
         path = tuple(error["loc"]) if unknown else _in_data(document.data, error["loc"])
         texts = found.setdefault((path, unknown), [])
-        text = _unknown_key(model, path) if unknown else _text(error)
+        if unknown:
+            text = _unknown_key(model, path)
+        else:
+            text = _wrong_length(error, lengths, _field_at(model, path)) or _text(error)
         if text not in texts:
             texts.append(text)
     return [document.problem(path, ", or ".join(texts), at_key=key) for (path, key), texts in found.items()]
+
+
+def _fixed_lengths(errors: list[Any]) -> dict[KeyPath, int]:
+    """The length that each list which is too short must have: pydantic reports every value that it lacks."""
+    lengths: dict[KeyPath, int] = {}
+    for error in errors:
+        *path, last = error["loc"] or ("",)
+        if error["type"] == "missing" and isinstance(last, int):
+            lengths[tuple(path)] = max(last + 1, lengths.get(tuple(path), 0))
+    return lengths
+
+
+def _wrong_length(error: Mapping[str, Any], lengths: Mapping[KeyPath, int], field: FieldInfo | None) -> str:
+    """Describe a list that has too few or too many values; return "" for another error."""
+    value, context = error["input"], error.get("ctx", {})
+    match error["type"]:
+        case "missing" if isinstance(error["loc"][-1], int):
+            bound, least = lengths[tuple(error["loc"][:-1])], "exactly"
+        case "too_short":
+            bound, least = context["min_length"], "at least"
+        case "too_long":
+            bound, least = context["max_length"], "at most"
+        case _:
+            return ""
+    if field is not None and bound in _exact_lengths(field):
+        least = "exactly"
+    count = context.get("actual_length") or len(value)
+    meaning = field.description if field is not None and field.description else ""
+    meaning = f": {meaning.split('; empty:')[0].rstrip('.')}" if least == "exactly" and meaning else ""
+    return f"has {_values(count)}, and needs {least} {bound}{meaning}"
+
+
+def _values(count: int) -> str:
+    return "no values" if count == 0 else "1 value" if count == 1 else f"{count} values"
+
+
+def _exact_lengths(field: FieldInfo) -> set[int]:
+    """The lengths of lists of a fixed length in a field's type, and the one that its limits leave."""
+    limits = [getattr(each, name, None) for name in ("min_length", "max_length") for each in field.metadata]
+    known = [limit for limit in limits if limit is not None]
+    return _tuple_lengths(field.annotation) | ({known[0]} if len(known) == 2 and known[0] == known[1] else set())
+
+
+def _tuple_lengths(annotation: Any) -> set[int]:
+    arguments = typing.get_args(annotation)
+    fixed = typing.get_origin(annotation) is tuple and Ellipsis not in arguments
+    return ({len(arguments)} if fixed else set()).union(*map(_tuple_lengths, arguments))
 
 
 def _text(error: Mapping[str, Any]) -> str:

@@ -244,6 +244,42 @@ CASES = [
 ]
 
 
+START = "The robot's start: x, y (metres), direction (degrees)"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("sim: {start: [1]}", f"1:14: sim.start: has 1 value, and needs exactly 3: {START}"),
+        ("sim: {start: []}", f"1:14: sim.start: has no values, and needs exactly 3: {START}"),
+        ("sim: {start: [1, 2, 3, 4]}", f"1:14: sim.start: has 4 values, and needs exactly 3: {START}"),
+        (
+            "sim:\n  camera:\n    fov: [60]\n",
+            "3:10: sim.camera.fov: has 1 value, and needs exactly 2: Degrees that it sees from side to side, and from top to bottom",
+        ),
+        (
+            "modules: {localization_server: {initial_spread: [0.5, 15, 1]}}",
+            "1:49: modules.localization_server.initial_spread: has 3 values, and needs exactly 2: Deviations of a start without a covariance: metres, degrees",
+        ),
+        (
+            "modules: {localization_server: {localiser: {odom_alpha: [0.1, 0.2]}}}",
+            "modules.localization_server.localiser.odom_alpha: has 2 values, and needs exactly 5: Errors of odometry,",
+        ),
+        (
+            f"record: {{trigger: {{topics: [{', '.join(f'/t{n}' for n in range(65))}]}}}}",
+            "1:28: record.trigger.topics: has 65 values, and needs at most 64",
+        ),
+        (
+            "routing: {parameters: [{ros1: /a, node: /b, owner: ros1, names: []}]}",
+            "names: has no values, and needs at least 1",
+        ),
+    ],
+)
+def test_a_list_of_the_wrong_length(text: str, expected: str) -> None:
+    (problem,) = problems(text)
+    assert expected in problem
+
+
 @pytest.mark.parametrize(("text", "expected"), CASES, ids=[text.splitlines()[0] for text, _ in CASES])
 def test_problems_have_place_key_and_cure(text: str, expected: list[str]) -> None:
     assert problems(text) == [f"midspan.yaml:{line}" for line in expected]
