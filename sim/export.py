@@ -19,7 +19,7 @@ from sim.environment import SimError
 from sim.pieces import Piece
 from sim.plan import Plan
 from sim.simulation import Simulation
-from yarp_compat.dev.extras import MapLink
+from yarp_compat.dev.extras import Extras, MapLink, extras_file
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.dev.mapgrid import MAX_CELLS, MapFlag, MapGrid2D
 from yarp_compat.dev.places import Places, save_maps
@@ -48,7 +48,7 @@ def grid(plan: Plan, floor: str, resolution: float = 0.05) -> MapGrid2D:
 
 
 def places(plan: Plan) -> Places:
-    """Locations and areas of all floors; where there are several, a name begins with its floor's."""
+    """Return the locations and areas of all floors; with several floors, a name begins with the floor's name."""
     found = Places()
     for floor, there in plan.floors.items():
         for name, (x, y, degrees) in there.places.items():
@@ -69,7 +69,7 @@ def links(plan: Plan) -> dict[str, MapLink]:
 
 
 def save(plan: Plan, folder: Path, resolution: float = 0.05) -> list[Path]:
-    """Write all of it: each floor's map for YARP (.map) and ROS (.yaml), maps_collection.ini and locations.ini.
+    """Write each floor's map for YARP (.map) and ROS (.yaml), maps_collection.ini, locations.ini, and its links.
 
     Raises:
         SimError: a map would be too large.
@@ -78,7 +78,12 @@ def save(plan: Plan, folder: Path, resolution: float = 0.05) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     maps = {floor: grid(plan, floor, resolution) for floor in plan.floors}
     save_maps(maps, folder / "maps_collection.ini")
-    places(plan).save(folder / "locations.ini")
+    locations = folder / "locations.ini"
+    places(plan).save(locations)
+    beside = extras_file(locations)
+    # importers read this file whenever it exists, so the links of an earlier plan must not stay in it
+    if plan.links or beside.exists():
+        Extras(links=links(plan)).save(beside)
     for floor, made in maps.items():
         made.save(folder / f"{floor}.yaml")
     return sorted(folder.iterdir())

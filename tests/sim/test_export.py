@@ -9,10 +9,13 @@ import pytest
 from PIL import Image
 
 from bridge.cli.main import main
+from bridge.stores.kinds import LINK
+from bridge.stores.service import read_files
 from sim import export
 from sim.export import draw
 from sim.plan import load_plan
 from tests.sim.floors import simulation
+from yarp_compat.dev.extras import Extras, extras_file
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.dev.places import Places
 
@@ -39,7 +42,7 @@ def test_a_plans_map_shows_what_the_laser_sees() -> None:
     angles = yaw + scan.first + np.arange(len(scan.ranges)) * scan.step
     hits = [(x + (r + 0.01) * np.cos(a), y + (r + 0.01) * np.sin(a)) for r, a in zip(scan.ranges, angles, strict=True)]
     known = [flag(*hit) == MapFlag.WALL for hit in hits]
-    assert sum(known) > 0.9 * len(known)  # all but the parcel and somebody
+    assert sum(known) > 0.9 * len(known)  # all but the parcel and a person
 
 
 def test_two_floors_become_two_maps_and_a_link(tmp_path: Path) -> None:
@@ -56,6 +59,20 @@ def test_two_floors_become_two_maps_and_a_link(tmp_path: Path) -> None:
     (link,) = export.links(plan).values()
     assert {link.first, link.second} <= places.locations.keys()
     assert link.cost == 30
+    beside = extras_file(tmp_path / "out" / "locations.ini")
+    assert beside.name in written
+    assert Extras.load(beside).links == {"lift": link}
+    stored = {(entry.kind.name, entry.name): entry.value for entry in read_files(tmp_path / "out" / "locations.ini")}
+    assert stored[LINK.name, "lift"] == link, "an import brings the link with the locations that it joins"
+
+
+def test_an_export_of_one_floor_leaves_no_links_of_an_earlier_one(tmp_path: Path) -> None:
+    export.save(load_plan("two_storeys"), tmp_path, 0.2)
+    written = {file.name for file in export.save(load_plan("hall"), tmp_path, 0.2)}
+    assert "locations_extras.ini" in written
+    assert Extras.load(tmp_path / "locations_extras.ini").links == {}
+    only_hall = {file.name for file in export.save(load_plan("hall"), tmp_path / "hall", 0.2)}
+    assert "locations_extras.ini" not in only_hall
 
 
 def test_the_picture_shows_walls_and_the_robot() -> None:
