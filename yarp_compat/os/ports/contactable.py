@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import re
 import threading
 import weakref
 from collections.abc import Callable
@@ -60,7 +61,7 @@ class Nodes:
             self._nodes[:] = [known for known in self._nodes if known() is not node]
 
     def active(self) -> str:
-        """The newest node's name; empty when there is none."""
+        """Return the newest node's name, or "" without a node."""
         with self._lock:
             node = self._nodes[-1]() if self._nodes else None
         return node.getName() if node is not None else ""
@@ -99,23 +100,24 @@ class Contactable:
     # -- life ---------------------------------------------------------------------------------------------------------
 
     def open(self, name: str | Contact, registerName: bool = True) -> bool:
-        """Register the port under a name and begin to take connections; False, and why in the log, where it cannot.
+        """Register the port under a name and accept connections; on failure log the reason and return False.
 
         ``name``: ``/reader``; empty or ``...`` lets the name server choose; ``/topic@/node`` is an end of a ROS topic;
-        a contact has the address to listen on. ``registerName``: tell the name server.
+        a contact has the address to listen on. ``registerName``: register the port at the name server.
         """
         if not RUNTIME.is_up:
             log.error("YARP not initialized; call yarp.Network.init() before using ports")
             return False
         self.close()
         contact = name if isinstance(name, Contact) else Contact(name)
-        full = self._full_name(contact.getRegName())
+        asked = contact.getRegName()
+        full = self._full_name(os.environ.get(_variable("YARP_RENAME", asked)) or asked)
         if full is None:
             return False
-        return self._open(full, contact, register=registerName)
+        return self._open(full, contact, _number(asked) or max(contact.getPort(), 0), register=registerName)
 
     def _full_name(self, name: str) -> str | None:
-        """The name to register; None where it is not one."""
+        """Return the full name to register; None if the name is invalid."""
         if name in ("", "..."):
             return name
         name = os.environ.get("YARP_PORT_PREFIX", "") + name
@@ -128,7 +130,7 @@ class Contactable:
         if not nested.is_nested:
             if is_port_name(name):
                 return name
-            log.error("%r is no name for a port: YARP's names are like /robot/camera, without spaces", name)
+            log.error("%r is not a port name: YARP's names are like /robot/camera, without spaces", name)
             return None
         self._type = self._type or nested.type
         nested = nested.with_role(self._role())
@@ -151,11 +153,11 @@ class Contactable:
             return SERVER if self._rpc else SUBSCRIBER
         return ""
 
-    def _open(self, name: str, contact: Contact, *, register: bool) -> bool:
+    def _open(self, name: str, contact: Contact, number: int, *, register: bool) -> bool:
         naming = RUNTIME.naming if register else RUNTIME.unregistered
         core = PortCore(
             name, on_message=_weakly(self._take), naming=naming, rpc=self._rpc, type_name=self._type,
-            host=contact.getHost() or None, number=max(contact.getPort(), 0), profile=RUNTIME.profile,
+            host=contact.getHost() or None, number=number, profile=RUNTIME.profile,
             is_input=self._is_input is not False, is_output=self._is_output is not False, on_event=_weakly(self._tell),
             replies=self._ANSWERS,
         )  # fmt: skip
@@ -305,7 +307,7 @@ class Contactable:
         self._reporter = reporter
 
     def resetReporter(self) -> None:
-        """Report to nobody any more."""
+        """Stop reporting."""
         self._reporter = None
 
     getVerbosity = getter("_verbosity", int, "Whether connections that come and go are logged.")
@@ -314,7 +316,7 @@ class Contactable:
     # -- messages -----------------------------------------------------------------------------------------------------
 
     def isWriting(self) -> bool:
-        """Whether a message is still on its way."""
+        """Whether a message is still being sent."""
         return self._core is not None and self._core.is_writing
 
     def setEnvelope(self, envelope: Any) -> bool:
@@ -345,11 +347,11 @@ class Contactable:
         return True
 
     def lockCallback(self) -> bool:
-        """Wait until no callback runs, and let none run until `unlockCallback`; False where there is no lock."""
+        """Wait until no callback runs, and let none run until `unlockCallback`; False without a lock."""
         return self._has_lock and bool(self._callback_lock.acquire())
 
     def tryLockCallback(self) -> bool:
-        """The same without waiting; False where a callback runs."""
+        """Like `lockCallback`, without waiting; False while a callback runs."""
         return self._has_lock and bool(self._callback_lock.acquire(blocking=False))
 
     def unlockCallback(self) -> None:
@@ -386,7 +388,23 @@ class Contactable:
 
 
 class UnbufferedContactable(Contactable):
-    """A port that reads and writes when it is told to: `Port` and its kin."""
+    """A port whose program reads and writes explicitly: `Port`, `RpcServer`, `RpcClient`."""
+
+
+def _variable(prefix: str, name: str) -> str:
+    """The environment variable that concerns a port: ``YARP_RENAME_robot_camera`` (``NameConfig::getSafeString``)."""
+    return prefix + re.sub(r"[^0-9A-Za-z]", "_", name)
+
+
+def _number(name: str) -> int:
+    """The TCP port that the environment gives a port; 0 if it gives none."""
+    variable = _variable("YARP_PORTNUMBER", name)
+    text = os.environ.get(variable, "")
+    if text.isascii() and text.isdecimal() and int(text) < 1 << 16:
+        return int(text)
+    if text:
+        log.warning("%s=%.40s is ignored: it must be a number from 1 to 65535", variable, text)
+    return 0
 
 
 def _connect(one: NestedName, other: NestedName) -> None:
@@ -394,7 +412,7 @@ def _connect(one: NestedName, other: NestedName) -> None:
     try:
         connections.connect(RUNTIME.naming, source.port, target.port)
     except NamingError as err:
-        _node_log.info("%s: %s", one.port, err)  # left behind by a program that died, as a rule
+        _node_log.info("%s: %s", one.port, err)  # usually left by a program that crashed
 
 
 def _weakly(method: Callable[[Any], None]) -> Callable[[Any], None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import socket
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -51,7 +52,7 @@ def test_a_port_writes_what_another_reads(pool: ThreadPoolExecutor) -> None:
 def test_a_writer_waits_until_its_message_is_read(pool: ThreadPoolExecutor) -> None:
     reader, writer = connected()
     sent = pool.submit(writer.write, yarp.Bottle("1"))
-    until(writer.isWriting, "the message to be on its way")
+    until(writer.isWriting, "the message to be in transit")
     assert not sent.done()
     got = yarp.Bottle()
     assert reader.read(got)
@@ -136,7 +137,7 @@ def test_questions_have_answers(pool: ThreadPoolExecutor) -> None:
     assert server.reply(yarp.Bottle([command.get(1).asInt32() + command.get(2).asInt32()]))
     assert asked.result(20)
     assert answer.get(0).asInt32() == 5
-    assert not server.reply(answer)  # nobody asked again
+    assert not server.reply(answer)  # without another request
 
 
 def test_a_promised_answer_that_does_not_come_is_empty(pool: ThreadPoolExecutor) -> None:
@@ -158,7 +159,7 @@ def test_what_servers_and_clients_do_not_do() -> None:
     assert not server.read(yarp.Bottle(), False)
     assert not client.read(yarp.Bottle())
     assert not client.reply(yarp.Bottle())
-    assert not client.write(yarp.Bottle("x"), yarp.Bottle())  # it is connected to nobody
+    assert not client.write(yarp.Bottle("x"), yarp.Bottle())  # without connections
     assert client.addOutput("/s")
     other = opened(yarp.RpcServer, "/s2")
     assert not client.addOutput("/s2")  # it has one already
@@ -252,7 +253,7 @@ def test_interrupting_lets_readers_go() -> None:
 def test_closing_lets_readers_and_writers_go(pool: ThreadPoolExecutor) -> None:
     reader, writer = connected()
     waiting = pool.submit(writer.write, yarp.Bottle("x"))
-    until(writer.isWriting, "the message to be on its way")
+    until(writer.isWriting, "the message to be in transit")
     reader.close()
     waiting.result(20)
     assert not reader.read(yarp.Bottle())
@@ -287,6 +288,48 @@ def test_names_that_cannot_be(caplog: pytest.LogCaptureFixture) -> None:
 def test_names_may_have_a_prefix(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("YARP_PORT_PREFIX", "/sim")
     assert opened(name="/camera").getName() == "/sim/camera"
+
+
+def test_the_environment_renames_a_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As ``Port::open``: the variable's name has ``_`` for all but letters and digits; the prefix is added later."""
+    monkeypatch.setenv("YARP_RENAME_camera_rgb_1_o", "/robot/eye:o")
+    assert opened(name="/camera/rgb-1:o").getName() == "/robot/eye:o"
+    assert opened(name="/camera/rgb:o").getName() == "/camera/rgb:o"
+    monkeypatch.setenv("YARP_PORT_PREFIX", "/sim")
+    assert opened(name="/camera/rgb-1:o").getName() == "/sim/robot/eye:o"
+    monkeypatch.setenv("YARP_RENAME_camera_rgb_1_o", "")
+    assert opened(name="/camera/rgb-1:o").getName() == "/sim/camera/rgb-1:o"
+
+
+def test_a_renamed_port_of_every_kind_receives_under_its_new_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    for kind in ("in", "out", "rpc", "ask"):
+        monkeypatch.setenv(f"YARP_RENAME_mine_{kind}", f"/theirs/{kind}")
+    reader, writer = yarp.BufferedPortBottle(), yarp.BufferedPortBottle()
+    assert reader.open("/mine/in")
+    assert writer.open(yarp.Contact("/mine/out"))
+    server, client = yarp.RpcServer(), yarp.RpcClient()
+    assert server.open("/mine/rpc")
+    assert client.open("/mine/ask")
+    assert yarp.Network.connect("/theirs/out", "/theirs/in")
+    assert yarp.Network.connect("/theirs/ask", "/theirs/rpc")
+    assert not yarp.Network.exists("/mine/in")
+    writer.prepare().addInt32(7)
+    writer.write()
+    assert reader.read().get(0).asInt32() == 7
+
+
+def test_the_environment_gives_a_port_its_number(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        number = free.getsockname()[1]
+    monkeypatch.setenv("YARP_PORTNUMBER_camera", str(number))
+    monkeypatch.setenv("YARP_RENAME_camera", "/eye")
+    port = opened(name="/camera")
+    assert (port.getName(), port.where().getPort()) == ("/eye", number)
+    monkeypatch.setenv("YARP_PORTNUMBER_other", "many")
+    assert opened(name="/other").where().getPort() > 0
+    assert "YARP_PORTNUMBER_other=many is ignored" in caplog.text
 
 
 def test_what_a_port_tells_of_itself() -> None:
