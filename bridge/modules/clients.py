@@ -124,7 +124,7 @@ class SentGoal:
             if why:  # of a bridge that cannot reach the server
                 self.finish(GoalState.ABORTED, None, why)
             else:
-                self.finish(GoalState.UNKNOWN, None, "the server does not know the goal")
+                self.finish(GoalState.UNKNOWN, None, "the server does not know the goal, or cannot be reached")
         else:
             self.finish(GoalState(reply["status"]), reply["result"], "")
 

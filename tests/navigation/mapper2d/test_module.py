@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from bridge.clock import SYSTEM_CLOCK
 from bridge.stores.kinds import MAP
 from tests.modules.place import Place
 from tests.support.wait import until
@@ -264,10 +264,10 @@ def test_a_clock_that_is_set_back_makes_no_old_scan_new(untouched: Place, monkey
         return [found["scans"], found["dropped"]]
 
     def set_back() -> None:
-        with monkeypatch.context() as simulated:
-            simulated.setattr(host.clock, "simulated", True)  # else it hears of no time
-            for seconds in (20, 10):
-                host.clock.hear(struct.pack("<4xiI", seconds, 0))
+        with monkeypatch.context() as system:
+            system.setattr(SYSTEM_CLOCK, "_wall", lambda: time.time_ns() - 10 * S)
+            assert SYSTEM_CLOCK.check() < 0
+        SYSTEM_CLOCK.check()
         host.loop.call(lambda: None)
 
     with Writer(naming=place.names) as writer:
