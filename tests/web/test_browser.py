@@ -609,6 +609,24 @@ def test_the_places_to_send_to_are_in_sight(
 
 
 @pytest.mark.thorough
+def test_a_patrol_that_has_ended_covers_no_place(
+    operator: Operator, places: Callable[[int], None], watch: TestPage
+) -> None:
+    places(9)
+    names = list(watch.value("places")["locations"])[:2]
+    watch.watch("patrol")
+    assert watch.call("patrol", places=names, wait=2)["ok"]
+    watch.value("patrol", lambda value: value["state"] == "drives")
+    assert watch.call("stop")["ok"]
+    watch.value("patrol", lambda value: value["state"] == "ended")
+    with viewport(operator.chrome, 1366, 625):
+        operator.open("drive")
+        operator.choose("Send")
+        until(lambda: len(operator.texts(".places-list button")) == 9, "nine places are listed")
+        until(lambda: operator.chrome.execute_script(SENDING)["visible"] == 9, "nine places are in sight")
+
+
+@pytest.mark.thorough
 def test_many_places_scroll_in_their_list_only(operator: Operator, places: Callable[[int], None]) -> None:
     places(30)
     with viewport(operator.chrome, 1366, 625):

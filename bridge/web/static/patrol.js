@@ -45,6 +45,7 @@ export function patrolBlock(socket, changed) {
     }, { "aria-label": `Take ${name} out of the patrol` })), () => {});
     const active = patrol !== null && patrol.state !== "ended";
     write(line, patrol ? words(patrol) : "");
+    mark(line, "data-state", patrol?.state ?? null);
     mark(line, "data-mood", patrol?.state === "held" ? "held" : active ? "busy" : null);
     mark(opener, "disabled", active && !picks ? "" : null);
   }
