@@ -1,11 +1,11 @@
-"""The door before the SDK's server: who may come in, from which pages, and as what.
+"""The server in front of the SDK's: it authenticates clients, and checks which page connects.
 
-The SDK lets everybody in: it looks neither at a token nor at the page that asks, so that any page in the browser of
-this machine could drive the robot (OWASP, "Cross-site WebSocket hijacking"). So it listens on an address of loopback
-that nobody is told, and this server hands bytes to and fro once it has seen the request's head. It reads no message.
+The SDK accepts every client: it checks neither tokens nor the ``Origin`` header, so that any page in this machine's
+browser could drive the robot (OWASP, "Cross-site WebSocket hijacking"). So the SDK listens on an unpublished loopback
+address, and this server forwards bytes once it has checked the request's head. It parses no messages.
 
-What waits for a client here is bounded in bytes (`MOST_UNREAD`), which the SDK's queue is not; one that takes nothing
-for `STILL_SECONDS` is cut.
+The output buffer of each client is bounded in bytes (`MOST_UNREAD`), which the SDK's queue is not; a client that reads
+nothing for `STILL_SECONDS` is disconnected.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ _log = logging.getLogger("midspan.foxglove")
 PROTOCOL = "foxglove.sdk.v1"
 MOST_CLIENTS = 32
 MOST_CONNECTIONS = 4 * MOST_CLIENTS
-"""Those that have not said yet who they are among them; what comes beyond is cut."""
+"""Including those that are not authenticated yet; further ones are closed."""
 MOST_HEAD = 16 << 10
 HEAD_SECONDS = 5.0
-"""A request's head, and the SDK's answer, take no longer."""
+"""Time limit of a request's head, and of the SDK's response."""
 MOST_UNREAD = 8 << 20
 STILL_SECONDS = 20.0
 _STEP = 256 << 10
 _STOP_SECONDS = 1.5
-_NOT_THE_APP = "here is a WebSocket for the Foxglove app alone"
+_NOT_THE_APP = "this WebSocket is for the Foxglove app"
 _CONTROL = re.compile(r"[\x00-\x08\n-\x1f\x7f]")
 _REQUEST = re.compile(r"GET (\S+) HTTP/1\.1")
 
 
 class TurnedAwayError(Exception):
-    """A request is not let in; the text says why."""
+    """A request is refused; the text is the reason."""
 
     def __init__(self, status: HTTPStatus, why: str) -> None:
         super().__init__(why)
@@ -63,7 +63,7 @@ class RequestHead:
 
     Attributes:
         target: path and query.
-        headers: by their names in small letters; of those that come twice both, with a comma.
+        headers: by their names in lower case; repeated ones are joined with a comma.
     """
 
     target: str
@@ -71,7 +71,7 @@ class RequestHead:
 
     @classmethod
     def read(cls, head: bytes) -> RequestHead:
-        """Raises `TurnedAwayError`."""
+        """Parse a head; raises `TurnedAwayError`."""
         first, *lines = head.decode("latin-1").removesuffix("\r\n\r\n").split("\r\n")
         match = _REQUEST.fullmatch(first)
         if match is None:
@@ -80,39 +80,39 @@ class RequestHead:
         for line in lines:
             name, parted, value = line.partition(":")
             if not parted or name != name.strip() or _CONTROL.search(line):
-                raise TurnedAwayError(HTTPStatus.BAD_REQUEST, f"this is no header: {line[:80]!r}")
+                raise TurnedAwayError(HTTPStatus.BAD_REQUEST, f"not a header: {line[:80]!r}")
             key = name.lower()
             headers[key] = f"{headers[key]},{value.strip()}" if key in headers else value.strip()
         return cls(match[1], headers)
 
     @property
     def token(self) -> str:
-        """What it says to be let in: ``?token=`` of its address, or a bearer's header; "" without."""
+        """The token, from ``?token=`` of the address or from the header ``Authorization``; "" without one."""
         scheme, _, word = self.headers.get("authorization", "").partition(" ")
         said = parse_qs(self.target.partition("?")[2]).get("token", [""])[0]
         return word.strip() if scheme.lower() == "bearer" else said
 
     def forwarded(self) -> bytes:
-        """The head for the SDK's server, without the token."""
+        """Return the head for the SDK's server, without the token."""
         names = (name for name in self.headers if name not in ("authorization", "cookie"))
         lines = ["GET / HTTP/1.1", *(f"{name}: {self.headers[name]}" for name in names)]
         return "\r\n".join([*lines, "", ""]).encode("latin-1")
 
 
 class Door:
-    """Tells who a request is of."""
+    """Authenticates requests."""
 
     def __init__(self, section: FoxgloveSection) -> None:
         self._section = section
         self._access = Access(WebSection(tokens=section.tokens), b"") if section.tokens else None
 
     def grant(self, request: RequestHead, address: str) -> Grant:
-        """As what somebody comes in; raises `TurnedAwayError`."""
+        """Return the client's name and role; raises `TurnedAwayError`."""
         protocols = request.headers.get("sec-websocket-protocol", "").replace(" ", "").split(",")
         if request.headers.get("upgrade", "").lower() != "websocket" or PROTOCOL not in protocols:
-            raise TurnedAwayError(HTTPStatus.BAD_REQUEST, f"{_NOT_THE_APP}, which speaks {PROTOCOL}")
+            raise TurnedAwayError(HTTPStatus.BAD_REQUEST, f"{_NOT_THE_APP}, with the subprotocol {PROTOCOL}")
         if self._access is None:
-            self._check_page(request.headers)  # with tokens no strange page knows one
+            self._check_page(request.headers)  # not with tokens: a foreign page has none
             return Grant("", "drive" if self._section.drive else "watch")
         try:
             found = self._access.grant({"authorization": f"Bearer {request.token}"}, "", address)
@@ -120,32 +120,32 @@ class Door:
             raise TurnedAwayError(HTTPStatus.TOO_MANY_REQUESTS, str(err)) from None
         if found is None:
             raise TurnedAwayError(
-                HTTPStatus.UNAUTHORIZED, "say a token of foxglove.tokens: wss://robot:8765/?token=..."
+                HTTPStatus.UNAUTHORIZED, "give a token of foxglove.tokens: wss://robot:8765/?token=..."
             )
         return found
 
     def _check_page(self, headers: dict[str, str]) -> None:
         origin = headers.get("origin", "")
         if origin and origin.lower() not in {each.lower() for each in self._section.origins}:
-            why = f"a page of {origin[:80]!r} may not ask; foxglove.origins names those that may"
+            why = f"pages of {origin[:80]!r} may not connect; foxglove.origins lists those that may"
             raise TurnedAwayError(HTTPStatus.FORBIDDEN, why)
         if not origin and "mozilla" in headers.get("user-agent", "").lower():
-            raise TurnedAwayError(HTTPStatus.FORBIDDEN, "a browser that does not say which page asks")
+            raise TurnedAwayError(HTTPStatus.FORBIDDEN, "a browser's request has no Origin")
 
 
 class Front:
-    """Serves on a thread of its own. Raises `RuntimeError` where it cannot listen.
+    """The server that the app connects to, with its own thread. Raises `RuntimeError` if it cannot listen.
 
     Args:
         section: the configuration.
-        inner: where the SDK's server listens.
-        visitors: is told who comes.
-        announces: whether the SDK is to be told, too; it takes that only where clients may publish.
-        tls: where it has TLS.
+        inner: address of the SDK's server.
+        visitors: registry of the clients.
+        announces: whether the SDK receives each client's mark; it accepts that only if clients may publish.
+        tls: certificate and key, None without TLS.
 
     Attributes:
         address: what to open in the app.
-        inner: where the SDK's server listens.
+        inner: address of the SDK's server.
         port: it listens on.
     """
 
@@ -162,7 +162,7 @@ class Front:
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind((host, port))
-            self._socket.listen(64)  # who comes before the server turns waits
+            self._socket.listen(64)  # connections wait here until the server runs
         except OSError as err:
             self._socket.close()
             said = f"the Foxglove server cannot listen on {section.listen}: {err.strerror}; set foxglove.listen"
@@ -175,18 +175,18 @@ class Front:
         self._thread = threading.Thread(target=self._run, name="midspan-foxglove-front", daemon=True)
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start to serve."""
         self._thread.start()
 
     @property
     def trouble(self) -> str:
-        """Why it does not serve, "" where it does."""
+        """Why it does not run, "" if it does."""
         return "" if self._thread.is_alive() else "the server has ended"
 
     def close(self) -> None:
-        """Cut all, and end the thread. Safe to call twice."""
+        """Close all connections, and end the thread. Safe to call twice."""
         if self._loop is not None and self._thread.is_alive():
-            with contextlib.suppress(RuntimeError):  # its loop has just ended by itself
+            with contextlib.suppress(RuntimeError):  # its loop has just ended
                 self._loop.call_soon_threadsafe(self._ended.set)
             self._thread.join(_STOP_SECONDS)
         self._socket.close()
@@ -195,7 +195,7 @@ class Front:
         try:
             asyncio.run(self._serve())
         except Exception:
-            _log.exception("the server for the Foxglove app")
+            _log.exception("the server for the Foxglove app failed")
 
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -219,7 +219,7 @@ class Front:
         address = str(writer.get_extra_info("peername")[0])
         try:
             async with asyncio.timeout(HEAD_SECONDS):
-                head = await reader.readuntil(b"\r\n\r\n")  # also of who is refused: else the answer might be lost
+                head = await reader.readuntil(b"\r\n\r\n")  # before a refusal, too: otherwise the response might be lost
             request = RequestHead.read(head)
             visitor = Visitor(self._door.grant(request, address), address)
             await self._join(request, visitor, reader, writer)
@@ -235,9 +235,9 @@ class Front:
     async def _join(
         self, request: RequestHead, visitor: Visitor, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
-        """Have a visitor and the SDK's server talk until either ends."""
+        """Forward between a client and the SDK's server until either closes."""
         if len(self._visitors.all()) >= MOST_CLIENTS:
-            raise TurnedAwayError(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} clients are here already")
+            raise TurnedAwayError(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} clients are connected already")
         first = self._visitors.expect(visitor)
         inner: asyncio.StreamWriter | None = None
         try:
@@ -252,7 +252,7 @@ class Front:
                 return
             if self._announces:
                 inner.write(_masked(first))
-            _log.info("%s comes in to %s", visitor.who, visitor.grant.role)
+            _log.info("%s has connected, role %s", visitor.who, visitor.grant.role)
             writer.transport.set_write_buffer_limits(high=MOST_UNREAD, low=MOST_UNREAD - _STEP)
             await _either(_hand_on(reader, inner, None), _hand_on(answers, writer, visitor))
         finally:
@@ -262,7 +262,7 @@ class Front:
 
 
 async def _either(*jobs: Coroutine[Any, Any, None]) -> None:
-    """Run until one ends, and end the others."""
+    """Run until one of them ends, and cancel the others."""
     tasks = [asyncio.create_task(job) for job in jobs]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -293,5 +293,5 @@ async def _refuse(writer: asyncio.StreamWriter, err: TurnedAwayError) -> None:
 
 
 def _masked(text: bytes) -> bytes:
-    """A client's text frame (RFC 6455, 5.2), with a mask of zeros."""
+    """Return a client's text frame (RFC 6455, 5.2), with a mask of zeros."""
     return bytes((0x81, 0x80 | 126)) + len(text).to_bytes(2, "big") + bytes(4) + text

@@ -197,8 +197,8 @@ def raw(desk: Desk, data: bytes) -> bytes:
 def test_who_speaks_something_else_is_told_and_cut(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     assert raw(desk, b"GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n").startswith(b"HTTP/1.1 400 Bad Request\r\n")
     old = b"GET / HTTP/1.1\r\nUpgrade: websocket\r\nSec-WebSocket-Protocol: foxglove.websocket.v1\r\n\r\n"
-    assert b"which speaks foxglove.sdk.v1" in raw(desk, old)
-    assert b"Foxglove app alone" in raw(desk, b"HELO robot\r\n\r\n")
+    assert b"subprotocol foxglove.sdk.v1" in raw(desk, old)
+    assert b"for the Foxglove app" in raw(desk, b"HELO robot\r\n\r\n")
     assert raw(desk, b"GET /" + b"x" * 100_000) == b""
     monkeypatch.setattr(front, "HEAD_SECONDS", 0.2)
     assert raw(desk, b"GET / HTTP/1.1\r\n") == b"", "who does not go on is cut"

@@ -118,7 +118,7 @@ def test_a_stranger_gets_the_login_alone(guarded: GuardedDesk) -> None:
     for path in ("/index.html", "/app.js", "/map/occupancy.png", "/whoami", "/none", "//login", "/login/../app.js"):
         status, _, body = guarded.ask("GET", path)
         assert status == 401, path
-        assert "say who you are" in body
+        assert "login required" in body
     with pytest.raises(InvalidStatus, match="401"):
         guarded.page()
 
@@ -265,7 +265,7 @@ def test_the_secret_is_the_owners(tmp_path: Path) -> None:
     assert kept_secret(tmp_path / "state") == made
     assert stat.S_IMODE((tmp_path / "state" / "web.secret").stat().st_mode) == 0o600
     (tmp_path / "file").write_text("")
-    with pytest.raises(RuntimeError, match="the console keeps there"):
+    with pytest.raises(RuntimeError, match="the console stores its key"):
         kept_secret(tmp_path / "file")
 
 

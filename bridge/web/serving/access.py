@@ -1,8 +1,8 @@
-"""Who may come in to the console, and what they may do there: tokens, certificates, logins.
+"""Authentication of the console's clients: tokens, certificates, logins.
 
-A token is 256 random bits; the configuration has its SHA-256, which tells nobody the token. A login gives the browser
-a cookie that this console alone can make: name and end, with an HMAC (RFC 2104) over both and the token's hash. So a
-login outlasts a restart, and ends where the token is taken out of the configuration.
+A token has 256 random bits; the configuration contains its SHA-256, from which the token cannot be derived. A login
+gives the browser a cookie that only this console can make: name and expiry, with an HMAC (RFC 2104) over both and the
+token's hash. So a login outlasts a restart, and ends when the token is removed from the configuration.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ MOST_ADDRESSES = 1000
 
 @dataclass(frozen=True)
 class Grant:
-    """What somebody may do.
+    """What a client may do.
 
     Attributes:
-        name: of the token or the certificate, "" where nobody is asked.
-        until: seconds since 1970 at which it ends, 0 for no end.
+        name: of the token or the certificate, "" without authentication.
+        until: seconds since 1970 at which it expires, 0 if it does not.
     """
 
     name: str
@@ -47,24 +47,24 @@ class Grant:
 
     @property
     def may_drive(self) -> bool:
-        """Whether they may command."""
+        """Whether the client may send commands."""
         return self.role == "drive"
 
 
 EVERYBODY = Grant("", "drive")
-"""On loopback, where no tokens are configured."""
+"""For every client on loopback without tokens."""
 
 
 class TooManyError(RuntimeError):
-    """Wrong tokens were tried; the text says when the next may be."""
+    """Wrong tokens were tried; the text has the time until the next attempt."""
 
 
 class Access:
-    """Tells who somebody is.
+    """Authenticates clients.
 
     Args:
         section: the configuration.
-        secret: what cookies are made with, of this console alone.
+        secret: this console's key for cookies.
     """
 
     def __init__(self, section: WebSection, secret: bytes) -> None:
@@ -73,12 +73,12 @@ class Access:
         self._slow = Slowness()
 
     def grant(self, headers: Mapping[str, str], certificate: str, address: str) -> Grant | None:
-        """Whom a request is of, None where that is not known.
+        """Return who sent a request, None if it is not authenticated.
 
         Args:
-            headers: of the request, in small letters.
-            certificate: the name in the other end's certificate, "" without one.
-            address: the other end's.
+            headers: of the request, by their names in lower case.
+            certificate: the name in the client's certificate, "" without one.
+            address: the client's.
 
         Raises:
             TooManyError: its token is not even looked at.
@@ -95,7 +95,7 @@ class Access:
         return found
 
     def login(self, token: str, address: str) -> tuple[Grant, str] | None:
-        """Who has this token, and the cookie for it; None for nobody. Raises `TooManyError`."""
+        """Return the token's owner and the cookie; None if the token is unknown. Raises `TooManyError`."""
         grant = self._by_token(token, address)
         if grant is None:
             return None
@@ -106,7 +106,7 @@ class Access:
         self._slow.check(address)
         digest = token_hash(token[: MOST_TOKEN + 1])
         found = None
-        for name, each in self._tokens.items():  # all of them: the time tells nothing
+        for name, each in self._tokens.items():  # all of them, so that the duration reveals nothing
             if hmac.compare_digest(digest, each.sha256):
                 found = Grant(name, each.role)
         if found is None:
@@ -130,7 +130,7 @@ class Access:
 
 
 class Slowness:
-    """Makes who tries wrong tokens wait, by address and all together; may be used on any thread."""
+    """Limits attempts with wrong tokens, by address and in total. Safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -138,7 +138,7 @@ class Slowness:
         self._recent: list[float] = []
 
     def check(self, address: str) -> None:
-        """Raises `TooManyError` where an address may not try now."""
+        """Raise `TooManyError` if an address has to wait."""
         now = time.monotonic()
         with self._lock:
             self._recent = [at for at in self._recent if now - at < WRONG_SECONDS]
@@ -149,23 +149,23 @@ class Slowness:
             raise TooManyError(f"wrong tokens were tried; try again in {wait:.0f} s")
 
     def wrong(self, address: str) -> None:
-        """An address has tried a wrong one."""
+        """Record a wrong token of an address."""
         now = time.monotonic()
         with self._lock:
             count = self._wrong.pop(address, (0, 0.0))[0] + 1
             if len(self._wrong) >= MOST_ADDRESSES:
-                del self._wrong[next(iter(self._wrong))]  # whose last wrong one is the longest ago
+                del self._wrong[next(iter(self._wrong))]  # the oldest
             self._wrong[address] = count, now + min(FIRST_WAIT * 2.0 ** min(count - 1, 20), LONGEST_WAIT)
             self._recent.append(now)
 
     def right(self, address: str) -> None:
-        """An address has one."""
+        """Record a valid token of an address."""
         with self._lock:
             self._wrong.pop(address, None)
 
 
 def kept_secret(folder: Path) -> bytes:
-    """The secret of this console, made where there is none; raises `RuntimeError` where it cannot be kept."""
+    """Return this console's secret; a new one if it is missing. Raises `RuntimeError` if it cannot be stored."""
     from bridge.hub.security.certificates import write_private
 
     file = folder / "web.secret"
@@ -176,12 +176,12 @@ def kept_secret(folder: Path) -> bytes:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         write_private(file, made)
     except OSError as err:
-        raise RuntimeError(f"{file}: {err.strerror}; the console keeps there what logins are made with") from None
+        raise RuntimeError(f"{file}: {err.strerror}; the console stores its key for logins there") from None
     return made
 
 
 def _cookie(header: str) -> str:
-    """The value of our cookie."""
+    """Return the value of the console's cookie, "" without one."""
     for part in header.split(";"):
         name, _, value = part.strip().partition("=")
         if name == COOKIE:
@@ -190,7 +190,7 @@ def _cookie(header: str) -> str:
 
 
 def common_name(peer: Any) -> str:
-    """The name in the certificate that the other end showed (as `ssl.SSLSocket.getpeercert` gives it), or ""."""
+    """Return the name in a client's certificate (as `ssl.SSLSocket.getpeercert` returns it), or ""."""
     for part in (peer or {}).get("subject", ()):
         for key, value in part:
             if key == "commonName":

@@ -1,4 +1,4 @@
-"""Who comes in: the page that asks for a token, the cookie that it gives, and the guard before everything else."""
+"""The login page, its cookie, and the guard in front of all other routes."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _log = logging.getLogger("midspan.web")
 
 STATIC = Path(__file__).parents[1] / "static"
 OPEN = frozenset({"/login", "/login.js", "/login.css", "/style.css", "/icon.svg", "/healthz", "/readyz"})
-"""What who is not known yet may have."""
+"""Paths that need no authentication."""
 MOST_BODY = 1024
 _BODY_SECONDS = 5.0
-_WHO = "say who you are: open /login in a browser, send 'Authorization: Bearer TOKEN', or show a certificate"
+_WHO = "login required: open /login in a browser, send 'Authorization: Bearer TOKEN', or use a client certificate"
 
 
 class LoginGuard:
-    """Lets in who is known; others get the login's files alone. Who it is stands in the request's state."""
+    """Passes authenticated requests, with the grant in their state; others get only the login page and its files."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app, self._access = app, access
@@ -58,17 +58,17 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, answer: Response) 
 
 
 def address_of(scope: Scope) -> str:
-    """The other end's address."""
+    """Return the client's address."""
     return str((scope.get("client") or ("?",))[0])
 
 
 def who(grant: Grant, address: str) -> str:
-    """Somebody in words, for the log."""
+    """Return a client's description for the log."""
     return f"{grant.name} at {address}" if grant.name else address
 
 
 class Login:
-    """The routes by which a browser comes in and goes out."""
+    """The routes by which a browser logs in and out."""
 
     def __init__(self, access: Access) -> None:
         self._access = access
@@ -83,7 +83,7 @@ class Login:
         return Response((STATIC / "login.html").read_bytes(), media_type="text/html; charset=utf-8")
 
     async def _login(self, request: Request) -> Response:
-        if "origin" not in request.headers:  # which page asks has been looked at (`server.refusal`)
+        if "origin" not in request.headers:  # `server.refusal` has checked its value
             return PlainTextResponse("only this console's own page may log in\n", 403)
         try:
             async with asyncio.timeout(_BODY_SECONDS):
@@ -117,7 +117,7 @@ class Login:
 
 
 async def _body(request: Request) -> bytes:
-    """The body; raises `ValueError` where it is too long."""
+    """Return the body; raises `ValueError` if it is too long."""
     found = b""
     async for part in request.stream():
         found += part
@@ -127,7 +127,7 @@ async def _body(request: Request) -> bytes:
 
 
 def _token(body: bytes) -> str:
-    """The token in a body; raises `ValueError`."""
+    """Return the token in a body; raises `ValueError`."""
     try:
         found: Any = json.loads(body)
     except RecursionError:

@@ -1,8 +1,8 @@
-"""An HTTP server on a thread of its own, for the console and for metrics. It answers requests to itself alone.
+"""An HTTP server with its own thread, for the console and for metrics. It refuses requests that other sites cause.
 
-A strange page in the operator's browser must not drive a robot: each request's ``Host`` is one that this server has
-(which keeps out names that are made to point here), and a socket's ``Origin`` is this server's own page (OWASP, "DNS
-rebinding" and "Cross-site WebSocket hijacking").
+A foreign page in the operator's browser must not drive a robot: each request's ``Host`` must be one of this server's
+names (against DNS rebinding), and a socket's ``Origin`` must be this server's own page (against cross-site WebSocket
+hijacking; both are OWASP's terms).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _NAMES = ("localhost", "127.0.0.1", "[::1]")
 
 
 class OwnOnly:
-    """Lets requests through that name this server as their host, sockets only from this server's own page."""
+    """Passes requests whose ``Host`` is this server, sockets only from this server's own page."""
 
     def __init__(self, app: ASGIApp, hosts: Callable[[], frozenset[str]]) -> None:
         self._app, self._hosts = app, hosts
@@ -80,7 +80,7 @@ class OwnOnly:
 
 
 def refusal(scope: Scope, hosts: frozenset[str]) -> str:
-    """Why a request is not answered, "" where it is."""
+    """Return why a request is refused, "" if it is not."""
     found: dict[str, list[str]] = {}
     for name, value in scope["headers"]:
         found.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
@@ -91,7 +91,7 @@ def refusal(scope: Scope, hosts: frozenset[str]) -> str:
     if any(each.lower() != own for each in origin):
         return f"a page of {', '.join(origin)[:80]!r} may not ask"
     if scope["type"] == "websocket" and not origin and "user-agent" in found and "Mozilla" in found["user-agent"][0]:
-        return "a browser that does not say which page asks"
+        return "a browser's request has no Origin"
     if found.get("sec-fetch-site", ["same-origin"])[0] not in ("same-origin", "none"):
         return "another site's page may not ask"
     return ""
@@ -109,14 +109,14 @@ def _with_headers(send: Send) -> Send:
 
 
 class HttpServer:
-    """Serves on a thread of its own.
+    """An HTTP server with its own thread.
 
     Args:
         listen: address and port.
-        routes: what it answers.
-        access: who may come in.
-        tls: where it has TLS.
-        what: who serves, for errors.
+        routes: its routes.
+        access: authentication of clients.
+        tls: certificate and key, None without TLS.
+        what: the server, for errors.
         key: the configuration's key of ``listen``, for errors.
         most_bytes: of a socket's message.
 
@@ -135,7 +135,7 @@ class HttpServer:
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind((address, port))
-            self._socket.listen(128)  # who comes before the server turns waits
+            self._socket.listen(128)  # connections wait here until the server runs
         except OSError as err:
             self._socket.close()
             raise RuntimeError(f"{what} cannot listen on {listen}: {err.strerror}; set {key}") from None
@@ -159,12 +159,12 @@ class HttpServer:
         self._trouble = ""
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start to serve."""
         self._thread.start()
 
     @property
     def trouble(self) -> str:
-        """Why it does not serve, "" where it does."""
+        """Why it does not run, "" if it does."""
         return self._trouble or ("" if self._thread.is_alive() else "the server has ended")
 
     def close(self) -> None:
@@ -181,16 +181,16 @@ class HttpServer:
             with asyncio.Runner(loop_factory=ServerLoop) as runner:
                 runner.run(self._server.serve([self._socket]))
         except Exception as err:
-            _log.exception("the server")
+            _log.exception("the HTTP server failed")
             self._trouble = f"{type(err).__name__}: {err}"
 
 
 def hosts(names: Sequence[str], port: int, *, tls: bool) -> frozenset[str]:
-    """What a request's ``Host`` may be; the scheme's own port is left out by browsers."""
+    """Return the valid values of ``Host``; browsers leave out the scheme's default port."""
     own = {name.lower() for name in (*_NAMES, *names)}
     return frozenset({f"{name}:{port}" for name in own} | (own if port == (443 if tls else 80) else set()))
 
 
 def bracketed(name: str) -> str:
-    """A name or an address as it stands in an URL."""
+    """Return a name or an address as in a URL."""
     return f"[{name}]" if ":" in name else name
