@@ -16,7 +16,7 @@ import logging
 import re
 import socket
 import threading
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,7 @@ from urllib.parse import parse_qs
 from bridge.config.sections.foxglove import FoxgloveSection
 from bridge.config.sections.web import WebSection, split
 from bridge.foxglove.visitors import Visitor, Visitors
-from bridge.web.serving.access import Access, Grant, TooManyError
+from bridge.web.serving.access import Access, Grant, WrongTokenError
 from bridge.web.serving.scarce_log import ScarceLog
 
 if TYPE_CHECKING:
@@ -50,11 +50,18 @@ _REQUEST = re.compile(r"GET (\S+) HTTP/1\.1")
 
 
 class TurnedAwayError(Exception):
-    """A request is refused; the text is the reason."""
+    """A request is refused; the text is the reason.
 
-    def __init__(self, status: HTTPStatus, why: str) -> None:
+    Attributes:
+        headers: HTTP headers of the refusal.
+        logged: whether it is in the log already.
+    """
+
+    def __init__(
+        self, status: HTTPStatus, why: str, headers: Mapping[str, str] | None = None, *, logged: bool = False
+    ) -> None:
         super().__init__(why)
-        self.status = status
+        self.status, self.headers, self.logged = status, headers or {"connection": "close"}, logged
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +111,9 @@ class Door:
 
     def __init__(self, section: FoxgloveSection) -> None:
         self._section = section
-        self._access = Access(WebSection(tokens=section.tokens), b"") if section.tokens else None
+        log = ScarceLog("midspan.foxglove")
+        web = WebSection(tokens=section.tokens)
+        self._access = Access(web, b"", key="foxglove.tokens", log=log) if section.tokens else None
 
     def grant(self, request: RequestHead, address: str) -> Grant:
         """Return the client's name and role; raises `TurnedAwayError`."""
@@ -114,15 +123,16 @@ class Door:
         if self._access is None:
             self._check_page(request.headers)  # not with tokens: a foreign page has none
             return Grant("", "drive" if self._section.drive else "watch")
+        how = "give a token of foxglove.tokens: wss://robot:8765/?token=..."
+        headers = {"authorization": f"Bearer {request.token}", "user-agent": request.headers.get("user-agent", "")}
         try:
-            found = self._access.grant({"authorization": f"Bearer {request.token}"}, "", address)
-        except TooManyError as err:
-            raise TurnedAwayError(HTTPStatus.TOO_MANY_REQUESTS, str(err)) from None
-        if found is None:
-            raise TurnedAwayError(
-                HTTPStatus.UNAUTHORIZED, "give a token of foxglove.tokens: wss://robot:8765/?token=..."
-            )
-        return found
+            grant = self._access.grant(headers, "", address)
+        except WrongTokenError as err:
+            status = HTTPStatus.TOO_MANY_REQUESTS if err.wait else HTTPStatus.UNAUTHORIZED
+            raise TurnedAwayError(status, f"{err}; {how}", err.headers, logged=True) from None
+        if grant is None:
+            raise TurnedAwayError(HTTPStatus.UNAUTHORIZED, how)
+        return grant
 
     def _check_page(self, headers: dict[str, str]) -> None:
         origin = headers.get("origin", "")
@@ -219,12 +229,13 @@ class Front:
         address = str(writer.get_extra_info("peername")[0])
         try:
             async with asyncio.timeout(HEAD_SECONDS):
-                head = await reader.readuntil(b"\r\n\r\n")  # before a refusal, too: otherwise the response might be lost
+                head = await reader.readuntil(b"\r\n\r\n")  # also before a refusal, or the response might be lost
             request = RequestHead.read(head)
             visitor = Visitor(self._door.grant(request, address), address)
             await self._join(request, visitor, reader, writer)
         except TurnedAwayError as err:
-            self._refused.warn(f"a client at {address} is refused: {err}")
+            if not err.logged:
+                self._refused.warn(f"a client at {address} is refused: {err}")
             await _refuse(writer, err)
         except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
             pass
@@ -284,7 +295,8 @@ async def _hand_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, v
 async def _refuse(writer: asyncio.StreamWriter, err: TurnedAwayError) -> None:
     text = f"{err}\n".encode()
     head = f"HTTP/1.1 {err.status.value} {err.status.phrase}\r\ncontent-type: text/plain; charset=utf-8\r\n"
-    writer.write(f"{head}content-length: {len(text)}\r\nconnection: close\r\n\r\n".encode() + text)
+    more = "".join(f"{name}: {value}\r\n" for name, value in err.headers.items())
+    writer.write(f"{head}content-length: {len(text)}\r\n{more}\r\n".encode() + text)
     with contextlib.suppress(OSError, TimeoutError):
         async with asyncio.timeout(HEAD_SECONDS):
             await writer.drain()

@@ -122,13 +122,22 @@ def test_tokens_say_who_comes_and_as_what(guarded: GuardedDesk) -> None:
     until(lambda: guarded.status()["clients"] == [], "they are gone")
 
 
-def test_who_has_no_token_stays_out(guarded: GuardedDesk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bridge.web.serving.access.FIRST_WAIT", 0.0)
-    assert status_of(guarded) == 401
-    assert status_of(guarded, query="?token=wrong") == 401
+def test_clients_without_a_valid_token_are_refused(
+    guarded: GuardedDesk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     monkeypatch.setattr("bridge.web.serving.access.FIRST_WAIT", 60.0)
+    assert [status_of(guarded), status_of(guarded)] == [401, 401]
     assert status_of(guarded, query=f"?token={HALL[1]}") == 401, "the hash is not accepted as a token"
-    assert status_of(guarded, query=f"?token={HALL[0]}") == 429, "who guesses waits"
+    assert status_of(guarded, query="?token=old", user_agent_header="studio") == 401
+    for _ in range(3):
+        with pytest.raises(InvalidStatus) as refused:
+            guarded.app(query="?token=old", user_agent_header="studio")
+        assert refused.value.response.status_code == 429
+        assert 0 < int(refused.value.response.headers["Retry-After"]) <= 60
+    with guarded.app(query=f"?token={HALL[0]}") as app:
+        app.until(lambda: app.said, "a valid token is accepted")
+    lines = [record.getMessage() for record in caplog.records if "foxglove.tokens" in record.getMessage()]
+    assert lines.count("127.0.0.1 (program 'studio') sent a token that is not in foxglove.tokens") == 1
 
 
 def test_who_comes_past_the_front_may_not_publish(desk: Desk) -> None:

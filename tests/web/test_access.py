@@ -20,7 +20,8 @@ from bridge.config.sections.web import TokenSection, WebSection
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.tokens import new_token
 from bridge.web.serving import access
-from bridge.web.serving.access import COOKIE, Access, Grant, Slowness, TooManyError, kept_secret
+from bridge.web.serving.access import COOKIE, Access, Grant, WrongTokens, kept_secret
+from bridge.web.serving.scarce_log import ScarceLog
 from bridge.web.serving.server import hosts
 from tests.support.wait import until
 from tests.web.conftest import Desk
@@ -204,52 +205,106 @@ def test_each_command_is_logged_with_who_sent_it(guarded: GuardedDesk, caplog: p
     assert DRIVE[0] not in caplog.text
 
 
-def test_wrong_tokens_are_slowed(guarded: GuardedDesk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_token_keeps_no_other_client_out(
+    guarded: GuardedDesk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     monkeypatch.setattr(access, "FIRST_WAIT", 30.0)
-    assert guarded.login("wrong")[0] == 403
-    status, _, body = guarded.login(DRIVE[0])
-    assert status == 429, "even the right one is not looked at"
-    assert "try again in" in body
-    for how in ("wrong", DRIVE[0]):
-        with pytest.raises(InvalidStatus, match="429"):
-            guarded.page(how)
-    with guarded.page(name="operator1") as page:
-        assert page.call("ping")["ok"], "who needs no token is not slowed"
+    old = {"Authorization": "Bearer of-yesterday", "User_Agent": "dashboard/1"}
+    status, headers, body = guarded.ask("GET", "/whoami", **old)
+    assert (status, body, "retry-after" in headers) == (401, "no such token\n", False)
+    for _ in range(3):
+        status, headers, body = guarded.ask("GET", "/whoami", **old)
+        assert (status, headers["connection"]) == (429, "close")
+        assert 20 < int(headers["retry-after"]) <= 30
+        assert f"try again in {headers['retry-after']} s" in body
+        assert guarded.ask("GET", "/whoami", Authorization=f"Bearer {DRIVE[0]}")[0] == 200
+    assert (guarded.ask("GET", "/login", **old)[0], guarded.ask("GET", "/style.css", **old)[0]) == (200, 200)
+    with pytest.raises(InvalidStatus) as refused:
+        guarded.page("of-yesterday")
+    assert refused.value.response.status_code == 429
+    assert 0 < int(refused.value.response.headers["Retry-After"]) <= 30
+    assert guarded.login("mistyped")[0] == 403, "another wrong token has its own delay"
+    status, headers, body = guarded.login("mistyped")
+    assert (status, 0 < int(headers["retry-after"]) <= 30) == (429, True)
+    assert guarded.login(DRIVE[0])[0] == 200
+    for token, name in ((DRIVE[0], ""), ("", "operator1")):
+        with guarded.page(token, name) as page:
+            assert page.call("ping")["ok"]
+    lines = [record.getMessage() for record in caplog.records if "web.tokens" in record.getMessage()]
+    assert lines[0] == "127.0.0.1 (program 'dashboard/1') sent a token that is not in web.tokens"
+    assert len(lines) == 2, "a line for each wrong token"
+    assert "of-yesterday" not in caplog.text
 
 
-def test_slowness_is_by_address_in_all_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [100.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    slow = Slowness()
-    for wait in (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0):
-        slow.wrong("a")
-        slow.check("b")
-        now[0] += wait - 0.01
-        with pytest.raises(TooManyError):
-            slow.check("a")
-        now[0] += 0.02
-        slow.check("a")
-    slow.right("a")
-    for number in range(access.MOST_WRONG):
-        slow.wrong(f"n{number}")
-    with pytest.raises(TooManyError):
-        slow.check("b")
-    now[0] += access.WRONG_SECONDS + 1.0
-    slow.check("b")
-    for number in range(3 * access.MOST_ADDRESSES):
-        slow.wrong(f"m{number}")
-        now[0] += access.WRONG_SECONDS
-        slow.check("b")
-    assert len(slow._wrong) <= access.MOST_ADDRESSES
-    assert len(slow._recent) <= access.MOST_WRONG
+class Guesser:
+    """Wrong tokens, with a clock and a log of its own."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 100.0
+        self.lines: list[str] = []
+        log = ScarceLog()
+        monkeypatch.setattr(log, "warn", self.lines.append)
+        monkeypatch.setattr(time, "monotonic", lambda: self.now)
+        self.wrong = WrongTokens(log, "web.tokens")
+
+    def wait(self, address: str, token: str) -> int:
+        return self.wrong.refuse(address, token, "curl")
+
+
+@pytest.fixture
+def guesser(monkeypatch: pytest.MonkeyPatch) -> Guesser:
+    return Guesser(monkeypatch)
+
+
+def test_a_wrong_token_waits_longer_each_time_and_delays_no_other(guesser: Guesser) -> None:
+    for wait in (1, 2, 4, 8, 16, 32, 60, 60):
+        assert guesser.wait("a", "old") == 0
+        guesser.now += 0.01
+        assert guesser.wait("a", "old") == wait
+        guesser.now += wait
+    guesser.wait("a", "old")
+    assert [guesser.wait("a", "other"), guesser.wait("b", "old")] == [0, 0]
+    guesser.now += access.FORGET_SECONDS + 1.0
+    assert guesser.wait("a", "old") == 0
+    guesser.now += 0.5
+    assert guesser.wait("a", "old") == 1, "a token that was not used for long begins again"
+
+
+def test_many_wrong_tokens_of_an_address_share_a_delay(guesser: Guesser) -> None:
+    for number in range(access.MOST_WRONG + 1):
+        assert guesser.wait("a", f"n{number}") == 0
+    assert guesser.wait("a", "more") > 0
+    assert guesser.wait("b", "more") == 0
+    assert guesser.lines[-2].endswith(f"sent over {access.MOST_WRONG} different tokens; none is in web.tokens")
+
+
+def test_wrong_tokens_use_little_memory(guesser: Guesser) -> None:
+    for number in range(10_000):
+        guesser.wait("a", f"n{number}")
+    assert len(guesser.wrong._attempts) == access.MOST_WRONG + 1, "of one address"
+    for number in range(3 * access.MOST_ENTRIES):
+        guesser.wait(f"m{number}", "old")
+    assert len(guesser.wrong._attempts) == access.MOST_ENTRIES
+    guesser.now += access.FORGET_SECONDS + 1.0
+    guesser.wait("a", "old")
+    assert len(guesser.wrong._attempts) == 1
+
+
+def test_a_wrong_token_has_few_log_lines(guesser: Guesser) -> None:
+    for _ in range(int(access.LOG_SECONDS) + 2):
+        guesser.wait("a", "old")
+        guesser.now += 1.0
+    requests = int(access.LOG_SECONDS)
+    assert guesser.lines == [
+        "a (program 'curl') sent a token that is not in web.tokens",
+        f"a (program 'curl') sent a token that is not in web.tokens {requests} times since the last such line",
+    ]
 
 
 def test_a_login_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     section = WebSection(tokens={"anna": TokenSection(sha256=DRIVE[1])})
     mine = Access(section, b"s" * 32)
-    found = mine.login(DRIVE[0], "a")
-    assert found is not None
-    headers = {"cookie": f"{COOKIE}={found[1]}"}
+    headers = {"cookie": f"{COOKIE}={mine.login(DRIVE[0], 'a')[1]}"}
     grant = mine.grant(headers, "", "a")
     assert grant == Grant("anna", "drive", grant.until if grant else 0.0)
     assert Access(section, b"t" * 32).grant(headers, "", "a") is None, "of another console"

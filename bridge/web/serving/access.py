@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import math
 import secrets
 import threading
 import time
@@ -19,6 +20,7 @@ from typing import Any
 
 from bridge.config.sections.web import Role, TokenSection, WebSection
 from bridge.hub.security.tokens import token_hash
+from bridge.web.serving.scarce_log import ScarceLog
 
 COOKIE = "__Host-midspan"
 LOGIN_SECONDS = 30 * 86400
@@ -26,10 +28,13 @@ MOST_TOKEN = 200
 _SECRET_BYTES = 32
 
 FIRST_WAIT, LONGEST_WAIT = 1.0, 60.0
-"""Seconds after an address's first wrong token, twice as many after each further one."""
-MOST_WRONG, WRONG_SECONDS = 60, 60.0
-"""Wrong tokens of all addresses together in a minute."""
-MOST_ADDRESSES = 1000
+"""Seconds for which a wrong token is refused with 429 after its first use, doubled after each further one."""
+MOST_WRONG = 20
+"""Different wrong tokens of one address that are counted separately; further ones share one entry."""
+MOST_ENTRIES = 1000
+FORGET_SECONDS = 600.0
+LOG_SECONDS = 600.0
+"""Shortest time between two log lines about the same wrong token of an address."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +60,22 @@ EVERYBODY = Grant("", "drive")
 """For every client on loopback without tokens."""
 
 
-class TooManyError(RuntimeError):
-    """Wrong tokens were tried; the text has the time until the next attempt."""
+class WrongTokenError(RuntimeError):
+    """A token is unknown.
+
+    Attributes:
+        wait: seconds after which the client may try it again; 0 if it has not tried it just before.
+    """
+
+    def __init__(self, wait: int = 0) -> None:
+        again = f"; it was tried before: try again in {wait} s, or use a valid token now" if wait else ""
+        super().__init__(f"no such token{again}")
+        self.wait = wait
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """HTTP headers of the refusal. The connection is closed, as an address may have a limited number of them."""
+        return {"connection": "close", **({"retry-after": str(self.wait)} if self.wait else {})}
 
 
 class Access:
@@ -65,12 +84,16 @@ class Access:
     Args:
         section: the configuration.
         secret: this console's key for cookies.
+        key: the configuration's key of the tokens, for the log.
+        log: for wrong tokens.
     """
 
-    def __init__(self, section: WebSection, secret: bytes) -> None:
+    def __init__(
+        self, section: WebSection, secret: bytes, *, key: str = "web.tokens", log: ScarceLog | None = None
+    ) -> None:
         self.guarded = section.guarded
         self._tokens, self._trusted, self._secret = dict(section.tokens), frozenset(section.trusted), secret
-        self._slow = Slowness()
+        self._wrong = WrongTokens(log or ScarceLog(), key)
 
     def grant(self, headers: Mapping[str, str], certificate: str, address: str) -> Grant | None:
         """Return who sent a request, None if it is not authenticated.
@@ -81,39 +104,34 @@ class Access:
             address: the client's.
 
         Raises:
-            TooManyError: its token is not even looked at.
+            WrongTokenError: its token is unknown.
         """
         if not self.guarded:
             return EVERYBODY
         scheme, _, token = headers.get("authorization", "").partition(" ")
-        if scheme.lower() == "bearer":
-            return self._by_token(token.strip(), address)
+        if scheme.lower() == "bearer" and token.strip():
+            return self._by_token(token.strip(), address, headers.get("user-agent", ""))
         found = self._by_cookie(_cookie(headers.get("cookie", "")))
         if found is None and certificate:
             trusted = certificate in self._trusted or "*" in self._trusted
             found = Grant(certificate, "drive" if trusted else "watch")
         return found
 
-    def login(self, token: str, address: str) -> tuple[Grant, str] | None:
-        """Return the token's owner and the cookie; None if the token is unknown. Raises `TooManyError`."""
-        grant = self._by_token(token, address)
-        if grant is None:
-            return None
+    def login(self, token: str, address: str, program: str = "") -> tuple[Grant, str]:
+        """Return the token's owner and the cookie; raises `WrongTokenError`."""
+        grant = self._by_token(token, address, program)
         end = int(time.time()) + LOGIN_SECONDS
         return grant, f"{grant.name}.{end}.{self._mac(grant.name, str(end), self._tokens[grant.name])}"
 
-    def _by_token(self, token: str, address: str) -> Grant | None:
-        self._slow.check(address)
+    def _by_token(self, token: str, address: str, program: str) -> Grant:
         digest = token_hash(token[: MOST_TOKEN + 1])
-        found = None
-        for name, each in self._tokens.items():  # all of them, so that the duration reveals nothing
-            if hmac.compare_digest(digest, each.sha256):
-                found = Grant(name, each.role)
-        if found is None:
-            self._slow.wrong(address)
-        else:
-            self._slow.right(address)
-        return found
+        grant = None
+        for name, section in self._tokens.items():  # all of them, so that the duration reveals nothing
+            if hmac.compare_digest(digest, section.sha256):
+                grant = Grant(name, section.role)
+        if grant is None:
+            raise WrongTokenError(self._wrong.refuse(address, digest, program))
+        return grant
 
     def _by_cookie(self, value: str) -> Grant | None:
         name, _, rest = value.partition(".")
@@ -129,39 +147,68 @@ class Access:
         return hmac.new(self._secret, f"{name}.{end}.{token.sha256}".encode(), hashlib.sha256).hexdigest()
 
 
-class Slowness:
-    """Limits attempts with wrong tokens, by address and in total. Safe to use from any thread."""
+@dataclass(slots=True)
+class _Attempts:
+    """Requests of one address with one wrong token."""
 
-    def __init__(self) -> None:
+    count: int = 0  # those that were not refused with 429
+    until: float = 0.0  # before this time, further ones are
+    last: float = 0.0
+    logged: float = -math.inf
+    unlogged: int = 0
+
+    def pop_due(self, now: float) -> int:
+        """Return the number of requests for the log's next line, 0 if none is due."""
+        if now - self.logged < LOG_SECONDS:
+            return 0
+        requests, self.unlogged, self.logged = self.unlogged, 0, now
+        return requests
+
+
+class WrongTokens:
+    """Counts the wrong tokens of each address. Safe to use from any thread.
+
+    A valid token is never counted or delayed, as many clients may share an address (a proxy, a NAT, one machine), and
+    nobody guesses 256 random bits. The time that a wrong one has to wait only slows down its client's requests.
+    """
+
+    def __init__(self, log: ScarceLog, key: str) -> None:
+        self._log, self._key = log, key
         self._lock = threading.Lock()
-        self._wrong: dict[str, tuple[int, float]] = {}  # how many, and when the next may be tried
-        self._recent: list[float] = []
+        self._attempts: dict[tuple[str, str], _Attempts] = {}  # by address and hash, the last used one at the end
 
-    def check(self, address: str) -> None:
-        """Raise `TooManyError` if an address has to wait."""
+    def refuse(self, address: str, digest: str, program: str) -> int:
+        """Record a wrong token; return the seconds that the client has to wait, 0 for the token's first use."""
         now = time.monotonic()
         with self._lock:
-            self._recent = [at for at in self._recent if now - at < WRONG_SECONDS]
-            wait = self._wrong.get(address, (0, 0.0))[1] - now
-            if len(self._recent) >= MOST_WRONG:
-                wait = max(wait, self._recent[0] + WRONG_SECONDS - now)
-        if wait > 0.0:
-            raise TooManyError(f"wrong tokens were tried; try again in {wait:.0f} s")
+            attempts, several = self._entry(address, digest, now)
+            attempts.last = now
+            attempts.unlogged += 1
+            wait = attempts.until - now
+            if wait <= 0.0:
+                attempts.count += 1
+                attempts.until = now + min(FIRST_WAIT * 2.0 ** min(attempts.count - 1, 20), LONGEST_WAIT)
+            requests = attempts.pop_due(now)
+        if requests:
+            token = f"over {MOST_WRONG} different tokens; none is" if several else "a token that is not"
+            times = "" if requests == 1 else f" {requests} times since the last such line"
+            self._log.warn(f"{address} (program {program[:80]!r}) sent {token} in {self._key}{times}")
+        return max(math.ceil(wait), 0)
 
-    def wrong(self, address: str) -> None:
-        """Record a wrong token of an address."""
-        now = time.monotonic()
-        with self._lock:
-            count = self._wrong.pop(address, (0, 0.0))[0] + 1
-            if len(self._wrong) >= MOST_ADDRESSES:
-                del self._wrong[next(iter(self._wrong))]  # the oldest
-            self._wrong[address] = count, now + min(FIRST_WAIT * 2.0 ** min(count - 1, 20), LONGEST_WAIT)
-            self._recent.append(now)
-
-    def right(self, address: str) -> None:
-        """Record a valid token of an address."""
-        with self._lock:
-            self._wrong.pop(address, None)
+    def _entry(self, address: str, digest: str, now: float) -> tuple[_Attempts, bool]:
+        """Return the attempts with a token, and whether they are counted with others of the address."""
+        attempts = self._attempts
+        while attempts:
+            oldest = next(iter(attempts))
+            if len(attempts) < MOST_ENTRIES and now - attempts[oldest].last <= FORGET_SECONDS:
+                break
+            del attempts[oldest]
+        key = (address, digest)
+        several = key not in attempts and sum(known == address for known, _ in attempts) >= MOST_WRONG
+        if several:
+            key = (address, "")
+        attempts[key] = attempts.pop(key, _Attempts())
+        return attempts[key], several
 
 
 def kept_secret(folder: Path) -> bytes:

@@ -14,7 +14,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from bridge.web.serving.access import COOKIE, LOGIN_SECONDS, Access, Grant, TooManyError
+from bridge.web.serving.access import COOKIE, LOGIN_SECONDS, Access, Grant, WrongTokenError
 
 _log = logging.getLogger("midspan.web")
 
@@ -36,15 +36,17 @@ class LoginGuard:
         """Serve or refuse one request."""
         headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
         state = scope.setdefault("state", {})
+        path = scope["path"] if scope["type"] == "http" else ""
+        grant: Grant | None = None
+        refusal: Response = PlainTextResponse(f"{_WHO}\n", 401)
         try:
             grant = self._access.grant(headers, state.get("certificate", ""), address_of(scope))
-        except TooManyError as err:
-            await _refuse(scope, receive, send, PlainTextResponse(f"{err}\n", 429))
-            return
-        if grant is None and not (scope["type"] == "http" and scope["path"] in OPEN):
-            page = scope["type"] == "http" and scope["path"] == "/"
-            answer: Response = RedirectResponse("/login", 303) if page else PlainTextResponse(f"{_WHO}\n", 401)
-            await _refuse(scope, receive, send, answer)
+            if path == "/":
+                refusal = RedirectResponse("/login", 303)
+        except WrongTokenError as err:
+            refusal = PlainTextResponse(f"{err}\n", 429 if err.wait else 401, err.headers)
+        if grant is None and path not in OPEN:
+            await _refuse(scope, receive, send, refusal)
             return
         state["grant"] = grant
         await self._app(scope, receive, send)
@@ -92,13 +94,9 @@ class Login:
             return PlainTextResponse('send {"token": "..."}\n', 400)
         address = address_of(request.scope)
         try:
-            found = self._access.login(token, address)
-        except TooManyError as err:
-            return PlainTextResponse(f"{err}\n", 429)
-        if found is None:
-            _log.warning("%s tried a wrong token", address)  # as often as `access.Slowness` lets it
-            return PlainTextResponse("no such token\n", 403)
-        grant, cookie = found
+            grant, cookie = self._access.login(token, address, request.headers.get("user-agent", ""))
+        except WrongTokenError as err:
+            return PlainTextResponse(f"{err}\n", 429 if err.wait else 403, err.headers)
         _log.info("%s has logged in, role %s", who(grant, address), grant.role)
         answer = JSONResponse({"name": grant.name, "role": grant.role})
         answer.set_cookie(COOKIE, cookie, LOGIN_SECONDS, path="/", secure=True, httponly=True, samesite="strict")
