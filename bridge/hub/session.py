@@ -1,4 +1,4 @@
-"""Sessions and nodes on the hub: what a worker, a module or a tool of Midspan opens to take part in it."""
+"""Sessions and nodes on the hub, for workers, modules and tools of Midspan."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class HubSettings:
 
     Attributes:
         domain: ROS domain id, the first part of each key.
-        router: zenoh endpoint of the router, None where ``zenoh`` says all.
+        router: zenoh endpoint of the router, None if ``zenoh`` has all endpoints.
         zenoh: zenoh configuration laid over Midspan's, inline or the path of a JSON5 or YAML file.
         shared_memory: whether large messages go through shared memory between sessions of one machine.
         node: node name on the hub's graph.
@@ -70,7 +70,7 @@ class HubSettings:
         worker: name of the worker there.
         max_payload: bytes of the largest message.
         max_tokens: endpoints and nodes that the graph holds at most.
-        lane: folder of the sockets by which small messages go to other sessions with the same; None: all by zenoh.
+        lane: folder of the sockets for small messages to other sessions with the same folder; None: zenoh only.
     """
 
     domain: int = 0
@@ -86,7 +86,7 @@ class HubSettings:
     lane: str | Path | None = None
 
     def __post_init__(self) -> None:
-        """Refuse names that cannot stand in a key."""
+        """Refuse names that a key cannot contain."""
         for name, value, form in (
             ("daemon", self.daemon, _NAME),
             ("worker", self.worker, _NAME),
@@ -98,36 +98,36 @@ class HubSettings:
 
 
 def _config(settings: HubSettings) -> zenoh.Config:
-    # What is too large for us is to arrive nevertheless: a link would drop it without a word.
+    # Messages above the limit must arrive to be counted: a link drops them silently.
     room = max(settings.max_payload, MAX_PAYLOAD)
     tree = session_tree(settings.router, shared_memory=settings.shared_memory, max_payload=room)
     return make_config(tree, settings.zenoh)
 
 
 def _rules_messages(config: zenoh.Config) -> bool:
-    """Whether zenoh is to refuse or to thin out messages, which it could not do on the lane."""
+    """Whether zenoh has to refuse or drop some messages, which is impossible on the lane."""
     tree = json.loads(str(config))
     ruled = tree.get("access_control") or {}
     return bool(ruled.get("enabled") or tree.get("downsampling") or tree.get("low_pass_filter"))
 
 
 class HubSession:
-    """One zenoh session on the hub, with its graph and its links: of one node, or of several of a process (`Hub.on`).
+    """One zenoh session on the hub, with its graph and its links, for one node or several of a process (`Hub.on`).
 
-    Opening does not wait for the router: the session joins when it can, and again after a cut. Only in zenoh's client
-    mode the router must be there at the start.
+    Opening does not wait for the router: the session joins as soon as the router answers, also after a cut. Only in
+    zenoh's client mode the router must run at the start.
 
     Attributes:
         zenoh: the session.
         zid: its id.
         settings: how it joined.
-        shared: whether it is of several nodes; else it is closed with its one.
-        reach: whom its nodes' endpoints reach: other sessions, or each other too.
+        shared: whether it has several nodes; otherwise it closes with its only node.
+        reach: the receivers of its nodes' endpoints: other sessions, or each other too.
         graph: all participants as this session sees them.
         mesh: its direct links to other programs of this machine.
-        lane: the way of small messages to this daemon's other workers, None where there is none.
+        lane: the local transport of small messages to this daemon's other workers, None without one.
         ids: numbers of its nodes and their endpoints, as rmw_zenoh gives them.
-        nodes: those that are open.
+        nodes: the open nodes.
     """
 
     def __init__(self, session: zenoh.Session, settings: HubSettings, *, shared: bool = False) -> None:
@@ -145,15 +145,15 @@ class HubSession:
             self.lane = Lane(Path(settings.lane), self.zid, session, settings.domain)
             self.graph.watch(self.lane.graph_changed)
         self.mesh = Mesh(session, lambda: _config(settings), self._members)
-        # a process that ends with an open session hangs in zenoh's threads
+        # a process that exits with an open session hangs in zenoh's threads
         atexit.register(self.close)
 
     @classmethod
     def open(cls, settings: HubSettings, *, shared: bool) -> HubSession:
-        """Open a session; raises `HubError` where zenoh cannot."""
+        """Open a session; raises `HubError` if zenoh cannot."""
         config = _config(settings)
         if settings.lane is not None and _rules_messages(config):
-            _log.info("no lane: zenoh's configuration says which messages may pass")
+            _log.info("no lane: zenoh's configuration restricts messages")
             settings = replace(settings, lane=None)
         try:
             session = zenoh.open(config)
@@ -166,18 +166,18 @@ class HubSession:
             raise
 
     def add(self, node: Hub) -> None:
-        """Another node takes part; raises `HubClosedError`."""
+        """Add a node; raises `HubClosedError`."""
         with self._lock:
             if self._closed:
                 raise HubClosedError("the hub session is closed")
             self.nodes.add(node)
 
     def ask(self, verb: str, params: dict[str, Any], daemon: str, worker: str, timeout: float) -> list[WorkerAnswer]:
-        """Ask a verb of the control plane; see `Hub.ask`."""
+        """Query a verb of the control plane; see `Hub.ask`."""
         return ask(self.zenoh, self.settings.domain, verb, params, daemon, worker, timeout)
 
     def close(self) -> None:
-        """Close its nodes, and leave the hub. Safe to call twice."""
+        """Close its nodes and the session. Safe to call twice."""
         with self._lock:
             if self._closed:
                 return
@@ -192,7 +192,7 @@ class HubSession:
         self.zenoh.close()  # type: ignore[no-untyped-call]
 
     def _members(self) -> set[str] | None:
-        """The sessions that are linked with the routers of this one, as far as these answer."""
+        """Return the sessions that are linked with this session's routers, None if no router answers."""
         routers = {str(zid) for zid in self.zenoh.info.routers_zid()}
         answers = self.ask(MEMBERS, {}, "*", "router", 1.0) if routers else []
         values = [a.value for a in answers if isinstance(a.value, dict) and a.value.get("zid") in routers]
@@ -201,12 +201,12 @@ class HubSession:
 
 
 class Hub:
-    """A node on the hub, in rmw_zenoh's format: alone on its session (`open`), or beside others (`on`).
+    """A node on the hub, in rmw_zenoh's format, with its own session (`open`) or a shared one (`on`).
 
     Safe to use from any thread.
 
     Attributes:
-        max_payload: bytes of the largest message that is sent and taken.
+        max_payload: bytes of the largest message in either direction.
         graph: all participants as its session sees them.
         mesh: its session's direct links to other programs of this machine.
     """
@@ -236,7 +236,7 @@ class Hub:
 
     @classmethod
     def open(cls, settings: HubSettings) -> Hub:
-        """Open a session for one node; raises `HubError` where zenoh cannot."""
+        """Open a session for one node; raises `HubError` if zenoh cannot."""
         session = HubSession.open(settings, shared=False)
         try:
             return cls(session, settings)
@@ -246,14 +246,14 @@ class Hub:
 
     @classmethod
     def on(cls, session: HubSession, node: str, worker: str) -> Hub:
-        """Another node on a shared session; ``worker`` is its name on the control plane.
+        """Add a node to a shared session; ``worker`` is its name on the control plane.
 
-        It hears the session's other nodes, and they hear it. Raises `HubClosedError`.
+        The nodes of the session receive each other's messages. Raises `HubClosedError`.
         """
         return cls(session, replace(session.settings, node=node, worker=worker))
 
     def set_origin(self, origin: Origin | None) -> None:
-        """Announce which foreign network this session speaks for; before its endpoints are made."""
+        """Announce the foreign network that this session bridges; call it before creating endpoints."""
         with self._lock:
             self._check_open()
             before = self._origin
@@ -268,17 +268,17 @@ class Hub:
                 before[1]()
 
     def lane(self) -> dict[str, Any]:
-        """How the way to this daemon's other workers is; {} where there is none."""
+        """Return the state of the local transport to this daemon's other workers; {} without one."""
         return {} if self._joined.lane is None else self._joined.lane.state()
 
     def linked(self) -> bool:
-        """Whether the session has a link to any other on the hub now."""
+        """Whether the session has a link to any other session on the hub."""
         self._check_open()
         info = self._session.info
         return bool(info.routers_zid() or info.peers_zid())
 
     def neighbours(self) -> set[str]:
-        """The sessions that this one has a direct link to: of this machine's programs, since none passes the door."""
+        """Return the sessions with a direct link to this one, all of this machine's programs."""
         self._check_open()
         return {str(zid) for zid in self._session.info.peers_zid()}
 
@@ -293,11 +293,10 @@ class Hub:
         express: bool | None = None,
         queue: int | None = None,
     ) -> HubPublisher:
-        """Make a publisher; it lives until it or the session is closed.
+        """Create a publisher; it exists until it or the session is closed.
 
-        The priority is ``command``, ``state`` or ``stream``. With ``express`` each sample has a packet of its own; by
-        default commands alone do: a burst of samples that may share packets is not slower, and is not lost where the
-        machine is busy.
+        The priority is ``command``, ``state`` or ``stream``. With ``express`` each sample has its own packet; by
+        default only commands do, as a burst of samples in shared packets is as fast, and survives on a busy machine.
         """
         with self._lock:
             token = self._token(EndpointKind.PUBLISHER, topic, type_name, type_hash, qos)
@@ -314,11 +313,11 @@ class Hub:
         callback: Callable[[HubSample], None],
         refused: Refused | None = None,
     ) -> HubSubscription:
-        """Make a subscription, to any type hash where that is ``*``; it lives until it or the session is closed.
+        """Create a subscription, to any type hash if that is ``*``; it exists until it or the session is closed.
 
-        A latched one gets what each latched publisher keeps, of publishers present and late. Samples of this very
-        node are not delivered. ``callback``, and ``refused`` for each sample that is left out, run on zenoh's receiving
-        thread, or the thread of another node of this session that publishes: they append and wake, nothing more.
+        A latched one receives the cached samples of each latched publisher, present or late. The node's own samples
+        are not delivered. ``callback``, and ``refused`` for each sample that is left out, run on zenoh's receiving
+        thread, or the thread of another node of this session that publishes: they only append and wake.
         """
         with self._lock:
             token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
@@ -330,11 +329,11 @@ class Hub:
             return self._keep(LaneSubscription(self._context, lane, token, key, topic, kinds, qos, callback, refused))
 
     def server(self, name: str, type_name: str, type_hash: str, call: Call) -> HubServer:
-        """Serve a service; it lives until it or the session is closed.
+        """Serve a service; the server exists until it or the session is closed.
 
-        ``call`` gets each request's CDR on zenoh's receiving thread, or the thread of another node of this session that
-        calls; it begins the call and returns. Calls of this very node are not delivered. The name of an
-        action's service has its ``/_action/`` part.
+        ``call`` receives each request's CDR on zenoh's receiving thread, or the thread of another node of this session
+        that calls; it starts the call and returns. The node's own calls are not delivered. The name of an action's
+        service has its ``/_action/`` part.
         """
         with self._lock:
             token = self._token(EndpointKind.SERVER, name, type_name, type_hash, _SERVICE_QOS)
@@ -342,9 +341,9 @@ class Hub:
             return self._keep(HubServer(self._context, token, key, name, call))
 
     def client(self, name: str, type_name: str, type_hash: str, changed: Callable[[], None] | None = None) -> HubClient:
-        """Make a client of a service; it lives until it or the session is closed.
+        """Create a client of a service; it exists until it or the session is closed.
 
-        ``changed`` is called on a thread of zenoh when the first server came, or the last one went; it only wakes.
+        ``changed`` is called on a thread of zenoh when the first server appears or the last one leaves; it only wakes.
         """
         with self._lock:
             token = self._token(EndpointKind.CLIENT, name, type_name, type_hash, _SERVICE_QOS)
@@ -352,7 +351,7 @@ class Hub:
             return self._keep(HubClient(self._context, token, key, name, changed))
 
     def keyspace(self, prefix: str) -> KeySpace:
-        """Plain zenoh keys beneath a prefix; closed with the session where not before."""
+        """Return plain zenoh keys below a prefix; they close with the session at the latest."""
         with self._lock:
             self._check_open()
             space = KeySpace(self._session, prefix, self.max_payload)
@@ -360,7 +359,7 @@ class Hub:
             return space
 
     def serve(self, verb: str, handler: Handler) -> Callable[[], None]:
-        """Answer a verb of the control plane for this daemon and worker, until the returned function is called."""
+        """Serve a verb of the control plane for this daemon and worker, until the returned function is called."""
         with self._lock:
             self._check_open()
             return self._control.serve(verb, handler)
@@ -368,12 +367,12 @@ class Hub:
     def ask(
         self, verb: str, params: dict[str, Any], daemon: str = "*", worker: str = "*", timeout: float = 2.0
     ) -> list[WorkerAnswer]:
-        """Ask a verb of all workers, of one daemon's, or of one."""
+        """Query a verb of all workers, of one daemon's, or of one worker."""
         self._check_open()
         return self._joined.ask(verb, params, daemon, worker, timeout)
 
     def close(self) -> None:
-        """Leave the hub: endpoints, tokens and threads are gone afterwards. Safe to call twice."""
+        """Close the endpoints, tokens and threads of this node. Safe to call twice."""
         with self._lock:
             if self._closed:
                 return
@@ -414,14 +413,14 @@ class Hub:
             self._own.discard(endpoint.gid)
 
     def _token(self, kind: EndpointKind, topic: str, type_name: str, type_hash: str, qos: Qos) -> str:
-        """The key of a new endpoint's token; raises `HubClosedError`."""
+        """Return the key of a new endpoint's token; raises `HubClosedError`."""
         self._check_open()
         owner = replace(self._node, enclave=BRIDGE_ENCLAVE if self._origin else "/")
         return endpoint_key(EndpointToken(owner, str(next(self._joined.ids)), kind, topic, type_name, type_hash, qos))
 
 
 def follow_clock(clock: RunClock, hub: Hub) -> None:
-    """Feed a simulated clock with what other nodes publish on ``/clock``; nothing for the system's clock."""
+    """Feed a simulated clock with the times that other nodes publish on ``/clock``; the system's clock needs none."""
     if clock.simulated:
         qos = Qos(Reliability.BEST_EFFORT, depth=1)
         hub.subscription(CLOCK_TOPIC, CLOCK_TYPE, ANY_HASH, qos, lambda sample: clock.hear(sample.data()))

@@ -1,9 +1,9 @@
-"""Shared memory of zenoh sessions that died.
+"""The shared memory that remains of killed zenoh sessions.
 
-zenoh 1.10 keeps a session's shared memory in files ``<number>.zenoh``, which each process that uses one holds locked
-(flock). Those that nobody uses any more are removed here, as zenoh does where it uses shared memory itself. But a
-session that received from a dead one holds that one's pool for the rest of its life (seen with 1.10, and nothing makes
-it let go), so each death of a sender would cost another pool, until there is no room.
+zenoh 1.10 keeps a session's shared memory in files ``<number>.zenoh``. Each process that uses such a file holds a lock
+on it (flock). `clean` removes the unlocked ones, as zenoh does when it uses shared memory itself. But a session that
+received from a killed one keeps that one's pool until it closes (zenoh 1.10), so each killed sender would cost another
+pool until the memory is full.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from pathlib import Path
 
 from bridge.hub.zenoh_config import POOL
 
-FOLDER = Path("/dev/shm")  # noqa: S108 - where the system keeps POSIX shared memory
+FOLDER = Path("/dev/shm")  # noqa: S108 - the system's folder for POSIX shared memory
 YOUNG_SECONDS = 5.0
-"""A file so young may be just made, and not yet locked."""
+"""A younger file may not be locked yet."""
 
 NAME = re.compile(r"\d+\.zenoh")
 _LOCK = re.compile(r"FLOCK\s+\S+\s+\S+\s+(\d+) [0-9a-f]+:[0-9a-f]+:(\d+) ")
 
 
 def clean(folder: Path = FOLDER) -> int:
-    """Remove the files of dead sessions that nobody uses, and only those; how many."""
+    """Remove the files that no process uses; returns their number."""
     removed = 0
     for file in _files(folder):
         with contextlib.suppress(OSError):
@@ -36,7 +36,10 @@ def clean(folder: Path = FOLDER) -> int:
 
 
 def orphans(folder: Path = FOLDER, proc: Path = Path("/proc")) -> int:
-    """At least so many pools of dead sessions are held by living processes, of which each has one pool at most."""
+    """Return the least number of pools of killed sessions that running processes keep.
+
+    Each process creates at most one pool.
+    """
     try:
         locks = [(int(m[2]), int(m[1])) for m in _LOCK.finditer((proc / "locks").read_text())]
     except OSError:
@@ -47,28 +50,31 @@ def orphans(folder: Path = FOLDER, proc: Path = Path("/proc")) -> int:
             stat = file.stat()
             if stat.st_size == POOL:
                 pools.add(stat.st_ino)
-    held: dict[int, set[int]] = {}
+    holders: dict[int, set[int]] = {}
     for inode, pid in locks:
         if inode in pools:
-            held.setdefault(inode, set()).add(pid)
-    return _more_pools_than_holders(list(held.values()))
+            holders.setdefault(inode, set()).add(pid)
+    return _surplus_pools(list(holders.values()))
 
 
-def _more_pools_than_holders(held: list[set[int]]) -> int:
-    """Summed over those that share holders: hubs that have nothing to do with each other do not count together."""
-    more = 0
-    while held:
-        together, pids = 1, held.pop()
-        while near := [holders for holders in held if holders & pids]:
-            held = [holders for holders in held if not holders & pids]
-            together += len(near)
-            pids = pids.union(*near)
-        more += max(0, together - len(pids))
-    return more
+def _surplus_pools(holders: list[set[int]]) -> int:
+    """Return the number of pools beyond one per process, summed over the groups of processes that share pools.
+
+    Hubs that share no process are separate groups.
+    """
+    surplus = 0
+    while holders:
+        count, group = 1, holders.pop()
+        while neighbors := [pids for pids in holders if pids & group]:
+            holders = [pids for pids in holders if not pids & group]
+            count += len(neighbors)
+            group = group.union(*neighbors)
+        surplus += max(0, count - len(group))
+    return surplus
 
 
 def is_locked(file: Path) -> bool:
-    """Whether a living process holds a lock (flock) on the file; raises `OSError` where that cannot be found out."""
+    """Whether a running process holds a lock (flock) on the file; raises `OSError` if this cannot be determined."""
     import fcntl
 
     descriptor = os.open(file, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)

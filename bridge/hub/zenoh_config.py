@@ -1,4 +1,4 @@
-"""zenoh configurations of the hub's sessions: Midspan's defaults with the user's own laid over them."""
+"""zenoh configurations of the hub's sessions: Midspan's defaults with the user's settings laid over them."""
 
 from __future__ import annotations
 
@@ -14,50 +14,50 @@ from bridge.hub.errors import HubConfigError, zenoh_reason
 Tree = dict[str, Any]
 
 MAX_PAYLOAD = 256 << 20
-"""Bytes of the largest message that the hub takes by default."""
+"""Bytes of the largest message on the hub."""
 
 LEASE_MS = 3000
-"""A session that fell silent is given up after this time; four keep-alives are sent in it."""
+"""zenoh drops a silent session after this time, in which a live one sends four keep-alives."""
 
 CLIENT_WAIT_MS = 3000
-"""How long a session in zenoh's client mode waits for its router to answer when it is opened."""
+"""Longest time in which a session in zenoh's client mode waits for its router when it opens."""
 
 _PACKETS = dict.fromkeys(("interactive_high", "data_high", "data", "data_low"), 16)
-"""Packets that wait for a link, by priority; with zenoh's 2 a short burst of samples is lost on a busy machine."""
+"""Packets in a link's queue, by priority; with zenoh's 2 a short burst of samples is lost on a busy machine."""
 
 _FAR_MS, _NEAR_MS = 200, 2000
-"""How long a message of many packets may take to get into a link's queue, before it is dropped there.
+"""Longest time in which a message of many packets may enter a link's queue before zenoh drops it.
 
-With zenoh's 50 ms one of 10 MB is lost on a busy machine. The first one for a peer that stands still delays what comes
-behind it by so much. Routers have links to other machines, which stall. A worker's stay on its machine, where only what
-is too large for the shared memory has many packets: 50 MB take 0.2 s, and more than a second where others compute.
+With zenoh's 50 ms a message of 10 MB is lost on a busy machine. The first one for a hanging peer delays the following
+messages by this time. Routers have links to other machines, which stall. A worker's links stay on its machine, and only
+messages that do not fit the shared memory have many packets there: 50 MB take 0.2 s, more than a second on a busy
+machine.
 """
 
 _SMALL_MS = 20
-"""How long a message of one packet may take to get into a link's queue, before it is dropped there.
+"""Longest time in which a message of one packet may enter a link's queue before zenoh drops it.
 
-With zenoh's 1 ms one in a hundred is lost beside 40 MB/s to the same subscriber, whose process had no turn for a
-moment. A peer that stands still delays what comes behind it by so much once; then zenoh drops without waiting, until
-the link takes messages again.
+With zenoh's 1 ms one in a hundred is lost next to 40 MB/s for the same subscriber, whose process did not run for a
+moment. A hanging peer delays the following messages by this time once; then zenoh drops messages without waiting until
+the link accepts them again.
 """
 
 POOL = 16 << 20
 """Bytes of shared memory that one session may use; the workers of one machine fit a /dev/shm of 64 MB."""
 
 THRESHOLD = 64 << 10
-"""Bytes from which a message goes through shared memory. Smaller ones cross the network link as fast; and zenoh locks a
-sender's whole pool into memory, in each process that receives from it, once it has used it."""
+"""Least bytes of a message that goes through shared memory. Smaller ones are as fast on the network link; and zenoh
+locks a sender's whole pool into memory once it is used, in each process that receives from it."""
 
 
 def session_tree(router: str | None, *, shared_memory: bool, max_payload: int) -> Tree:
-    """Configuration of a worker's session: a peer that finds the others over the router and links to them directly."""
+    """Return the configuration of a worker's session: a peer that discovers others by the router and links directly."""
     tree = _common_tree(max_payload, _NEAR_MS)
     tree["mode"] = "peer"
     tree["listen"] = {"endpoints": ["tcp/127.0.0.1:0"]}
     tree["connect"] = {
         "endpoints": [] if router is None else [router],
-        # a peer does not wait for its router: it goes on trying, also when the link is cut later; zenoh cannot open a
-        # client without one
+        # a peer does not wait for its router but tries again, also after a cut; zenoh cannot open a client without one
         "timeout_ms": {"router": -1, "peer": -1, "client": CLIENT_WAIT_MS},
         "exit_on_failure": {"router": False, "peer": False, "client": True},
         "retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},
@@ -71,7 +71,7 @@ def session_tree(router: str | None, *, shared_memory: bool, max_payload: int) -
 
 
 def router_tree(listen: Sequence[str], *, max_payload: int) -> Tree:
-    """Configuration of a router; it passes on shared memory's contents as bytes."""
+    """Return the configuration of a router; it forwards the contents of shared memory as bytes."""
     tree = _common_tree(max_payload, _FAR_MS)
     tree["mode"] = "router"
     tree["listen"] = {"endpoints": list(listen), "exit_on_failure": True}
@@ -81,10 +81,10 @@ def router_tree(listen: Sequence[str], *, max_payload: int) -> Tree:
 
 
 def client_session_config(listen: str, user: Mapping[str, Any] | str | Path | None, seconds: float) -> zenoh.Config:
-    """Configuration of a client of the router at ``listen``, which must answer within so many seconds.
+    """Return the configuration of a client of the router at ``listen``, which must answer within ``seconds``.
 
-    A client knows the whole hub as soon as its one link stands; a peer would have to find every other first. ``user``
-    is the workers' own, for TLS. Raises `HubConfigError`.
+    A client has the whole hub as soon as its only link is up; a peer first has to discover each other session.
+    ``user`` is that of the workers, for TLS. Raises `HubConfigError`.
     """
     router = connect_endpoint(listen)
     config = make_config(session_tree(router, shared_memory=False, max_payload=MAX_PAYLOAD), user)
@@ -99,15 +99,15 @@ def client_session_config(listen: str, user: Mapping[str, Any] | str | Path | No
 
 
 def make_config(tree: Tree, user: Mapping[str, Any] | str | Path | None) -> zenoh.Config:
-    """Lay the user's configuration over ours.
+    """Lay the user's configuration over Midspan's.
 
     Args:
         tree: Midspan's defaults.
-        user: inline, or the path of a JSON5 or YAML file. Mappings are merged key by key, lists replaced whole. Of a
-            file, what equals zenoh's own default counts as left out.
+        user: inline, or the path of a JSON5 or YAML file. Mappings are merged key by key, lists replaced whole. A value
+            in a file that equals zenoh's default counts as left out.
 
     Raises:
-        HubConfigError: the file cannot be read, or zenoh does not know a key or value.
+        HubConfigError: the file cannot be read, or zenoh refuses a key or value.
     """
     try:
         if isinstance(user, str | Path):
@@ -121,7 +121,7 @@ def make_config(tree: Tree, user: Mapping[str, Any] | str | Path | None) -> zeno
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> Tree:
-    """A new mapping with ``over`` laid over ``base``, key by key at each level."""
+    """Return a new mapping: ``base`` with ``over`` laid over it, key by key at each level."""
     merged = dict(base)
     for key, value in over.items():
         below = merged.get(key)
@@ -130,7 +130,7 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> Tree:
 
 
 def connect_endpoint(listen: str) -> str:
-    """Where a program on this machine reaches what listens on ``listen``."""
+    """Return the endpoint by which this machine's programs connect to a listener at ``listen``."""
     for everywhere, here in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):
         listen = listen.replace(everywhere, here, 1)
     return listen
@@ -150,7 +150,7 @@ def _common_tree(max_payload: int, wait_ms: int) -> Tree:
                 "autoconnect_strategy": {"peer": {"to_router": "always", "to_peer": "greater-zid"}},
             },
         },
-        # caches and late joiners need the time of each sample
+        # caches and late joiners need the time stamp of each sample
         "timestamping": {"enabled": True},
         "transport": {
             "link": {
@@ -166,13 +166,13 @@ def _common_tree(max_payload: int, wait_ms: int) -> Tree:
 
 
 def _set_values(tree: Tree, defaults: Mapping[str, Any]) -> Tree:
-    found: Tree = {}
+    values: Tree = {}
     for key, value in tree.items():
         default = defaults.get(key)
         if isinstance(value, dict) and isinstance(default, Mapping):
             below = _set_values(value, default)
             if below:
-                found[key] = below
+                values[key] = below
         elif value is not None and value != default:
-            found[key] = value
-    return found
+            values[key] = value
+    return values

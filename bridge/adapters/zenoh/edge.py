@@ -1,4 +1,4 @@
-"""The base of the key dialects' edges: a session of its own, Midspan's neighbours there, and endpoints."""
+"""The base of the key dialects' edges: their session, other Midspans on its network, and endpoints."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ from yarp_compat.file_names import escaped
 _log = logging.getLogger(__name__)
 
 TICK = 0.25
-"""Seconds between an edge's looks at the time."""
+"""Seconds between two calls of `KeyEdge.tick`."""
 
 LINK_SECONDS = 0.5
-"""Seconds after which a new link has told all tokens: asked at once, it answers with none."""
+"""Seconds after which a new link has delivered all tokens; a query right after it opens returns none."""
 
 
 class OwnEndpoint(Protocol):
-    """A publisher, subscription, client or server of ours."""
+    """A publisher, subscription, client or server of this edge."""
 
     announcement: Announcement
 
     def close(self) -> None:
-        """Give it back."""
+        """Close it."""
 
 
 AnyEndpoint = TypeVar("AnyEndpoint", bound=OwnEndpoint)
@@ -54,7 +54,7 @@ AnyEndpoint = TypeVar("AnyEndpoint", bound=OwnEndpoint)
 class KeyEdge(SideEdge):
     """Joins one dialect on one zenoh network; ``scope`` distinguishes it from others of the dialect there.
 
-    Subclasses say what is on the graph and how endpoints are made.
+    Subclasses read the graph and create endpoints.
     """
 
     def __init__(self, config: Config, dialect: Dialect, registry: Registry, state: Path, scope: str) -> None:
@@ -71,7 +71,7 @@ class KeyEdge(SideEdge):
         self._ticker = threading.Thread(target=self._tick_on, name=f"midspan-{self.side}-tick", daemon=True)
 
     def start(self, listener: EdgeListener) -> None:
-        """Open the session; it joins the network when it can, and again after a cut."""
+        """Open the session; it joins the network as soon as it can, also after a cut."""
         self._listener = listener
         session, executor = _open(self._config), SerialExecutor(f"midspan-{self.side}-executor")
         small, bulk = (Dispatcher(f"midspan-{self.side}-in-{size}") for size in ("small", "bulk"))
@@ -80,13 +80,13 @@ class KeyEdge(SideEdge):
         limit = self._config.limits.message_bytes
         self._context = KeyContext(session, limit, executor, small, bulk, self._unregister)
         past = remember(str(session.zid()), self._file)
-        told = listener.graph_changed, listener.presence_changed
-        self._presence = KeyNeighbours(session, self.side, self._scope, past, *told)
+        callbacks = listener.graph_changed, listener.presence_changed
+        self._presence = KeyNeighbours(session, self.side, self._scope, past, *callbacks)
         self.opened(session)
         self._ticker.start()
 
     def stop(self) -> None:
-        """Give back everything; see `Edge.stop`."""
+        """Close everything; see `Edge.stop`."""
         self._stopping.set()
         if self._ticker.is_alive():
             self._ticker.join(2.0)
@@ -107,13 +107,13 @@ class KeyEdge(SideEdge):
 
     @abstractmethod
     def opened(self, session: zenoh.Session) -> None:
-        """The session is open: begin to follow the graph."""
+        """Start to follow the graph on the open session."""
 
     def closing(self) -> None:
-        """The session is about to be closed."""
+        """Release the resources of the session before it closes."""
 
     def tick(self, now: float) -> None:
-        """Called a few times a second with the monotonic time."""
+        """Do periodic work; called each `TICK` with the monotonic time."""
 
     def _tick_on(self) -> None:
         while not self._stopping.wait(TICK):
@@ -130,34 +130,34 @@ class KeyEdge(SideEdge):
                 neighbours.tick(now)
                 self.tick(now)
             except Exception:
-                _log.exception("%s: a look at the time failed", self.side)
+                _log.exception("%s: periodic work failed", self.side)
 
     @property
     def context(self) -> KeyContext:
-        """What our endpoints share, while the session is open."""
+        """The state that all endpoints share while the session is open."""
         if self._context is None:
             raise RuntimeError(f"the {self.side} edge is not open")
         return self._context
 
     def network(self) -> str | None:
-        """Our session's id, by which the others on this network know it; None while the session has no link."""
+        """Return the id of this session on its network; None while it has no link."""
         context = self._context
         return str(context.session.zid()) if context is not None and self._linked_since is not None else None
 
     def is_own_network(self, origin: Origin) -> bool:
-        """Whether the origin's session is ours or one that is seen here."""
+        """Whether the origin's session is this one or another on this network."""
         neighbours = self._presence
         return origin.side == self.side and (neighbours is None or neighbours.is_own(origin.network))
 
     def settled(self, since: float) -> bool:
-        """See `Edge.settled`: the network's routers and peers are asked for all tokens."""
+        """See `Edge.settled`: the network's routers and peers have answered with all tokens."""
         linked, neighbours = self._linked_since, self._presence
         if linked is None or neighbours is None or time.monotonic() - linked < LINK_SECONDS:
             return False
         return neighbours.settled(since)
 
     def register(self, endpoint: AnyEndpoint, prepare: Callable[[], None] = nothing) -> AnyEndpoint:
-        """Close an endpoint with the edge, prepare and announce it; returns it."""
+        """Prepare and announce an endpoint that closes with the edge; returns it."""
         with self._lock:
             self._endpoints.add(endpoint)
         prepare()
@@ -172,16 +172,19 @@ class KeyEdge(SideEdge):
 def configured(
     dialect: Dialect, ros2: Callable[[str], SideType], endpoint: Callable[[str, SideType], Endpoint]
 ) -> list[Endpoint]:
-    """The publishers that the configuration names because they announce nothing; types that are unknown are kept."""
-    found = []
+    """Return the publishers that the configuration lists because they do not announce themselves.
+
+    Those of unknown types are included.
+    """
+    endpoints = []
     for key in dialect.keys:
         assert key.topic is not None
         try:
             known = ros2(key.type)
-        except Exception:  # the engine meets it again and tells the reason
+        except Exception:  # the engine fails with it, too, and reports the reason
             known = SideType(key.type, "", "")
-        found.append(endpoint(key.topic, known))
-    return found
+        endpoints.append(endpoint(key.topic, known))
+    return endpoints
 
 
 def _open(config: Config) -> zenoh.Session:
