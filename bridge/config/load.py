@@ -1,4 +1,4 @@
-"""From a YAML file to a checked `Config`, or to the list of everything that is wrong with it."""
+"""Loads a YAML file into a checked `Config`, or raises the list of all its problems."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from bridge.config.migrate import too_new
 from bridge.config.model import Config
 from bridge.config.problems import key_name, model_of, problems
 from bridge.config.rules import untyped
+from bridge.config.zenoh_settings import zenoh_problems
 
-# paths that need not exist: Midspan makes them
+# paths that need not exist: Midspan creates them
 MADE_BY_US: frozenset[KeyPath] = frozenset({("state",), ("record", "folder")})
 
 
 def find(environ: Mapping[str, str] = os.environ) -> Path | None:
-    """The file that is used when none is named, None where there is none (all defaults).
+    """Return the file to use when the caller names none; None for all defaults.
 
-    In this order: ``$MIDSPAN_CONFIG``, ``./midspan.yaml``, ``$XDG_CONFIG_HOME/midspan/midspan.yaml`` (by default
-    ``~/.config``), ``/etc/midspan/midspan.yaml``.
+    It is the first that exists of ``$MIDSPAN_CONFIG`` (also if it does not exist), ``./midspan.yaml``,
+    ``$XDG_CONFIG_HOME/midspan/midspan.yaml`` (by default ``~/.config``), and ``/etc/midspan/midspan.yaml``.
     """
     named = environ.get("MIDSPAN_CONFIG")
     if named:
@@ -64,11 +65,13 @@ def _config(document: Document) -> Config:
     placed: Config = _placed(config, (), document, missing)
     if missing:
         raise ConfigError(missing)
+    if refused := zenoh_problems(document, placed):
+        raise ConfigError(refused)
     return placed
 
 
 def _without_empty(data: dict[str, Any], model: type[BaseModel]) -> dict[str, Any]:
-    """The data without the sections and lists that are there but empty, as when all of their keys are commented out."""
+    """Return the data without empty sections and lists, whose keys may all be commented out."""
     fields = {key_name(name, info): info for name, info in model.model_fields.items()}
     kept: dict[str, Any] = {}
     for name, value in data.items():
@@ -80,7 +83,7 @@ def _without_empty(data: dict[str, Any], model: type[BaseModel]) -> dict[str, An
 
 
 def _placed(value: Any, path: KeyPath, document: Document, missing: list[Problem]) -> Any:
-    """The value with its paths made absolute, relative ones from the file's folder; notes those that lead nowhere."""
+    """Return the value with absolute paths, relative ones from the file's folder; adds missing files to ``missing``."""
     if isinstance(value, BaseModel):
         inner = {
             name: _placed(getattr(value, name), (*path, key_name(name, info)), document, missing)

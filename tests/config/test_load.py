@@ -373,7 +373,7 @@ def test_search_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_configuration_survives_the_way_to_a_worker(tmp_path: Path) -> None:
     config = loads(
-        f"state: {tmp_path}\nrouting: {{rules: [{{topic: /a, from: ros1, rename: /b}}]}}\nhub: {{zenoh: {{a: 1}}}}"
+        f"state: {tmp_path}\nrouting: {{rules: [{{topic: /a, from: ros1, rename: /b}}]}}\nhub: {{zenoh: {{mode: client}}}}"
     )
     sent = decode_command(encode_command(NewConfig(config)))
     assert sent == NewConfig(config)

@@ -1,4 +1,4 @@
-"""SIGHUP: checked first, then only what changed is touched."""
+"""SIGHUP: the new file is checked first, and then only the workers that use a change reload."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def reload(daemon: Daemon, process: Process, config: str) -> None:
     process.signal(signal.SIGHUP)
 
 
-def test_workers_that_use_what_changed_are_told_and_no_other(daemon: Daemon) -> None:
+def test_only_workers_that_use_the_change_reload(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)
     reload(daemon, process, "routing: {default: deny}\n")
     sides = ("ros1", "ros2")
-    until(lambda: all(daemon.events(worker, "reload") for worker in sides), "both sides are told")
+    until(lambda: all(daemon.events(worker, "reload") for worker in sides), "both sides reload")
     assert [daemon.events(worker, "reload") for worker in sides] == [[["reload", "deny"]]] * 2
     until(lambda: process.output().count("ready: ") == 2, "ready again")
     assert daemon.events("router", "reload") == []
@@ -34,12 +34,12 @@ def test_change_of_one_side_leaves_the_other_alone(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)
     reload(daemon, process, "ros1: {poll: 1}\n")
-    until(lambda: daemon.events("ros1", "reload"), "ros1 told")
+    until(lambda: daemon.events("ros1", "reload"), "ros1 reloads")
     until(lambda: process.output().count("ready: ") == 2, "ready again")
     assert daemon.events("ros2", "reload") == []
 
 
-def test_unchanged_file_touches_nobody(daemon: Daemon) -> None:
+def test_unchanged_file_touches_no_worker(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)
     process.signal(signal.SIGHUP)
@@ -65,6 +65,10 @@ def test_worker_that_needs_a_restart_is_restarted_alone(daemon: Daemon) -> None:
         ("routing: {defaults: deny}\n", "midspan.yaml:3:11: routing.defaults: unknown key 'defaults'; did you mean"),
         ("routing: [\n", "midspan.yaml:4:1: not valid YAML"),
         ("hub: {domain: 999}\n", "midspan.yaml:3:15: hub.domain"),
+        (
+            "hub: {zenoh: {transport: {link: {tx: {leese: 9}}}}}\n",
+            "hub.zenoh.transport.link.tx.leese: zenoh has no key",
+        ),
     ],
 )
 def test_broken_file_keeps_the_running_configuration(daemon: Daemon, config: str, complaint: str) -> None:
@@ -75,7 +79,7 @@ def test_broken_file_keeps_the_running_configuration(daemon: Daemon, config: str
     daemon.expect_output(process, "reload refused, the running configuration is kept")
     assert [daemon.events(worker, "reload") for worker in WORKERS] == [[], [], []]
     reload(daemon, process, "routing: {default: deny}\n")
-    until(lambda: daemon.events("ros1", "reload"), "the mended file is taken up")
+    until(lambda: daemon.events("ros1", "reload"), "the corrected file is loaded")
 
 
 def test_name_cannot_change_while_running(daemon: Daemon) -> None:

@@ -1,4 +1,4 @@
-"""What the console shows of the daemon itself: log, doctor, configuration."""
+"""The daemon on the console: log, doctor, configuration."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.web.page import TestPage
 
 
 class Daemon:
-    """What a daemon tells on its sockets."""
+    """A daemon that answers on its sockets."""
 
     def __init__(self, folder: Path, file: Path) -> None:
         self._loop = SelectorLoop()
@@ -132,12 +132,14 @@ def test_filters_that_cannot_be(desk: Desk, args: dict[str, Any], why: str) -> N
 
 def test_the_configuration_with_its_comments(desk: Desk, daemon: Daemon, file: Path) -> None:
     assert daemon
-    file.write_text("# of the lab's robot\nname: here\nhub:\n  zenoh: {transport: {auth: {password: hunter2}}}\n")
+    zenoh = "  zenoh: {transport: {auth: {pubkey: {private_key_pem: hunter2}}}}"
+    file.write_text(f"# of the lab's robot\nname: here\nhub:\n{zenoh}\n")
     with TestPage(desk.port) as page:
         found = page.call("config")["value"]
         assert found["file"] == str(file)
         assert found["text"] == (
-            f"# of the lab's robot\nname: here\nhub:\n  zenoh: {{transport: {{auth: {{password: {HIDDEN}}}}}}}\n"
+            "# of the lab's robot\nname: here\nhub:\n"
+            f"  zenoh: {{transport: {{auth: {{pubkey: {{private_key_pem: {HIDDEN}}}}}}}}}\n"
         )
         assert found["problems"] == []
 

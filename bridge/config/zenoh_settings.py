@@ -1,0 +1,375 @@
+"""Checks of the zenoh configurations in a configuration, by zenoh's own parser, before a session opens with them."""
+
+from __future__ import annotations
+
+import difflib
+import importlib.util
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bridge.config.document import ConfigError, Document, KeyPath, Place, Problem, key_text, read, text_of
+from bridge.config.sections.section import is_loopback, zenoh_endpoint
+
+if TYPE_CHECKING:
+    from bridge.config.model import Config
+
+Tree = dict[str, Any]
+_Flaw = tuple[KeyPath, str]
+"""The place of a problem within one zenoh configuration, and its text."""
+
+_SESSIONS: tuple[KeyPath, ...] = (("hub", "zenoh"), ("zenoh", "zenoh"))
+_ROUTERS: tuple[KeyPath, ...] = (("hub", "router_zenoh"), ("hub", "open", "zenoh"))
+_INDOORS: KeyPath = ("hub", "router_zenoh")
+
+_MOST = 20
+"""Problems of one zenoh configuration that are reported."""
+
+_DEEPEST = 100
+"""Nested brackets in a JSON5 file; zenoh's parser needs stack for each."""
+
+_LEGACY: tuple[KeyPath, ...] = (("routing", "peer"), ("routing", "router", "peers_failover_brokering"))
+"""Keys of zenoh before 1.10 that its parser accepts and ignores; files for rmw_zenoh have them."""
+
+PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws", "unixsock-stream")
+"""The protocols of zenoh's Python package (1.10); zenohd may have more."""
+
+_FILES = re.compile(r"(?:_certificate|_private_key|_file)$")
+_MIGRATING = "see docs/start/migrating.md"
+
+
+def zenoh_problems(document: Document, config: Config) -> list[Problem]:
+    """Return the problems of all zenoh configurations; ``document`` is the file that ``config`` was loaded from."""
+    problems: list[Problem] = []
+    if importlib.util.find_spec("zenoh") is None:  # a system without zenoh has no hub either
+        return problems
+    for section in (*_SESSIONS, *_ROUTERS):
+        settings: Any = config
+        for part in section:
+            settings = getattr(settings, str(part))
+        if isinstance(settings, Path):
+            problems += _of_file(settings, section)
+        elif settings:
+            flaws = _of_tree(settings, section)
+            problems += [document.problem((*section, *path), text, at_key=True) for path, text in flaws]
+    return problems
+
+
+def _of_file(file: Path, section: KeyPath) -> list[Problem]:
+    try:
+        if file.suffix in (".yaml", ".yml"):
+            document = read(file)
+            tree, place = document.data, partial(_place_in_document, document)
+        else:
+            text = text_of(file)
+            tree, place = _json5(file, text, section), partial(_place_in_text, text)
+    except ConfigError as err:
+        return list(err.problems)
+    flaws = _of_tree({} if tree is None else tree, section)
+    if not flaws:
+        reason = _refusal(partial(_zenoh().Config.from_file, str(file)))
+        flaws = [((), f"zenoh cannot read it: {reason}")] if reason else []
+    return [Problem(file, *place(path), key_text((*section, *path)), text) for path, text in flaws]
+
+
+def _json5(file: Path, text: str, section: KeyPath) -> Any:
+    """Parse the text of a JSON5 file; raises `ConfigError`."""
+    config, key = _zenoh().Config, key_text(section)
+    if _depth(text) > _DEEPEST:
+        raise ConfigError([Problem(file, 0, 0, key, f"has more than {_DEEPEST} nested brackets")])
+    reason = _refusal(partial(config.from_json5, text))
+    if place := re.search(r"--> (\d+):(\d+)", reason):
+        expected = re.search(r"= (.*)", reason)
+        detail = f"{expected[1] if expected else 'an error'}; check commas, quotes and brackets from here on"
+        raise ConfigError([Problem(file, int(place[1]), int(place[2]), key, f"not valid JSON5: {detail}")])
+    # zenoh accepts any value as its metadata, and returns it with the keys that it ignores elsewhere
+    return json.loads(config.from_json5(f'{{"metadata": {text}\n}}').get_json("metadata"))
+
+
+def _depth(text: str) -> int:
+    deepest = depth = 0
+    for bracket in re.findall(r"[\[\]{}]", text):
+        depth += 1 if bracket in "[{" else -1
+        deepest = max(deepest, depth)
+    return deepest
+
+
+def _place_in_document(document: Document, path: KeyPath) -> Place:
+    problem = document.problem(path, "", at_key=True)
+    return Place(problem.line, problem.column)
+
+
+def _place_in_text(text: str, path: KeyPath) -> Place:
+    """Return the place of a key that occurs once in a JSON5 text, else line 0."""
+    names = [part for part in path if isinstance(part, str)]
+    hits = list(re.finditer(rf"(?<![\w$])[\"']?{re.escape(names[-1])}[\"']?\s*:", text)) if names else []
+    if len(hits) != 1:
+        return Place(0, 0)
+    start = hits[0].start()
+    return Place(text.count("\n", 0, start) + 1, start - text.rfind("\n", 0, start))
+
+
+def _of_tree(tree: Any, section: KeyPath) -> list[_Flaw]:
+    if not isinstance(tree, dict):
+        return [((), "must be a map, for example {mode: client}")]
+    plugins = tree.get("plugins")
+    flaws: list[_Flaw] = [
+        (("plugins", name), _plugin(name, settings if isinstance(settings, dict) else {}))
+        for name, settings in (plugins.items() if isinstance(plugins, dict) else ())
+    ]
+    tree = {key: value for key, value in tree.items() if not (key == "plugins" and flaws)}
+    tree, refused = _accepted(tree)
+    flaws += refused
+    flaws += _ignored(tree)
+    flaws += _bad_endpoints(tree, indoors=section == _INDOORS)
+    flaws += _missing_files(tree)
+    flaws += [] if refused else _bad_references(tree)
+    if section in _ROUTERS and tree.get("mode", "router") != "router":
+        flaws.append((("mode",), f"the mode of the daemon's router is 'router', not {tree['mode']!r}; leave it out"))
+    return flaws[:_MOST]
+
+
+# -- zenoh's parser ----------------------------------------------------------------------------------------------------
+
+
+def _zenoh() -> Any:
+    import zenoh  # only files with zenoh's settings need it
+
+    return zenoh
+
+
+def _refusal(parse: Any) -> str:
+    """Return the reason for which zenoh refuses a configuration, "" if it accepts it."""
+    try:
+        parse()
+    except _zenoh().ZError as err:
+        return str(err).partition(" at /")[0]  # without the place in its source code
+    return ""
+
+
+def _refused(tree: Tree) -> str:
+    return _refusal(partial(_zenoh().Config.from_json5, json.dumps(tree)))
+
+
+def _accepted(tree: Tree) -> tuple[Tree, list[_Flaw]]:
+    """Return the part of a configuration that zenoh accepts, and what is wrong with the rest."""
+    flaws: list[_Flaw] = []
+    while (reason := _refused(tree)) and len(flaws) < _MOST:
+        path = _culprit(tree, reason)
+        flaws.append((path, _explained(_at(tree, path), path, reason)))
+        if not path:
+            return {}, flaws
+        # a list's item may need what is wrong with it
+        items = [number for number, part in enumerate(path, 1) if isinstance(part, int)]
+        tree = _without(tree, path[: items[0]] if items else path)
+    return tree, flaws
+
+
+def _culprit(tree: Tree, reason: str) -> KeyPath:
+    """Return the path of the smallest part that zenoh refuses for this reason."""
+    path: KeyPath = ()
+    while (part := _refused_part(tree, path, reason)) is not None:
+        path = (*path, part)
+    return path
+
+
+def _refused_part(tree: Tree, path: KeyPath, reason: str) -> str | int | None:
+    node = _at(tree, path)
+    if isinstance(node, dict):
+        for key in node:
+            if _refused(_without(tree, (*path, key))) not in (reason, f"missing field `{key}`"):
+                return str(key)
+    elif isinstance(node, list) and _refused(_with(tree, path, [])) != reason:
+        for index, item in enumerate(node):
+            if _refused(_with(tree, path, [item])) == reason:
+                return index
+    return None
+
+
+def _at(tree: Any, path: KeyPath) -> Any:
+    for part in path:
+        tree = tree[part]
+    return tree
+
+
+def _with(tree: Any, path: KeyPath, value: Any) -> Any:
+    """Return the tree with another value at a path; shares the rest with the tree."""
+    if not path:
+        return value
+    copied = tree.copy()
+    copied[path[0]] = _with(tree[path[0]], path[1:], value)
+    return copied
+
+
+def _without(tree: Tree, path: KeyPath) -> Tree:
+    parent = _at(tree, path[:-1]).copy()
+    del parent[path[-1]]
+    shortened: Tree = _with(tree, path[:-1], parent)
+    return shortened
+
+
+def _explained(value: Any, path: KeyPath, reason: str) -> str:
+    known = re.findall(r"`([^`]+)`", reason.partition("expected")[2])
+    if reason.startswith("unknown field ") and path:
+        return _unknown(str(path[-1]), known)
+    if reason.startswith("unknown variant ") and isinstance(value, str):
+        return _not_one_of(value, known)
+    return f"zenoh refuses it: {' '.join(reason.split()).rstrip('.')}"
+
+
+def _not_one_of(value: str, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(value, known, n=1)
+    return f"{value!r} is not one of {', '.join(known)}" + (f"; did you mean {near[0]!r}?" if near else "")
+
+
+def _unknown(name: str, known: list[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"zenoh has no key {name!r} here" + (f"; did you mean {near[0]!r}?" if near else f": {', '.join(known)}")
+
+
+def _ignored(tree: Tree) -> Iterator[_Flaw]:
+    """Yield the keys that zenoh's parser ignores, and the numbers that it changes because they are out of range."""
+    config = _zenoh().Config.from_json5(json.dumps(tree))
+    for path, value, known in _differences(tree, json.loads(str(config)), ()):
+        if not isinstance(known, dict):
+            yield path, f"zenoh reads {value} as {known}; it is out of range"
+        elif path not in _LEGACY and _refusal(partial(config.get_json, "/".join(map(str, path)))):
+            unknown = _unknown(str(path[-1]), list(known))
+            yield path, unknown if known else "zenoh ignores it; check the spelling of all its keys"
+
+
+def _differences(given: Any, read: Any, path: KeyPath) -> Iterator[tuple[KeyPath, Any, Any]]:
+    """Yield each lost key with its known siblings, and each changed number with the one that was read."""
+    if isinstance(given, dict):
+        known = read if isinstance(read, dict) else {}
+        for key, value in given.items():
+            if key in known:
+                yield from _differences(value, known[key], (*path, key))
+            else:
+                yield (*path, key), value, known
+    elif isinstance(given, list) and isinstance(read, list) and len(given) == len(read):
+        for index, (value, other) in enumerate(zip(given, read, strict=True)):
+            yield from _differences(value, other, (*path, index))
+    elif isinstance(given, int | float) and isinstance(read, int | float) and given != read:
+        yield path, given, read
+
+
+# -- what the parser does not check ------------------------------------------------------------------------------------
+
+
+def _bad_endpoints(tree: Tree, *, indoors: bool) -> Iterator[_Flaw]:
+    for part in ("listen", "connect"):
+        section = tree.get(part)
+        for path, text in _texts(section.get("endpoints") if isinstance(section, dict) else None, (part, "endpoints")):
+            try:
+                zenoh_endpoint(text)
+                protocol = text.partition("/")[0]
+                if protocol not in PROTOCOLS:
+                    yield path, f"{text}: {_not_one_of(protocol, PROTOCOLS)}"
+                elif indoors and not is_loopback(text):
+                    yield path, f"{text} is open to other machines; these join only by hub.open"
+            except ValueError as err:
+                yield path, str(err)
+
+
+def _texts(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
+    if isinstance(value, str):
+        yield path, value
+    elif isinstance(value, dict | list):
+        for part, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            if part != "strategy":
+                yield from _texts(inner, (*path, part))
+
+
+def _missing_files(tree: Tree) -> Iterator[_Flaw]:
+    """Yield the absolute paths in ``transport`` that lead nowhere; a relative one depends on the worker's folder."""
+    for path, text in _texts(tree.get("transport"), ("transport",)):
+        if _FILES.search(str(path[-1])) and Path(text).is_absolute():
+            try:
+                Path(text).stat()
+            except (FileNotFoundError, NotADirectoryError, ValueError):
+                yield path, f"no such file: {text}"
+            except OSError:  # this user may not see it
+                continue
+
+
+_ITEMS: tuple[KeyPath, ...] = (
+    *(("access_control", part) for part in ("rules", "subjects", "policies")),
+    ("downsampling",),
+    ("low_pass_filter",),
+    ("qos", "network"),
+)
+"""Lists whose items have an ``id``, which no two of them may share."""
+
+
+def _bad_references(tree: Tree) -> Iterator[_Flaw]:
+    """Yield the errors that zenoh finds when it opens a session: in ids, references to them, and exclusive options.
+
+    ``tree`` is a configuration that the parser accepts.
+    """
+    ids: dict[KeyPath, set[str]] = {path: set() for path in _ITEMS}
+    for path in _ITEMS:
+        for index, item in enumerate(_list(tree, path)):
+            name = item.get("id")
+            if name in ids[path]:
+                yield (*path, index, "id"), f"{name!r} is the id of an earlier one; give each its own"
+            elif isinstance(name, str):
+                ids[path].add(name)
+    for index, policy in enumerate(_list(tree, ("access_control", "policies"))):
+        for part in ("rules", "subjects"):
+            for name in policy.get(part) or ():
+                if name not in ids["access_control", part]:
+                    yield ("access_control", "policies", index, part), f"no {part[:-1]} has the id {name!r}"
+    access = tree.get("access_control") or {}
+    absent = [part for part in ("rules", "subjects", "policies") if access.get(part) is None]
+    if access.get("enabled") and absent:
+        yield ("access_control",), f"has no {' and no '.join(absent)}; zenoh needs all three lists"
+    unicast = (tree.get("transport") or {}).get("unicast") or {}
+    if unicast.get("lowlatency") and (unicast.get("qos") or {}).get("enabled", True):
+        yield ("transport", "unicast", "lowlatency"), "zenoh needs 'qos: {enabled: false}' beside it"
+
+
+def _list(tree: Tree, path: KeyPath) -> list[dict[str, Any]]:
+    node: Any = tree
+    for part in path:
+        node = node.get(part) if isinstance(node, dict) else None
+    return [item for item in node if isinstance(item, dict)] if isinstance(node, list) else []
+
+
+# -- files of other bridges --------------------------------------------------------------------------------------------
+
+
+def _plugin(name: str, settings: Mapping[str, Any]) -> str:
+    if name == "ros2dds":
+        return _bridge("zenoh-bridge-ros2dds", name, settings, "namespace")
+    if name == "ros1":
+        return _bridge("zenoh-bridge-ros1", name, settings, "bridge_namespace")
+    if name == "dds":
+        return (
+            "is for zenoh-bridge-dds, whose keys Midspan does not use; run zenoh-bridge-ros2dds on the robot, and write"
+            f" 'zenoh: {{dialects: [{{dialect: ros2dds}}]}}' in Midspan's file instead of 'plugins'; {_MIGRATING}"
+        )
+    return (
+        f"Midspan's sessions load no plugins; run zenohd with {name!r}, connect it to hub.listen, and leave it out here"
+    )
+
+
+def _bridge(program: str, dialect: str, settings: Mapping[str, Any], namespace: str) -> str:
+    """Return what to write instead of the settings of a bridge's plugin."""
+    given = settings.get(namespace)
+    space = f", namespace: {given}" if isinstance(given, str) and re.fullmatch(r"/?[\w./-]+", given) else ""
+    write = [f"'zenoh: {{dialects: [{{dialect: {dialect}{space}}}]}}'"]
+    if isinstance(domain := settings.get("domain"), int):
+        write.append(f"'ros2: {{domain: {domain}}}'")
+    if isinstance(master := settings.get("ros_master_uri"), str):
+        write.append(f"'ros1: {{master: {json.dumps(master)}}}'")
+    side = f"zenoh_{dialect}"
+    lists = [key for key in ("allow", "deny", "pub_max_frequencies", "pub_priorities") if settings.get(key)]
+    rules = f", and for its {', '.join(lists)} rules with 'from: {side}' or 'to: {side}'" if lists else ""
+    return (
+        f"is for {program}, whose keys Midspan itself uses; instead of 'plugins' write {' and '.join(write)} in"
+        f" Midspan's file{rules}; {_MIGRATING}"
+    )

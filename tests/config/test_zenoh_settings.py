@@ -1,0 +1,228 @@
+"""zenoh's own settings in a configuration: each mistake is refused with its place before a session opens with it."""
+
+# ruff: noqa: E501  expected lines are written as they appear
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import zenoh_ros2_sdk
+
+from bridge.cli.main import main
+from bridge.config.document import ConfigError
+from bridge.config.load import load, loads
+
+PROTOCOLS = "tcp, udp, tls, quic, ws, unixsock-stream"
+
+RULE = "{id: r, messages: [put], flows: [ingress], permission: allow, key_exprs: [a]}"
+
+
+def problems(text: str, file: Path = Path("m.yaml")) -> list[str]:
+    with pytest.raises(ConfigError) as caught:
+        loads(text, file)
+    return str(caught.value).splitlines()
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("hub: {zenoh: {mod: peer}}", ["m.yaml:1:15: hub.zenoh.mod: zenoh has no key 'mod' here; did you mean 'mode'?"]),
+        (
+            "hub: {router_zenoh: {stats: {zzz: 1}}}",
+            ["m.yaml:1:30: hub.router_zenoh.stats.zzz: zenoh has no key 'zzz' here: filters"],
+        ),
+        (
+            "hub:\n  zenoh:\n    mode: pear\n    transport: {link: {tx: {leese: 3000, lease: soon}}}",
+            [
+                "m.yaml:3:5: hub.zenoh.mode: 'pear' is not one of router, peer, client; did you mean 'peer'?",
+                "m.yaml:4:29: hub.zenoh.transport.link.tx.leese: zenoh has no key 'leese' here; did you mean 'lease'?",
+                "m.yaml:4:42: hub.zenoh.transport.link.tx.lease: zenoh refuses it: error parsing number",
+            ],
+        ),
+        (
+            "hub: {zenoh: {downsampling: [{rules: [{key_expr: 'x', frq: 2}]}]}}",
+            [
+                "m.yaml:1:55: hub.zenoh.downsampling[0].rules[0].frq: zenoh has no key 'frq' here; did you mean 'freq'?"
+            ],
+        ),
+        (
+            "hub: {zenoh: {access_control: {enabled: true, rules: [{id: x}]}}}",
+            ["m.yaml:1:47: hub.zenoh.access_control.rules[0]: zenoh refuses it: missing field `key_exprs`"],
+        ),
+        (
+            "zenoh: {zenoh: {listen: [tcp/127.0.0.1:7]}}",
+            [
+                'm.yaml:1:17: zenoh.zenoh.listen[0]: zenoh refuses it: invalid type: string "tcp/127.0.0.1:7", expected i64 or mode dependent i64'
+            ],
+        ),
+        (
+            "hub: {open: {zenoh: {'connect/endpoints': ['tcp/127.0.0.1:7']}}}",
+            [
+                "m.yaml:1:22: hub.open.zenoh.connect/endpoints: zenoh has no key 'connect/endpoints' here; did you mean 'connect'?"
+            ],
+        ),
+        ("hub: {zenoh: {transport: null}}", ["m.yaml:1:15: hub.zenoh.transport: zenoh refuses it: invalid type: unit value, expected struct TransportConf"]),
+    ],
+)  # fmt: skip
+def test_what_zenohs_parser_refuses(text: str, lines: list[str]) -> None:
+    assert problems(text) == lines
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        (
+            "hub: {zenoh: {connect: {retry: {period_init: 3}}}}",
+            ["m.yaml:1:33: hub.zenoh.connect.retry.period_init: zenoh has no key 'period_init' here; did you mean 'period_init_ms'?"],
+        ),
+        (
+            "hub: {zenoh: {qos: {publication: [{key_exprs: [a], config: {priorty: data}}]}}}",
+            ["m.yaml:1:61: hub.zenoh.qos.publication[0].config.priorty: zenoh has no key 'priorty' here; did you mean 'priority'?"],
+        ),
+        (
+            "hub: {zenoh: {scouting: {gossip: {autoconnect_strategy: {peer: {to_rooter: always}}}}}}",
+            ["m.yaml:1:58: hub.zenoh.scouting.gossip.autoconnect_strategy.peer: zenoh ignores it; check the spelling of all its keys"],
+        ),
+        (
+            "hub: {zenoh: {transport: {link: {tx: {lease: -1}}}}}",
+            ["m.yaml:1:39: hub.zenoh.transport.link.tx.lease: zenoh reads -1 as 0; it is out of range"],
+        ),
+        (
+            "hub: {zenoh: {connect: {endpoints: ['tpc/robot:7447', 'tcp/robot', 'tcp/robot:7447']}}}",
+            [
+                f"m.yaml:1:25: hub.zenoh.connect.endpoints[0]: tpc/robot:7447: 'tpc' is not one of {PROTOCOLS}; did you mean 'tcp'?",
+                "m.yaml:1:25: hub.zenoh.connect.endpoints[1]: 'tcp/robot' has no port from 0 to 65535; write it like tcp/robot:7447",
+            ],
+        ),
+        (
+            "hub: {router_zenoh: {listen: {endpoints: {router: ['tcp/0.0.0.0:7447']}}}}",
+            ["m.yaml:1:43: hub.router_zenoh.listen.endpoints.router[0]: tcp/0.0.0.0:7447 is open to other machines; these join only by hub.open"],
+        ),
+        (
+            "hub: {zenoh: {listen: {endpoints: ['serial//dev/ttyUSB0']}}}",
+            [f"m.yaml:1:24: hub.zenoh.listen.endpoints[0]: serial//dev/ttyUSB0: 'serial' is not one of {PROTOCOLS}"],
+        ),
+        (
+            f"hub: {{router_zenoh: {{access_control: {{enabled: true, rules: [{RULE}, {RULE}], subjects: [{{id: s}}], policies: [{{rules: [r, q], subjects: [s]}}]}}}}}}",
+            [
+                "m.yaml:1:142: hub.router_zenoh.access_control.rules[1].id: 'r' is the id of an earlier one; give each its own",
+                "m.yaml:1:254: hub.router_zenoh.access_control.policies[0].rules: no rule has the id 'q'",
+            ],
+        ),
+        (
+            "hub: {zenoh: {access_control: {enabled: true, rules: []}}}",
+            ["m.yaml:1:15: hub.zenoh.access_control: has no subjects and no policies; zenoh needs all three lists"],
+        ),
+        (
+            "hub: {zenoh: {transport: {unicast: {lowlatency: true}}}}",
+            ["m.yaml:1:37: hub.zenoh.transport.unicast.lowlatency: zenoh needs 'qos: {enabled: false}' beside it"],
+        ),
+        (
+            "hub: {router_zenoh: {mode: peer}}",
+            ["m.yaml:1:22: hub.router_zenoh.mode: the mode of the daemon's router is 'router', not 'peer'; leave it out"],
+        ),
+        (
+            "zenoh: {zenoh: {transport: {link: {tls: {root_ca_certificate: /no/ca.pem}}}}}",
+            ["m.yaml:1:42: zenoh.zenoh.transport.link.tls.root_ca_certificate: no such file: /no/ca.pem"],
+        ),
+    ],
+)  # fmt: skip
+def test_what_zenohs_parser_accepts_and_a_session_cannot_use(text: str, lines: list[str]) -> None:
+    assert problems(text) == lines
+
+
+@pytest.mark.parametrize(
+    ("text", "cures"),
+    [
+        (
+            "zenoh: {zenoh: {plugins: {ros2dds: {namespace: /bot, domain: 5, allow: {publishers: ['.*']}}}}}",
+            ["'zenoh: {dialects: [{dialect: ros2dds, namespace: /bot}]}'", "'ros2: {domain: 5}'", "for its allow rules with 'from: zenoh_ros2dds'"],
+        ),
+        (
+            "hub: {zenoh: {plugins: {ros1: {bridge_namespace: bot, ros_master_uri: 'http://robot:11311'}}}}",
+            ["'zenoh: {dialects: [{dialect: ros1, namespace: bot}]}'", "'ros1: {master: \"http://robot:11311\"}'"],
+        ),
+        ("hub: {zenoh: {plugins: {dds: {domain: 0}}}}", ["run zenoh-bridge-ros2dds on the robot", "{dialect: ros2dds}"]),
+        ("hub: {router_zenoh: {plugins: {rest: {http_port: 8000}}}}", ["run zenohd with 'rest', connect it to hub.listen"]),
+    ],
+)  # fmt: skip
+def test_settings_of_a_bridge_are_refused_with_what_to_write_instead(text: str, cures: list[str]) -> None:
+    (problem,) = problems(text)
+    assert ".plugins." in problem
+    assert [cure for cure in cures if cure not in problem] == []
+
+
+FILES = {
+    "comma.json5": ('{ mode: "peer" connect: }', ["1:9: hub.zenoh: not valid JSON5: expected boolean or null; check commas, quotes and brackets from here on"]),
+    "closed.json5": ('{mode: "peer"}, "plugins": {}', ["1:15: hub.zenoh: not valid JSON5: expected EOI; check commas, quotes and brackets from here on"]),
+    "deep.json5": ("{a:" * 5000 + "1" + "}" * 5000, [" hub.zenoh: has more than 100 nested brackets"]),
+    "list.json5": ("[]", [" hub.zenoh: must be a map, for example {mode: client}"]),
+    "key.json5": (
+        '{ // of the robot\n  mode: "client",\n  "connect": {\n    endpoints: ["tcp/10.0.0.1:7447"],\n    retyr: 3,\n  },\n}\n// end',
+        ["5:5: hub.zenoh.connect.retyr: zenoh has no key 'retyr' here; did you mean 'retry'?"],
+    ),
+    "ignored.json5": (
+        "{connect: {retry: {period: 3}}}",
+        ["1:20: hub.zenoh.connect.retry.period: zenoh has no key 'period' here; did you mean 'period_max_ms'?"],
+    ),
+    "key.yaml": (
+        "mode: peer\ntransport:\n  link:\n    tx: {leese: 3}\n",
+        ["4:10: hub.zenoh.transport.link.tx.leese: zenoh has no key 'leese' here; did you mean 'lease'?"],
+    ),
+    "zenoh.conf": ("{}", [" hub.zenoh: zenoh cannot read it: Unsupported file type '.conf' (.json, .json5 and .yaml are supported)"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_of_zenohs_settings(tmp_path: Path, name: str) -> None:
+    text, lines = FILES[name]
+    (tmp_path / name).write_text(text)
+    assert problems(f"hub: {{zenoh: {name}}}", tmp_path / "m.yaml") == [f"{tmp_path / name}:{line}" for line in lines]
+
+
+def test_the_file_of_a_bridge(tmp_path: Path) -> None:
+    (tmp_path / "bridge.json5").write_text('{\n  mod: "peer",\n  plugins: {ros2dds: {namespace: "/bot"}}\n}')
+    key, plugin = problems("zenoh: {zenoh: bridge.json5}", tmp_path / "m.yaml")
+    assert key.startswith(f"{tmp_path / 'bridge.json5'}:2:3: zenoh.zenoh.mod: ")
+    assert plugin.startswith(
+        f"{tmp_path / 'bridge.json5'}:3:13: zenoh.zenoh.plugins.ros2dds: is for zenoh-bridge-ros2dds"
+    )
+    assert "write 'zenoh: {dialects: [{dialect: ros2dds, namespace: /bot}]}' in Midspan's file" in plugin
+
+
+def test_config_check_prints_the_problem(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "m.yaml"
+    file.write_text("hub:\n  zenoh: {transport: {link: {tx: {leese: 3000}}}}\n")
+    assert main(["config", "check", str(file)]) == 1
+    problem = "hub.zenoh.transport.link.tx.leese: zenoh has no key 'leese' here; did you mean 'lease'?"
+    assert capsys.readouterr().err == f"{file}:2:35: {problem}\n"
+
+
+def test_a_file_that_is_broken_later_is_refused_at_the_next_load(tmp_path: Path) -> None:
+    (tmp_path / "m.yaml").write_text("hub: {router_zenoh: router.json5}")
+    (tmp_path / "router.json5").write_text("{transport: {unicast: {max_sessions: 2000}}}")
+    load(tmp_path / "m.yaml")
+    (tmp_path / "router.json5").write_text("{transport: {unicast: {max_session: 2000}}}")
+    with pytest.raises(ConfigError, match="did you mean 'max_sessions'"):
+        load(tmp_path / "m.yaml")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{mode: client, connect: {endpoints: {client: ['tls/robot:7448'], peer: []}, timeout_ms: {client: 100}}}",
+        "{transport: {link: {tls: {root_ca_certificate_base64: eA==}}, auth: {usrpwd: {user: a, password: b}}}}",
+        "{routing: {peer: {mode: peer_to_peer}, router: {peers_failover_brokering: true}}}",
+        f"{{access_control: {{enabled: true, rules: [{RULE}], subjects: [{{id: s}}], policies: [{{rules: [r], subjects: [s]}}]}}}}",
+        "{metadata: {any: thing}, plugins: {}, queries_default_timeout: 5000.0}",
+        "{scouting: {multicast: {autoconnect: {peer: [router]}, autoconnect_strategy: {peer: {to_router: always}}}}}",
+    ],
+)
+def test_settings_that_zenoh_knows(text: str) -> None:
+    assert loads(f"hub: {{zenoh: {text}}}").hub.zenoh
+
+
+def test_the_stock_file_of_another_program() -> None:
+    folder = Path(zenoh_ros2_sdk.__file__).parent / "config"
+    assert loads(f"hub: {{zenoh: '{folder / 'default_session_config.json5'}'}}").hub.zenoh
