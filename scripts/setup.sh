@@ -3,7 +3,7 @@
 # What is there already is left alone, so a second run takes a second. What apt, pip and the compilers print goes to
 # .cache/setup.log; here stands what is being done, how long that takes, and how far it is. Knows these variables:
 #   PYTHON         the Python to make the virtual environment with (3.11 or newer)
-#   CI=true        whatever cannot be had is an error; Prometheus, too, for the tests of metrics
+#   CI=true        whatever cannot be had is an error; Prometheus and nginx, too, for tests
 #   BROWSER=yes    Chromium, too, for the tests of the console
 #   MIDSPAN_CACHE  where built message packages go; default ~/.cache/midspan/interfaces
 # Where /opt/ros/jazzy is sourced, its packages are used and no ROS 2 wheels are installed.
@@ -191,19 +191,20 @@ packages_in() {
     grep -c == "$1"
 }
 
-# For the tests of metrics, in CI: the two programs alone, unpacked. As a Debian package they would be a service that runs.
-prometheus() {
-    folder=.cache/prometheus
-    if [ "${CI:-}" != true ] || command -v promtool >/dev/null || [ -x "$folder/usr/bin/promtool" ]; then
+# For tests in CI: the programs of a package, unpacked into .cache. The installed package would run a service.
+# unpacked PACKAGE PROGRAM MEGABYTES
+unpacked() {
+    folder=.cache/$1
+    if [ "${CI:-}" != true ] || command -v "${2##*/}" >/dev/null || [ -x "$folder/usr/$2" ]; then
         return
     fi
-    say "unpacking Prometheus (20 MB)"
+    say "unpacking $1 ($3 MB)"
     mkdir -p "$folder/deb"
-    if ! (cd "$folder/deb" && apt-get -q download prometheus) >/dev/null 2>&1; then
+    if ! (cd "$folder/deb" && apt-get -q download "$1") >/dev/null 2>&1; then
         logged "no progress" 0 as_root apt-get -q update || true
-        (cd "$folder/deb" && apt-get -q download prometheus) >/dev/null 2>&1 || lacking "apt-get could not download prometheus"
+        (cd "$folder/deb" && apt-get -q download "$1") >/dev/null 2>&1 || lacking "apt-get could not download $1"
     fi
-    for file in "$folder"/deb/prometheus_*.deb; do
+    for file in "$folder/deb/$1"_*.deb; do
         dpkg-deb -x "$file" "$folder" || lacking "$file cannot be unpacked"
     done
     rm -rf "$folder/deb" "$folder/usr/share" "$folder/etc"
@@ -261,7 +262,8 @@ bytecode() {
 }
 
 system_packages
-prometheus
+unpacked prometheus bin/promtool 20
+unpacked nginx sbin/nginx 1
 environment
 kernels
 bytecode

@@ -1,4 +1,4 @@
-"""The worker that serves metrics without the console: its server, and nothing of its pages."""
+"""The worker that serves metrics without the console."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _log = logging.getLogger("midspan.metrics")
 
 
 class MetricsWorker(Worker):
-    """Answers Prometheus at an address of its own, under the console's rules where other machines reach it.
+    """Serves Prometheus at a separate address, with the console's authentication if other machines reach it.
 
     Attributes:
         server: while it runs.
@@ -43,32 +43,33 @@ class MetricsWorker(Worker):
         self._process = psutil.Process(os.getpid())
 
     def start(self, config: Config) -> None:
-        """Open the server; raises `RuntimeError` where the address is taken, or not to be served like this."""
+        """Open the server; raises `RuntimeError` if the address is in use, or requires authentication."""
         self._config = config
         section = config.metrics
         if unguarded := section.unguarded(config.web):
             raise RuntimeError(f"metrics.listen: {unguarded}")
         self._link = HubLink(config, "metrics", self._status)
         if section.reached:
-            from bridge.web.serving.tls import ServerTls  # what it needs is memory that nobody needs on loopback
+            from bridge.web.serving.tls import ServerTls  # loopback does without its memory
 
             self._tls = ServerTls(config)
-        # nobody logs in here, so no cookie fits
-        access = Access(config.web if section.reached else WebSection(), secrets.token_bytes(32))
+        # without a login page, no cookie is valid
+        web = config.web.model_copy(update={"prefix": ""})
+        access = Access(web if section.reached else WebSection(), secrets.token_bytes(32))
         routes = MetricsRoutes(config, Source(config, self._link.ask)).routes
         self.server = HttpServer(
-            section.listen, routes, access, self._tls, what="the worker metrics", key="metrics.listen"
-        )
+            section.listen, routes, access, self._tls, what="the worker metrics", key="metrics.listen", names=web.names
+        )  # fmt: skip
         self.server.start()
         self._process.cpu_percent()
         _log.info("metrics are at %smetrics", self.server.address)
 
     def reload(self, config: Config) -> bool:
-        """A scrape that is missed costs nothing, so a new start is all that is needed."""
+        """Return whether nothing changed: otherwise the worker restarts, which costs at most a scrape."""
         return config == self._config
 
     def health(self) -> Health:
-        """Where it is; joins the hub where it has not yet."""
+        """Return the address; joins the hub if it has not yet."""
         assert self.server is not None
         assert self._link is not None
         assert self._config is not None

@@ -101,11 +101,11 @@ class Console:
     def __init__(self, config: Config) -> None:
         section = config.web
         registry = Registry.of(config.types)
-        pictures = Pictures()
+        pictures = Pictures(section.prefix)
         self._tls = ServerTls(config) if section.guarded else None
         access = Access(section, kept_secret(worker_folder(config)) if section.guarded else b"")
         metrics = MetricsRoutes(config, Source(config, self._ask_workers))
-        self.server = WebServer(section.listen, self._serve, pictures, access, self._tls, metrics.routes)
+        self.server = WebServer(section.listen, self._serve, pictures, access, self._tls, metrics.routes, section.names)
         try:
             self.host = host = Host("web", config, registry)
         except BaseException:

@@ -45,13 +45,13 @@ echo "Package: $2"
 """
 _APT_GET = """#!/bin/sh
 echo "apt-get $*" >>"$LOG"
-case "$*" in *" download "*) touch "prometheus_1_amd64.deb" ;; esac
+case "$*" in *" download "*) for package; do :; done; touch "${package}_1_amd64.deb" ;; esac
 """
 _DPKG_DEB = """#!/bin/sh
 echo "dpkg-deb $*" >>"$LOG"
-mkdir -p "$3/usr/bin"
-touch "$3/usr/bin/promtool"
-chmod +x "$3/usr/bin/promtool"
+mkdir -p "$3/usr/bin" "$3/usr/sbin"
+touch "$3/usr/bin/promtool" "$3/usr/sbin/nginx"
+chmod +x "$3/usr/bin/promtool" "$3/usr/sbin/nginx"
 """
 
 
@@ -90,7 +90,7 @@ class Machine:
         (self._bin / name).chmod(0o755)
 
     def setup(self, **variables: str) -> subprocess.CompletedProcess[str]:
-        """Run the set-up script; what it called is in `calls` afterwards."""
+        """Run the set-up script; its calls are in `calls` afterwards."""
         self._log.write_text("", encoding="utf-8")
         env = {
             "PATH": str(self._bin),

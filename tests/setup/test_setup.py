@@ -1,4 +1,4 @@
-"""`scripts/setup.sh` on pretended machines: what it installs, when, and what it does where something cannot be had."""
+"""`scripts/setup.sh` on simulated machines: its installations, and its behavior if something is unavailable."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_a_sourced_ros2_is_used_instead_of_the_wheels(tmp_path: Path) -> None:
     machine.setup()
     sourced = {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": "/opt/ros/jazzy"}
     assert machine.setup(**sourced).returncode == 0
-    assert machine.called("venv", "--clear"), "the wheels are in the way"
+    assert machine.called("venv", "--clear"), "without the wheels"
     assert not machine.called("requirements-ros2.lock")
     machine.setup(**sourced)
     assert machine.calls == AGAIN
@@ -92,13 +92,14 @@ def test_missing_packages_are_installed_with_sudo(tmp_path: Path) -> None:
     assert machine.called("sudo -n env", "apt-get", "install", "python3-rospy")
 
 
-def test_prometheus_is_unpacked_in_ci_alone_and_once(tmp_path: Path) -> None:
+def test_prometheus_and_nginx_are_unpacked_once_and_only_in_ci(tmp_path: Path) -> None:
     machine = Machine(tmp_path)
     assert machine.setup().returncode == 0
     assert not machine.called("dpkg-deb")
     assert machine.setup(CI="true").returncode == 0
-    assert machine.called("apt-get", "download", "prometheus")
-    assert machine.called("dpkg-deb", "-x", "prometheus_1_amd64.deb")
+    for package in ("prometheus", "nginx"):
+        assert machine.called("apt-get", "download", package)
+        assert machine.called("dpkg-deb", "-x", f"{package}_1_amd64.deb")
     machine.setup(CI="true")
     assert not machine.called("dpkg-deb")
 
@@ -113,7 +114,7 @@ LACKING: list[tuple[str, dict[str, bool | int], dict[str, str], str]] = [
         "archive: python3-rospy",
     ),
     (
-        "other packages alone name it",
+        "only named by other packages",
         {},
         {"NOT_INSTALLED": "g++ python3-rospy", "ONLY_NAMED": "python3-rospy"},
         "archive: python3-rospy",

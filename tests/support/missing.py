@@ -22,6 +22,7 @@ DART = f"{_MARK}DART (`make setup` installs dartpy if it has a wheel: Linux, Pyt
 BROWSER = f"{_MARK}Chromium (`make test` installs it from apt on Debian 12, as root or with sudo)"
 COMPILER = f"{_MARK}a C compiler (apt install g++ python3-dev, then `make setup`)"
 PROMETHEUS = f"{_MARK}Prometheus and promtool (apt install prometheus; in CI scripts/setup.sh unpacks them)"
+NGINX = f"{_MARK}nginx (apt install nginx; in CI scripts/setup.sh unpacks it)"
 OCTOMAP = f"{_MARK}OctoMap's programs (apt install octomap-tools)"
 CYCLONE = f"{_MARK}Cyclone DDS (`make setup` installs the cyclonedds wheel on Linux with x86_64)"
 DEBIAN = f"{_MARK}root with debootstrap and lintian, to try the Debian package (apt install debootstrap lintian)"
@@ -43,8 +44,18 @@ def has_ros1() -> bool:
 
 def prometheus_tool(name: str) -> Path | None:
     """``prometheus`` or ``promtool``: installed, or unpacked by scripts/setup.sh; None if missing."""
-    unpacked = Path(__file__).parents[2] / ".cache" / "prometheus" / "usr" / "bin"
-    found = shutil.which(name) or shutil.which(name, path=str(unpacked))
+    return _program(name, "prometheus", "bin")
+
+
+def nginx() -> Path | None:
+    """nginx: installed, or unpacked by scripts/setup.sh; None if missing."""
+    return _program("nginx", "nginx", "sbin")
+
+
+def _program(name: str, package: str, folder: str) -> Path | None:
+    unpacked = Path(__file__).parents[2] / ".cache" / package / "usr" / folder
+    places = (None, "/usr/sbin", str(unpacked))
+    found = next(filter(None, (shutil.which(name, path=place) for place in places)), None)
     return Path(found) if found else None
 
 
@@ -57,6 +68,7 @@ def lacking() -> frozenset[str]:
         DART: find_spec("dartpy") is not None,
         BROWSER: bool(shutil.which("chromium") and shutil.which("chromedriver")),
         PROMETHEUS: prometheus_tool("promtool") is not None and prometheus_tool("prometheus") is not None,
+        NGINX: nginx() is not None,
         COMPILER: shutil.which("g++") is not None,
         CYCLONE: find_spec("cyclonedds") is not None,
         OCTOMAP: shutil.which("convert_octree") is not None,

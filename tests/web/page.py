@@ -1,4 +1,4 @@
-"""A page of the tests: speaks the console's protocol over a real WebSocket."""
+"""A client of the console's protocol for tests, over a real WebSocket."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ PROTOCOL = "midspan.console.1"
 
 
 class TestPage:
-    """Takes each value at once unless it is told to be slow.
+    """Acknowledges each value at once, unless ``takes`` is false.
 
     Attributes:
         values: the newest message of each feed.
-        counts: how many came of each.
-        said: everything else that came.
+        counts: number of messages of each feed.
+        said: all other messages.
     """
 
     __test__ = False
 
-    def __init__(self, port: int, *, takes: bool = True, **options: Any) -> None:
+    def __init__(self, port: int, *, takes: bool = True, url: str = "", **options: Any) -> None:
         tls = "s" if "ssl" in options else ""
         join: Any = TlsSocket if tls else connect
-        options.setdefault("max_queue", None)  # else a page that reads no more cannot even be closed
+        options.setdefault("max_queue", None)  # otherwise a page that has stopped reading cannot be closed
         options.setdefault("origin", f"http{tls}://127.0.0.1:{port}")
         self._stack = contextlib.ExitStack()
-        address = f"ws{tls}://127.0.0.1:{port}/socket"
+        address = url or f"ws{tls}://127.0.0.1:{port}/socket"
         self.socket: ClientConnection = self._stack.enter_context(
             join(address, subprotocols=[Subprotocol(PROTOCOL)], max_size=None, **options)
         )
@@ -55,7 +55,7 @@ class TestPage:
             self.send(op="watch", feed=feed)
 
     def read(self, seconds: float = 0.05) -> bool:
-        """Read one message; whether there was one."""
+        """Read one message; return whether one arrived."""
         try:
             message = json.loads(self.socket.recv(timeout=seconds))
         except TimeoutError:
@@ -109,10 +109,10 @@ class TestPage:
 
 
 class TlsSocket:
-    """A socket over TLS, used by one thread alone.
+    """A socket over TLS that only one thread uses.
 
-    websockets' own blocking client reads and writes on two, and an object of OpenSSL is for one thread at a time: of
-    some hundred openings beside other work one got no answer, or the process ended.
+    websockets' blocking client reads and writes on two threads, but an OpenSSL object is not thread-safe: on a busy
+    machine, one of some hundred connections received no response, or the process crashed.
     """
 
     def __init__(self, address: str, **options: Any) -> None:

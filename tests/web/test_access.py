@@ -70,7 +70,7 @@ class GuardedDesk(Desk):
             connection.close()
 
     def login(self, token: str, **headers: str) -> tuple[int, dict[str, str], str]:
-        """What the page does."""
+        """Log in as the page does."""
         own = {"Origin": f"https://127.0.0.1:{self.port}", **headers}
         return self.ask("POST", "/login", json.dumps({"token": token}), **own)
 
@@ -99,12 +99,27 @@ def test_others_need_tls_and_somebody_who_may() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"tokens": {"a b": TOKENS["anna"]}}, {"tokens": {"a": {"role": "root", "sha256": DRIVE[1]}}},
+    [{"prefix": "robot1"}, {"prefix": "/a b"}, {"prefix": "/../x"}, {"prefix": "/map"}, {"prefix": "/login/x"},
+     {"tokens": {"a b": TOKENS["anna"]}}, {"tokens": {"a": {"role": "root", "sha256": DRIVE[1]}}},
      {"tokens": {"a": {"role": "drive", "sha256": DRIVE[0]}}}, {"names": ["http://robot"]}, {"names": ["robot:80"]}],
 )  # fmt: skip
-def test_what_cannot_be_configured(wrong: dict[str, Any]) -> None:
+def test_invalid_settings_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         WebSection.model_validate(wrong)
+
+
+@pytest.mark.parametrize(("prefix", "used"), [("", ""), ("/", ""), ("/a", "/a"), ("/a/b.c-d_e/", "/a/b.c-d_e")])
+def test_a_prefix_has_no_slash_at_its_end(prefix: str, used: str) -> None:
+    assert WebSection.model_validate({"prefix": prefix}).prefix == used
+
+
+def test_a_login_below_a_prefix_has_its_own_cookie(guarded: GuardedDesk) -> None:
+    guarded.open_with(web={"prefix": "/robot1"})
+    assert guarded.ask("GET", "/robot1/")[1]["location"] == "/robot1/login"
+    cookie = guarded.login(DRIVE[0])[1]["set-cookie"].partition(";")[0]
+    assert cookie.startswith("__Host-midspan~robot1=anna.")
+    assert guarded.ask("GET", "/robot1/whoami", Cookie=f"{COOKIE}=other; {cookie}")[0] == 200
+    assert guarded.ask("GET", "/robot1/whoami", Cookie=cookie.replace("robot1", "robot2"))[0] == 401
 
 
 def test_a_stranger_gets_the_login_alone(guarded: GuardedDesk) -> None:
@@ -237,7 +252,7 @@ def test_a_wrong_token_keeps_no_other_client_out(
 
 
 class Guesser:
-    """Wrong tokens, with a clock and a log of its own."""
+    """Wrong tokens, with a simulated clock and a list as log."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0

@@ -1,7 +1,8 @@
-"""A browser that comes from elsewhere: the login, and a page that may look alone."""
+"""A browser on another machine: the login, and a page that may only watch."""
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ from selenium.webdriver.common.by import By
 from tests.support.missing import BROWSER, need
 from tests.support.wait import until
 from tests.web.page import TestPage
+from tests.web.proxy import WEB, Proxy
 from tests.web.test_access import DRIVE, WATCH, GuardedDesk
 
 
@@ -66,7 +68,7 @@ def test_log_in_and_watch(guarded: GuardedDesk, chrome: Chrome, monkeypatch: pyt
     port = guarded.port
     guarded.console.close()
     guarded.console = guarded.open(web={"listen": f"127.0.0.1:{port}", "tokens": {"anna": {"sha256": DRIVE[1]}}})
-    until(lambda: chrome.current_url == f"{address}login", "who is known no more is asked again")
+    until(lambda: chrome.current_url == f"{address}login", "a page whose token was removed shows the login")
     log_in(chrome, DRIVE[0])
     until(lambda: chrome.current_url == address and text(chrome, "line-text") == "Connected", "who may drive is let in")
     assert chrome.find_element(By.ID, "stop").is_enabled()
@@ -77,6 +79,18 @@ def test_log_in_and_watch(guarded: GuardedDesk, chrome: Chrome, monkeypatch: pyt
     until(lambda: not chrome.find_element(By.ID, "known").is_displayed(), "it has logged out")
     chrome.get(address)
     assert chrome.current_url == f"{address}login"
+
+
+def test_log_in_through_a_proxy_with_a_path(guarded: GuardedDesk, chrome: Chrome, tmp_path: Path) -> None:
+    guarded.open_with(web=WEB)
+    with contextlib.closing(Proxy(tmp_path, guarded.keys, guarded.port, tokens=True)) as proxy:
+        address = f"https://127.0.0.1:{proxy.port}/robot1/"
+        chrome.get(address.removesuffix("/"))
+        until(lambda: chrome.current_url == f"{address}login", "the login page is open")
+        log_in(chrome, DRIVE[0])
+        until(lambda: chrome.current_url == address, "the console's page is open")
+        until(lambda: text(chrome, "line-text") == "Connected", "it is connected")
+        assert [cookie["name"] for cookie in chrome.get_cookies()] == ["__Host-midspan~robot1"]
 
 
 def test_a_strange_page_drives_nobody(

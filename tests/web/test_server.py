@@ -1,4 +1,4 @@
-"""The console's server answers its own page alone."""
+"""The console's server refuses requests that other sites' pages cause."""
 
 from __future__ import annotations
 
@@ -30,6 +30,68 @@ def test_own_hosts(host: str) -> None:
 @pytest.mark.parametrize("host", ["evil.example:8480", "127.0.0.1", "127.0.0.1:80", "localhost:8480.evil.example", ""])
 def test_names_that_are_made_to_point_here_are_refused(host: str) -> None:
     assert "no such host" in refusal(scope(host=host), OWN)
+
+
+NAMED = frozenset({"robot.lab", "[fd00::1]"})
+
+
+@pytest.mark.parametrize("host", ["robot.lab", "robot.lab:8480", "ROBOT.lab:8443", "[fd00::1]", "[FD00::1]:80"])
+def test_configured_names_are_hosts_at_any_port(host: str) -> None:
+    assert not refusal(scope(host=host), OWN, NAMED)
+    assert "web.names" in refusal(scope(host=host), OWN)
+
+
+@pytest.mark.parametrize("host", ["x.robot.lab", "robot.lab.evil.example:8480", "robot.lab:8480:1", "127.0.0.1:80", ""])
+def test_other_names_are_refused_beside_configured_ones(host: str) -> None:
+    assert "no such host" in refusal(scope(host=host), OWN, NAMED)
+
+
+PAGES: list[tuple[str, str, str | None, bool]] = [
+    ("robot.lab", "http://robot.lab", None, True),
+    ("robot.lab", "https://robot.lab", None, True),
+    ("robot.lab:443", "https://robot.lab", "https", True),
+    ("robot.lab:8443", "https://robot.lab:8443", "https", True),
+    ("robot.lab:8443", "https://robot.lab:8443", "wss, http", True),
+    ("robot.lab:8443", "http://robot.lab:8443", "https", False),
+    ("robot.lab:8443", "https://robot.lab:8443", "http", False),
+    ("robot.lab:8443", "https://robot.lab:8443", "ftp", False),
+    ("robot.lab", "https://robot.lab:8443", "https", False),
+    ("robot.lab:8480", "https://robot.lab:8443", None, False),
+    ("robot.lab", "https://evil.example", None, False),
+    ("localhost:8480", "https://localhost:8480", "https", False),  # not one of the configured names
+]
+
+
+@pytest.mark.parametrize(("host", "origin", "scheme", "accepted"), PAGES)
+@pytest.mark.parametrize("kind", ["http", "websocket"])
+def test_a_proxys_page_has_its_name_port_and_scheme(
+    kind: str, host: str, origin: str, scheme: str | None, *, accepted: bool
+) -> None:
+    forwarded = {} if scheme is None else {"x_forwarded_proto": scheme}
+    why = refusal(scope(kind, host=host, origin=origin, **forwarded), OWN, NAMED)
+    assert (why == "") == accepted
+    assert accepted or "X-Forwarded-Proto" in why
+
+
+def test_with_tls_a_proxy_does_not_change_the_scheme() -> None:
+    for origin, accepted in (("https://robot.lab", True), ("http://robot.lab", False)):
+        request = {**scope(host="robot.lab", origin=origin, x_forwarded_proto="http"), "scheme": "https"}
+        assert (refusal(request, OWN, NAMED) == "") == accepted
+
+
+def test_a_prefix_is_served_with_and_without_it(desk: Desk) -> None:
+    desk.open_with(web={"prefix": "/lab/robot1/", "names": ["robot.lab"]})
+    assert desk.console.server.address == f"http://127.0.0.1:{desk.port}/lab/robot1/"
+    for path in ("/", "/lab/robot1/"):
+        status, headers, body = ask(desk.port, path, Host="robot.lab")
+        assert (status, b"<title>" in body, headers["x-frame-options"]) == (200, True, "DENY")
+        assert ask(desk.port, f"{path}app.js")[0] == 200
+        with TestPage(desk.port, url=f"ws://127.0.0.1:{desk.port}{path}socket") as page:
+            assert page.call("ping")["ok"]
+    status, headers, _ = ask(desk.port, "/lab/robot1?x=1")
+    assert (status, headers["location"]) == (303, "/lab/robot1/")
+    for path in ("/lab/", "/lab/robot10/", "/lab/robot1/lab/robot1/app.js", "/lab/robot1/../../worker.py"):
+        assert ask(desk.port, path)[0] == 404, path
 
 
 def test_two_hosts_or_none_are_refused() -> None:

@@ -7,7 +7,7 @@ import math
 import re
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from bridge.config.sections.section import FrameName, OptionalTopic, Section, matching, setting
 
@@ -20,6 +20,22 @@ _NO_LOGIN = "it has no login: give web.tokens ('midspan web --token NAME' makes 
 
 HostName = Annotated[str, matching(_HOST, "is neither a host name nor an IP address; leave port and scheme out")]
 PersonName = Annotated[str, matching(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}", "is not a name: letters, digits, '_' and '-'")]
+
+
+_PREFIX = re.compile(r"(?:/[A-Za-z0-9_-][A-Za-z0-9_.-]*)+/?|/?")
+_OWN_PATHS = frozenset({"login", "logout", "whoami", "socket", "map", "metrics", "healthz", "readyz"})
+
+
+def _without_end(prefix: str) -> str:
+    """Return a path prefix without the slash at its end; raises `ValueError`."""
+    if not _PREFIX.fullmatch(prefix):
+        raise ValueError(
+            f"{prefix!r} is not a path: begin it with a slash, and use letters, digits, '_', '-' and '.': /robot1"
+        )
+    first = prefix.strip("/").partition("/")[0]
+    if first in _OWN_PATHS:
+        raise ValueError(f"{prefix!r} is a path of the console itself; use another one, for instance /robot1")
+    return prefix.rstrip("/")
 
 
 class TokenSection(Section):
@@ -50,7 +66,14 @@ class WebSection(Section):
         " certificate of `hub.open`, and needs `tokens` or `trusted`; see [the console](console.md).",
     )
     names: tuple[HostName, ...] = setting(
-        (), "Names and addresses that browsers open it by, with TLS; default those in the certificate."
+        (),
+        "Names and addresses by which browsers open it, at any port, also through a reverse proxy or a tunnel. With TLS"
+        " they replace those in the certificate; on loopback they add to its own.",
+    )
+    prefix: Annotated[str, AfterValidator(_without_end)] = setting(
+        "",
+        "Path at which a reverse proxy serves the console, for instance `/robot1`; see"
+        " [reverse proxies](console_proxy.md).",
     )
     tokens: dict[PersonName, TokenSection] = setting(
         {}, 'Who gets in by a token, by name: `anna: {role: drive, sha256: "..."}`; with one, loopback has TLS, too.'

@@ -73,22 +73,23 @@ def occupancy_picture(grid: MapGrid2D) -> Cells:
 
 
 def flags_picture(grid: MapGrid2D) -> Cells | None:
-    """The tint of each cell (height, width) by the flags that planners heed, 0 for none; None where no cell has one."""
+    """The tint of each cell (height, width) by the flags that planners heed, 0 for none; None if no cell has one."""
     cells = _TINT_OF[grid.flags]
     return cells if cells.any() else None
 
 
 class Pictures:
-    """The tiles of the newest pictures by their addresses. Safe to use from any thread."""
+    """The tiles of the newest pictures by their addresses, below a prefix. Safe to use from any thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, prefix: str = "") -> None:
+        self._prefix = prefix
         self._lock = threading.Lock()
         self._kept: dict[str, deque[dict[str, bytes]]] = {name: deque(maxlen=_NEWEST) for name in PALETTES}
 
     def put(self, name: str, cells: Cells) -> dict[str, Any]:
         """Keep a picture; ``{"size": cells of a tile's side, "tiles": rows of addresses, null where all is clear}``.
 
-        An address tells the tile's content: what did not change keeps its address, and is not packed again.
+        An address depends on the tile's content: an unchanged tile keeps its address, and is not packed again.
         """
         clear, packed, rows = CLEAR[name], dict[str, bytes](), []
         for top in range(0, cells.shape[0], TILE):
@@ -100,13 +101,13 @@ class Pictures:
                     continue
                 version = hashlib.sha256(b"%d " % tile.shape[1] + tile.tobytes()).hexdigest()[:12]
                 packed[version] = self.get(name, version) or _png(tile, PALETTES[name])
-                row.append(f"/map/{name}.png?v={version}")
+                row.append(f"{self._prefix}/map/{name}.png?v={version}")
         with self._lock:
             self._kept[name].append(packed)
         return {"size": TILE, "tiles": rows}
 
     def get(self, name: str, version: str, *, dark: bool = False) -> bytes | None:
-        """The PNG of an address, in the colours for dark pages or light ones; None where it is gone."""
+        """The PNG of an address, in the colours for dark pages or light ones; None if it has expired."""
         with self._lock:
             found = next((kept[version] for kept in self._kept.get(name, ()) if version in kept), None)
         return _recoloured(found, PALETTES[name].dark) if found is not None and dark else found

@@ -39,7 +39,7 @@ LOG_SECONDS = 600.0
 
 @dataclass(frozen=True)
 class Grant:
-    """What a client may do.
+    """Name and role of a client.
 
     Attributes:
         name: of the token or the certificate, "" without authentication.
@@ -86,12 +86,17 @@ class Access:
         secret: this console's key for cookies.
         key: the configuration's key of the tokens, for the log.
         log: for wrong tokens.
+
+    Attributes:
+        prefix: path at which a reverse proxy serves the console.
+        cookie: name of the login's cookie; consoles at several prefixes of one proxy have different ones.
     """
 
     def __init__(
         self, section: WebSection, secret: bytes, *, key: str = "web.tokens", log: ScarceLog | None = None
     ) -> None:
-        self.guarded = section.guarded
+        self.guarded, self.prefix = section.guarded, section.prefix
+        self.cookie = COOKIE + section.prefix.replace("/", "~")
         self._tokens, self._trusted, self._secret = dict(section.tokens), frozenset(section.trusted), secret
         self._wrong = WrongTokens(log or ScarceLog(), key)
 
@@ -111,7 +116,7 @@ class Access:
         scheme, _, token = headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer" and token.strip():
             return self._by_token(token.strip(), address, headers.get("user-agent", ""))
-        found = self._by_cookie(_cookie(headers.get("cookie", "")))
+        found = self._by_cookie(_cookie(headers.get("cookie", ""), self.cookie))
         if found is None and certificate:
             trusted = certificate in self._trusted or "*" in self._trusted
             found = Grant(certificate, "drive" if trusted else "watch")
@@ -169,7 +174,7 @@ class WrongTokens:
     """Counts the wrong tokens of each address. Safe to use from any thread.
 
     A valid token is never counted or delayed, as many clients may share an address (a proxy, a NAT, one machine), and
-    nobody guesses 256 random bits. The time that a wrong one has to wait only slows down its client's requests.
+    256 random bits cannot be guessed. The time that a wrong one has to wait only slows down its client's requests.
     """
 
     def __init__(self, log: ScarceLog, key: str) -> None:
@@ -227,11 +232,11 @@ def kept_secret(folder: Path) -> bytes:
     return made
 
 
-def _cookie(header: str) -> str:
-    """Return the value of the console's cookie, "" without one."""
+def _cookie(header: str, wanted: str) -> str:
+    """Return the value of a cookie, "" without it."""
     for part in header.split(";"):
         name, _, value = part.strip().partition("=")
-        if name == COOKIE:
+        if name == wanted:
             return value
     return ""
 

@@ -1,4 +1,4 @@
-"""What the console's server has: the page's files, the map's pictures, the socket, figures for Prometheus."""
+"""The console's server: the page's files, the map's pictures, the socket, figures for Prometheus."""
 
 from __future__ import annotations
 
@@ -28,19 +28,20 @@ Serve = Callable[[WebSocket, Grant], Awaitable[None]]
 
 
 class WebServer(HttpServer):
-    """Serves the console.
+    """The console's HTTP server.
 
     Args:
         listen: address and port.
-        serve: converses with a page until its socket ends.
-        access: who may come in.
-        tls: where it has TLS.
-        more: routes beside the page's own.
+        serve: runs the protocol with a page until its socket closes.
+        access: authentication of clients.
+        tls: certificate and key, None without TLS.
+        more: routes in addition to the page's.
+        names: further names by which browsers open it.
     """
 
     def __init__(
         self, listen: str, serve: Serve, pictures: Pictures, access: Access, tls: ServerTls | None = None,
-        more: Sequence[BaseRoute] = (),
+        more: Sequence[BaseRoute] = (), names: Sequence[str] = (),
     ) -> None:  # fmt: skip
         self._serve, self._pictures = serve, pictures
         self._pages: Counter[str] = Counter()
@@ -52,7 +53,9 @@ class WebServer(HttpServer):
             Route("/", self._index),
             Mount("/", StaticFiles(directory=STATIC)),
         ]
-        super().__init__(listen, routes, access, tls, what="the console", key="web.listen", most_bytes=MOST_BYTES)
+        super().__init__(
+            listen, routes, access, tls, what="the console", key="web.listen", names=names, most_bytes=MOST_BYTES
+        )
 
     @property
     def pages(self) -> int:
@@ -66,7 +69,7 @@ class WebServer(HttpServer):
         asked = request.query_params
         found = self._pictures.get(request.path_params["name"], asked.get("v", ""), dark="dark" in asked)
         if found is None:
-            return PlainTextResponse("this picture is gone; the feed 'map' says the address of the newest\n", 404)
+            return PlainTextResponse("this picture has expired; the feed 'map' has the newest one's address\n", 404)
         return Response(found, media_type="image/png", headers={"cache-control": "private, max-age=86400, immutable"})
 
     async def _page(self, page: WebSocket) -> None:
@@ -87,7 +90,7 @@ class WebServer(HttpServer):
             await page.accept(PROTOCOL)
             async with asyncio.timeout(grant.until - time.time() if grant.until else None):
                 await self._serve(page, grant)
-        except TimeoutError:  # the login has ended
+        except TimeoutError:  # the login has expired
             await page.close(1008)
         finally:
             self._pages[address] -= 1
@@ -96,7 +99,7 @@ class WebServer(HttpServer):
 
 
 def hello(daemon: str, version: str, frame: str, most: tuple[float, float], hold_seconds: float) -> dict[str, Any]:
-    """The first message to a page, but for who it is."""
+    """Return the first message to a page, without its role and name."""
     speed = {"x": most[0], "y": most[0], "turn": most[1]}
     head = {"op": "hello", "daemon": daemon, "version": version, "frame": frame}
     return {**head, "hold_seconds": hold_seconds, "speed": speed}

@@ -14,7 +14,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from bridge.web.serving.access import COOKIE, LOGIN_SECONDS, Access, Grant, WrongTokenError
+from bridge.web.serving.access import LOGIN_SECONDS, Access, Grant, WrongTokenError
 
 _log = logging.getLogger("midspan.web")
 
@@ -42,7 +42,7 @@ class LoginGuard:
         try:
             grant = self._access.grant(headers, state.get("certificate", ""), address_of(scope))
             if path == "/":
-                refusal = RedirectResponse("/login", 303)
+                refusal = RedirectResponse(f"{self._access.prefix}/login", 303)
         except WrongTokenError as err:
             refusal = PlainTextResponse(f"{err}\n", 429 if err.wait else 401, err.headers)
         if grant is None and path not in OPEN:
@@ -99,14 +99,15 @@ class Login:
             return PlainTextResponse(f"{err}\n", 429 if err.wait else 403, err.headers)
         _log.info("%s has logged in, role %s", who(grant, address), grant.role)
         answer = JSONResponse({"name": grant.name, "role": grant.role})
-        answer.set_cookie(COOKIE, cookie, LOGIN_SECONDS, path="/", secure=True, httponly=True, samesite="strict")
+        name = self._access.cookie
+        answer.set_cookie(name, cookie, LOGIN_SECONDS, path="/", secure=True, httponly=True, samesite="strict")
         return answer
 
     async def _logout(self, request: Request) -> Response:
         if "origin" not in request.headers:
             return PlainTextResponse("only this console's own page may log out\n", 403)
         answer = PlainTextResponse("logged out\n")
-        answer.delete_cookie(COOKIE, path="/", secure=True, httponly=True, samesite="strict")
+        answer.delete_cookie(self._access.cookie, path="/", secure=True, httponly=True, samesite="strict")
         return answer
 
     async def _whoami(self, request: Request) -> Response:

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 import socket
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 import uvicorn
 from starlette.applications import Starlette
-from starlette.responses import PlainTextResponse
+from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.routing import BaseRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
@@ -53,13 +55,15 @@ HEADERS = {
 }
 _STOP_SECONDS = 1.5
 _NAMES = ("localhost", "127.0.0.1", "[::1]")
+_PORT = re.compile(r":[0-9]{1,5}\Z")
+_DEFAULT_PORTS = {"http": ":80", "https": ":443"}
 
 
 class OwnOnly:
-    """Passes requests whose ``Host`` is this server, sockets only from this server's own page."""
+    """Passes requests whose ``Host`` is this server, sockets only from this server's own page; see `refusal`."""
 
-    def __init__(self, app: ASGIApp, hosts: Callable[[], frozenset[str]]) -> None:
-        self._app, self._hosts = app, hosts
+    def __init__(self, app: ASGIApp, hosts: frozenset[str], names: frozenset[str]) -> None:
+        self._app, self._hosts, self._names = app, hosts, names
         self._refused = ScarceLog()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -67,7 +71,7 @@ class OwnOnly:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        why = refusal(scope, self._hosts())
+        why = refusal(scope, self._hosts, self._names)
         if not why:
             await self._app(scope, receive, _with_headers(send))
             return
@@ -79,22 +83,66 @@ class OwnOnly:
             await answer(scope, receive, send)
 
 
-def refusal(scope: Scope, hosts: frozenset[str]) -> str:
-    """Return why a request is refused, "" if it is not."""
+class Prefixed:
+    """Serves an application below a path, too; a reverse proxy may pass that path on or remove it."""
+
+    def __init__(self, app: ASGIApp, prefix: str) -> None:
+        self._app, self._prefix = app, prefix
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if self._prefix and scope["type"] in ("http", "websocket"):
+            path: str = scope["path"]
+            if path == self._prefix and scope["type"] == "http":  # relative addresses of the page need the slash
+                await RedirectResponse(f"{self._prefix}/", 303)(scope, receive, send)
+                return
+            if path.startswith(f"{self._prefix}/"):
+                rest = path.removeprefix(self._prefix)
+                scope = {**scope, "path": rest, "raw_path": quote(rest).encode()}
+        await self._app(scope, receive, send)
+
+
+def refusal(scope: Scope, hosts: frozenset[str], names: frozenset[str] = frozenset()) -> str:
+    """Return why a request is refused, "" if it is not.
+
+    Args:
+        scope: the request.
+        hosts: valid values of ``Host``.
+        names: names that are valid with any port: a proxy's or a tunnel's differs from this server's.
+    """
     found: dict[str, list[str]] = {}
     for name, value in scope["headers"]:
         found.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
-    host, origin = found.get("host", []), found.get("origin", [])
-    if len(host) != 1 or host[0].lower() not in hosts:
-        return f"no such host here: {', '.join(host)[:80]!r}"
-    own = f"{'https' if scope.get('scheme') in ('https', 'wss') else 'http'}://{host[0].lower()}"
-    if any(each.lower() != own for each in origin):
-        return f"a page of {', '.join(origin)[:80]!r} may not ask"
+    host, origin = [value.lower() for value in found.get("host", [])], found.get("origin", [])
+    named = len(host) == 1 and _PORT.sub("", host[0]) in names
+    if len(host) != 1 or not (named or host[0] in hosts):
+        return f"no such host here: {', '.join(host)[:80]!r}; if it is this console's name, add it to web.names"
+    own = _origins(host[0], _schemes(scope, found.get("x-forwarded-proto", []) if named else None))
+    if any(page.lower() not in own for page in origin):
+        asked = f"{', '.join(origin)[:80]!r} may not ask {host[0]!r}"
+        return f"a page of {asked}; a proxy has to pass the header Host, with its port, and X-Forwarded-Proto"
     if scope["type"] == "websocket" and not origin and "user-agent" in found and "Mozilla" in found["user-agent"][0]:
         return "a browser's request has no Origin"
     if found.get("sec-fetch-site", ["same-origin"])[0] not in ("same-origin", "none"):
         return "another site's page may not ask"
     return ""
+
+
+def _schemes(scope: Scope, forwarded: Sequence[str] | None) -> Collection[str]:
+    """Return the schemes of a server's own pages; None for one without a proxy, which may add TLS."""
+    if scope.get("scheme") in ("https", "wss"):
+        return ("https",)
+    if forwarded is None:
+        return ("http",)
+    if not forwarded:
+        return ("http", "https")
+    first = forwarded[0].partition(",")[0].strip().lower()
+    return ({"ws": "http", "wss": "https"}.get(first, first),)
+
+
+def _origins(host: str, schemes: Collection[str]) -> set[str]:
+    """Return the origins of a host's pages; browsers leave out the scheme's default port."""
+    return {f"{scheme}://{host.removesuffix(_DEFAULT_PORTS.get(scheme, ''))}" for scheme in schemes}
 
 
 def _with_headers(send: Send) -> Send:
@@ -118,6 +166,7 @@ class HttpServer:
         tls: certificate and key, None without TLS.
         what: the server, for errors.
         key: the configuration's key of ``listen``, for errors.
+        names: further names by which browsers open it, at any port.
         most_bytes: of a socket's message.
 
     Attributes:
@@ -127,7 +176,7 @@ class HttpServer:
 
     def __init__(
         self, listen: str, routes: Sequence[BaseRoute], access: Access, tls: ServerTls | None, *, what: str, key: str,
-        most_bytes: int = 1 << 16,
+        names: Sequence[str] = (), most_bytes: int = 1 << 16,
     ) -> None:  # fmt: skip
         address, port = split(listen)
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
@@ -140,10 +189,11 @@ class HttpServer:
             self._socket.close()
             raise RuntimeError(f"{what} cannot listen on {listen}: {err.strerror}; set {key}") from None
         self.port: int = self._socket.getsockname()[1]
-        names = [bracketed(name) for name in (tls.names if tls else (address,))]
-        self._hosts = hosts(names, self.port, tls=tls is not None)
-        self.address = f"{'https' if tls else 'http'}://{names[0]}:{self.port}/"
-        app = OwnOnly(LoginGuard(Starlette(routes=routes), access), lambda: self._hosts)
+        own = [bracketed(name) for name in (tls.names if tls else (address,))]
+        self.address = f"{'https' if tls else 'http'}://{own[0]}:{self.port}{access.prefix}/"
+        guarded = Prefixed(LoginGuard(Starlette(routes=routes), access), access.prefix)
+        any_port = frozenset(bracketed(name).lower() for name in names)
+        app = OwnOnly(guarded, hosts(own, self.port, tls=tls is not None), any_port)
         self._server = uvicorn.Server(
             uvicorn.Config(
                 app, log_config=None, access_log=False, lifespan="off", ws_max_size=most_bytes,

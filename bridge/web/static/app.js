@@ -14,7 +14,7 @@ import { mood, stateWords } from "./words.js";
 const MAKERS = { drive: driveView, places: placesView, status: statusView, topics: topicsView, frames: framesView, system: systemView };
 const byId = (id) => document.getElementById(id);
 
-const socket = new Socket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/socket`);
+const socket = new Socket(new URL("socket", location.href).href.replace(/^http/, "ws"));
 const views = {}; // name -> {show(), hide(), look(rest of the hash)}, made when first shown
 let shown = null;
 
