@@ -1,4 +1,4 @@
-"""A run fails when a test leaves a process or a thread behind; what starts many programs begins first, two at once."""
+"""Fail the run if tests leave processes or threads running, and start the files with the most programs first."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _REAL = (
     "demo", "interop", "daemon", "contract", "benchmarks", "adapters", "faults", "interfaces", "examples", "hub", "cli",
     "navigation",
 )  # fmt: skip
-"""Folders with files that start many programs and take up to a minute: they come first."""
+"""Folders with files that start many programs and take up to a minute: they run first."""
 
 _LAST = "test_first_run.py"
-"""A file that takes minutes: it begins first, by the process that takes files from the end on."""
+"""A file that takes minutes: the process that runs files from the end of the list starts with it."""
 
-_LEFT_BEHIND = 10
-"""Exit code of such a run, for which no test is run again; see scripts/unsteady.py."""
+_LEFTOVERS = 10
+"""Exit code of a run with leftovers, after which no test is repeated; see scripts/unsteady.py."""
 
 _LEFT = "LEFT BEHIND"
 _MARK = "MIDSPAN_TEST_RUN"
@@ -42,41 +42,41 @@ _left_by_workers: list[str] = []
 
 
 def _processes() -> dict[object, str]:
-    """Processes that this run started, its children's orphans among them."""
-    found: dict[object, str] = {}
-    own = psutil.Process()
-    for process in [*own.children(recursive=True), *psutil.process_iter()]:
+    """Return the processes that this run started, including orphans of its children."""
+    processes: dict[object, str] = {}
+    current = psutil.Process()
+    for process in [*current.children(recursive=True), *psutil.process_iter()]:
         with contextlib.suppress(psutil.Error, OSError):
-            if process.pid == own.pid or process.status() == psutil.STATUS_ZOMBIE:
+            if process.pid == current.pid or process.status() == psutil.STATUS_ZOMBIE:
                 continue
-            if process in found or own in process.parents() or process.environ().get(_MARK) == _run:
+            if process in processes or current in process.parents() or process.environ().get(_MARK) == _run:
                 name = forks.name_of(process.pid) or " ".join(process.cmdline())
-                found[process] = f"process {process.pid}: {name[:200]}"
-    return found
+                processes[process] = f"process {process.pid}: {name[:200]}"
+    return processes
 
 
 def _threads() -> dict[object, str]:
-    # Python's stand-ins for threads of zenoh's, which belong to the process and not to a session
+    # without the dummy threads for zenoh's, which belong to the process and not to a session
     real = [t for t in threading.enumerate() if not isinstance(t, threading._DummyThread)]
     return {t: f"thread {t.name}" for t in real if t is not threading.main_thread() and t not in _at_start}
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    # as a plugin: pytest asks this file's hooks nothing of a folder whose own conftest cannot be imported
+    # as a plugin: pytest does not call this file's hooks for a folder whose own conftest cannot be imported
     config.pluginmanager.register(missing)
-    # an example has no limit in seconds: the machine may be busy
+    # no time limit per example: the machine may be busy
     hypothesis.settings.register_profile("midspan", deadline=None)
     hypothesis.settings.load_profile("midspan")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection() -> None:
-    """What is made as tests are collected stays: Python need not look through it again and again."""
+    """Stop the garbage collector: the objects that the collection of tests creates last for the whole run."""
     gc.disable()
 
 
 def pytest_collection_finish() -> None:
-    """The same from now on."""
+    """Exempt the collected tests from garbage collection from now on."""
     gc.enable()
     gc.freeze()
 
@@ -87,23 +87,23 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         cache.set("midspan/seed", session.config.getoption("randomly_seed", None))  # for scripts/unsteady.py
     os.environ[_MARK] = _run
     _at_start.update(_threads())
-    # a shell that runs this in the background lets it ignore Ctrl-C, and so would every program that a test starts
+    # a shell ignores Ctrl-C in background jobs, and every program that a test starts would inherit that
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--fast", action="store_true", help="only files that start no program and join no middleware")
+    parser.addoption("--fast", action="store_true", help="only files that start no program and use no middleware")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave files out before they are imported, which takes longer than to run them."""
+    """Leave files out before the import, which takes longer than their tests."""
     test = collection_path.name.startswith("test_") and collection_path.suffix == ".py"
     return True if test and config.getoption("fast") and not tiers.is_fast(collection_path) else None
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put files that start many programs first; otherwise the order stays random."""
+    """Run files that start many programs first; otherwise the order stays random."""
     places = {name: place for place, name in enumerate(_REAL)}
     root = Path(__file__).parent
 
@@ -116,16 +116,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Tests of the marker `alone` come last, in the same run; the other files are taken from both ends."""
+    """Run tests marked `alone` last, in the same run, and the other files from both ends of the list."""
     from tests.support.scheduler import Scheduler
 
     return Scheduler(config, log)
 
 
 def pytest_runtest_logfinish(nodeid: str) -> None:
-    """Remember which test a thread showed up in; processes are too costly to list after each test."""
-    for thing in _threads():
-        _started_by.setdefault(thing, nodeid)
+    """Remember the test after which a thread first appears; to list processes after each test is too slow."""
+    for thread in _threads():
+        _started_by.setdefault(thread, nodeid)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -138,7 +138,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Remember what failed: a failed test may not get to its clean-up, and is red already."""
+    """Remember failed tests: they may skip their clean-up, and fail the run anyway."""
     if report.failed:
         _failed.add(report.nodeid)
 
@@ -153,7 +153,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: object, error: object) -> None:
-    """A process of pytest-xdist that ran some of the tests has ended: take what it found."""
+    """Collect the leftovers that an ended pytest-xdist process reports."""
     _left_by_workers.extend(getattr(node, "workeroutput", {}).get("left", []))
 
 
@@ -161,26 +161,26 @@ def pytest_testnodedown(node: object, error: object) -> None:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     forks.close()
     leads = session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput")
-    look = dict if leads else _threads  # the tests ran elsewhere; xdist has threads of its own here
-    end = time.monotonic() + 20  # what is about to end does so late on a busy machine
-    while (left := {**_processes(), **look()}) and time.monotonic() < end:
+    remaining_threads = dict if leads else _threads  # with xdist, no test ran here, and the threads are its own
+    end = time.monotonic() + 20  # on a busy machine a process may take long to exit
+    while (left := {**_processes(), **remaining_threads()}) and time.monotonic() < end:
         time.sleep(0.05)
-    found = []
+    leftovers = []
     for thing, name in left.items():
         test = _started_by.get(thing, "an unknown test")
-        found.append(f"{'left by what failed' if test in _failed else _LEFT}: {name} (first seen after {test})")
+        leftovers.append(f"{'left by what failed' if test in _failed else _LEFT}: {name} (first seen after {test})")
     for thing in left:
         if isinstance(thing, psutil.Process):
             with contextlib.suppress(psutil.Error):
                 thing.kill()
     if hasattr(session.config, "workeroutput"):
-        session.config.workeroutput["left"] = found
+        session.config.workeroutput["left"] = leftovers
         return
-    found += _left_by_workers
+    leftovers += _left_by_workers
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
-    for line in found:
+    for line in leftovers:
         if reporter is not None:
             reporter.ensure_newline()
             reporter.write_line(line)
-    if any(line.startswith(_LEFT) for line in found):
-        session.exitstatus = _LEFT_BEHIND
+    if any(line.startswith(_LEFT) for line in leftovers):
+        session.exitstatus = _LEFTOVERS

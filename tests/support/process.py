@@ -1,4 +1,4 @@
-"""Processes of the tests: own group, output kept in a file, always ended."""
+"""Processes that tests start: each has its own process group and output file, and is always stopped."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _running: weakref.WeakSet[Process] = weakref.WeakSet()
 
 
 class Process:
-    """A process in a group of its own whose stderr (and stdout, unless piped) goes to a file.
+    """A process with its own process group, whose stderr (and stdout, unless piped) goes to a file.
 
-    It is started, but forked where it is a program of the tests, or where ``imports`` names what to import beforehand;
-    see `tests.support.forks`.
+    A program of the tests is forked, and so is one for which ``imports`` names modules to import before the fork; see
+    `tests.support.forks`. Other programs are started.
     """
 
     popen: subprocess.Popen | Forked
@@ -57,11 +57,11 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """Process id, which is also the group's."""
+        """The process ID, which is also the ID of its group."""
         return self.popen.pid
 
     def output(self) -> str:
-        """What the process wrote so far to its log."""
+        """Return what the process has written to its log so far."""
         return Path(self._log.name).read_text(errors="replace")
 
     def signal(self, number: int) -> None:
@@ -70,7 +70,7 @@ class Process:
             os.killpg(self.pid, number)
 
     def stop(self, seconds: float = 6.0) -> int:
-        """SIGTERM, wait, SIGKILL what is left; the exit code."""
+        """Send SIGTERM, wait, then SIGKILL the group; return the exit code."""
         if self.popen.poll() is None:
             self.signal(signal.SIGTERM)
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -94,15 +94,15 @@ class Process:
 
 def outputs() -> list[tuple[str, str]]:
     """Return the command and the last output of each process that was not stopped, for the report of a failed test."""
-    found = []
-    for process in sorted(_running, key=lambda each: each.pid):
+    sections = []
+    for process in sorted(_running, key=lambda process: process.pid):
         with contextlib.suppress(OSError):
             if text := process.output()[-_OUTPUT_CHARACTERS:]:
-                found.append((f"process {process.pid}: {' '.join(process.args)[-200:]}", text))
-    return found
+                sections.append((f"process {process.pid}: {' '.join(process.args)[-200:]}", text))
+    return sections
 
 
 def stands_still(pid: int) -> bool:
-    """Whether all threads of a process are stopped: some run on for a moment after SIGSTOP."""
+    """Whether all threads of a process are stopped: some continue for a moment after SIGSTOP."""
     stats = [file.read_text() for file in Path(f"/proc/{pid}/task").glob("*/stat")]
     return all(stat.rpartition(") ")[2].startswith("T") for stat in stats)
