@@ -1,4 +1,4 @@
-"""Workers that come up: who works is let be, who stands still is ended, and one core has one at a time."""
+"""Worker start-up: busy workers get more time, hanging ones are killed, and a single core starts one at a time."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ pytestmark = pytest.mark.thorough
 MANY = 8
 
 
-def told(daemon: Daemon, worker: str) -> dict[str, Any]:
-    """What the daemon says of a worker."""
-    said = ask_daemon(Config(name="test", state=daemon.folder / "state"))
-    return {} if said is None else next(one for one in said["workers"] if one["worker"] == worker)
+def worker_status(daemon: Daemon, name: str) -> dict[str, Any]:
+    """Return the daemon's status of a worker, empty if the daemon does not answer."""
+    status = ask_daemon(Config(name="test", state=daemon.folder / "state"))
+    return {} if status is None else next(worker for worker in status["workers"] if worker["worker"] == name)
 
 
-def test_one_that_computes_as_it_comes_up_is_let_be(daemon: Daemon) -> None:
+def test_a_worker_that_computes_during_start_up_is_not_killed(daemon: Daemon) -> None:
     daemon.order("ros1", "compute-at-start")
     process = daemon.quick(MANY, start=1.5)
-    until(lambda: told(daemon, "ros1").get("text") == "computing on purpose", "it computes")
-    started = daemon.pids("ros1")  # a busy machine may keep one waiting for 1.5 s before it computes
+    until(lambda: worker_status(daemon, "ros1").get("text") == "computing on purpose", "it computes")
+    started = daemon.pids("ros1")  # on a busy machine an earlier one may wait for 1.5 s before it computes
     begun = time.monotonic()
-    until(lambda: time.monotonic() > begun + 3, "it computes for longer than it may stand still")
-    until(lambda: told(daemon, "ros1").get("phase") == "starting", "it is still starting")
+    until(lambda: time.monotonic() > begun + 3, "it computes for longer than the start limit")
+    until(lambda: worker_status(daemon, "ros1").get("phase") == "starting", "it is still starting")
     status = daemon.midspan("status", "--config", str(daemon.file))
     assert status.popen.wait(40) == 1, "the fake workers have no hub"
     assert "ros1     starting computing on purpose (" in status.output()
@@ -46,31 +46,31 @@ def test_one_that_computes_as_it_comes_up_is_let_be(daemon: Daemon) -> None:
     assert daemon.pids("ros1") == started
 
 
-def test_one_that_stands_still_as_it_comes_up_is_ended_and_the_next_may_for_longer(daemon: Daemon) -> None:
+def test_a_worker_that_hangs_during_start_up_is_killed_and_the_next_gets_more_time(daemon: Daemon) -> None:
     daemon.order("ros1", "hang-at-start")
     process = daemon.quick(MANY, start=1.0)
     daemon.expect_output(process, "ros1 stood still for 1 s at its start (starting); the next one may for 2 s")
-    assert "fakes.py" in process.output()  # where it hangs
+    assert "fakes.py" in process.output()  # the stack shows the file in which it hangs
     daemon.expect_output(process, "ros1 stood still for 2 s at its start (starting); the next one may for 4 s")
     daemon.order("ros1")
     daemon.expect_output(process, "ros1 is up")
 
 
-def test_a_worker_that_computes_instead_of_saying_how_it_is_is_let_be(daemon: Daemon) -> None:
+def test_a_worker_that_computes_instead_of_reporting_is_not_killed(daemon: Daemon) -> None:
     process = daemon.quick(MANY, heartbeat=2.0)
     first = daemon.wait_started("ros1")
     daemon.expect_output(process, "ros1 is up")
     daemon.order("ros1", "compute")
-    until(lambda: daemon.events("ros1", "computes"), "it begins")
+    until(lambda: daemon.events("ros1", "computes"), "it starts to compute")
     begun = time.monotonic()
-    until(lambda: time.monotonic() > begun + 4, "it computes for longer than it may stand still")
+    until(lambda: time.monotonic() > begun + 4, "it computes for longer than the heartbeat limit")
     daemon.order("ros1")
-    until(lambda: daemon.events("ros1", "told"), f"it says how it is:\n{process.output()}")
+    until(lambda: daemon.events("ros1", "told"), f"it reports its state:\n{process.output()}")
     assert daemon.pids("ros1") == [first], process.output()
 
 
 class _Line:
-    """A link to a process that there is not."""
+    """A link without a process."""
 
     pid, owner = 0, "daemon"
 
@@ -82,25 +82,25 @@ class _Line:
 
 
 @pytest.mark.parametrize(("seconds", "phase"), [(499.0, Phase.UP), (501.0, Phase.PAUSED)])
-def test_a_loop_without_an_end_is_ended(seconds: float, phase: Phase, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_worker_in_an_endless_loop_is_killed(seconds: float, phase: Phase, caplog: pytest.LogCaptureFixture) -> None:
     loop = SelectorLoop()
     slot = Slot(loop, worker_kinds({})["ros1"], Timing(heartbeat=50.0))
     slot.link, slot.phase = _Line(), Phase.UP  # type: ignore[assignment]
     for used in (0.0, seconds):
-        slot.on_report(Busy("telling how it is", used, 0))
+        slot.on_report(Busy("reporting its state", used, 0))
         slot.tick()
     assert slot.phase is phase
-    assert ("ros1 is in a loop without an end: telling how it is has computed for 501 s" in caplog.text) is (
+    assert ("ros1 is in a loop without an end: reporting its state has computed for 501 s" in caplog.text) is (
         phase is Phase.PAUSED
     )
     loop.close()
 
 
-def test_on_one_core_one_comes_up_after_the_other(daemon: Daemon) -> None:
+def test_a_single_core_starts_workers_one_after_the_other(daemon: Daemon) -> None:
     daemon.order("ros1", "compute-at-start")
     process = daemon.quick(1)
-    until(lambda: told(daemon, "ros2").get("text") == "ros1 comes up first", "the second waits for its turn")
-    assert told(daemon, "ros2")["phase"] == "queued"
+    until(lambda: worker_status(daemon, "ros2").get("text") == "ros1 comes up first", "the second waits for its turn")
+    assert worker_status(daemon, "ros2")["phase"] == "queued"
     assert not daemon.pids("ros2")
     assert "router is up" in process.output().partition("ros1 started")[0]
     daemon.order("ros1")
@@ -108,35 +108,35 @@ def test_on_one_core_one_comes_up_after_the_other(daemon: Daemon) -> None:
     assert "ros1 is up" in process.output().partition("ros2 started")[0]
 
 
-def test_a_restarted_one_waits_for_its_turn_too(daemon: Daemon) -> None:
+def test_a_restarted_worker_waits_for_its_turn_too(daemon: Daemon) -> None:
     process = daemon.quick(1)
     daemon.expect_output(process, "ready: ")
     daemon.order("ros2", "compute-at-start")
     os.kill(daemon.wait_started("ros2"), signal.SIGKILL)
     daemon.wait_started("ros2", 2)
     os.kill(daemon.wait_started("ros1"), signal.SIGKILL)
-    until(lambda: told(daemon, "ros1").get("text") == "ros2 comes up first", "it waits for its turn")
+    until(lambda: worker_status(daemon, "ros1").get("text") == "ros2 comes up first", "it waits for its turn")
     daemon.order("ros2")
     assert alive(daemon.wait_started("ros1", 2))
 
 
-def test_one_that_stands_still_keeps_no_other_waiting(daemon: Daemon) -> None:
+def test_a_hanging_worker_does_not_keep_others_waiting(daemon: Daemon) -> None:
     daemon.order("ros1", "hang-at-start")
     process = daemon.quick(1, patience=0.5)
     daemon.expect_output(process, "ros2 is up")
-    assert told(daemon, "ros1")["phase"] == "starting"
+    assert worker_status(daemon, "ros1")["phase"] == "starting"
 
 
-def test_several_come_up_at_once_on_several_cores(daemon: Daemon) -> None:
+def test_several_cores_start_several_workers_at_once(daemon: Daemon) -> None:
     daemon.order("ros1", "compute-at-start")
     daemon.order("ros2", "compute-at-start")
     daemon.quick(3)
     daemon.wait_started("ros1")
     daemon.wait_started("ros2")
-    assert {told(daemon, worker)["phase"] for worker in ("ros1", "ros2")} == {"starting"}
+    assert {worker_status(daemon, worker)["phase"] for worker in ("ros1", "ros2")} == {"starting"}
 
 
-def test_only_one_that_runs_is_called_up(daemon: Daemon) -> None:
+def test_only_a_running_worker_is_reported_as_up(daemon: Daemon) -> None:
     daemon.order("ros1", "wait")
     process = daemon.start()
     daemon.expect_output(process, "ros1 has started and waits: ros1 fine")
@@ -148,7 +148,7 @@ def test_only_one_that_runs_is_called_up(daemon: Daemon) -> None:
 
 
 class _Slow:
-    """A slot whose process is killed in time, and gone a moment after the last look at its group."""
+    """A slot whose process is killed in time and disappears shortly after the last check of its group."""
 
     name, pid, is_service, phase = "slow", 1, False, Phase.STOPPING
 
@@ -170,7 +170,7 @@ class _Slow:
         raise AssertionError
 
 
-def test_one_that_ended_late_is_not_said_to_survive_its_kill(
+def test_a_process_that_ends_late_is_not_reported_as_surviving_its_kill(
     daemon: Daemon, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     clock = [0.0]
