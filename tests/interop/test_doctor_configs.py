@@ -1,7 +1,7 @@
-"""Each documented configuration, fresh, with the middlewares and programs that it names: `midspan doctor` is all OK.
+"""`midspan doctor` is all OK for each documented configuration, with the middlewares and programs that it names.
 
-If a program that it names is not started yet, doctor names it, and nothing fails. One roscore and one ROS domain serve
-the whole file; findings on the machine (compiler, shared memory, clock) do not depend on the configuration.
+If a program is not started yet, doctor names it, and nothing fails. One roscore and one ROS domain serve the whole
+file. Checks of the machine (compiler, shared memory, clock) are left out: they do not depend on the configuration.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ pytestmark = [needs_ros1, pytest.mark.long]
 ROOT = Path(__file__).parents[2]
 CONFIGS, SUPPORT = ROOT / "configs", ROOT / "tests" / "support"
 APARTMENT = str(CONFIGS / "apartment" / "apartment.yaml")
-OF_THE_MACHINE = {"kernels", "wheels", "compiler", "clock", "shm-users", "shm-size", "shm-litter", "descriptors"}
-OFTEN = ("daemon", "types", "type-hash")
-"""Checks of what changes while a deployment comes up."""
+MACHINE_CHECKS = {"kernels", "wheels", "compiler", "clock", "shm-users", "shm-size", "shm-litter", "descriptors"}
+VOLATILE = ("daemon", "types", "type-hash")
+"""Checks whose result changes while a deployment starts."""
 
-WHOLE = frozenset(check.id for check in CHECKS) - OF_THE_MACHINE
-MOST = WHOLE - {"two-bridges"}
-"""Without the check that looks around for 5 s, for the same as in the other deployments."""
+ALL_CHECKS = frozenset(check.id for check in CHECKS) - MACHINE_CHECKS
+MOST = ALL_CHECKS - {"two-bridges"}
+"""Without the check that listens for 5 s; its result is the same in most deployments."""
 
 NO_WORKER = {Phase.OFF.value, Phase.UNAVAILABLE.value}
 OF_MODULES = "modules"
@@ -54,16 +54,16 @@ Config = dict[str, Any]
 
 
 class Fresh:
-    """A daemon that was never started before, with its own ports, folders and names, and the shell of its user."""
+    """A daemon that starts for the first time, with its own ports, folders, names and environment variables."""
 
     def __init__(self, config: Config, folder: Path, master: RosMaster, midspan: Callable[..., Any]) -> None:
         self.stack = contextlib.ExitStack()
         self._master, self._midspan = master, midspan
         address = Address("127.0.0.1", free_port())
         self.names = NameClient(address)
-        own = {"master": master.uri, "domain": ros2_domain(), "address": f"{address.host}:{address.port}"}
+        settings = {"master": master.uri, "domain": ros2_domain(), "address": f"{address.host}:{address.port}"}
         config = {
-            key: {k: own.get(k, v) for k, v in value.items()} if key in ("ros1", "ros2", "yarp") else value
+            key: {k: settings.get(k, v) for k, v in value.items()} if key in ("ros1", "ros2", "yarp") else value
             for key, value in config.items()
             if value is not None
         }
@@ -95,80 +95,80 @@ class Fresh:
         self.stack.enter_context(Reader("/baseControl/control:i", naming=self.names))
 
     def is_up(self) -> bool:
-        """Whether everything that is to answer does."""
+        """Whether all enabled workers and hosted modules answer."""
         config = load(self.file)
-        said = ask_daemon(config)
-        if said is None:
+        status = ask_daemon(config)
+        if status is None:
             return False
-        workers = {worker["worker"] for worker in said["workers"] if worker["phase"] not in NO_WORKER}
+        workers = {worker["worker"] for worker in status["workers"] if worker["phase"] not in NO_WORKER}
         wanted = {f"{config.name}/{name}" for name in {*workers, *config.hosted} - {OF_MODULES}}
         answered = {f["seen"].partition(" ")[0] for f in self.doctor("daemon")}
-        return all(any(who.startswith(name) for who in answered) for name in wanted)  # zenoh has one for each dialect
+        return all(any(node.startswith(name) for node in answered) for name in wanted)  # one zenoh node a dialect
 
     def doctor(self, *only: str) -> list[dict[str, str]]:
-        """What these checks find."""
-        words = [word for check in only for word in ("--only", check)]
-        found: list[dict[str, str]] = self._midspan(self, "doctor", "--json", *words).json()
-        return found
+        """Return the findings of these checks."""
+        options = [option for check in only for option in ("--only", check)]
+        findings: list[dict[str, str]] = self._midspan(self, "doctor", "--json", *options).json()
+        return findings
 
-    def amiss(self, *only: str) -> list[str]:
-        """What is not OK."""
+    def problems(self, *only: str) -> list[str]:
+        """Return the warnings and failures."""
         return [
             f"{f['result']} {f['seen']} ({f['cure']})" for f in self.doctor(*only) if f["result"] in ("warn", "fail")
         ]
 
     def until_all_is_well(self, checks: Iterable[str] = MOST) -> None:
-        self._until(lambda found: not found, checks)
+        self._until(lambda problems: not problems, checks)
 
-    def until_it_waits(self, *words: str) -> None:
-        """Wait until exactly these are reported as missing; none of it is a failure."""
-        self._until(lambda found: matches(found, words), MOST)
+    def until_it_waits(self, *patterns: str) -> None:
+        """Wait until doctor gives exactly these warnings, one for each pattern, and no failure."""
+        self._until(lambda problems: matches(problems, patterns), MOST)
 
     def _until(self, fits: Callable[[list[str]], bool], checks: Iterable[str]) -> None:
-        """Wait for what is amiss, first by what changes and then by all; a busy machine may answer a check too late."""
-        found: list[str] = []
+        """Wait for the expected problems: of the volatile checks first, then of all. Checks may time out under load."""
+        problems: list[str] = []
 
-        def look(which: Iterable[str]) -> bool:
-            found[:] = self.amiss(*which)
-            return fits(found)
+        def expected(which: Iterable[str]) -> bool:
+            problems[:] = self.problems(*which)
+            return fits(problems)
 
         until(self.is_up, "all workers and modules answer", SECONDS, every=0.5)
-        for which in (OFTEN, checks):
+        for which in (VOLATILE, checks):
             with contextlib.suppress(AssertionError):
-                until(lambda which=which: look(which), "doctor finds what it should", SECONDS, every=0.5)  # type: ignore[misc]
-            assert fits(found), found
+                until(lambda which=which: expected(which), "doctor finds the expected problems", SECONDS, every=0.5)  # type: ignore[misc]
+            assert fits(problems), problems
 
 
 def in_configs(store: Config) -> Config:
     return {key: str(CONFIGS / value) if key in ("maps", "locations") else value for key, value in store.items()}
 
 
-def matches(found: list[str], words: tuple[str, ...]) -> bool:
-    """Whether each is a warning, and found and wanted are the same."""
-    return len(found) == len(words) and all(
-        any(line.startswith("warn ") and re.search(word, line) for line in found) for word in words
+def matches(problems: list[str], patterns: tuple[str, ...]) -> bool:
+    """Whether the problems are warnings, one for each pattern."""
+    return len(problems) == len(patterns) and all(
+        any(line.startswith("warn ") and re.search(pattern, line) for line in problems) for pattern in patterns
     )
 
 
-def of_file(name: str) -> Config:
-    found = yaml.safe_load((CONFIGS / name).read_text())
-    assert isinstance(found, dict)
-    return found
+def from_file(name: str) -> Config:
+    config = yaml.safe_load((CONFIGS / name).read_text())
+    assert isinstance(config, dict)
+    return config
 
 
-def of_pages() -> Config:
-    """The README's first configuration, with what the pages of the modules and the simulator add to it."""
+def from_pages() -> Config:
+    """Return the README's first configuration with the sections that the pages of modules and simulator add to it."""
     blocks = [(page, yaml.safe_load(code)) for page, code in configurations()]
-    (made,) = (block for page, block in blocks if page == "README.md")
+    (config,) = (block for page, block in blocks if page == "README.md")
     modules: Config = {}
     for page, block in blocks:
         if page in ("docs/sides/frames.md", "docs/navigation/maps.md"):
             modules |= block.get("modules", {})
         elif page == "docs/navigation/simulator.md" and "sim" in block:
-            made |= {"sim": block["sim"]}
+            config |= {"sim": block["sim"]}
     assert set(modules) == {"transform_server", "map2d_server"}
-    assert "sim" in made
-    return {**made, "modules": modules}
+    assert "sim" in config
+    return {**config, "modules": modules}
 
 
 @pytest.fixture(scope="module")
@@ -181,20 +181,20 @@ def master() -> Iterator[RosMaster]:
 def fresh(
     master: RosMaster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Iterator[Callable[[Config], Fresh]]:
-    """Starts a deployment; pytest's own folders would be too deep for its sockets."""
+    """Start deployments in folders with short paths: pytest's own are too long for Unix sockets."""
 
-    def midspan(of: Fresh, *words: str) -> Any:
-        for name, value in of.shell.items():
+    def midspan(site: Fresh, *words: str) -> Any:
+        for name, value in site.shell.items():
             monkeypatch.setenv(name, value)
-        return Midspan(of.file, capsys)(*words)
+        return Midspan(site.file, capsys)(*words)
 
     with contextlib.ExitStack() as stack:
 
         def begin(config: Config) -> Fresh:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="midspan-t-")))
-            made = Fresh(config, folder, master, midspan)
-            stack.callback(made.stack.close)
-            return made
+            site = Fresh(config, folder, master, midspan)
+            stack.callback(site.stack.close)
+            return site
 
         yield begin
 
@@ -205,16 +205,16 @@ Begin = Callable[[Config], Fresh]
 @pytest.mark.parametrize(
     "name", ["default.yaml", "allow_list.yaml", "demo.yaml", "zenoh_dialects.yaml", "navigation.yaml", "tables.yaml"]
 )
-def test_what_needs_no_other_program(fresh: Begin, name: str) -> None:
-    fresh(of_file(name)).until_all_is_well()
+def test_configurations_without_other_programs(fresh: Begin, name: str) -> None:
+    fresh(from_file(name)).until_all_is_well()
 
 
-def test_what_the_pages_say_together(fresh: Begin) -> None:
-    fresh(of_pages()).until_all_is_well(WHOLE)
+def test_the_pages_combined(fresh: Begin) -> None:
+    fresh(from_pages()).until_all_is_well(ALL_CHECKS)
 
 
 def test_map_server_beside_map2d_server(fresh: Begin) -> None:
-    site = fresh(of_file("ros_map_server.yaml"))
+    site = fresh(from_file("ros_map_server.yaml"))
     site.until_it_waits(
         "localization_server waits: no map has come from /map",
         "robot_path_planner waits: no map has come",
@@ -222,18 +222,18 @@ def test_map_server_beside_map2d_server(fresh: Begin) -> None:
     )
     site.ros1("ros1_map_server.py", APARTMENT)
     site.until_all_is_well()
-    told = [f["seen"] for f in site.doctor("types")]
-    until(lambda: any("/change_map, /static_map: the map server" in text for text in told), str(told), 0.0)
+    findings = [f["seen"] for f in site.doctor("types")]
+    until(lambda: any("/change_map, /static_map: the map server" in text for text in findings), str(findings), 0.0)
 
 
 def test_a_robot_on_yarp(fresh: Begin) -> None:
-    site = fresh(of_file("yarp_robot.yaml"))
+    site = fresh(from_file("yarp_robot.yaml"))
     site.robot()
     site.until_all_is_well()
 
 
 def test_move_base_and_a_robot_on_yarp(fresh: Begin) -> None:
-    site = fresh(of_file("yarp_robot_move_base.yaml"))
+    site = fresh(from_file("yarp_robot_move_base.yaml"))
     site.until_it_waits(
         "gateway waits: the planner move_base is not there: no node serves its action /move_base on ROS 1 .start",
         "/baseControl/control:i is not there",
@@ -242,11 +242,11 @@ def test_move_base_and_a_robot_on_yarp(fresh: Begin) -> None:
     site.ros1("ros1_map_server.py", APARTMENT)
     site.ros1("ros1_amcl.py")
     site.ros1("ros1_move_base.py", "2.0", "5.0")
-    site.until_all_is_well(WHOLE)
+    site.until_all_is_well(ALL_CHECKS)
 
 
 def test_nav2(fresh: Begin) -> None:
-    site = fresh(of_file("nav2.yaml"))
+    site = fresh(from_file("nav2.yaml"))
     site.until_it_waits(
         "gateway waits: the planner nav2 is not there: no node serves its action /navigate_to_pose on ROS 2"
     )
@@ -258,12 +258,12 @@ def test_a_robot_and_its_operator(fresh: Begin, tmp_path: Path) -> None:
     keys, door = tmp_path / "keys", f"tls/127.0.0.1:{free_port()}"
     for name in ("robot1", "operator1"):
         assert main(["keys", "make", name, "127.0.0.1", "--folder", str(keys)]) == 0
-    robot, operator = of_file("robot.yaml"), of_file("operator.yaml")
+    robot, operator = from_file("robot.yaml"), from_file("operator.yaml")
     robot["hub"]["open"] |= {"listen": [door], "keys": str(keys)}
     operator["hub"]["open"] |= {"connect": [door], "keys": str(keys)}
-    alone = fresh(operator)
-    alone.until_it_waits(rf"hub\.open\.connect {door}: not answering: nothing listens")
-    there = fresh(robot)
-    there.until_all_is_well()
-    until(lambda: "robot1/ros1" in str(alone.doctor("daemon")), "the operator sees the robot", SECONDS, every=0.5)
-    assert alone.amiss(*WHOLE) == []
+    station = fresh(operator)
+    station.until_it_waits(rf"hub\.open\.connect {door}: not answering: nothing listens")
+    robot_site = fresh(robot)
+    robot_site.until_all_is_well()
+    until(lambda: "robot1/ros1" in str(station.doctor("daemon")), "the operator sees the robot", SECONDS, every=0.5)
+    assert station.problems(*ALL_CHECKS) == []

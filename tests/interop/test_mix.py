@@ -1,4 +1,4 @@
-"""Clients of every side over planners of every side, in one table, which is printed at the end of the run."""
+"""Clients on every side with planners on every side; the table of results is printed at the end of the run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.interop import mix_table
 from tests.interop.deployment import Deployment
 
 
-@pytest.mark.timeout(300)  # 55 to 95 s alone, with a fault of each kind
+@pytest.mark.timeout(300)  # 55 to 95 s on an idle machine, with a fault of each kind
 def test_every_client_drives_by_every_planner(
     deployment: Deployment, record_property: Callable[[str, object], None]
 ) -> None:
@@ -18,7 +18,7 @@ def test_every_client_drives_by_every_planner(
     try:
         cells.extend(mix_table.table(deployment))
     except BaseException:
-        print(mix_table.text(cells))  # the cells until the failure
+        print(mix_table.text(cells))  # the cells before the failure
         raise
     table = mix_table.text(cells)
     record_property("table", table)

@@ -33,19 +33,19 @@ ROOT = Path(__file__).parents[2]
 STRING, TWIST = "std_msgs/String", "geometry_msgs/Twist"
 GUEST = ROOT / "tests" / "support" / "network_guest.py"
 STALE = 0.6
-"""Seconds after which a command is too old: twice the configurations' time-out, for the machine's load."""
+"""Seconds after which a command is too old: twice the configured timeout, to allow for a busy machine."""
 
 
 class Pair:
-    """The two machines with what runs on them."""
+    """The two machines with their daemons and programs."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.robot, self.operator = Machine("robot"), Machine("operator")
         self.cable = Cable(self.robot, self.operator)
-        here = {socket.gethostname(): "127.0.0.1"}
+        local = {socket.gethostname(): "127.0.0.1"}
         for machine in (self.robot, self.operator):
-            machine.hosts(robot1=self.cable.addresses[0], **here)
+            machine.hosts(robot1=self.cable.addresses[0], **local)
         self.files = {"robot": folder / "robot.yaml", "operator": folder / "operator.yaml"}
         self.ros1_env = {
             **ros1_environment("http://127.0.0.1:11311"),
@@ -69,7 +69,7 @@ class Pair:
         self.ros2 = self.peer(self.operator, ros2_python(), ROS2_PEER, ros2_environment(), "operator_program")
 
     def configure(self, name: str, **over: dict[str, Any]) -> None:
-        """Write a machine's configuration: the shipped one, with a test's folders and networks."""
+        """Write a machine's configuration: the shipped one with the test's folders and networks."""
         config = yaml.safe_load((ROOT / "configs" / f"{name}.yaml").read_text())
         config["state"] = str(self.folder / name)
         config["hub"]["open"]["keys"] = str(self.folder / "keys")
@@ -78,7 +78,7 @@ class Pair:
         self.files[name].write_text(yaml.safe_dump(config))
 
     def trust(self, *names: str) -> None:
-        """Have the robot trust these machines alone, by a reload."""
+        """Reload the robot's daemon with these machines as the only trusted ones."""
         config = yaml.safe_load(self.files["robot"].read_text())
         config["hub"]["open"]["trusted"] = list(names)
         self.files["robot"].write_text(yaml.safe_dump(config))
@@ -87,20 +87,20 @@ class Pair:
         until(lambda: self.machines() == expected, f"the robot trusts {names}", 40, every=0.3)
 
     def machines(self) -> list[tuple[str, bool]]:
-        """Who is connected to the robot, and whether it is trusted."""
+        """Return the machines that are connected to the robot, and whether each is trusted."""
         status = json.loads(self.robot.run(*MIDSPAN, "status", "--json", "--config", self.files["robot"]))
-        found = [
+        machines = [
             (machine["name"], machine["trusted"])
             for worker in status
             if worker.get("daemon") == "robot1"
             for machine in worker.get("machines", [])
         ]
-        return sorted(found)
+        return sorted(machines)
 
     def peer(self, machine: Machine, python: Path, program: Path, env: dict[str, str], name: str) -> Peer:
-        made = Peer(Path("netns"), Path("ip"), env, "exec", machine.namespace, str(python), str(program), name)
-        self.processes.append(made)
-        return made
+        program_peer = Peer(Path("netns"), Path("ip"), env, "exec", machine.namespace, str(python), str(program), name)
+        self.processes.append(program_peer)
+        return program_peer
 
     def close(self) -> None:
         for process in reversed(self.processes):
@@ -127,68 +127,70 @@ def pair(running: Pair) -> Iterator[Pair]:
 
 
 class Crossing:
-    """One topic from a program of one machine to one of the other's."""
+    """A topic from a program on one machine to a program on the other."""
 
-    def __init__(self, sender: Peer, hearer: Peer, topic: str, type_: str = STRING, **qos: Any) -> None:
-        self.sender, self.hearer = sender, hearer
-        self.heard_by = hearer.subscribe(topic, type_, **qos)
+    def __init__(self, sender: Peer, receiver: Peer, topic: str, type_: str = STRING, **qos: Any) -> None:
+        self.sender, self.receiver = sender, receiver
+        self.subscriber = receiver.subscribe(topic, type_, **qos)
         self.out = sender.advertise(topic, type_, **qos)
 
-    def say(self, value: float) -> None:
+    def send(self, value: float) -> None:
         self.sender.publish(self.out, {"linear": {"x": value}})
 
-    def heard(self) -> list[float]:
-        return [message["linear"]["x"] for message in self.hearer.wait(self.heard_by, 0, 0)]
+    def received(self) -> list[float]:
+        return [message["linear"]["x"] for message in self.receiver.wait(self.subscriber, 0, 0)]
 
     def until_crosses(self, seconds: float) -> None:
-        """Speak until any of it comes through, however late."""
-        before = len(self.heard())
+        """Send commands until one arrives, however late."""
+        before = len(self.received())
 
         def once() -> bool:
-            self.say(time.monotonic())
-            return len(self.hearer.wait(self.heard_by, before + 1, 0.2)) > before
+            self.send(time.monotonic())
+            return len(self.receiver.wait(self.subscriber, before + 1, 0.2)) > before
 
         until(once, "commands cross", seconds)
 
 
-def until_heard(sender: Peer, out: int, hearer: Peer, heard: int, text: str, seconds: float = 60) -> None:
-    """Publish a text until it is heard."""
+def publish_until_received(
+    sender: Peer, publisher: int, receiver: Peer, subscriber: int, text: str, seconds: float = 60
+) -> None:
+    """Publish a text until the receiver gets it."""
 
     def once() -> bool:
-        sender.publish(out, {"data": text})
-        return {"data": text} in hearer.wait(heard, 10_000, 0.2)
+        sender.publish(publisher, {"data": text})
+        return {"data": text} in receiver.wait(subscriber, 10_000, 0.2)
 
     until(once, f"{text} crosses", seconds)
 
 
 @pytest.mark.thorough
 def test_topics_cross_both_ways_latched_ones_too(pair: Pair) -> None:
-    for sender, hearer, name in ((pair.ros1, pair.ros2, "to_operator"), (pair.ros2, pair.ros1, "to_robot")):
-        out, heard = sender.advertise(f"/{name}", STRING), hearer.subscribe(f"/{name}", STRING)
+    for sender, receiver, name in ((pair.ros1, pair.ros2, "to_operator"), (pair.ros2, pair.ros1, "to_robot")):
+        out, subscriber = sender.advertise(f"/{name}", STRING), receiver.subscribe(f"/{name}", STRING)
         kept = sender.advertise(f"/{name}_kept", STRING, latched=True)
         sender.publish(kept, {"data": "kept"})
-        until_heard(sender, out, hearer, heard, name)
-        late = hearer.subscribe(f"/{name}_kept", STRING, latched=True)
-        assert hearer.wait(late, 1, 30) == [{"data": "kept"}]
+        publish_until_received(sender, out, receiver, subscriber, name)
+        late = receiver.subscribe(f"/{name}_kept", STRING, latched=True)
+        assert receiver.wait(late, 1, 30) == [{"data": "kept"}]
 
 
 def stream(crossing: Crossing, seconds: float, stop: Callable[[], bool] = lambda: False) -> None:
     """Send the time as a command, 20 times a second."""
     end = time.monotonic() + seconds
     while time.monotonic() < end and not stop():
-        crossing.say(time.monotonic())
+        crossing.send(time.monotonic())
         time.sleep(0.05)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("seconds", [1.5, 4.0], ids=["shorter than the lease", "longer"])
-def test_a_link_cut_and_mended(pair: Pair, seconds: float) -> None:
+def test_a_link_is_cut_and_restored(pair: Pair, seconds: float) -> None:
     ros1, ros2 = pair.ros1, pair.ros2
     name = f"/cut_{int(seconds)}"
     drive = Crossing(ros2, ros1, "/cmd_vel", TWIST)
     drive.until_crosses(60)
     numbers, counted = ros1.advertise(f"{name}/numbers", STRING), ros2.subscribe(f"{name}/numbers", STRING)
-    until_heard(ros1, numbers, ros2, counted, "0")
+    publish_until_received(ros1, numbers, ros2, counted, "0")
     state = {peer: peer.advertise(f"{name}/state_{i}", STRING, latched=True) for i, peer in enumerate((ros1, ros2))}
     seen = {ros1: ros1.subscribe(f"{name}/state_1", STRING, latched=True)}
     seen[ros2] = ros2.subscribe(f"{name}/state_0", STRING, latched=True)
@@ -203,21 +205,21 @@ def test_a_link_cut_and_mended(pair: Pair, seconds: float) -> None:
     stream(drive, seconds)
     for peer, publisher in state.items():
         peer.publish(publisher, {"data": "changed"})
-    before = len(drive.heard())
+    before = len(drive.received())
     cut_off = ros2.ask("tally", id=counted)["received"]
-    mended = time.monotonic()
+    restored = time.monotonic()
     pair.cable.mend()
-    stream(drive, 40, lambda: len(drive.heard()) > before)
-    commands_back = time.monotonic() - mended
+    stream(drive, 40, lambda: len(drive.received()) > before)
+    commands_back = time.monotonic() - restored
     until(lambda: ros2.ask("tally", id=counted)["received"] > cut_off + 20, "numbers come again", 40)
-    numbers_back = ros2.ask("tally", id=counted)["last"] - mended
+    numbers_back = ros2.ask("tally", id=counted)["last"] - restored
     stream(drive, 1.0)
-    print(
-        f"link cut for {seconds:g} s: back {commands_back:.1f} s (commands), {numbers_back:.1f} s (data) after mending"
-    )
-    later = drive.heard()[before:]
+    print(f"link cut for {seconds:g} s: commands resumed after {commands_back:.1f} s, data after {numbers_back:.1f} s")
+    later = drive.received()[before:]
     assert later
-    assert min(later) > mended - STALE, f"a command {mended - min(later):.1f} s old came after the link was mended"
+    assert min(later) > restored - STALE, (
+        f"a command {restored - min(later):.1f} s old came after the link was restored"
+    )
     for peer, subscriber in seen.items():
         until(lambda p=peer, s=subscriber: {"data": "changed"} in p.wait(s, 10_000, 0.2), "state is complete", 40)
         assert peer.wait(subscriber, 10_000, 0.1)[-1] == {"data": "changed"}
@@ -227,22 +229,22 @@ def test_a_link_cut_and_mended(pair: Pair, seconds: float) -> None:
 
 
 @pytest.mark.thorough
-def test_commands_of_a_machine_that_is_not_trusted_are_refused(pair: Pair) -> None:
+def test_commands_from_an_untrusted_machine_are_refused(pair: Pair) -> None:
     ros1, ros2 = pair.ros1, pair.ros2
     drive = Crossing(ros2, ros1, "/cmd_vel", TWIST)
     drive.until_crosses(60)
-    pair.trust("somebody_else")
+    pair.trust("another_machine")
     try:
-        out, heard = ros2.advertise("/other_data", STRING), ros1.subscribe("/other_data", STRING)
-        until_heard(ros2, out, ros1, heard, "first")
-        before = len(drive.heard())
+        out, subscriber = ros2.advertise("/other_data", STRING), ros1.subscribe("/other_data", STRING)
+        publish_until_received(ros2, out, ros1, subscriber, "first")
+        before = len(drive.received())
         stream(drive, 1.0)
-        until_heard(ros2, out, ros1, heard, "second")
-        assert len(drive.heard()) == before
+        publish_until_received(ros2, out, ros1, subscriber, "second")
+        assert len(drive.received()) == before
         assert "operator1 may not command" in pair.robot.run(*MIDSPAN, "status", "--config", pair.files["robot"])
         for name, machine in (("robot", pair.robot), ("operator", pair.operator)):
-            why = machine.run(*MIDSPAN, "explain", "/cmd_vel", "--config", pair.files[name])
-            assert re.search(r"robot1 refuses the commands of operator1 on /cmd_vel .*; [1-9]\d* messages so far", why)
+            text = machine.run(*MIDSPAN, "explain", "/cmd_vel", "--config", pair.files[name])
+            assert re.search(r"robot1 refuses the commands of operator1 on /cmd_vel .*; [1-9]\d* messages so far", text)
     finally:
         pair.trust("operator1")
     drive.until_crosses(40)
@@ -250,11 +252,11 @@ def test_commands_of_a_machine_that_is_not_trusted_are_refused(pair: Pair) -> No
 
 
 @pytest.mark.thorough
-def test_nobody_gets_past_the_door(pair: Pair) -> None:
-    """A peer with a certificate, and with an address that zenoh's gossip could tell, is linked to the door alone."""
-    heard = pair.ros1.subscribe("/cmd_vel", TWIST)
-    words = [pair.folder / "keys", "tls/robot1:7448", f"tcp/{pair.cable.addresses[1]}:0"]
-    told = json.loads(pair.operator.run(sys.executable, GUEST, *words, env={**os.environ, "PYTHONPATH": str(ROOT)}))
-    assert [link.partition("/")[0] for link in told["links"]] == ["tls"]
-    assert told["topics"], "it sees the robot's graph"
-    assert 66.0 not in [message["linear"]["x"] for message in pair.ros1.wait(heard, 10_000, 0.5)]
+def test_a_guest_reaches_only_the_external_listener(pair: Pair) -> None:
+    """A peer with a certificate, whose address zenoh's gossip could spread, is linked only through the TLS listener."""
+    commands = pair.ros1.subscribe("/cmd_vel", TWIST)
+    args = [pair.folder / "keys", "tls/robot1:7448", f"tcp/{pair.cable.addresses[1]}:0"]
+    report = json.loads(pair.operator.run(sys.executable, GUEST, *args, env={**os.environ, "PYTHONPATH": str(ROOT)}))
+    assert [link.partition("/")[0] for link in report["links"]] == ["tls"]
+    assert report["topics"], "it sees the robot's graph"
+    assert 66.0 not in [message["linear"]["x"] for message in pair.ros1.wait(commands, 10_000, 0.5)]

@@ -32,39 +32,37 @@ NAVIGATE, FEEDBACK = "nav2_msgs/NavigateToPose", "move_base_msgs/MoveBaseActionF
 
 @pytest.fixture(scope="module")
 def names() -> Iterator[Names]:
-    made = Names()
-    yield made
-    made.stop()
+    server = Names()
+    yield server
+    server.stop()
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory, names: Names) -> Iterator[Deployment]:
-    """A deployment that records, and keeps one ROS 1 topic at home."""
-    with Deployment(tmp_path_factory.mktemp("recorded")) as made:
-        made.start(
+    """A deployment that records, with one ROS 1 topic that no rule lets onto the hub."""
+    with Deployment(tmp_path_factory.mktemp("recorded")) as deployment:
+        deployment.start(
             record={"enabled": True, "exclude": ["^/diagnostics", "^/rosout"]},
             yarp={"enabled": True, "nameserver": "site", "address": names.endpoint, "poll": 0.1},
             routing={"rules": [{"topic": "/home", "deny": True}]},
         )
-        until(lambda: made.worker("record").get("state") == "running", "it records", 30)
-        yield made
+        until(lambda: deployment.worker("record").get("state") == "running", "it records", 30)
+        yield deployment
 
 
 def written(deployment: Deployment, *topics: str) -> dict[str, Any] | None:
-    """The recorder's status if each of the topics has a message that is written."""
-    told: dict[str, Any] = deployment.worker("record").get("recording", {})
-    there = {each["topic"] for each in told.get("topics", []) if each["messages"]}
-    return told if there >= set(topics) else None
+    """Return the recorder's status if it has written a message of each topic."""
+    recording: dict[str, Any] = deployment.worker("record").get("recording", {})
+    counted = {entry["topic"] for entry in recording.get("topics", []) if entry["messages"]}
+    return recording if counted >= set(topics) else None
 
 
 def until_written(deployment: Deployment, *topics: str) -> dict[str, Any]:
-    """The same, once they have."""
+    """Wait until the recorder has written a message of each topic; return its status."""
     return until(lambda: written(deployment, *topics), f"{topics} are written", 40, every=0.1)
 
 
-def test_what_programs_of_all_sides_say_is_read_by_rosbags_and_by_mcaps_decoder(
-    recorded: Deployment, names: Names
-) -> None:
+def test_rosbags_and_mcaps_decoder_read_messages_from_all_sides(recorded: Deployment, names: Names) -> None:
     ros1, ros2, sdk = recorded.ros1(), recorded.ros2(), recorded.sdk()
     yarp = recorded.keep(YarpProgram(names, "/program", Definitions((CUSTOM_FOLDER,))))
     programs = {"ros1": ros1, "ros2": ros2, "zenoh": sdk, "yarp": yarp}
@@ -73,20 +71,20 @@ def test_what_programs_of_all_sides_say_is_read_by_rosbags_and_by_mcaps_decoder(
     late = ros1.advertise("/kept", "geometry_msgs/PoseStamped", latched=True)
     ros1.publish(late, pose)
 
-    def said() -> bool:
+    def published() -> bool:
         for side, (program, end) in ends.items():
             program.publish(end, {"data": side})
         return written(recorded, "/kept", *(f"/from_{side}" for side in programs)) is not None
 
-    until(said, "a message of each is written", 40, every=0.1)
+    until(published, "a message of each is written", 40, every=0.1)
     done = recorded.command("record", "--daemon", "split", "--json")
     assert done.returncode == 0, done.stderr
     file = Path(recorded.worker("record")["recording"]["file"])
     assert str(file) in done.stdout
     with AnyReader([file]) as bag:
-        found: dict[str, Any] = {c.topic: bag.deserialize(raw, c.msgtype) for c, _, raw in bag.messages()}
-    assert {side: found[f"/from_{side}"].data for side in programs} == {side: side for side in programs}
-    assert (found["/kept"].header.frame_id, found["/kept"].pose.position.x) == ("map", 1.5)
+        messages: dict[str, Any] = {c.topic: bag.deserialize(raw, c.msgtype) for c, _, raw in bag.messages()}
+    assert {side: messages[f"/from_{side}"].data for side in programs} == {side: side for side in programs}
+    assert (messages["/kept"].header.frame_id, messages["/kept"].pose.position.x) == ("map", 1.5)
     with file.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         topics = ["/kept", *(f"/from_{side}" for side in programs)]
@@ -104,7 +102,7 @@ PLACE = {"pose": {"position": {"x": 1.5}}}
 
 
 def test_a_recorded_goal_is_converted_for_rosbag_and_for_rosbags(recorded: Deployment, tmp_path: Path) -> None:
-    """A goal of each world: ROS 1's ``move_base`` and a Nav2 planner on the hub, recorded and converted."""
+    """Record and convert a goal for ROS 1's ``move_base`` and a goal for a Nav2 planner on the hub."""
     ros1, hub = recorded.ros1(), recorded.keep(HubActions(recorded.settings("planner")))
     ros1.ask("act", action="/move_base", type="move_base_msgs/MoveBase", feedback=[{"base_position": PLACE}])
     hub.ask("act", action="/navigate_to_pose", type=NAVIGATE, feedback=[{"current_pose": PLACE}])
@@ -115,23 +113,23 @@ def test_a_recorded_goal_is_converted_for_rosbag_and_for_rosbags(recorded: Deplo
     topics = [f"{action}/_action/{part}" for action in goals for part in ("feedback", "status")]
 
     def recorded_goals() -> bool:
-        """Send a goal of each: feedback is not latched, and the recorder may have missed that of the first."""
-        for action, (client, asked) in goals.items():
-            goal = client.ask("send_goal", action=action, seconds=30.0, **asked)["id"]
+        """Send a goal to each: feedback is not latched, and the recorder may have missed that of the first goal."""
+        for action, (client, request) in goals.items():
+            goal = client.ask("send_goal", action=action, seconds=30.0, **request)["id"]
             client.ask("goal", id=goal, until={"accepted": True, "feedback": 1, "status": 4}, seconds=30.0)
         return written(recorded, *topics) is not None
 
-    until(recorded_goals, "each topic has a message that is written", 40, every=0.5)
+    until(recorded_goals, "a message of each topic is written", 40, every=0.5)
     assert recorded.command("record", "--daemon", "split").returncode == 0
     file = recorded.worker("record")["recording"]["file"]
     for name in ("new.mcap", "new.db3", "new.bag"):
         done = recorded.command("bag", "convert", file, str(tmp_path / name), "--config", str(recorded.file))
         assert done.returncode == 0, done.stderr
     for path in (Path(file), tmp_path / "new.mcap", tmp_path / "new.db3"):
-        found = {topic: message for topic, _, message in rosbags(path)}
+        last = {topic: message for topic, _, message in rosbags(path)}
         for action in goals:
-            assert member(found[f"{action}/_action/feedback"], "feedback.current_pose.pose.position.x") == 1.5
-            assert member(found[f"{action}/_action/status"], "status_list.0.status") in (1, 2, 4)
+            assert member(last[f"{action}/_action/feedback"], "feedback.current_pose.pose.position.x") == 1.5
+            assert member(last[f"{action}/_action/status"], "status_list.0.status") in (1, 2, 4)
     (messages,) = rosbag([tmp_path / "new.bag"])
     assert not isinstance(messages, str), messages
     types = {topic: type_name for topic, type_name, _ in messages}
@@ -141,66 +139,68 @@ def test_a_recorded_goal_is_converted_for_rosbag_and_for_rosbags(recorded: Deplo
         assert places[f"{action}/feedback"] == 1.5
 
 
-def test_what_stays_at_home_is_recorded_of_its_side(recorded: Deployment, tmp_path: Path) -> None:
+def test_a_topic_that_is_not_bridged_is_recorded_on_its_side(recorded: Deployment, tmp_path: Path) -> None:
     ros1 = recorded.ros1()
     home, other = ros1.advertise("/home", STRING, latched=True), ros1.advertise("/out", STRING)
     ros1.publish(home, {"data": "at home"})
-    ros1.publish(other, {"data": "not asked for"})
-    until(lambda: any(line["topic"] == "/home" for line in recorded.explain("/home")), "it is seen")
+    ros1.publish(other, {"data": "not requested"})
+    until(lambda: any(line["topic"] == "/home" for line in recorded.explain("/home")), "the daemon sees the topic")
     file = tmp_path / "home.mcap"
-    words = ["record", "/home", "-o", file, "--config", recorded.file]
-    with Process([*MIDSPAN, *words]) as recorder:
-        until(lambda: heard_by_verb(recorded, file) or recorder.popen.poll(), "it is written", 40, every=0.1)
+    command = ["record", "/home", "-o", file, "--config", recorded.file]
+    with Process([*MIDSPAN, *command]) as recorder:
+        until(lambda: written_by_verb(recorded, file) or recorder.popen.poll(), "it is written", 40, every=0.1)
         recorder.signal(signal.SIGINT)
         until(lambda: recorder.popen.poll() is not None, "it ends", 20)
     assert recorder.popen.poll() == 0, recorder.output()
-    found = read(file)
-    assert found.texts("/home") == ["at home"]
-    assert set(found.channels) == {"/home"}
-    assert found.channels["/home"][0].metadata["side"] == "ros1"
-    assert found.channels["/home"][0].metadata["tap"] == "/_midspan/ros1/home"
+    contents = read(file)
+    assert contents.texts("/home") == ["at home"]
+    assert set(contents.channels) == {"/home"}
+    assert contents.channels["/home"][0].metadata["side"] == "ros1"
+    assert contents.channels["/home"][0].metadata["tap"] == "/_midspan/ros1/home"
 
 
-def test_what_status_called_written_is_read_after_kill_9_and_the_daemon_goes_on(recorded: Deployment) -> None:
+def test_messages_reported_as_written_survive_kill_9_and_the_daemon_continues(recorded: Deployment) -> None:
     registry = Registry()
     robot = recorded.zenoh()
     kind = "std_msgs/msg/String"
     out = robot.hub.publisher("/many", kind, registry.ros2(kind).type_id, Qos(depth=1000))
-    until(lambda: any("record" in e.node for e in robot.hub.graph.subscriptions("/many")), "it is heard", 30)
+    until(lambda: any("record" in e.node for e in robot.hub.graph.subscriptions("/many")), "it is recorded", 30)
     sent = 0
-    told: dict[str, Any] = {}
+    recording: dict[str, Any] = {}
     end = time.monotonic() + 20.0
-    while time.monotonic() < end and many(told) < 500:
+    while time.monotonic() < end and many(recording) < 500:
         for _ in range(100):
             sent += 1
             out.put(from_json(registry, kind, {"data": str(sent) + "x" * 500}))
-        told = recorded.worker("record")["recording"]
+        recording = recorded.worker("record")["recording"]
     pid = recorded.worker("record")["pid"]
-    told = recorded.worker("record")["recording"]
+    recording = recorded.worker("record")["recording"]
     os.kill(pid, signal.SIGKILL)
-    found = read(Path(told["file"]))
-    assert not found.whole
-    assert many(told) >= 500
-    assert len(numbers(found)) >= many(told)
-    assert numbers(found) == list(range(numbers(found)[0], len(numbers(found)) + numbers(found)[0]))
+    contents = read(Path(recording["file"]))
+    assert not contents.whole
+    assert many(recording) >= 500
+    received = numbers(contents)
+    assert len(received) >= many(recording)
+    assert received == list(range(received[0], len(received) + received[0]))
 
     def again() -> bool:
         document = recorded.worker("record")
-        return document.get("pid", pid) != pid and document["recording"]["file"] != told["file"]
+        return document.get("pid", pid) != pid and document["recording"]["file"] != recording["file"]
 
     until(again, "the daemon records again", 30, every=0.1)
     assert recorded.worker("ros1")["state"] == "running"
 
 
-def heard_by_verb(deployment: Deployment, file: Path) -> bool:
-    """Whether the verb that writes this file has written a message; it has a status as a worker has."""
-    told = [document.get("recording", {}) for document in deployment.status()]
-    return any(each.get("file") == str(file) and each["messages"] for each in told)
+def written_by_verb(deployment: Deployment, file: Path) -> bool:
+    """Whether the verb that writes this file has written a message; it publishes a status like a worker."""
+    recordings = [document.get("recording", {}) for document in deployment.status()]
+    return any(recording.get("file") == str(file) and recording["messages"] for recording in recordings)
 
 
-def many(told: dict[str, Any]) -> int:
-    return next((each["messages"] for each in told.get("topics", []) if each["topic"] == "/many"), 0)
+def many(recording: dict[str, Any]) -> int:
+    """Return the number of messages that the recorder has written for /many."""
+    return next((entry["messages"] for entry in recording.get("topics", []) if entry["topic"] == "/many"), 0)
 
 
-def numbers(found: Contents) -> list[int]:
-    return [int(text.rstrip("x")) for text in found.texts("/many")]
+def numbers(contents: Contents) -> list[int]:
+    return [int(text.rstrip("x")) for text in contents.texts("/many")]
