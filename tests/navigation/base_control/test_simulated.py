@@ -1,4 +1,4 @@
-"""BaseControl with the simulator's wheels, which the simulator moves in bursts since its process is held up."""
+"""BaseControl on the simulator's wheels, with a simulator that ticks in bursts because its thread is delayed."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from tests.sim.test_hub import Place
 from tests.support.wait import until
 
 COMMAND = 0.3
-"""m/s. The wheels' own limit is 0.286 m/s."""
+"""m/s. The limit of the wheels is 0.286 m/s."""
 
 SPEED_ERROR, TURN_ERROR = 0.1, 0.1
-"""m/s and rad/s by which odometry may leave the range of the true velocities around it: the body of the base rocks on
-its wheels as it starts and brakes."""
+"""m/s and rad/s by which odometry may leave the range of the true velocities around it: the base rocks on its wheels
+when it starts and brakes."""
 
 TICK_NS = 10_000_000
 AROUND, TRUTH = 6, 2
-"""Ticks on both sides of a message from which the true velocities are, and between two messages of the truth."""
+"""Ticks before and after a message in which true velocities are compared; ticks between two true messages."""
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def place(tmp_path: Path) -> Iterator[Place]:
 
 
 def hold_up(place: Place) -> None:
-    """Hold up the simulation's thread for 45 ms of every 60, as a busy machine does: it ticks in bursts."""
+    """Block the simulation's thread for 45 ms of every 60 ms, as a busy machine does, so that it ticks in bursts."""
     running = place.worker._running
     assert running is not None
     never = threading.Event()
@@ -66,12 +66,12 @@ def stamp_ns(message: dict[str, Any]) -> int:
 
 def placed(message: dict[str, Any]) -> tuple[float, float, float]:
     pose = message["pose"]["pose"]
-    turn = pose["orientation"]
-    return pose["position"]["x"], pose["position"]["y"], 2.0 * math.atan2(turn["z"], turn["w"])
+    rotation = pose["orientation"]
+    return pose["position"]["x"], pose["position"]["y"], 2.0 * math.atan2(rotation["z"], rotation["w"])
 
 
-def way(messages: Sequence[dict[str, Any]]) -> tuple[float, float]:
-    """Metres between the first and the last pose, and radians turned."""
+def displacement(messages: Sequence[dict[str, Any]]) -> tuple[float, float]:
+    """Return the meters between the first and the last pose, and the rotation in radians."""
     first, last = placed(messages[0]), placed(messages[-1])
     return math.dist(first[:2], last[:2]), math.remainder(last[2] - first[2], math.tau)
 
@@ -86,25 +86,25 @@ def test_odometry_of_a_simulator_that_ticks_in_bursts_has_the_true_velocities(pl
     until(lambda: far.wait(odometry, 1, 0.2) and far.wait(truth, 1, 0.2), "odometry and truth arrive", 20)
     hold_up(place)
 
-    def driven(x: float, turn: float, far_enough: float) -> None:
+    def drive(x: float, angular: float, far_enough: float) -> None:
         last = far.wait(odometry, 1)[-1]
 
         def drives() -> bool:
-            far.publish(out, {"linear": {"x": x}, "angular": {"z": turn}})
+            far.publish(out, {"linear": {"x": x}, "angular": {"z": angular}})
             (x0, y0, before), (x1, y1, after) = placed(last), placed(far.wait(odometry, 1)[-1])
             return math.hypot(x1 - x0, y1 - y0) + abs(math.remainder(after - before, math.tau)) > far_enough
 
         until(drives, "the base drives", 40)
 
     def standing() -> int:
-        """The number of odometry messages, once the base has stood for some."""
+        """Return the number of odometry messages once the base has stood still for some."""
         still = lambda: all(max(map(abs, speeds(m))) < 1e-6 for m in far.wait(truth, 1)[-20:])  # noqa: E731
         until(still, "the base stands", 20)
         return len(far.wait(odometry, 1))
 
-    driven(COMMAND, 0.0, 0.5)
-    driven(0.15, 0.5, 0.5)
-    driven(-COMMAND, 0.0, 0.3)
+    drive(COMMAND, 0.0, 0.5)
+    drive(0.15, 0.5, 0.5)
+    drive(-COMMAND, 0.0, 0.3)
     stood = standing()
     standing_still = far.wait(odometry, stood + 60, 20)[stood : stood + 60]
     messages = far.wait(odometry, 1)
@@ -114,7 +114,7 @@ def test_odometry_of_a_simulator_that_ticks_in_bursts_has_the_true_velocities(pl
     assert max(speeds(m)[0] for m in messages) <= 1.1 * COMMAND
     compared = 0
     for tick, message in zip(map(round, ticks), messages, strict=True):
-        # without time that the simulator left out, because it was held up for long
+        # without ticks that the simulator skipped after a long delay
         if all(around in true for around in range(tick - AROUND, tick + AROUND + 1, TRUTH)):
             near = [speeds(true[around]) for around in range(tick - AROUND, tick + AROUND + 1, TRUTH)]
             for ours, theirs, error in zip(
@@ -125,7 +125,7 @@ def test_odometry_of_a_simulator_that_ticks_in_bursts_has_the_true_velocities(pl
     assert compared > 100
     assert {speeds(m) for m in standing_still} == {(0.0, 0.0)}
     pairs = [(m, true[round(t)]) for t, m in zip(ticks, messages, strict=True) if round(t) in true]
-    assert way([m for m, _ in pairs]) == pytest.approx(way([real for _, real in pairs]), abs=0.03)
+    assert displacement([m for m, _ in pairs]) == pytest.approx(displacement([real for _, real in pairs]), abs=0.03)
     assert ticks == pytest.approx([round(tick) for tick in ticks], abs=1e-3)
     assert min(after - before for before, after in itertools.pairwise(ticks)) == pytest.approx(1.0, abs=1e-3)
     assert abs(time.time() - stamp_ns(messages[-1]) / 1e9) < 1.0
