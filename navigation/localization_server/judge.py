@@ -1,4 +1,4 @@
-"""Whether the robot is localised, by how well the map explains one scan after the other."""
+"""Whether the robot is localized, judged by how well the map explains each scan."""
 
 from __future__ import annotations
 
@@ -8,27 +8,26 @@ from bridge.config.sections.localization_server import LocaliserSection
 from navigation.localization_server.estimate import LocalizationStatus
 from navigation.pose import Pose
 
-_MEMORY = 0.7  # of the quality that was, from one scan to the next
-_HABIT = 0.95  # the same of what it usually is
-_DROP = 0.25  # a scan whose fit is so far below its usual one shows that something has happened
-_PROVEN = 0.85  # fit from which on a place that was found needs no second look
-_LOOKS = 50  # scans that a place that fits less well is looked at, while better ones are looked for
+_MEMORY = 0.7  # weight of the previous quality in the next one
+_HABIT = 0.95  # the same for the usual quality
+_DROP = 0.25  # by how much a scan's fit must be below the usual one to show that something has happened
+_PROVEN = 0.85  # fit above which a new place needs no further check
+_LOOKS = 50  # scans for which a place with a lower fit is checked, during the search for better ones
 _STOOD = (0.01, math.radians(0.5))
 
 
 REFUTING, REFUTING_SCANS = 0.15, 3
-"""The share of beams that go through walls which speaks against a pose, and so many such scans in a row."""
+"""The share of beams through walls that counts against a pose; how many such scans in a row refute the pose."""
 
-WIDEST = 0.5  # metres that the particles' spread (standard deviation) may have where the robot is localised
+WIDEST = 0.5  # meters: the largest spread of the particles (standard deviation) of a localized robot
 
 
 class Judge:
-    """Looks at each scan's fit."""
+    """Derives the status from the fit of each scan."""
 
     def __init__(self, settings: LocaliserSection) -> None:
         self._settings = settings
-        self.quality = 0.0  # share of the last scans that the map explains, less what speaks against the pose
-        # whether the robot is localised, and why not
+        self.quality = 0.0  # smoothed share of the scan that the map explains, less the share that contradicts it
         self.status, self.reason = LocalizationStatus.NOT_YET, "no start was given"
         self._begin()
 
@@ -40,13 +39,13 @@ class Judge:
         self._seen: Pose | None = None
 
     def begin(self) -> None:
-        """A start was given."""
+        """Start again after a start pose."""
         self._begin()
         self.status = LocalizationStatus.NOT_YET
         self.reason = "a start was given, and no scan has been held against it yet"
 
     def doubt(self) -> None:
-        """Places were found that fit better."""
+        """Start again because other places fit better."""
         self._anew, self._usual = True, 0.0
         self._against = self._dropped = 0
         self._looks = _LOOKS
@@ -54,28 +53,29 @@ class Judge:
 
     @property
     def doubtful(self) -> bool:
-        """Whether the place is new, and fits no better than others might."""
+        """Whether the place is new and others might still fit better."""
         return self._looks > 0
 
     @property
     def carried(self) -> bool:
-        """Whether the robot was localised at some time since it began."""
+        """Whether the robot has been localized since the start."""
         return self._seen is not None
 
     @property
     def refuted(self) -> bool:
-        """Whether several scans in a row went through walls: no person makes them do that."""
+        """Whether beams of several scans in a row went through walls, which people cannot cause."""
         return self._against >= REFUTING_SCANS
 
     @property
     def startled(self) -> bool:
-        """Whether the map has suddenly come to explain much less."""
+        """Whether the map suddenly explains much less of the scans."""
         return self._dropped >= REFUTING_SCANS
 
     def take(self, share: float, against: float, wide: float, odometry: Pose, why: str = "") -> None:
-        """Look at a scan: the share of it that the map explains, less what speaks against the pose, and the latter's.
+        """Update the status with a scan.
 
-        The particles are spread over ``wide`` metres; ``why`` says why the scan explains nothing, where that is known.
+        ``share`` is the share of the scan that the map explains, less the share ``against`` the pose; ``wide`` the
+        spread of the particles in meters; ``why`` the reason why the scan explains nothing, if known.
         """
         settings = self._settings
         self.quality = share if self._anew else _MEMORY * self.quality + (1.0 - _MEMORY) * share
@@ -107,5 +107,7 @@ class Judge:
             return f"{lost}; was the start wrong, or is it another map?"
         step = self._seen.inverse @ odometry
         if math.hypot(step.x, step.y) < _STOOD[0] and abs(step.theta) < _STOOD[1]:
-            return f"{lost} now, and odometry says that the base has not moved: is it frozen, or was the robot carried?"
+            return (
+                f"{lost} now, and odometry reports that the base has not moved: is it frozen, or was the robot carried?"
+            )
         return f"{lost} now"

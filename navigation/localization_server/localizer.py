@@ -153,7 +153,7 @@ class Localizer:
         return (now_ns - self._scan_ns) / 1e9
 
     def check(self, now_ns: int) -> tuple[LocalizationStatus, str]:
-        """The status at a time, where scans or odometry may have fallen silent; and why it is not better."""
+        """Return the status at a time, at which scans or odometry may have stopped, and the reason if it is not OK."""
         if not len(self._particles):
             return self._judge.status, self._judge.reason
         newest = self._track.newest
@@ -163,7 +163,7 @@ class Localizer:
         ):
             age = (now_ns - stamp) / 1e9
             if age > most:
-                silence = f"silent for {age:.1f} s" if stamp != _NEVER else "not heard"
+                silence = f"silent for {age:.1f} s" if stamp != _NEVER else "not arriving"
                 return (
                     LocalizationStatus.NOT_YET
                     if self._judge.status is LocalizationStatus.NOT_YET

@@ -105,7 +105,7 @@ class FrameSource(PoseSource):
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
         topic = self._section.initialpose
         if not self._host.node.hub.graph.subscriptions(topic):
-            raise RuntimeError(f"nobody hears {topic}: is the localiser there, and does a rule let it cross?")
+            raise RuntimeError(f"no subscriber to {topic}: is the localizer running, and does a rule bridge the topic?")
         self._starts.publish(self._start_message(Start(pose, covariance)))
 
     def forget(self) -> None:

@@ -1,4 +1,4 @@
-"""A robot on the hub that stands or drives in the laboratory: its scans, its odometry, and the laboratory's map."""
+"""A robot on the hub that stands in the laboratory: its scans, its odometry, and the laboratory's map."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _UNIT = (0.0, 0.0, 0.0, 1.0)
 
 
 class Robot:
-    """Stands; says where it is by odometry that began elsewhere, and what its laser sees.
+    """A standing robot that publishes its scans, and odometry with an origin away from the map's.
 
     Attributes:
-        silent: what it does not say: "scan", "odometry".
-        localized: what it says itself of the odometry's frame on the map, as a localiser would.
+        silent: outputs that it does not publish: "scan", "odometry".
+        localized: the odometry frame on the map that it publishes, as a localizer would; None for none.
     """
 
     def __init__(self, hub: Hub, registry: Registry) -> None:
@@ -43,22 +43,22 @@ class Robot:
         self.node = ModuleNode(hub, registry, self._loop, SYSTEM)
         self._tf = self.node.publisher(TF, TF_TYPE, Qos(depth=10))
         static = self.node.publisher(TF_STATIC, TF_TYPE, LATCHED, priority="state")
-        # the laser hangs upside down, turned by half a circle
+        # the laser is mounted upside down and turned by half a circle
         static.publish_cdr(write([Stamped("base_link", "laser", 0, (0.0, 0.0, 0.2), (0.0, 1.0, 0.0, 0.0))]))
         self._scan = self.node.publisher("/scan", "sensor_msgs/msg/LaserScan", Qos(depth=1))
-        self._timer = self._loop.every(_EVERY, self._say)
+        self._timer = self._loop.every(_EVERY, self._publish)
 
     @property
     def pose(self) -> Pose:
-        """Where it truly is."""
+        """Its true pose."""
         return Pose(*self._sim.base.pose())
 
     def carry(self, x: float, y: float, yaw: float) -> None:
-        """Stand it elsewhere; its odometry does not notice."""
+        """Move it to another place without a change of its odometry."""
         self._sim.teleport(self._sim.base.pose()._replace(x=x, y=y, yaw=yaw))
         self._sim.run(0.1)
 
-    def _say(self) -> None:
+    def _publish(self) -> None:
         now = time.time_ns()
         if "odometry" not in self.silent:
             self._tf.publish_cdr(write([stamped("odom", "base_link", self.odometry, now)]))
@@ -66,7 +66,7 @@ class Robot:
             self._tf.publish_cdr(write([stamped("map", "odom", self.localized, now + 100_000_000)]))
         if "scan" not in self.silent:
             scan = messages.scan(now, self._sim.scan, "laser", 20.0)
-            # as a laser sees it that hangs so: its beams go the other way round, and begin at the back
+            # from a laser with this mounting: its beams run clockwise and start at the back
             first = math.pi - self._sim.scan.first
             step = -self._sim.scan.step
             scan |= {"angle_min": first, "angle_increment": step, "angle_max": first + step * 179}
@@ -78,5 +78,5 @@ class Robot:
 
 
 def stamped(parent: str, child: str, pose: Pose, stamp: int) -> Stamped:
-    turned = (0.0, 0.0, math.sin(pose.theta / 2), math.cos(pose.theta / 2))
-    return Stamped(parent, child, stamp, (pose.x, pose.y, 0.0), turned)
+    rotation = (0.0, 0.0, math.sin(pose.theta / 2), math.cos(pose.theta / 2))
+    return Stamped(parent, child, stamp, (pose.x, pose.y, 0.0), rotation)

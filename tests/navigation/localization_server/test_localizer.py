@@ -27,114 +27,115 @@ def tour(world: str = "lab", seed: int = 0) -> Tour:
     return Tour(simulated(world, seed), seed)
 
 
-def truth(there: Tour) -> Pose:
-    return Pose(*there.there.base.pose())
+def truth(run: Tour) -> Pose:
+    return Pose(*run.there.base.pose())
 
 
-def off(localizer: Localizer, there: Tour) -> tuple[float, float]:
-    pose, true = localizer.pose, truth(there)
+def error_of(localizer: Localizer, run: Tour) -> tuple[float, float]:
+    """Return the error of the estimated pose in meters and degrees."""
+    pose, true = localizer.pose, truth(run)
     assert pose is not None
     return pose.distance(true), abs(math.degrees(wrapped(pose.theta - true.theta)))
 
 
-def test_it_holds_while_odometry_drifts_away() -> None:
-    there = tour()
-    localizer = Localizer(there.grid)
-    start = truth(there)
+def test_it_tracks_the_robot_while_odometry_drifts() -> None:
+    run = tour()
+    localizer = Localizer(run.grid)
+    start = truth(run)
     localizer.initial(start)
-    errors = np.array([error for _, *error in drive(there, localizer, 20.0, [])])
+    errors = np.array([error for _, *error in drive(run, localizer, 20.0, [])])
     assert errors[:, 0].max() < METRES
     assert errors[:, 1].max() < DEGREES
-    drifted = start @ Pose(*there.there.estimate.pose)
-    assert abs(math.degrees(wrapped(drifted.theta - truth(there).theta))) > DEGREES  # else it shows nothing
-    found = localizer.estimate()
-    assert (found.status, found.reason) == (LocalizationStatus.OK, "")
-    assert found.quality > 0.7
-    assert 0.0 < math.sqrt(found.covariance[0, 0]) < METRES
+    drifted = start @ Pose(*run.there.estimate.pose)
+    assert abs(math.degrees(wrapped(drifted.theta - truth(run).theta))) > DEGREES  # else the test shows nothing
+    estimate = localizer.estimate()
+    assert (estimate.status, estimate.reason) == (LocalizationStatus.OK, "")
+    assert estimate.quality > 0.7
+    assert 0.0 < math.sqrt(estimate.covariance[0, 0]) < METRES
     cloud = localizer.cloud()
     assert cloud.shape == (1000, 3)
-    assert np.hypot(*(cloud[:, :2].mean(axis=0) - truth(there)[:2])) < METRES
+    assert np.hypot(*(cloud[:, :2].mean(axis=0) - truth(run)[:2])) < METRES
 
 
 @pytest.mark.parametrize("world", ["apartment", "lab"])
-def test_a_start_that_was_wrong_is_mended(world: str) -> None:
-    there = tour(world, 1)
-    localizer = Localizer(there.grid)
-    true = truth(there)
+def test_it_recovers_from_a_wrong_start(world: str) -> None:
+    run = tour(world, 1)
+    localizer = Localizer(run.grid)
+    true = truth(run)
     localizer.initial(Pose(true.x + 2.1, true.y - 2.1, true.theta + math.radians(30.0)))
-    for _, metres, degrees in drive(there, localizer, 60.0, []):
+    for _, metres, degrees in drive(run, localizer, 60.0, []):
         if metres < METRES and degrees < DEGREES and localizer.estimate().status is LocalizationStatus.OK:
             return
-    pytest.fail(f"still {off(localizer, there)} off")
+    pytest.fail(f"still an error of {error_of(localizer, run)}")
 
 
-def standing(localizer: Localizer, there: Tour, scans: int) -> None:
-    """Use the scans of a standing robot, one each tenth of a second."""
-    points = scan_points(there.there.scan)
+def stand(localizer: Localizer, run: Tour, scans: int) -> None:
+    """Use scans of the standing robot, one every tenth of a second."""
+    points = scan_points(run.there.scan)
     for n in range(scans):
-        stamp = there.there.time_ns + n * S // 10
+        stamp = run.there.time_ns + n * S // 10
         localizer.odometry(Pose(0.0, 0.0, 0.0, stamp))
         localizer.scan(stamp, points)
 
 
-def test_it_says_what_it_lacks() -> None:
-    there = tour()
-    localizer = Localizer(there.grid)
+def test_it_reports_missing_inputs() -> None:
+    run = tour()
+    localizer = Localizer(run.grid)
     assert localizer.pose is None
     assert localizer.check(0) == (LocalizationStatus.NOT_YET, "no start was given")
-    localizer.initial(truth(there))
-    assert localizer.check(0) == (LocalizationStatus.NOT_YET, "odometry is not heard")
-    standing(localizer, there, 1)
-    now = there.there.time_ns
+    localizer.initial(truth(run))
+    assert localizer.check(0) == (LocalizationStatus.NOT_YET, "odometry is not arriving")
+    stand(localizer, run, 1)
+    now = run.there.time_ns
     assert localizer.check(now) == (LocalizationStatus.OK, "")
     assert localizer.check(now + 3 * S // 2) == (LocalizationStatus.ERROR, "odometry is silent for 1.5 s")
     localizer.odometry(Pose(0.0, 0.0, 0.0, now + 3 * S // 2))
     assert localizer.check(now + 3 * S // 2) == (LocalizationStatus.ERROR, "the laser is silent for 1.5 s")
 
 
-def test_frozen_odometry_is_told_and_the_laser_finds_the_robot_all_the_same() -> None:
-    there = tour()
-    localizer = Localizer(there.grid)
-    localizer.initial(truth(there))
-    standing(localizer, there, 5)
-    there.there.teleport(there.there.base.pose()._replace(x=9.6, y=9.0, yaw=2.5))
-    there.there.run(0.2)
-    standing(localizer, there, 8)
-    status, reason = localizer.check(there.there.time_ns)
+def test_frozen_odometry_is_reported_and_the_laser_still_locates_the_robot() -> None:
+    run = tour()
+    localizer = Localizer(run.grid)
+    localizer.initial(truth(run))
+    stand(localizer, run, 5)
+    run.there.teleport(run.there.base.pose()._replace(x=9.6, y=9.0, yaw=2.5))
+    run.there.run(0.2)
+    stand(localizer, run, 8)
+    status, reason = localizer.check(run.there.time_ns)
     assert status is LocalizationStatus.ERROR
-    assert "odometry says that the base has not moved: is it frozen, or was the robot carried?" in reason
+    assert "odometry reports that the base has not moved: is it frozen, or was the robot carried?" in reason
     for _ in range(40):
-        standing(localizer, there, 10)
-        there.there.run(1.0)
+        stand(localizer, run, 10)
+        run.there.run(1.0)
         if localizer.estimate().status is LocalizationStatus.OK:
             break
-    assert off(localizer, there)[0] < METRES
+    assert error_of(localizer, run)[0] < METRES
 
 
-def test_a_laser_that_sees_nothing_is_no_proof() -> None:
-    there = tour()
-    localizer = Localizer(there.grid)
-    localizer.initial(truth(there))
+def test_a_laser_without_echoes_gives_no_pose() -> None:
+    run = tour()
+    localizer = Localizer(run.grid)
+    localizer.initial(truth(run))
     for n in range(20):
         localizer.odometry(Pose(0.1 * n, 0.0, 0.0, n * S // 10))
         assert not localizer.scan(n * S // 10, np.empty((0, 2)))
     assert localizer.check(2 * S) == (LocalizationStatus.ERROR, "the laser sees nothing: all its beams are empty")
 
 
-def test_a_map_that_lies_turned() -> None:
-    there = Simulation(SimSection(plan="lab", laser=LaserSection(beams=180)))
-    grid = Tour(there, 0).grid
-    # the same walls in a frame that is turned by 40 degrees and moved: what ROS calls its origin is known
+def test_a_map_with_a_rotated_origin() -> None:
+    sim = Simulation(SimSection(plan="lab", laser=LaserSection(beams=180)))
+    grid = Tour(sim, 0).grid
+    # the same walls in a frame that is rotated by 40 degrees and moved, as given by the origin of a ROS map
     origin = Pose(*grid.origin.to_ros())
     moved = Pose(3.0, -2.0, math.radians(40.0))
     turned = MapGrid2D.of(grid.flags.copy(), name="turned", resolution=grid.resolution)
     turned.m_origin = type(turned.m_origin).from_ros(*(moved @ origin)[:3])
     localizer = Localizer(turned)
-    true = moved @ Pose(*there.base.pose())
+    true = moved @ Pose(*sim.base.pose())
     localizer.initial(true @ Pose(0.2, -0.1, 0.1), np.diag([0.04, 0.04, 0.01]))
     for n in range(6):
         localizer.odometry(Pose(0.0, 0.0, 0.0, n * S))
-        localizer.scan(n * S, scan_points(there.scan))
+        localizer.scan(n * S, scan_points(sim.scan))
     pose = localizer.pose
     assert pose is not None
     assert pose.distance(true) < 0.05
@@ -142,18 +143,18 @@ def test_a_map_that_lies_turned() -> None:
     assert np.hypot(*(localizer.cloud()[:, :2].mean(axis=0) - true[:2])) < 0.1
 
 
-def test_maps_on_which_nobody_can_be_localised() -> None:
+def test_a_map_without_walls_is_refused() -> None:
     with pytest.raises(ValueError, match="the map 'empty' is impossible: it has no walls"):
         Localizer(MapGrid2D.of(np.full((9, 9), MapFlag.FREE, np.uint8), name="empty", resolution=0.1))
 
 
-def test_starts_that_are_none() -> None:
+def test_a_start_that_is_not_a_pose_is_refused() -> None:
     localizer = Localizer(tour().grid)
     with pytest.raises(ValueError, match="cannot begin"):
         localizer.initial(Pose(math.nan, 0.0, 0.0))
 
 
-def test_points_of_a_scan_are_in_the_base_s_frame() -> None:
+def test_points_of_a_scan_are_in_the_base_frame() -> None:
     class Scan:
         first, step, nearest, farthest = 0.0, math.pi / 2, 0.5, 9.0
         ranges = np.array([1.0, math.nan, 0.2, math.inf, 2.0, 9.0], np.float32)
@@ -162,7 +163,7 @@ def test_points_of_a_scan_are_in_the_base_s_frame() -> None:
     assert points == pytest.approx(np.array([[-0.9, 0.0], [-1.9, 0.0]]), abs=1e-6)
 
 
-def test_a_holonomic_base_goes_sideways() -> None:
+def test_it_tracks_a_holonomic_base_that_moves_sideways() -> None:
     settings = LocaliserSection(holonomic=True)
     sim = Simulation(SimSection(plan="lab", robot="ikart_v1", laser=LaserSection(beams=180)))
     localizer = Localizer(Tour(sim, 0).grid, settings)
@@ -179,11 +180,11 @@ def test_a_holonomic_base_goes_sideways() -> None:
     assert localizer.updates > 3
 
 
-def test_a_pose_is_remembered_over_restarts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pose_is_stored_across_restarts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     memory = Memory(tmp_path)
     assert memory.recall("lab", of_this_run=False) is None
     memory.keep("lab", Pose(1.0, 2.0, 0.5, 7))
-    memory.keep("lab", Pose(3.0, 2.0, 0.5))  # too soon after
+    memory.keep("lab", Pose(3.0, 2.0, 0.5))  # too soon after the last one
     assert memory.recall("lab", of_this_run=True) == Pose(1.0, 2.0, 0.5)
     memory.keep("lab", Pose(3.0, 2.0, 0.5), now=True)
     again = Memory(tmp_path)
@@ -197,19 +198,19 @@ def test_a_pose_is_remembered_over_restarts(tmp_path: Path, monkeypatch: pytest.
     assert again.recall("lab", of_this_run=False) is None
 
 
-def test_the_system_clock_may_be_set_while_it_is_localized() -> None:
-    there = tour()
-    localizer = Localizer(there.grid)
-    localizer.initial(truth(there))
-    list(drive(there, localizer, 5.0, []))
+def test_it_stays_localized_when_the_system_clock_is_set() -> None:
+    run = tour()
+    localizer = Localizer(run.grid)
+    localizer.initial(truth(run))
+    list(drive(run, localizer, 5.0, []))
     before, cloud = localizer.estimate(), localizer.cloud()
     localizer.forget_stamps()
     after = localizer.estimate()
     assert (after.pose, after.status) == (before.pose, LocalizationStatus.OK)
     assert np.array_equal(localizer.cloud(), cloud)
-    assert localizer.check(0)[1] == "odometry is not heard"
+    assert localizer.check(0)[1] == "odometry is not arriving"
     assert before.pose is not None
-    odometry = Pose(*there.there.estimate.pose)._replace(stamp_ns=S)  # decades before
+    odometry = Pose(*run.there.estimate.pose)._replace(stamp_ns=S)  # decades earlier
     localizer.odometry(odometry)
-    assert off(localizer, there)[0] < METRES
-    assert max(error[0] for _, *error in drive(there, localizer, 5.0, [])) < METRES
+    assert error_of(localizer, run)[0] < METRES
+    assert max(error[0] for _, *error in drive(run, localizer, 5.0, [])) < METRES

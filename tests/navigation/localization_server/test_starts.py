@@ -1,4 +1,4 @@
-"""A start on a map that is not in use: it arrives with that map, and with the given uncertainty."""
+"""A start on a map that is not in use switches to that map and keeps the given uncertainty."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from navigation.localization_server.sources import Start
 from navigation.pose import Pose
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
-THERE = Start(Pose(0.5, 0.25, 1.0), np.diag([0.0004, 0.0009, 0.0001]))
+START = Start(Pose(0.5, 0.25, 1.0), np.diag([0.0004, 0.0009, 0.0001]))
 
 
 def grid(name: str) -> MapGrid2D:
@@ -30,22 +30,24 @@ def grid(name: str) -> MapGrid2D:
 
 
 class Outside:
-    """A host for sources and the module, and the messages that they sent through it."""
+    """A host for sources and the module, with the messages that they send through it."""
 
     def __init__(self, folder: Path) -> None:
         self.maps = {name: grid(name) for name in ("house", "cellar")}
         self.current, self.folder, self.log = "house", folder, logging.getLogger(__name__)
-        self.said: list[tuple[str, dict[str, Any]]] = []
-        self.hearers = ["amcl"]
-        graph = SimpleNamespace(subscriptions=lambda _topic: self.hearers)
+        self.sent: list[tuple[str, dict[str, Any]]] = []
+        self.subscribers = ["amcl"]
+        graph = SimpleNamespace(subscriptions=lambda _topic: self.subscribers)
         self.node = SimpleNamespace(
             hub=SimpleNamespace(graph=graph),
             subscription=lambda *_: None,
             subscription_cdr=lambda *_, **_more: None,
             publisher=lambda topic, *_, **_more: SimpleNamespace(
-                publish=lambda message: self.said.append((topic, message))
+                publish=lambda message: self.sent.append((topic, message))
             ),
-            client=lambda name, *_: SimpleNamespace(ready=True, call=lambda said, _: self.said.append((name, said))),
+            client=lambda name, *_: SimpleNamespace(
+                ready=True, call=lambda request, _: self.sent.append((name, request))
+            ),
         )
         self.clock = SimpleNamespace(now_ns=lambda: 0, stamp=lambda: {"sec": 0, "nanosec": 0}, on_jump=lambda _: None)
         self.yarp, self.loop = Mock(), Mock()
@@ -58,10 +60,10 @@ class Outside:
         )
 
     def module(self, **section: Any) -> LocalizationServer:
-        """The module, on the first map."""
-        made, host = LocalizationServer(), cast("Host", self)
-        made.start(host, LocalizationServerSection(**section))
-        return made
+        """Return the module, started on the first map."""
+        module, host = LocalizationServer(), cast("Host", self)
+        module.start(host, LocalizationServerSection(**section))
+        return module
 
 
 @pytest.fixture
@@ -69,36 +71,36 @@ def outside(tmp_path: Path) -> Outside:
     return Outside(tmp_path)
 
 
-def test_our_own_localiser_is_as_sure_as_it_was_told(outside: Outside) -> None:
+def test_our_localizer_starts_with_the_given_uncertainty(outside: Outside) -> None:
     module: Any = outside.module()
-    module.begin(*THERE, "cellar")
-    found = module.estimate()
+    module.begin(*START, "cellar")
+    estimate = module.estimate()
     assert module.map_name == "cellar"
-    assert found.pose[:3] == pytest.approx(THERE.pose[:3], abs=0.02)
-    assert np.diag(found.covariance) == pytest.approx(np.diag(THERE.covariance), rel=0.5)
+    assert estimate.pose[:3] == pytest.approx(START.pose[:3], abs=0.02)
+    assert np.diag(estimate.covariance) == pytest.approx(np.diag(START.covariance), rel=0.5)
 
 
 @pytest.mark.parametrize(
-    ("set_map", "before", "told"),
+    ("set_map", "before", "receiver"),
     [("/set_map", "house", "/set_map"), ("/set_map", "", "/initialpose"), ("", "house", "/initialpose")],
-    ids=["a further map", "amcl has the first by itself", "it follows /map"],
+    ids=["another map", "amcl loads the first map itself", "amcl follows /map"],
 )
-def test_amcl_is_told(outside: Outside, set_map: str, before: str, told: str) -> None:
+def test_the_start_is_sent_to_amcl(outside: Outside, set_map: str, before: str, receiver: str) -> None:
     outside.current = before
     module = outside.module(source="amcl", set_map=set_map)
-    module.begin(*THERE, "cellar")
-    ((name, message),) = outside.said
-    assert name == told
+    module.begin(*START, "cellar")
+    ((name, message),) = outside.sent
+    assert name == receiver
     start = message.get("initial_pose", message)["pose"]
-    assert pose_of(start["pose"])[:3] == pytest.approx(THERE.pose[:3])
-    assert plane_of(start["covariance"]) == pytest.approx(THERE.covariance)
+    assert pose_of(start["pose"])[:3] == pytest.approx(START.pose[:3])
+    assert plane_of(start["covariance"]) == pytest.approx(START.covariance)
 
 
-def test_nobody_hears_it(outside: Outside) -> None:
-    outside.hearers = []
+def test_a_start_without_a_subscriber_is_refused(outside: Outside) -> None:
+    outside.subscribers = []
     module = outside.module(source="amcl", set_map="")
-    with pytest.raises(RuntimeError, match="nobody hears /initialpose"):
-        module.begin(*THERE, "cellar")
+    with pytest.raises(RuntimeError, match="no subscriber to /initialpose"):
+        module.begin(*START, "cellar")
 
 
 @pytest.mark.parametrize("jump", [-3600, 3600])
@@ -107,17 +109,17 @@ def test_a_pose_from_a_topic_stays_known_if_the_system_clock_is_set(outside: Out
     clock: Any = RunClock(system=SystemClock(lambda: now[0], poll=0))
     outside.clock = clock
     source: Any = outside.module(source="topic").source
-    source.take(THERE.pose)
+    source.take(START.pose)
     now[0] += jump * 1_000_000_000
     source.forget()
-    assert source.estimate().pose[:3] == THERE.pose[:3]
+    assert source.estimate().pose[:3] == START.pose[:3]
 
 
 def test_a_pose_from_a_topic_is_unknown_after_a_simulation_started_again(outside: Outside) -> None:
     clock: Any = RunClock(simulated=True)
     outside.clock = clock
     source: Any = outside.module(source="topic").source
-    source.take(THERE.pose)
+    source.take(START.pose)
     assert source.estimate().pose is not None
     source.forget()
     assert source.estimate().pose is None
