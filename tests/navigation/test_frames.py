@@ -1,4 +1,4 @@
-"""The pose of the robot by the frames of several publishers."""
+"""The pose of the robot from the frames of several publishers."""
 
 from __future__ import annotations
 
@@ -24,157 +24,159 @@ S = 1_000_000_000
 START = 1_790_000_000 * S
 
 
-class Said:
-    """A host with a clock that only the test advances, and the frames that the test publishes."""
+class FramePublisher:
+    """A host with a clock that only the test advances, and with the frames that the test publishes."""
 
     def __init__(self, **options: Any) -> None:
         self.now = START
-        self.heard: dict[str, Callable[[bytes], None]] = {}
+        self.subscribers: dict[str, Callable[[bytes], None]] = {}
         node = SimpleNamespace(
-            subscription_cdr=lambda topic, _type, heard, _qos, *, at_once: self.heard.update({topic: heard})  # noqa: ARG005
+            subscription_cdr=lambda topic, _type, receive, _qos, *, at_once: self.subscribers.update({topic: receive})  # noqa: ARG005
         )
         self.node = node
         clock = SimpleNamespace(now_ns=lambda: self.now, on_jump=lambda _: None)
         host: Any = SimpleNamespace(node=node, clock=clock)
         self.frames = RobotFrames(host, **options)
 
-    def say(self, parent: str, child: str, pose: Pose, ago: float = 0.0, topic: str = TF) -> None:
-        turned = (0.0, 0.0, math.sin(pose.theta / 2), math.cos(pose.theta / 2))
-        one = Stamped(parent, child, self.now - round(ago * S), (pose.x, pose.y, 0.0), turned)
-        self.heard[topic](write([one]))
+    def publish(self, parent: str, child: str, pose: Pose, ago: float = 0.0, topic: str = TF) -> None:
+        rotation = (0.0, 0.0, math.sin(pose.theta / 2), math.cos(pose.theta / 2))
+        transform = Stamped(parent, child, self.now - round(ago * S), (pose.x, pose.y, 0.0), rotation)
+        self.subscribers[topic](write([transform]))
 
 
 def test_the_pose_is_the_newest_odometry_in_the_newest_correction() -> None:
-    said = Said()
-    said.say("map", "odom", Pose(1.0, 2.0, math.pi / 2), ago=1.5)
-    said.say("odom", "base_link", Pose(9.0, 9.0, 0.0), ago=1.5)
-    said.say("odom", "base_link", Pose(3.0, 0.5, 0.25), ago=0.1)
-    found = said.frames.pose()
-    assert found[:3] == pytest.approx((0.5, 5.0, math.pi / 2 + 0.25))
-    assert found.stamp_ns == START - S // 10
+    publisher = FramePublisher()
+    publisher.publish("map", "odom", Pose(1.0, 2.0, math.pi / 2), ago=1.5)
+    publisher.publish("odom", "base_link", Pose(9.0, 9.0, 0.0), ago=1.5)
+    publisher.publish("odom", "base_link", Pose(3.0, 0.5, 0.25), ago=0.1)
+    pose = publisher.frames.pose()
+    assert pose[:3] == pytest.approx((0.5, 5.0, math.pi / 2 + 0.25))
+    assert pose.stamp_ns == START - S // 10
 
 
-def test_a_correction_that_is_stamped_ahead_holds() -> None:
-    said = Said()
-    said.say("map", "odom", Pose(1.0, 0.0, 0.0), ago=-0.3)
-    said.say("odom", "base_link", Pose(1.0, 0.0, 0.0))
-    assert said.frames.pose()[:3] == pytest.approx((2.0, 0.0, 0.0))
+def test_a_correction_with_a_future_stamp_is_used() -> None:
+    publisher = FramePublisher()
+    publisher.publish("map", "odom", Pose(1.0, 0.0, 0.0), ago=-0.3)
+    publisher.publish("odom", "base_link", Pose(1.0, 0.0, 0.0))
+    assert publisher.frames.pose()[:3] == pytest.approx((2.0, 0.0, 0.0))
 
 
-def test_who_has_fallen_silent_is_told() -> None:
-    said = Said()
+def test_the_silent_source_is_named() -> None:
+    publisher = FramePublisher()
     with pytest.raises(FramesError, match="not known where base_link is"):
-        said.frames.pose()
-    said.say("odom", "base_link", Pose(0.0, 0.0, 0.0))
+        publisher.frames.pose()
+    publisher.publish("odom", "base_link", Pose(0.0, 0.0, 0.0))
     with pytest.raises(FramesError, match="not known where odom is in map"):
-        said.frames.pose()
-    said.say("map", "odom", Pose(0.0, 0.0, 0.0))
-    said.now += S
-    with pytest.raises(FramesError, match=r"odometry is stale: base_link in odom was last said 1\.0 s ago"):
-        said.frames.pose()
-    said.now += 2 * S
-    said.say("odom", "base_link", Pose(0.0, 0.0, 0.0))
-    with pytest.raises(FramesError, match=r"localisation is stale: odom in map was last said 3\.0 s ago"):
-        said.frames.pose()
+        publisher.frames.pose()
+    publisher.publish("map", "odom", Pose(0.0, 0.0, 0.0))
+    publisher.now += S
+    with pytest.raises(FramesError, match=r"odometry is stale: base_link in odom was last published 1\.0 s ago"):
+        publisher.frames.pose()
+    publisher.now += 2 * S
+    publisher.publish("odom", "base_link", Pose(0.0, 0.0, 0.0))
+    with pytest.raises(FramesError, match=r"localisation is stale: odom in map was last published 3\.0 s ago"):
+        publisher.frames.pose()
 
 
-def test_without_an_odometry_frame_the_pose_is_said_at_once() -> None:
-    said = Said(base_frame="/body")
-    said.say("map", "body", Pose(1.0, 2.0, 0.5))
-    assert said.frames.pose()[:3] == pytest.approx((1.0, 2.0, 0.5))
-    said.now += 3 * S
+def test_without_an_odometry_frame_the_localizer_gives_the_pose_directly() -> None:
+    publisher = FramePublisher(base_frame="/body")
+    publisher.publish("map", "body", Pose(1.0, 2.0, 0.5))
+    assert publisher.frames.pose()[:3] == pytest.approx((1.0, 2.0, 0.5))
+    publisher.now += 3 * S
     with pytest.raises(FramesError, match="localisation is stale"):
-        said.frames.pose()
+        publisher.frames.pose()
 
 
-def test_frames_in_frames() -> None:
-    said = Said()
-    said.say("base_link", "laser", Pose(0.1, 0.0, math.pi), topic="/tf_static")
-    assert said.frames.transform("base_link", "laser")[:3] == pytest.approx((0.1, 0.0, math.pi))
-    there = Pose(1.0, 2.0, 3.0)
-    assert (there @ there.inverse)[:3] == pytest.approx((0.0, 0.0, 0.0))
-    assert (there.inverse @ there)[:3] == pytest.approx((0.0, 0.0, 0.0))
+def test_a_pose_and_its_inverse_cancel() -> None:
+    publisher = FramePublisher()
+    publisher.publish("base_link", "laser", Pose(0.1, 0.0, math.pi), topic="/tf_static")
+    assert publisher.frames.transform("base_link", "laser")[:3] == pytest.approx((0.1, 0.0, math.pi))
+    pose = Pose(1.0, 2.0, 3.0)
+    assert (pose @ pose.inverse)[:3] == pytest.approx((0.0, 0.0, 0.0))
+    assert (pose.inverse @ pose)[:3] == pytest.approx((0.0, 0.0, 0.0))
 
 
-def test_what_is_said_in_a_frame_of_the_robots_is_where_that_is_now() -> None:
-    said = Said()
-    said.say("map", "odom", Pose(1.0, 0.0, 0.0))
-    said.say("map", "dock", Pose(5.0, 5.0, 0.0))
-    said.say("odom", "base_footprint", Pose(2.0, 0.0, 0.0))
-    said.say("base_footprint", "base_link", Pose(0.0, 0.0, 0.0), topic="/tf_static")
-    said.say("base_link", "laser", Pose(0.1, 0.0, 0.0), topic="/tf_static")
-    on_map = said.frames.on_map
+def test_a_frame_of_the_robot_is_placed_by_its_current_pose() -> None:
+    publisher = FramePublisher()
+    publisher.publish("map", "odom", Pose(1.0, 0.0, 0.0))
+    publisher.publish("map", "dock", Pose(5.0, 5.0, 0.0))
+    publisher.publish("odom", "base_footprint", Pose(2.0, 0.0, 0.0))
+    publisher.publish("base_footprint", "base_link", Pose(0.0, 0.0, 0.0), topic="/tf_static")
+    publisher.publish("base_link", "laser", Pose(0.1, 0.0, 0.0), topic="/tf_static")
+    on_map = publisher.frames.on_map
     for frame, x in (("base_link", 3.0), ("base_footprint", 3.0), ("laser", 3.1), ("odom", 1.0), ("dock", 5.0)):
         assert on_map(frame).x == pytest.approx(x)
-    said.now += S
+    publisher.now += S
     for frame in ("base_link", "base_footprint", "laser"):
         with pytest.raises(FramesError, match="odometry is stale"):
             on_map(frame)
     assert on_map("odom").x == 1.0
-    said.now += 2 * S
+    publisher.now += 2 * S
     with pytest.raises(FramesError, match="localisation is stale"):
         on_map("odom")
-    assert on_map("dock").x == 5.0, "it does not move"
-    here = {"position": {"x": 1.0, "y": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
-    goal = {"pose": {"header": {"frame_id": "base_link"}, "pose": here}, "behavior_tree": ""}
+    assert on_map("dock").x == 5.0, "it is fixed on the map"
+    origin = {"position": {"x": 1.0, "y": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    goal = {"pose": {"header": {"frame_id": "base_link"}, "pose": origin}, "behavior_tree": ""}
     with pytest.raises(PlanError, match="the goal is in the frame 'base_link': the odometry is stale"):
-        goal_of(goal, said.frames, lambda: ())
+        goal_of(goal, publisher.frames, lambda: ())
 
 
-def test_a_laser_that_hangs_upside_down_sees_what_is_on_its_left_on_the_right() -> None:
-    said = Said()
-    said.say("map", "odom", Pose(0.0, 0.0, 0.0))
-    said.say("odom", "base_link", Pose(0.0, 0.0, 0.0))
-    # rolled over, and then turned by half a radian on the base
-    hanging = Stamped("base_link", "laser", 0, (0.0, 0.0, 0.5), (math.cos(0.25), math.sin(0.25), 0.0, 0.0))
-    said.say("base_link", "upright", Pose(0.0, 0.0, 0.5))
-    said.heard[TF_STATIC](write([hanging]))
-    assert (said.frames.hangs("laser"), said.frames.hangs("upright"), said.frames.hangs("nowhere")) == (
+def test_scans_of_a_laser_that_is_mounted_upside_down_are_mirrored() -> None:
+    publisher = FramePublisher()
+    publisher.publish("map", "odom", Pose(0.0, 0.0, 0.0))
+    publisher.publish("odom", "base_link", Pose(0.0, 0.0, 0.0))
+    # mounted upside down, and then turned by half a radian on the base
+    mounting = Stamped("base_link", "laser", 0, (0.0, 0.0, 0.5), (math.cos(0.25), math.sin(0.25), 0.0, 0.0))
+    publisher.publish("base_link", "upright", Pose(0.0, 0.0, 0.5))
+    publisher.subscribers[TF_STATIC](write([mounting]))
+    assert (publisher.frames.hangs("laser"), publisher.frames.hangs("upright"), publisher.frames.hangs("nowhere")) == (
         True,
         False,
         False,
     )
-    stamp = {"sec": said.now // S, "nanosec": said.now % S}
+    stamp = {"sec": publisher.now // S, "nanosec": publisher.now % S}
     scan = {"range_min": 0.1, "range_max": 9.0, "angle_min": 0.2, "angle_increment": 0.1, "ranges": [1.0, 2.0]}
     message = {"header": {"stamp": stamp, "frame_id": "laser"}, **scan}
     seen: list[tuple[Pose, Turn]] = []
     planner: Any = SimpleNamespace(active=True, scan=lambda _now, pose, turn: seen.append((pose, turn)))
-    ObstacleScans(planner, said.frames).take(0.0, message)
+    ObstacleScans(planner, publisher.frames).take(0.0, message)
     driver = SimpleNamespace(scan=lambda turn, _moved, laser: seen.append((laser, turn)))
-    clock = SimpleNamespace(now_ns=lambda: said.now)
-    goto: Any = SimpleNamespace(_frames=said.frames, driver=driver, now=lambda: 0.0, _host=SimpleNamespace(clock=clock))
+    clock = SimpleNamespace(now_ns=lambda: publisher.now)
+    goto: Any = SimpleNamespace(
+        _frames=publisher.frames, driver=driver, now=lambda: 0.0, _host=SimpleNamespace(clock=clock)
+    )
     goto._see = partial(RobotGoto._see, goto)
     RobotGoto._scanned(goto, message)
     assert len(seen) == 2
     for pose, turn in seen:
-        # the first beam is 0.2 to the laser's left, which is 0.5 - 0.2 on the base
+        # the first beam is 0.2 rad to the left of the laser, which is 0.5 - 0.2 rad on the base
         assert [pose.theta + turn.first, turn.step] == pytest.approx([0.3, -0.1])
 
 
-def test_the_floor_is_as_it_is_told_or_at_the_robots_footprint() -> None:
-    said = Said(base_frame="r2/base_link")
-    assert said.frames.floor(None) == 0.0
-    foot = Stamped("r2/base_link", "r2/base_footprint", said.now, (0.0, 0.0, -0.164), (0.0, 0.0, 0.0, 1.0))
-    said.heard[TF_STATIC](write([foot]))
-    assert said.frames.floor(None) == pytest.approx(-0.164)
-    assert said.frames.floor(-0.1) == -0.1
+def test_the_floor_is_as_configured_or_at_the_base_footprint() -> None:
+    publisher = FramePublisher(base_frame="r2/base_link")
+    assert publisher.frames.floor(None) == 0.0
+    foot = Stamped("r2/base_link", "r2/base_footprint", publisher.now, (0.0, 0.0, -0.164), (0.0, 0.0, 0.0, 1.0))
+    publisher.subscribers[TF_STATIC](write([foot]))
+    assert publisher.frames.floor(None) == pytest.approx(-0.164)
+    assert publisher.frames.floor(-0.1) == -0.1
 
 
 @pytest.mark.parametrize("jump", [-40 * S, -3600 * S, 3600 * S])
-def test_the_pose_is_known_again_as_soon_as_it_is_published_after_a_jump_of_the_system_clock(jump: int) -> None:
-    said = Said()
-    system = SystemClock(lambda: said.now, lambda: 0, poll=0)
-    host: Any = SimpleNamespace(node=said.node, clock=RunClock(system=system))
+def test_the_pose_is_known_again_once_it_is_published_after_a_jump_of_the_system_clock(jump: int) -> None:
+    publisher = FramePublisher()
+    system = SystemClock(lambda: publisher.now, lambda: 0, poll=0)
+    host: Any = SimpleNamespace(node=publisher.node, clock=RunClock(system=system))
     frames = RobotFrames(host)
-    said.say("base_link", "laser", Pose(0.1, 0.0, 0.0), topic=TF_STATIC)
-    said.say("map", "odom", Pose(1.0, 0.0, 0.0), ago=-0.2)
-    said.say("odom", "base_link", Pose(1.0, 0.0, 0.0))
+    publisher.publish("base_link", "laser", Pose(0.1, 0.0, 0.0), topic=TF_STATIC)
+    publisher.publish("map", "odom", Pose(1.0, 0.0, 0.0), ago=-0.2)
+    publisher.publish("odom", "base_link", Pose(1.0, 0.0, 0.0))
     assert frames.pose().x == pytest.approx(2.0)
-    said.now += jump
+    publisher.now += jump
     assert system.check() == jump
     with pytest.raises(FramesError):
         frames.pose()
-    said.say("map", "odom", Pose(1.0, 0.0, 0.0))
-    said.say("odom", "base_link", Pose(2.0, 0.0, 0.0))
+    publisher.publish("map", "odom", Pose(1.0, 0.0, 0.0))
+    publisher.publish("odom", "base_link", Pose(2.0, 0.0, 0.0))
     assert frames.pose().x == pytest.approx(3.0)
-    assert frames.transform("base_link", "laser", said.now).x == pytest.approx(0.1)
+    assert frames.transform("base_link", "laser", publisher.now).x == pytest.approx(0.1)

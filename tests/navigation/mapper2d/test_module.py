@@ -1,4 +1,4 @@
-"""Mapper2D on a hub and on YARP: scans in, a map out to every side, and paint."""
+"""Mapper2D on a hub and on YARP: it maps scans, publishes the map to all sides, and paints areas."""
 
 from __future__ import annotations
 
@@ -31,39 +31,40 @@ S = 1_000_000_000
 
 @contextlib.contextmanager
 def mapping(folder: Path) -> Iterator[Place]:
-    with Place(folder) as made:
-        server = NameServer(port=made.port, gc_seconds=0)
+    with Place(folder) as place:
+        server = NameServer(port=place.port, gc_seconds=0)
         server.open()
         section = {"enabled": True, "pose": "port", "laser": [0.5, 0.0, 90.0], "period": 0.1, "width": 8, "height": 8}
         section |= {"laser_port": "/robot/laser:o", "pose_port": "/robot/odometry:o"}
-        made.worker.start(made.config(modules={"mapper2d": section}))
-        until(lambda: connections.exists(made.names, "/mapper2D/yarpviewTarget:i"), "the ports are registered", 30)
-        until(lambda: connections.exists(made.names, "/mapper2D/odometry:i"), "all ports are registered", 30)
-        yield made
-        made.worker.stop()
+        place.worker.start(place.config(modules={"mapper2d": section}))
+        until(lambda: connections.exists(place.names, "/mapper2D/yarpviewTarget:i"), "the ports are registered", 30)
+        until(lambda: connections.exists(place.names, "/mapper2D/odometry:i"), "all ports are registered", 30)
+        yield place
+        place.worker.stop()
         server.close()
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    with mapping(tmp_path_factory.mktemp("place")) as made:
-        yield made
+    with mapping(tmp_path_factory.mktemp("place")) as mapper:
+        yield mapper
 
 
 @pytest.fixture
 def untouched(tmp_path: Path) -> Iterator[Place]:
-    """One to which no other test's scans are still on their way."""
-    with mapping(tmp_path) as made:
-        yield made
+    """A mapper that receives no delayed scans from other tests."""
+    with mapping(tmp_path) as mapper:
+        yield mapper
 
 
-def asked(place: Place, *words: Any) -> Any:
+def ask(place: Place, *words: Any) -> Any:
+    """Return the reply to a command on the rpc port."""
     with Client("/mapper2D/rpc", naming=place.names) as client:
         return client.ask(list(words))
 
 
 def scans(place: Place) -> None:
-    """Say poses and scans of a round room of which the robot is in the middle, until they are mapped."""
+    """Publish poses and scans from the middle of a round room until they are mapped."""
     out = place.far.advertise("/scan", "sensor_msgs/LaserScan")
 
     def mapped() -> bool:
@@ -82,19 +83,19 @@ def scans(place: Place) -> None:
 
 
 def test_a_map_is_made_painted_and_saved(place: Place) -> None:
-    assert asked(place, "clear") == ["A new map is begun."]
-    assert asked(place, "start") == ["Mapping."]
+    assert ask(place, "clear") == ["A new map is begun."]
+    assert ask(place, "start") == ["Mapping."]
     topic = place.far.subscribe("/mapper2d/map", "nav_msgs/OccupancyGrid", latched=True, depth=1)
     scans(place)
-    assert asked(place, "stop") == ["Not mapping; 'start' goes on."]
-    # half a metre ahead of the robot, which looks 30 degrees to the left
+    assert ask(place, "stop") == ["Not mapping; 'start' goes on."]
+    # the laser: half a meter ahead of the robot, which is turned by 30 degrees
     middle = 1.0 + 0.5 * math.cos(math.radians(30)), 2.0 + 0.5 * math.sin(math.radians(30))
     until(lambda: {100, 0, -1} <= set(place.far.wait(topic, 1)[-1]["data"]), "the map is published", 20)
     message = place.far.wait(topic, 1)[-1]
     assert (message["header"]["frame_id"], message["info"]["width"]) == ("map", 160)
 
-    assert asked(place, "set_pixel_type", "keepout") == ["Clicks paint keepout."]
-    assert asked(place, "set_pixel_size", 3) == ["The brush has 3 by 3 cells."]
+    assert ask(place, "set_pixel_type", "keepout") == ["Clicks paint keepout."]
+    assert ask(place, "set_pixel_size", 3) == ["The brush has 3 by 3 cells."]
     with (
         Reader(naming=place.names) as reader,
         Writer(naming=place.names) as yarpview,
@@ -110,7 +111,7 @@ def test_a_map_is_made_painted_and_saved(place: Place) -> None:
             assert yarpview.write(click, strict=True) == 1
 
         def painted() -> bool:
-            answer = asked(place, "save_to_mapserver")
+            answer = ask(place, "save_to_mapserver")
             assert answer == ["Map map saved into the store."]
             grid = place.worker.store.get(MAP, "map")
             return int((grid.flags == MapFlag.KEEP_OUT).sum()) == 9 + 43 * 3
@@ -125,9 +126,9 @@ def test_a_map_is_made_painted_and_saved(place: Place) -> None:
     assert "not on the map's picture" in str(place.answer("mapper2d"))
 
 
-def test_laser_and_poses_of_yarp_are_connected(place: Place) -> None:
-    asked(place, "clear")
-    asked(place, "start")
+def test_laser_and_pose_ports_of_yarp_are_connected(place: Place) -> None:
+    ask(place, "clear")
+    ask(place, "start")
     with Writer("/robot/laser:o", naming=place.names) as laser, Writer("/robot/odometry:o", naming=place.names) as base:
 
         def mapped() -> bool:
@@ -137,9 +138,9 @@ def test_laser_and_poses_of_yarp_are_connected(place: Place) -> None:
             return place.answer("mapper2d")["scans"] > 3
 
         until(mapped, "scans are mapped", 30)
-    assert asked(place, "stop") == ["Not mapping; 'start' goes on."]
+    assert ask(place, "stop") == ["Not mapping; 'start' goes on."]
     assert place.answer("mapper2d")["scans"] > 3
-    assert asked(place, "save_to_mapserver") == ["Map map saved into the store."]
+    assert ask(place, "save_to_mapserver") == ["Map map saved into the store."]
     grid = place.worker.store.get(MAP, "map")
     middle = 1.0 + 0.5 * math.cos(math.radians(30)), 2.0 + 0.5 * math.sin(math.radians(30))
     column, row = grid.cells_at(middle)
@@ -149,28 +150,29 @@ def test_laser_and_poses_of_yarp_are_connected(place: Place) -> None:
 
 
 @pytest.mark.parametrize("name", ["../out", "/etc/out.map", "a/b", ".hidden", "out.txt"])
-def test_files_are_those_of_the_maps_folder_alone(place: Place, name: str) -> None:
-    for word in ("save_to_file", "load_from_file"):
-        fail, why = asked(place, word, name)
-        assert fail == "fail"
-        assert "refused" in why
+def test_files_outside_the_map_folder_are_refused(place: Place, name: str) -> None:
+    for command in ("save_to_file", "load_from_file"):
+        outcome, reason = ask(place, command, name)
+        assert outcome == "fail"
+        assert "refused" in reason
 
 
 def test_a_map_is_saved_to_a_file_and_loaded(place: Place) -> None:
-    asked(place, "clear")
-    asked(place, "enlarge", 1)
-    assert asked(place, "save_to_file", "flat") == ["Map map saved as flat.map."]
+    ask(place, "clear")
+    ask(place, "enlarge", 1)
+    assert ask(place, "save_to_file", "flat") == ["Map map saved as flat.map."]
     assert list(Path(place.folder).rglob("flat.map"))
-    asked(place, "clear")
-    assert asked(place, "load_from_file", "flat") == ["Map map loaded; mapping goes on on it."]
+    ask(place, "clear")
+    assert ask(place, "load_from_file", "flat") == ["Map map loaded; mapping goes on on it."]
     assert place.answer("mapper2d")["size"] == pytest.approx([10.0, 10.0])
-    assert asked(place, "initLoc", "other", 0.0, 0.0, 90.0)[0].startswith("The robot is at 0, 0 m, 90 degrees")
-    assert asked(place, "initLoc", "map", 1.0, 2.0, 30)[0].endswith("30 degrees on map.")
-    assert asked(place, "load_from_mapserver", "none") == ["fail", "there is no map 'none' in the store"]
-    for words in (["fly"], ["initLoc", "x", "y"], ["set_pixel_size", 0], ["set_pixel_type", "lava"], ["paint", 1]):
-        assert asked(place, *words)[0] == "fail"
-    help_ = asked(place, "help")
-    assert all(any(word in line for line in help_) for word in ("save_to_file", "initLoc", "set_pixel_type"))
+    assert ask(place, "initLoc", "other", 0.0, 0.0, 90.0)[0].startswith("The robot is at 0, 0 m, 90 degrees")
+    assert ask(place, "initLoc", "map", 1.0, 2.0, 30)[0].endswith("30 degrees on map.")
+    outcome, reason = ask(place, "load_from_mapserver", "none")
+    assert (outcome, "no map 'none' in the store" in reason) == ("fail", True)
+    for command in (["fly"], ["initLoc", "x", "y"], ["set_pixel_size", 0], ["set_pixel_type", "lava"], ["paint", 1]):
+        assert ask(place, *command)[0] == "fail"
+    help_ = ask(place, "help")
+    assert all(any(command in line for line in help_) for command in ("save_to_file", "initLoc", "set_pixel_type"))
 
 
 def test_a_pose_whose_quaternion_is_not_a_rotation_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -180,17 +182,17 @@ def test_a_pose_whose_quaternion_is_not_a_rotation_is_refused(tmp_path: Path, ca
         out = place.far.advertise("/initialpose", "geometry_msgs/PoseWithCovarianceStamped")
         pose = {"position": {"x": 1.0}, "orientation": dict.fromkeys("xyzw", 0.0)}
         message = {"header": {"frame_id": "odom"}, "pose": {"pose": pose}}
-        why = "/initialpose: refused: the pose's quaternion is not a rotation: its length is 0.00, not 1"
-        until(lambda: why in caplog.text or place.far.publish(out, message), "the pose is refused", 20, every=0.2)
+        error = "/initialpose: refused: the pose's quaternion is not a rotation: its length is 0.00, not 1"
+        until(lambda: error in caplog.text or place.far.publish(out, message), "the pose is refused", 20, every=0.2)
 
 
 @pytest.mark.parametrize("by", ["tf", "topic"])
-def test_poses_of_frames_and_of_topics(tmp_path: Path, by: str) -> None:
-    """The robot drives along x while a beam straight ahead sees a wall at x = 3 m, the laser 0.5 m before its base.
+def test_poses_from_frames_and_from_topics(tmp_path: Path, by: str) -> None:
+    """The robot drives along x towards a wall at x = 3 m, with one beam straight ahead, 0.5 m in front of its base.
 
-    With frames the laser hangs upside down, turned by half a radian: straight ahead is half a radian on its left.
+    With frames the laser is mounted upside down and turned by half a radian: ahead is half a radian to its left.
     """
-    hangs = by == "tf"
+    upside_down = by == "tf"
     section = {"enabled": True, "pose": by, "pose_topic": "/truth", "period": 0.1, "map_frame": "odom"}
     section["initial_pose"] = "/initialpose"
     with Place(tmp_path) as place:
@@ -201,10 +203,10 @@ def test_poses_of_frames_and_of_topics(tmp_path: Path, by: str) -> None:
         static = place.far.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True)
         truth = place.far.advertise("/truth", "nav_msgs/Odometry")
         mounted = transform("base_link", "laser", 0.5, {"sec": 1})
-        if hangs:
+        if upside_down:
             mounted["transform"]["rotation"] = {"x": math.cos(0.25), "y": math.sin(0.25), "w": 0.0}
         place.far.publish(static, {"transforms": [mounted]})
-        told = place.far.advertise("/initialpose", "geometry_msgs/PoseWithCovarianceStamped")
+        starts = place.far.advertise("/initialpose", "geometry_msgs/PoseWithCovarianceStamped")
         moved = 0.0
 
         def mapped() -> bool:
@@ -215,11 +217,11 @@ def test_poses_of_frames_and_of_topics(tmp_path: Path, by: str) -> None:
                 place.far.publish(frames, {"transforms": [transform("odom", "base_link", moved, stamp)]})
                 pose = {"position": {"x": moved}, "orientation": {"w": 1.0}}
                 place.far.publish(truth, {"header": {"stamp": stamp, "frame_id": "odom"}, "pose": {"pose": pose}})
-                # neither is where the robot is
+                # both starts are refused
                 for frame, x in (("odom", math.nan), ("elsewhere", 9.0)):
-                    place.far.publish(told, {"header": {"frame_id": frame}, "pose": {"pose": {"position": {"x": x}}}})
+                    place.far.publish(starts, {"header": {"frame_id": frame}, "pose": {"pose": {"position": {"x": x}}}})
                 beams = {
-                    "angle_min": 0.5 * hangs,
+                    "angle_min": 0.5 * upside_down,
                     "angle_increment": 0.01,
                     "range_min": 0.1,
                     "range_max": 20.0,
@@ -238,30 +240,30 @@ def test_poses_of_frames_and_of_topics(tmp_path: Path, by: str) -> None:
             cells = [divmod(at, width) for at, value in enumerate(grid["data"]) if value == 100]
             return {(round(origin["x"] + 0.05 * x, 2), round(origin["y"] + 0.05 * y, 2)) for y, x in cells}
 
-        until(lambda: walls() == {(3.0, 0.0)}, "the wall is where it is", 20)
+        until(lambda: walls() == {(3.0, 0.0)}, "the wall is at its true place", 20)
 
 
 def transform(parent: str, child: str, x: float, stamp: dict[str, int]) -> dict[str, Any]:
-    """A frame straight ahead of another."""
+    """Return a frame ahead of another, without rotation."""
     place = {"translation": {"x": x}, "rotation": {"w": 1.0}}
     return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": place}
 
 
-def test_a_clock_that_is_set_back_makes_no_old_scan_new(untouched: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scan_from_before_a_clock_jump_is_not_used(untouched: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     place = untouched
-    assert asked(place, "start") == ["Mapping."]
+    assert ask(place, "start") == ["Mapping."]
     running = place.worker.running("mapper2d")
     host, now = running.host, [time.time_ns() + 10 * S]
     monkeypatch.setattr(host.clock, "now_ns", lambda: now[0])
 
-    def heard() -> bool:
+    def receives_scans() -> bool:
         assert running.module is not None
         return "no scan arrives" not in running.module.health().text
 
     def counts() -> list[int]:
         host.loop.call(lambda: None)
-        found = place.answer("mapper2d")
-        return [found["scans"], found["dropped"]]
+        status = place.answer("mapper2d")
+        return [status["scans"], status["dropped"]]
 
     def set_back() -> None:
         with monkeypatch.context() as system:
@@ -274,22 +276,22 @@ def test_a_clock_that_is_set_back_makes_no_old_scan_new(untouched: Place, monkey
         writer.connect("/mapper2D/laser:i")
 
         def scan() -> None:
-            """One of whose time no pose is known."""
-            turn = LaserScan2D(0.0, 360.0, 0.1, 20.0, Vector([RADIUS] * BEAMS), 1)
-            assert writer.write(turn, envelope=f"1 {now[0] / S + 1.0:.9f}", strict=True) == 1
-            until(heard, "it is heard")
+            """Write a scan from a time at which no pose is known."""
+            message = LaserScan2D(0.0, 360.0, 0.1, 20.0, Vector([RADIUS] * BEAMS), 1)
+            assert writer.write(message, envelope=f"1 {now[0] / S + 1.0:.9f}", strict=True) == 1
+            until(receives_scans, "the scan arrives")
 
-        assert not heard()
+        assert not receives_scans()
         scans, dropped = counts()
         scan()
-        assert counts() == [scans, dropped], "it waits"
+        assert counts() == [scans, dropped], "the scan waits"
         now[0] -= 20 * S
-        until(lambda: counts() == [scans, dropped + 1], "it waits no longer than another")
-        assert not heard()
+        until(lambda: counts() == [scans, dropped + 1], "the scan is dropped")
+        assert not receives_scans()
         scan()
         set_back()
-        assert not heard()
+        assert not receives_scans()
         now[0] += 5 * S
         scan()
-        assert counts() == [scans, dropped + 1], "the one before was forgotten"
+        assert counts() == [scans, dropped + 1], "the previous scan was discarded"
         set_back()
