@@ -1,4 +1,4 @@
-"""Imports point one way, as the design's layout says."""
+"""Imports follow the layers of the design, without cycles."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 TOOLS = {"clock", "concurrency", "progress", "resources", "shipped", "sides", "state_file", "worker"}
-"""Single files that stand beside the parts; they import nothing of ``bridge`` but ``config``."""
+"""Single modules next to the parts, which import only ``config`` and each other from ``bridge``."""
 
 BELOW = {
     "config": {"sides"},
@@ -47,7 +47,7 @@ BELOW = {
     "metrics": {*TOOLS, "config", "daemon", "hub", "messages", "routing.counters"},
     "daemon": {*TOOLS, "config", "messages", "interfaces", "hub", "routing", "adapters"},
 }
-"""What each part of ``bridge`` may import beside itself; the command line, the doctor and the demo may import all."""
+"""Other parts that each part of ``bridge`` may import; the command line, the doctor and the demo may import all."""
 
 
 def imported(file: Path) -> set[str]:
@@ -61,13 +61,13 @@ def imported(file: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("tool", sorted(TOOLS))
-def test_the_tools_import_the_configuration_alone(tool: str) -> None:
-    found = imported(ROOT / "bridge" / f"{tool}.py")
-    assert not {name for name in found if name.partition(".")[0] not in {*TOOLS, "config"}}
+def test_tools_import_only_the_configuration(tool: str) -> None:
+    names = imported(ROOT / "bridge" / f"{tool}.py")
+    assert not {name for name in names if name.partition(".")[0] not in {*TOOLS, "config"}}
 
 
 @pytest.mark.parametrize("part", BELOW)
-def test_imports_point_one_way(part: str) -> None:
+def test_parts_import_only_lower_parts(part: str) -> None:
     allowed = {part, *BELOW[part]}
     folder = ROOT / "bridge" / part
     inner = [ROOT / "bridge" / other for other in BELOW if other.startswith(f"{part}/")]
@@ -82,12 +82,12 @@ def test_imports_point_one_way(part: str) -> None:
 
 
 SIDES = ("ros1", "ros2", "yarp", "zenoh")
-OF_OTHERS = {"environment", "names"}
-"""Of another side, which need nothing of its middleware: whether it can run here, and what its names become."""
+SHARED = {"environment", "names"}
+"""Modules that other sides may import since they need no middleware: whether a side can run, and its names."""
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_no_side_reaches_into_another(side: str) -> None:
+def test_sides_do_not_import_each_other(side: str) -> None:
     others = [f"adapters.{other}" for other in SIDES if other != side]
     wrong = {
         f"{file.relative_to(ROOT)} imports {module}.{name}"
@@ -95,13 +95,13 @@ def test_no_side_reaches_into_another(side: str) -> None:
         for module, name in named(file)
         for other in others
         if f"{module}.{name}".startswith(f"{other}.")
-        and not any(f"{module}.{name}.".startswith(f"{other}.{part}.") for part in OF_OTHERS)
+        and not any(f"{module}.{name}.".startswith(f"{other}.{part}.") for part in SHARED)
     }
     assert not wrong
 
 
 def named(file: Path) -> set[tuple[str, str]]:
-    """What a file imports of ``bridge``: module and name."""
+    """Return what a file imports from ``bridge``: modules and names."""
     return {
         (node.module.removeprefix("bridge."), alias.name)
         for node in ast.walk(ast.parse(file.read_text()))
@@ -110,7 +110,7 @@ def named(file: Path) -> set[tuple[str, str]]:
     }
 
 
-def test_the_simulator_stands_on_the_hub_the_module_host_and_yarp_compat() -> None:
+def test_the_simulator_imports_only_the_hub_the_module_host_and_yarp_compat() -> None:
     below = {"bridge.clock", "bridge.config", "bridge.hub", "bridge.messages", "bridge.modules", "bridge.stores"}
     allowed = {*below, "bridge.tf", "bridge.worker", "sim", "yarp_compat"}
     wrong = {
@@ -123,7 +123,7 @@ def test_the_simulator_stands_on_the_hub_the_module_host_and_yarp_compat() -> No
     assert not wrong
 
 
-def test_navigation_stands_on_the_hub_the_store_and_the_module_host() -> None:
+def test_navigation_imports_only_the_hub_the_store_and_the_module_host() -> None:
     below = {"bridge.clock", "bridge.config", "bridge.hub", "bridge.messages", "bridge.modules", "bridge.stores"}
     below |= {"bridge.concurrency", "bridge.kernels", "bridge.routing.stall", "bridge.routing.processes"}
     allowed = {*below, "bridge.tf", "bridge.worker", "navigation", "yarp_compat"}
@@ -138,26 +138,26 @@ def test_navigation_stands_on_the_hub_the_store_and_the_module_host() -> None:
 
 
 _ARRAYS = ("sig", "dev", "octomap.py", "octree.py")
-"""What of yarp_compat needs numpy; nothing else imports it."""
+"""The parts of yarp_compat that need numpy; no others import it."""
 
 
-def test_yarp_compat_stands_alone() -> None:
-    late = {"PIL", "yaml"}  # the files of maps
+def test_yarp_compat_imports_nothing_of_midspan() -> None:
+    late = {"PIL", "yaml"}  # for map files
     allowed = sys.stdlib_module_names | {"yarp_compat", "numpy", *late}
     folder = ROOT / "yarp_compat"
-    found = {(file.relative_to(folder), *found) for file in folder.rglob("*.py") for found in every_import(file)}
-    wrong = {f"{file} imports {name}" for file, name, _ in found if name.split(".")[0] not in allowed}
+    imports = {(file.relative_to(folder), *entry) for file in folder.rglob("*.py") for entry in every_import(file)}
+    wrong = {f"{file} imports {name}" for file, name, _ in imports if name.split(".")[0] not in allowed}
     eager = {
-        f"{file} imports {name}: where it is missing, the rest still works"
-        for file, name, lazy in found
+        f"{file} imports {name} at import time; it is optional, so import it in the function that needs it"
+        for file, name, lazy in imports
         if not lazy and (name.split(".")[0] in late or (name.split(".")[0] == "numpy" and file.parts[0] not in _ARRAYS))
     }
-    assert found
+    assert imports
     assert not wrong | eager
 
 
 def every_import(file: Path) -> set[tuple[str, bool]]:
-    """All names that a file imports, and whether it does so only when it comes to need them."""
+    """Return the modules that a file imports, each with whether it is imported lazily."""
     tree = ast.parse(file.read_text())
     at_once = {id(node) for node in _at_once(tree)}
     names = set[tuple[str, bool]]()
@@ -170,7 +170,7 @@ def every_import(file: Path) -> set[tuple[str, bool]]:
 
 
 def _at_once(node: ast.AST) -> Iterator[ast.AST]:
-    """What runs when a file is imported: not its functions, nor what is there for the type checker only."""
+    """Yield the nodes that run when a file is imported: no functions, and nothing for the type checker only."""
     for child in ast.iter_child_nodes(node):
         if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef)):
             continue

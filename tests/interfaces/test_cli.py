@@ -1,4 +1,4 @@
-"""`midspan interfaces` as a person calls it."""
+"""The command `midspan interfaces`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.support.missing import COMPILER, needs
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder of packages: one with msg/, one with .msg files in the folder itself."""
+    """A folder with two packages: one with msg/, one with .msg files in the folder itself."""
     for file in ("workspace/midspan_one_msgs/msg/One.msg", "workspace/midspan_two_msgs/Two.msg"):
         (tmp_path / file).parent.mkdir(parents=True)
         (tmp_path / file).write_text("int8 value\n", encoding="utf-8")
@@ -30,15 +30,15 @@ def folder(tmp_path: Path) -> Path:
 @needs(COMPILER)
 def test_build_and_list(folder: Path, cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["interfaces", "build", str(folder), "--cache", str(cache), "--json"]) == 0
-    told = capsys.readouterr()
-    assert "midspan_one_msgs: built" in told.err
-    result = json.loads(told.out)
+    printed = capsys.readouterr()
+    assert "midspan_one_msgs: built" in printed.err
+    result = json.loads(printed.out)
     assert result["packages"] == ["midspan_one_msgs", "midspan_two_msgs"]
     assert (Path(result["prefix"]) / SITE / "midspan_two_msgs" / "msg" / "_two.py").is_file()
     assert main(["interfaces", "build", str(folder), "--cache", str(cache)]) == 0
-    told = capsys.readouterr()
-    assert told.err == ""
-    assert f"export PYTHONPATH={result['prefix']}/{SITE}" in told.out
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert f"export PYTHONPATH={result['prefix']}/{SITE}" in printed.out
     assert main(["interfaces", "list", "--cache", str(cache), "--json"]) == 0
     states = {(row["package"], row["state"]) for row in json.loads(capsys.readouterr().out)}
     assert {("midspan_one_msgs", "built"), ("std_msgs", "installed")} <= states
@@ -46,24 +46,24 @@ def test_build_and_list(folder: Path, cache: Path, capsys: pytest.CaptureFixture
 
 
 TEXTS = {
-    "msg/Say.msg": r'string greeting "say \"hi\" and \"bye\""' + "\n",
+    "msg/Greet.msg": r'string greeting "call \"hi\" and \"bye\""' + "\n",
     "msg/Umlaut.msg": 'string greeting "grüß  dich_"\nstring NAME=日本\nwstring wide "é😀"\n',
-    "msg/Words.msg": r"""string[] words ["say \"hi\"", 'it\'s', "grüß, dich", plain]""" + "\n",
+    "msg/Words.msg": r"""string[] words ["call \"hi\"", 'it\'s', "grüß, dich", plain]""" + "\n",
     "srv/Ask.srv": "string query \"a=b\"\n------\nstring<=9 reply 'it\\'s'\n",
 }
 SHOW = """
-from renamed_msgs.msg import Say, Umlaut, Words
+from renamed_msgs.msg import Greet, Umlaut, Words
 from renamed_msgs.srv import Ask
-print([Say().greeting, Umlaut().greeting, Umlaut.NAME, Umlaut().wide, Words().words, Ask.Request().query,
+print([Greet().greeting, Umlaut().greeting, Umlaut.NAME, Umlaut().wide, Words().words, Ask.Request().query,
        Ask.Response().reply])
 """
 
 
 @needs(COMPILER)
-def test_a_packages_own_folder_with_texts_of_all_kinds(
+def test_the_folder_of_a_package_with_unusual_strings(
     tmp_path: Path, cache: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its name is that of its package.xml, whatever the checkout is called."""
+    """The package gets its name from package.xml, not from the folder."""
     folder = tmp_path / "checkout-main"
     for path, text in TEXTS.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
@@ -76,18 +76,18 @@ def test_a_packages_own_folder_with_texts_of_all_kinds(
     done = subprocess.run(
         [sys.executable, "-c", SHOW], env=env, capture_output=True, text=True, check=False, timeout=60
     )
-    words = ['say "hi"', "it's", "grüß, dich", "plain"]
-    values = ['say "hi" and "bye"', "grüß  dich_", "日本", "é😀", words, "a=b", "it's"]
+    strings = ['call "hi"', "it's", "grüß, dich", "plain"]
+    values = ['call "hi" and "bye"', "grüß  dich_", "日本", "é😀", strings, "a=b", "it's"]
     assert done.stdout == f"{values}\n", done.stderr
     share = Path(result["prefix"]) / "share" / "renamed_msgs"
     assert (share / "srv" / "Ask.srv").read_text().splitlines()[1] == "---"
-    assert (share / "msg" / "Say.msg").read_text() == TEXTS["msg/Say.msg"]
-    own = Registry(folders=[folder.parent], prefixes=[Path(result["prefix"])])
-    assert own.schema("renamed_msgs/msg/Words").root.fields[0].default == tuple(words)
-    assert own.schema("renamed_msgs/msg/Say").root.fields[0].default == values[0]
+    assert (share / "msg" / "Greet.msg").read_text() == TEXTS["msg/Greet.msg"]
+    registry = Registry(folders=[folder.parent], prefixes=[Path(result["prefix"])])
+    assert registry.schema("renamed_msgs/msg/Words").root.fields[0].default == tuple(strings)
+    assert registry.schema("renamed_msgs/msg/Greet").root.fields[0].default == values[0]
 
 
-def test_a_fault_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "midspan_one_msgs/msg/One.msg").write_text("in8 value\n", encoding="utf-8")
     assert main(["interfaces", "build", str(folder)]) == 1
     assert capsys.readouterr().err.startswith("midspan: midspan_one_msgs/msg/One.msg:1: unknown type 'in8'")

@@ -1,4 +1,4 @@
-"""The worker of metrics on a hub: what it answers, to whom, and when the hub or a worker does not."""
+"""The metrics worker on a hub: its responses, its access control, and faults of the hub or of another worker."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OPENMETRICS = "application/openmetrics-text; version=1.0.0"
 
 
 class Place:
-    """A hub with one worker of the daemon ``here``, and the worker of metrics."""
+    """A hub with a worker of the daemon ``here``, a worker of the daemon ``there``, and the metrics worker."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -57,7 +57,7 @@ class Place:
         return self.worker
 
     def ask(self, path: str, accept: str = "", tls: ssl.SSLContext | None = None, token: str = "") -> Any:
-        """Status, type and text of an answer."""
+        """Return the status, content type and text of a response."""
         assert self.worker is not None
         assert self.worker.server is not None
         port = self.worker.server.port
@@ -90,19 +90,19 @@ class Place:
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    made = Place(tmp_path)
-    yield made
-    made.close()
+    opened = Place(tmp_path)
+    yield opened
+    opened.close()
 
 
 def test_both_formats(place: Place) -> None:
     worker = place.start()
     worker.health()
-    until(lambda: "midspan_route_messages" in place.families(), "the router knows who is to be asked", 20)
+    until(lambda: "midspan_route_messages" in place.families(), "the routes are exported", 20)
     status, kind, text = place.ask("/metrics")
     assert (status, kind) == (200, "text/plain; version=0.0.4; charset=utf-8")
     assert [s.value for f in parse(text) if f.name == "midspan_route_messages" for s in f.samples] == [3], (
-        "its own alone"
+        "only the routes of this daemon"
     )
     status, kind, text = place.ask("/metrics", OPENMETRICS)
     assert status == 200
@@ -110,46 +110,46 @@ def test_both_formats(place: Place) -> None:
     assert "midspan_route_carry_seconds" in {family.name for family in parse_openmetrics(text)}
 
 
-def test_it_answers_without_a_hub_and_joins_it_later(place: Place) -> None:
+def test_it_responds_without_a_hub_and_joins_it_later(place: Place) -> None:
     place.hubs.stop_router()
     worker = place.start()
     assert "no router" in worker.health().text
     assert place.families()["midspan_hub_up"][0].value == 0
     place.hubs.start_router()
 
-    def told() -> bool:
+    def has_routes() -> bool:
         worker.health()
         return "midspan_route_messages" in place.families()
 
-    until(told, "the routes are told of", 20, every=0.2)
+    until(has_routes, "the routes are exported", 20, every=0.2)
     place.hubs.stop_router()
-    until(lambda: place.families()["midspan_hub_up"][0].value == 0, "the router is gone", 20, every=0.2)
+    until(lambda: place.families()["midspan_hub_up"][0].value == 0, "the hub is reported as down", 20, every=0.2)
     place.hubs.start_router()
-    until(told, "they are again", 20, every=0.2)
+    until(has_routes, "the routes are exported again", 20, every=0.2)
 
 
-def test_one_that_hangs_does_not_hold_up_the_others(place: Place) -> None:
+def test_a_hanging_worker_does_not_delay_the_others(place: Place) -> None:
     hangs = threading.Event()
     stuck = Hub.open(place.hubs.settings("ros2", "ros2", "here"))
     try:
         stuck.serve("status", lambda _params: hangs.wait(30))
         place.start().health()
         families = place.families()
-        assert families["midspan_route_messages"], "who answers is told of"
+        assert families["midspan_route_messages"], "the worker that responds is exported"
         assert 0.9 < families["midspan_ask_duration_seconds"][0].value < 5.0
     finally:
         hangs.set()
         stuck.close()
 
 
-def test_it_lives_and_is_not_ready_without_a_daemon(place: Place) -> None:
+def test_it_is_alive_but_not_ready_without_a_daemon(place: Place) -> None:
     place.start()
     assert place.ask("/healthz") == (200, "text/plain; charset=utf-8", "alive\n")
     assert place.ask("/readyz")[::2] == (503, "no daemon of the name 'here' answers\n")
     assert place.ask("/none")[0] == 404
 
 
-def test_who_comes_from_elsewhere_says_who_it_is(place: Place, tmp_path: Path) -> None:
+def test_another_machine_needs_a_token(place: Place, tmp_path: Path) -> None:
     authority = Authority(tmp_path / "keys")
     authority.make()
     authority.issue("here", ["127.0.0.1"])
@@ -167,7 +167,7 @@ def test_who_comes_from_elsewhere_says_who_it_is(place: Place, tmp_path: Path) -
     assert "no daemon" in place.ask("/readyz", tls=tls, token=TOKEN[0])[2]
 
 
-def test_an_address_that_others_reach_without_protection_is_refused(place: Place) -> None:
+def test_a_public_address_without_protection_is_refused(place: Place) -> None:
     with pytest.raises(ConfigError, match=r"metrics\.listen.*web\.tokens"):
         loads("metrics: {enabled: true, listen: '0.0.0.0:9480'}")
     with pytest.raises(RuntimeError, match=r"metrics\.listen: other machines reach"):
@@ -177,17 +177,17 @@ def test_an_address_that_others_reach_without_protection_is_refused(place: Place
     assert loads("metrics: {listen: '0.0.0.0:9480'}").metrics.reached
 
 
-def test_an_address_that_is_taken_is_told(place: Place) -> None:
+def test_an_address_in_use_is_reported(place: Place) -> None:
     worker = place.start()
     assert worker.server is not None
-    again = MetricsWorker()
+    second = MetricsWorker()
     listen = f"127.0.0.1:{worker.server.port}"
     with pytest.raises(RuntimeError, match=f"the worker metrics cannot listen on {listen}: .*; set metrics.listen"):
-        again.start(Config.model_validate({"state": place.folder, "metrics": {"enabled": True, "listen": listen}}))
-    again.stop()
+        second.start(Config.model_validate({"state": place.folder, "metrics": {"enabled": True, "listen": listen}}))
+    second.stop()
 
 
-def test_the_console_answers_the_same(desk: Desk) -> None:
+def test_the_console_serves_the_same_metrics(desk: Desk) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", desk.port, timeout=20)
     with_worker = Hub.open(desk.hubs.settings("ros1", "ros1", "here"))
     try:
@@ -197,11 +197,11 @@ def test_the_console_answers_the_same(desk: Desk) -> None:
             connection.request("GET", path)
             return connection.getresponse().read().decode()
 
-        def told() -> dict[str, Any]:
+        def with_routes() -> dict[str, Any]:
             families = {family.name: family.samples for family in parse(get("/metrics"))}
             return families if "midspan_route_messages" in families else {}
 
-        families = until(told, "the route is told of", 10)
+        families = until(with_routes, "the route is exported", 10)
         assert (get("/healthz"), get("/readyz")) == ("alive\n", "no daemon of the name 'here' answers\n")
     finally:
         connection.close()

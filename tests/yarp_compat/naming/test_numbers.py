@@ -1,4 +1,4 @@
-"""The TCP port numbers of our ports, beside a name server that gives out its own without trying them."""
+"""The TCP port numbers of our ports, with a name server that assigns numbers without a check for free ones."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def fixture_server() -> Iterator[RealNameServer]:
 
 
 def native_open(names: NameClient, name: str) -> None:
-    """What YARP's own ``Port::open`` does: register, then listen at the number it is given, and at no other."""
+    """Open a port like YARP's ``Port::open``: register, then listen only on the assigned number."""
     contact = names.register(name)
     try:
         with socket.socket() as sock:
@@ -35,10 +35,10 @@ def native_open(names: NameClient, name: str) -> None:
         names.unregister(name)
 
 
-def test_surviving_ports_are_no_obstacle_to_new_programs(
+def test_open_ports_do_not_block_the_numbers_of_new_programs(
     server: RealNameServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A yarpserver that forgot everything gives out its first numbers again: none of our ports holds one of them."""
+    """A restarted yarpserver assigns its first numbers again; our ports must not use any of them."""
     monkeypatch.setattr(client_module, "PERIOD", 0.05)
     names, native = NameClient(server.address), NameClient(server.address)
     ours = [PortCore(f"/ours/{i}", naming=names) for i in range(5)]
@@ -47,7 +47,7 @@ def test_surviving_ports_are_no_obstacle_to_new_programs(
             port.open()
         server.forget()
         for i in range(5):
-            native_open(native, f"/at_once/{i}")  # before ours are known again
+            native_open(native, f"/at_once/{i}")  # before ours are registered again
         until(where(names, *ours), "ours are registered again")
         for i in range(5):
             native_open(native, f"/later/{i}")
@@ -58,7 +58,7 @@ def test_surviving_ports_are_no_obstacle_to_new_programs(
 
 
 def test_a_name_gets_its_number_again(server: RealNameServer) -> None:
-    """Also at a name server that forgot it, and the next one where somebody listens at it."""
+    """Also after a restart of the name server; if another program listens on the number, the port gets the next one."""
     names = NameClient(server.address)
     port = PortCore("/ours", naming=names)
     first = port.open().port
@@ -78,7 +78,7 @@ def test_a_name_gets_its_number_again(server: RealNameServer) -> None:
 
 @pytest.mark.parametrize("base", [1024, 10000, 45536, 45537, 60000, 65000])
 def test_beside(base: int) -> None:
-    """As many numbers as the name server gives out, and none of those."""
+    """The range is as long as the name server's, and disjoint from it."""
     numbers = beside(base)
     assert len(numbers) == LAST_OFFSET + 1
     assert numbers[0] > 1024
@@ -86,11 +86,11 @@ def test_beside(base: int) -> None:
     assert not set(numbers) & set(range(base, base + LAST_OFFSET + 1))
 
 
-def test_numbers_are_those_that_are_wanted(server: RealNameServer) -> None:
-    """A range that a site's firewall lets through; an empty one leaves the choice to the name server."""
-    here = server.address.port
-    for numbers in (range(here + 30, here + 60), range(0)):
+def test_numbers_are_in_the_requested_range(server: RealNameServer) -> None:
+    """A site's firewall may need a range; with an empty one, the name server chooses."""
+    base = server.address.port
+    for numbers in (range(base + 30, base + 60), range(0)):
         port = PortCore("/ours", naming=NameClient(server.address, numbers=numbers))
         number = port.open().port
         port.close()
-        assert number in (numbers or range(here + 2, here + 3))
+        assert number in (numbers or range(base + 2, base + 3))
