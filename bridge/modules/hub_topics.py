@@ -1,9 +1,9 @@
-"""All topics of the hub, and the messages of chosen ones as bytes: for those that keep or show whatever there is.
+"""All topics of the hub, and the messages of chosen ones as bytes, for recorders and viewers.
 
-`HubTopics` tells which topics there are, with all publishers, and hears those that are asked for: CDR as it came, with
-the attachment's number, source time and publisher. Nobody builds message objects here.
+`HubTopics` lists the topics with all their publishers, and subscribes to chosen ones. It passes on the received CDR,
+with the sequence number, source time and publisher from the attachment, and builds no message objects.
 
-What waits for its turn, and how much of it, is for the one who hears: `heard` is called on zenoh's threads.
+Callbacks run on zenoh's threads. It is up to the caller to queue messages, and to bound the queue.
 """
 
 from __future__ import annotations
@@ -33,31 +33,31 @@ from bridge.routing.limits import combined_qos
 _log = logging.getLogger(__name__)
 
 ASK_AGAIN_SECONDS = 10.0
-"""After so long the workers are asked again for a definition that nobody had."""
+"""Seconds after which the workers are asked again for a definition that none of them had."""
 
 _ASK_SECONDS = 2.0
 _LATCHED_DEPTH = 1000
-"""Samples of each latched publisher that are asked for at most; one that keeps fewer gives fewer."""
+"""The most samples that are requested from each latched publisher."""
 
 _MAX_SEEN = 4096
-_MAX_ASKED = 10_000
+_MAX_QUERIES = 10_000
 
 
 class TopicKey(NamedTuple):
-    """What tells topics apart: one name may carry several types, and a type several versions."""
+    """The identity of a topic: one name may have several types, and a type several versions."""
 
     topic: str
     type_name: str
-    """As ROS 2 spells it, ``std_msgs/msg/String``."""
+    """In ROS 2's form, ``std_msgs/msg/String``."""
     type_hash: str
 
 
 @dataclass(frozen=True, slots=True)
 class HubTopic:
-    """A topic as it is published on the hub now.
+    """A topic that is published on the hub.
 
     Attributes:
-        publishers: all but those of this very session, in the order in which they came; at least one.
+        publishers: all except those of this session, in order of their appearance; at least one.
     """
 
     key: TopicKey
@@ -65,84 +65,84 @@ class HubTopic:
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """The sides that it comes from, sorted; ``zenoh`` for native participants of the hub."""
+        """The sides of its publishers, sorted; ``zenoh`` for native participants of the hub."""
         return tuple(sorted({origin_side(publisher) for publisher in self.publishers}))
 
     @property
     def latched(self) -> bool:
-        """Whether a publisher keeps messages for late joiners."""
+        """Whether a publisher stores messages for late joiners."""
         return any(publisher.qos.latched for publisher in self.publishers)
 
 
 def published(endpoints: Iterable[HubEndpoint], *, taps: bool = False) -> dict[TopicKey, HubTopic]:
-    """The topics of these publishers.
+    """Return the topics of these publishers.
 
     Args:
         endpoints: publishers on the hub.
-        taps: also what workers show of a side to those who ask for it (`bridge.hub.graph.tokens.TAPS`).
+        taps: include topics that workers show of a side upon request (`bridge.hub.graph.tokens.TAPS`).
     """
-    found: dict[TopicKey, list[HubEndpoint]] = {}
+    publishers: dict[TopicKey, list[HubEndpoint]] = {}
     for endpoint in endpoints:
-        # one that is pending is told again once its origin is known
+        # a pending endpoint is announced again once its origin is known
         if not (endpoint.own or endpoint.pending) and (taps or not endpoint.topic.startswith(TAPS)):
-            found.setdefault(TopicKey(endpoint.topic, endpoint.type_name, endpoint.type_hash), []).append(endpoint)
-    return {key: HubTopic(key, tuple(publishers)) for key, publishers in found.items()}
+            publishers.setdefault(TopicKey(endpoint.topic, endpoint.type_name, endpoint.type_hash), []).append(endpoint)
+    return {key: HubTopic(key, tuple(endpoints)) for key, endpoints in publishers.items()}
 
 
 class HeardTopic:
-    """A topic that is heard; made by `HubTopics.hear`, renewed by `HubTopics.look`.
+    """A subscribed topic, created by `HubTopics.hear` and renewed by `HubTopics.look`.
 
-    Once a publisher keeps messages for late joiners they come too, each once. Messages of one publisher come in order,
-    but for what it kept from before, where it appeared beside others that keep nothing.
+    If a publisher stores messages for late joiners, these are received as well, each once. Messages of one publisher
+    are in order, except for the stored ones of a latched publisher that joins publishers without stored messages.
 
     Attributes:
-        key: which one.
-        trouble: why it cannot be heard, "" where it can.
+        key: the topic.
+        trouble: the reason why it cannot be subscribed, "" if it is.
     """
 
-    def __init__(self, hub: Hub, key: TopicKey, heard: Callable[[HubSample], None]) -> None:
+    def __init__(self, hub: Hub, key: TopicKey, on_sample: Callable[[HubSample], None]) -> None:
         self.key, self.trouble = key, ""
-        self._hub, self._heard = hub, heard
+        self._hub, self._on_sample = hub, on_sample
         self._lock, self._renewing = Lock(), Lock()
         self._seen: dict[bytes, tuple[int, int]] = {}
-        self._ends: list[HubSubscription] = []
+        self._subscriptions: list[HubSubscription] = []
         self._latched = False
         self._closed = False
         self._lost = self._refused = 0
 
     @property
     def lost(self) -> int:
-        """Messages that publishers numbered and that never came."""
-        return self._lost + sum(end.lost for end in self._ends)
+        """The number of messages that never arrived, by the publishers' sequence numbers."""
+        return self._lost + sum(subscription.lost for subscription in self._subscriptions)
 
     @property
     def refused(self) -> int:
-        """Messages that the hub left out: too large, or without the attachment that rmw_zenoh puts on each."""
-        return self._refused + sum(end.refused for end in self._ends)
+        """The number of messages that the hub refused: too large, or without the attachment of rmw_zenoh."""
+        return self._refused + sum(subscription.refused for subscription in self._subscriptions)
 
     def renew(self, publishers: Iterable[HubEndpoint]) -> None:
-        """Subscribe as these publishers need it; where it is done already, nothing."""
+        """Subscribe with the QoS that these publishers need, unless the subscription already has it."""
         with self._renewing:
             self._renew(combined_qos([publisher.qos for publisher in publishers]))
 
     def _renew(self, qos: Qos) -> None:
-        if self._closed or (self._ends and (self._latched or not qos.latched)):
+        if self._closed or (self._subscriptions and (self._latched or not qos.latched)):
             return
-        # of one that is latched from the start nothing comes twice
-        take = self._heard if qos.latched and not self._ends else self._take
+        # a subscription that is latched from the start has no predecessor, and thus no duplicates
+        on_sample = self._on_sample if qos.latched and not self._subscriptions else self._on_possible_duplicate
         if qos.latched:
             qos = Qos(qos.reliability, Durability.TRANSIENT_LOCAL, depth=_LATCHED_DEPTH)
         try:
-            end = self._hub.subscription(*self.key, qos, take)
+            subscription = self._hub.subscription(*self.key, qos, on_sample)
         except HubError as err:
             self.trouble = str(err)
             return
-        before, self._ends, self._latched, self.trouble = self._ends, [end], qos.latched, ""
-        self._leave(before)  # only now, so that nothing is missed; what comes twice is left out by `_take`
+        before, self._subscriptions, self._latched, self.trouble = self._subscriptions, [subscription], qos.latched, ""
+        self._close(before)  # only now, so that no message is missed; `_is_new` filters the duplicates
 
-    def _take(self, sample: HubSample) -> None:
+    def _on_possible_duplicate(self, sample: HubSample) -> None:
         if self._is_new(sample):
-            self._heard(sample)
+            self._on_sample(sample)
 
     def _is_new(self, sample: HubSample) -> bool:
         number = sample.sequence
@@ -156,107 +156,107 @@ class HeardTopic:
         return True
 
     def close(self) -> None:
-        """Hear no more. Safe to call twice."""
+        """Unsubscribe. Safe to call twice."""
         with self._renewing:
             self._closed = True
-            self._leave(self._ends)
-            self._ends = []
+            self._close(self._subscriptions)
+            self._subscriptions = []
 
-    def _leave(self, ends: list[HubSubscription]) -> None:
-        for end in ends:
-            end.close()
-            self._lost += end.lost
-            self._refused += end.refused
+    def _close(self, subscriptions: list[HubSubscription]) -> None:
+        for subscription in subscriptions:
+            subscription.close()
+            self._lost += subscription.lost
+            self._refused += subscription.refused
 
 
 @dataclass(slots=True)
-class _Asked:
-    """A question for a definition; ``since`` in monotonic seconds."""
+class _Query:
+    """A query for a definition; ``since`` in monotonic seconds."""
 
     since: float
     answered: Event = field(default_factory=Event)
 
 
 class Definitions:
-    """Full definitions of types by their very hash: of those installed here, and of those that the workers know.
+    """Full definitions of types by name and hash: of installed types, and of types that the workers know.
 
-    Safe to use from any thread. A thread of its own asks.
+    Safe to use from any thread. Its own thread queries the workers.
     """
 
     def __init__(self, hub: Hub, registry: Registry) -> None:
         self._hub, self._registry = hub, registry
         self._executor = SerialExecutor("hub-definitions")
         self._lock = Lock()
-        self._found: dict[tuple[str, str], str] = {}
-        self._asked: dict[tuple[str, str], _Asked] = {}
+        self._definitions: dict[tuple[str, str], str] = {}
+        self._queries: dict[tuple[str, str], _Query] = {}
 
     def find(self, type_name: str, type_hash: str, seconds: float = 0.0) -> str | None:
-        """A type's definition, its own first, then those that it nests (the form of ``ros2msg``).
+        """Return a type's definition, followed by those of its nested types (the form of ``ros2msg``).
 
         Args:
-            type_name: as ROS 2 spells it.
-            type_hash: of the very version.
-            seconds: how long to wait for the workers' answer where it is not installed.
+            type_name: in ROS 2's form.
+            type_hash: of the version.
+            seconds: how long to wait for the workers' answers if the type is not installed.
 
         Returns:
-            None where nobody has told it by then; the workers are asked, and are asked again later.
+            None if no worker has sent it by then; a later call queries the workers again.
         """
         key = type_name, type_hash
-        found = self._found.get(key)
-        if found is not None:
-            return found
-        if (found := self._look(key)) is not None:
-            return found
-        asked = self._ask(key)
-        if seconds > 0.0 and asked.answered.wait(seconds):
-            return self._found.get(key)
+        definition = self._definitions.get(key)
+        if definition is not None:
+            return definition
+        if (definition := self._from_registry(key)) is not None:
+            return definition
+        query = self._query(key)
+        if seconds > 0.0 and query.answered.wait(seconds):
+            return self._definitions.get(key)
         return None
 
-    def _look(self, key: tuple[str, str]) -> str | None:
+    def _from_registry(self, key: tuple[str, str]) -> str | None:
         try:
             text = full_text(self._registry.schema(*key))
         except MessageTypeError:
             return None
-        self._found[key] = text
+        self._definitions[key] = text
         return text
 
-    def _ask(self, key: tuple[str, str]) -> _Asked:
+    def _query(self, key: tuple[str, str]) -> _Query:
         now = time.monotonic()
         with self._lock:
-            asked = self._asked.get(key)
-            if asked is None or (asked.answered.is_set() and now - asked.since > ASK_AGAIN_SECONDS):
-                if len(self._asked) > _MAX_ASKED:
-                    self._asked.clear()
-                asked = self._asked[key] = _Asked(now)
-                self._executor.submit(partial(self._learn, key, asked))
-        return asked
+            query = self._queries.get(key)
+            if query is None or (query.answered.is_set() and now - query.since > ASK_AGAIN_SECONDS):
+                if len(self._queries) > _MAX_QUERIES:
+                    self._queries.clear()
+                query = self._queries[key] = _Query(now)
+                self._executor.submit(partial(self._query_workers, key, query))
+        return query
 
-    def _learn(self, key: tuple[str, str], asked: _Asked) -> None:
+    def _query_workers(self, key: tuple[str, str], query: _Query) -> None:
         try:
             answers = self._hub.ask(VERB, {"name": key[0]}, timeout=_ASK_SECONDS)
             definition = definition_among(answers, key[1])
             if definition is not None:
                 self._registry.learn_ros2(key[0], definition)
-                self._look(key)
+                self._from_registry(key)
         except (HubError, MessageTypeError) as err:
-            _log.warning("the definition of %s: %s", key[0], err)
+            _log.warning("cannot get the definition of %s: %s", key[0], err)
         finally:
-            asked.answered.set()
+            query.answered.set()
 
     def close(self) -> None:
-        """Ask no more."""
+        """Stop the thread."""
         self._executor.close()
 
 
 class HubTopics:
-    """The hub's topics, and those of them that are heard. Safe to use from any thread.
+    """The hub's topics, and subscriptions to some of them. Safe to use from any thread.
 
     Args:
-        hub: the session; it stays open.
+        hub: the session, which stays open.
         registry: of types.
-        changed: called after each change of the hub's graph, on a thread of zenoh: it only wakes a thread, which then
-            calls `look`.
-        taps: whether what workers show of a side to those who ask for it counts, too.
+        changed: called after each change of the hub's graph, on a thread of zenoh: it should only wake a thread, which
+            then calls `look`.
+        taps: include topics that workers show of a side upon request.
 
     Attributes:
         definitions: of the topics' types.
@@ -267,61 +267,60 @@ class HubTopics:
     ) -> None:
         self._hub, self._taps = hub, taps
         self._lock = threading.RLock()
-        self._heard: dict[TopicKey, HeardTopic] = {}
+        self._subscribed: dict[TopicKey, HeardTopic] = {}
         self.definitions = Definitions(hub, registry)
         self._watch = hub.graph.watch(changed) if changed is not None else None
 
     def look(self) -> dict[TopicKey, HubTopic]:
-        """The topics that are published now; those that are heard are heard as their publishers need it."""
-        found = published(self._hub.graph.publishers(), taps=self._taps)
+        """Return the topics that are published now; renew the subscriptions with the QoS that their publishers need."""
+        topics = published(self._hub.graph.publishers(), taps=self._taps)
         with self._lock:
-            heard = list(self._heard.values())
-        for topic in heard:
-            if topic.key in found:
-                topic.renew(found[topic.key].publishers)
-        return found
+            subscribed = list(self._subscribed.values())
+        for topic in subscribed:
+            if topic.key in topics:
+                topic.renew(topics[topic.key].publishers)
+        return topics
 
-    def hear(self, topic: HubTopic, heard: Callable[[HubSample], None]) -> HeardTopic:
-        """Hear a topic, until `close` or `unhear`; one that is heard already stays as it is.
+    def hear(self, topic: HubTopic, on_sample: Callable[[HubSample], None]) -> HeardTopic:
+        """Subscribe to a topic until `close` or `unhear`; an existing subscription keeps its callback.
 
-        ``heard`` is called on zenoh's threads, several at a time: it keeps what it is given, and wakes. A sample's
-        payload may lie in its sender's shared memory, of which there is little: who keeps it keeps a copy
-        (`HubSample.data`).
+        ``on_sample`` runs on several zenoh threads at a time: it should only queue the sample and wake a thread.
+        The payload of a sample may be in its sender's shared memory, which is scarce: queue a copy (`HubSample.data`).
         """
         with self._lock:
-            found = self._heard.get(topic.key)
-            if found is None:
-                found = self._heard[topic.key] = HeardTopic(self._hub, topic.key, heard)
-        found.renew(topic.publishers)
-        return found
+            subscribed = self._subscribed.get(topic.key)
+            if subscribed is None:
+                subscribed = self._subscribed[topic.key] = HeardTopic(self._hub, topic.key, on_sample)
+        subscribed.renew(topic.publishers)
+        return subscribed
 
     def unhear(self, key: TopicKey) -> HeardTopic | None:
-        """Hear a topic no more; what was heard, with its counts, None where it was not."""
+        """Unsubscribe from a topic; return the closed subscription with its counts, None if there was none."""
         with self._lock:
-            topic = self._heard.pop(key, None)
+            topic = self._subscribed.pop(key, None)
         if topic is not None:
             topic.close()
         return topic
 
     def heard(self) -> list[HeardTopic]:
-        """The topics that are heard."""
+        """Return the subscribed topics."""
         with self._lock:
-            return list(self._heard.values())
+            return list(self._subscribed.values())
 
     def publisher(self, gid: bytes) -> HubEndpoint | None:
-        """The publisher of a sample, None where it is gone or not known yet; to be kept, not to be asked each time."""
+        """Return the publisher of a sample, None if unknown. Cache the result: the call is slow."""
         return self._hub.graph.endpoint(gid)
 
     def origin(self, sample: HubSample) -> Origin | None:
-        """The foreign network that a sample comes from, None for a native participant of the hub. Quick."""
+        """Return the foreign network that a sample comes from, None for a native participant of the hub. Fast."""
         return self._hub.graph.origin_of(sample.zid)
 
     def close(self) -> None:
-        """Hear nothing more. Safe to call twice."""
+        """Unsubscribe from all topics. Safe to call twice."""
         if self._watch is not None:
             self._watch()
         with self._lock:
-            topics, self._heard = list(self._heard.values()), {}
+            topics, self._subscribed = list(self._subscribed.values()), {}
         for topic in topics:
             topic.close()
         self.definitions.close()
