@@ -1,4 +1,4 @@
-"""Watches the other Midspan workers on the side's network, takes part in their election, and holds the lease."""
+"""Follow the other Midspan workers on the side's network, take part in the election, and hold the lease."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bridge.routing.processes import has_ended, process_name
 
 
 class Lease:
-    """The time until which messages may cross. A worker that stood still finds it over, and drops its backlog."""
+    """The time until which messages may cross. It expires while a worker hangs, which then drops its backlog."""
 
     __slots__ = ("_until",)
 
@@ -27,56 +27,57 @@ class Lease:
 
     @property
     def over(self) -> bool:
-        """Whether nothing may cross now. Quick enough to be asked for each message."""
+        """Whether it has expired, and nothing may cross now. Fast enough for a check at each message."""
         return time.monotonic() > self._until
 
     def extend(self, until: float) -> None:
-        """Let messages cross until then, on the monotonic clock."""
+        """Let messages cross until a time on the monotonic clock."""
         self._until = until
 
     def end(self) -> None:
-        """Let nothing cross any more."""
+        """Let nothing cross from now on."""
         self._until = 0.0
 
 
 _log = logging.getLogger(__name__)
 
 FENCE = 0.7
-"""Seconds after its last record for which a worker carries on: less than `bridge.routing.election.SILENCE`."""
+"""Seconds after its last record for which a worker stays active: less than `bridge.routing.election.SILENCE`."""
 
 ALONE = 1.5
-"""The same where no other worker is on the network: one that comes meanwhile waits longer than that."""
+"""The same without other workers on the network: a worker that joins meanwhile waits for longer."""
 
 _ALONE_PERIOD = 0.4
-"""Seconds between two turns where no other worker is seen; one that comes is told of at once."""
+"""Seconds between two turns if no other worker is known; the first one that joins wakes the thread at once."""
 
 _TURN_SECONDS = 3.0
-"""A turn that stands still for longer hangs."""
+"""Seconds without progress after which a turn hangs."""
 
 _PAUSE = 0.02
 _HUB_LINKED = 1.0
-"""Seconds from the first link on the hub until all that is on the hub would be seen."""
+"""Seconds from the first link on the hub until all its sessions are known."""
 
 _HUB_AGAIN = 2.5
-"""The same for one whose links were given up while it stood still: not all come back at once (`bridge.hub.links`)."""
+"""The same after a hang that lost the links, which are restored one after the other (`bridge.hub.links`)."""
 
 _LINKS_LAST = 0.75 * LEASE_MS / 1000
-"""So long it may stand still before the hub's other sessions give its links up: the last keep-alive was sent before."""
+"""Seconds of a hang after which other sessions of the hub drop its links: less than the lease, since the last
+keep-alive was sent before the hang."""
 
 _HUB_ALONE = 3.0
-"""Seconds after which a session without any link counts as the only one on its hub."""
+"""Seconds after which a session without links counts as the only one on its hub."""
 
 
 class PeerWatch:
-    """Exchanges records with the other workers on a thread, decides by `Election`, and keeps the ``lease``."""
+    """A thread that exchanges records with the other workers, decides by `Election`, and holds the ``lease``."""
 
     def __init__(self, edge: Edge, hub: Hub, daemon: str, changed: Callable[[], None]) -> None:
         self._edge, self._hub, self._changed = edge, hub, changed
         self._election = Election(hub.zid, daemon, process_name(), lambda record: has_ended(record.process))
         self.lease = Lease()
         self._outcome = Outcome()
-        self.changes = 0  #: how often the role here was got or lost
-        self._kept: Outcome | None = None
+        self.changes = 0  #: how often this worker became active or stopped being active
+        self._outcome_before_hang: Outcome | None = None
         self._started = self._since = self._turned = time.monotonic()
         self._linked: float | None = None
         self._settling = _HUB_LINKED
@@ -92,16 +93,16 @@ class PeerWatch:
         return self._outcome
 
     def start(self) -> None:
-        """Start taking part; the edge has started."""
+        """Start the thread; call it after the start of the edge."""
         self._started = self._since = self._turned = time.monotonic()
         self._thread.start()
 
     def wake(self) -> None:
-        """Look again soon. May be called from any thread."""
+        """Run a turn soon. May be called from any thread."""
         self._wake.set()
 
     def stop(self) -> None:
-        """Announce that this worker carries nothing any more; its routes are closed by now."""
+        """Announce that this worker has left; call it after its routes are closed."""
         self.lease.end()
         self._stopping.set()
         self._wake.set()
@@ -110,8 +111,8 @@ class PeerWatch:
             self._edge.announce(self._election.leave().encode())
 
     def alive(self) -> str:
-        """As `bridge.routing.engine.Engine.alive`, of this thread."""
-        return self._step.judge(f"watching the other workers on {self._edge.side}", self._turned)
+        """Check this thread, as `bridge.routing.engine.Engine.alive` does for its own."""
+        return self._step.judge(f"following the other workers on {self._edge.side}", self._turned)
 
     def _run(self) -> None:
         self._step.begin()
@@ -121,7 +122,7 @@ class PeerWatch:
             except HubError:
                 return
             except Exception:
-                _log.exception("%s: watching the other workers failed", self._edge.side)
+                _log.exception("%s: following the other workers failed", self._edge.side)
             outcome = self._election.outcome
             alone = outcome.active and len(outcome.members) == 1
             if self._wake.wait(_ALONE_PERIOD if alone else PERIOD):
@@ -129,16 +130,16 @@ class PeerWatch:
                 self._stopping.wait(_PAUSE)
 
     def turn(self) -> None:
-        """Look once who is there, tell the others, and decide; raises `HubError` where the hub is closed."""
+        """Read the others' records, announce the own one, and decide; raises `HubError` if the hub is closed."""
         now = time.monotonic()
         if self._election.outcome.active and self.lease.over:
-            still = now - self._turned
-            _log.warning("%s: stood still for %.1f s; looking who is active now", self._edge.side, still)
+            hang = now - self._turned
+            _log.warning("%s: stood still for %.1f s; checking for another active worker", self._edge.side, hang)
             alone = len(self._outcome.members) == 1
-            self._kept = self._outcome if alone else None
+            self._outcome_before_hang = self._outcome if alone else None
             self._election.lapse(now, same_term=alone)
             self._since = now
-            if still > _LINKS_LAST:
+            if hang > _LINKS_LAST:
                 self._started, self._linked, self._settling = now, None, _HUB_AGAIN
         self._turned = now
         record, urgent = self._election.turn(
@@ -153,22 +154,26 @@ class PeerWatch:
             self.lease.extend(now + (FENCE if len(decided.members) > 1 else ALONE))
         else:
             self.lease.end()
-        outcome = self._with_kept_routes(decided)
+        outcome = self._with_routes_before_hang(decided)
         if outcome != self._outcome:
             self._log_change(outcome)
             self.changes += outcome.active != self._outcome.active
             self._outcome = outcome
             self._changed()
 
-    def _with_kept_routes(self, decided: Outcome) -> Outcome:
-        """The outcome for the engine: who was alone before it stood still keeps its routes until another is met.
+    def _with_routes_before_hang(self, decided: Outcome) -> Outcome:
+        """Return the outcome for the engine: a lone worker keeps its routes after a hang until it meets another.
 
-        Nothing crosses them meanwhile, by the lease. Programs that were connected to our endpoints by hand, as YARP's
-        are, would not connect to new ones.
+        The expired lease blocks the routes meanwhile. Programs that users connected to their endpoints, as on YARP,
+        would not connect to new ones.
         """
         if decided.active or len(decided.members) > 1:
-            self._kept = None
-        return decided if self._kept is None else replace(self._kept, waiting=decided.waiting)
+            self._outcome_before_hang = None
+        return (
+            decided
+            if self._outcome_before_hang is None
+            else replace(self._outcome_before_hang, waiting=decided.waiting)
+        )
 
     def _view(self, now: float) -> HubView:
         graph = self._hub.graph
@@ -176,7 +181,7 @@ class PeerWatch:
             self._linked = now
         since = self._started + _HUB_ALONE if self._linked is None else self._linked + self._settling
         members = graph.members()
-        # One that carries without telling who is on its network, such as a worker of another make, is a network alone.
+        # A worker without a list of the members of its network, such as one of another make, counts as its own network.
         sessions = frozenset(graph.origins())
         silent = sessions - members.keys()
         if silent:
