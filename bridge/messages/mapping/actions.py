@@ -1,10 +1,10 @@
-"""Actions of ROS 1 and ROS 2: which stand for each other, and the services and messages that they are made of.
+"""Corresponding actions of ROS 1 and ROS 2, and the services and messages that they consist of.
 
-What crosses is ROS 2's: the services SendGoal and GetResult, and FeedbackMessage. ROS 1's edge has the same parts in
-ROS 1's serialisation, under the same names: ``move_base_msgs/action/MoveBase_SendGoal`` stands for
-``nav2_msgs/action/NavigateToPose_SendGoal``. What is in them, a ROS 1 action's goal, result and feedback, are messages
-that actionlib sends (``move_base_msgs/MoveBaseGoal``), so they may also be known from connection headers alone. Before
-a result ROS 1's edge puts the text of actionlib's status, which stands for the result's ``error_msg`` in ROS 2.
+The parts that cross are those of ROS 2: the services SendGoal and GetResult, and FeedbackMessage. The ROS 1 adapter
+has the same parts with the same names in ROS 1's serialization: ``move_base_msgs/action/MoveBase_SendGoal`` corresponds
+to ``nav2_msgs/action/NavigateToPose_SendGoal``. They contain the goal, result and feedback of the ROS 1 action, which
+are messages of actionlib (``move_base_msgs/MoveBaseGoal``), so connection headers may be enough to know them. The ROS 1
+adapter puts the text of actionlib's status before a result; it corresponds to the result's ``error_msg`` in ROS 2.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ class ActionTopicTypes:
 
 
 class ActionMapping:
-    """The registry's actions; the registry locks. Raises `MessageTypeError` for those that it cannot map."""
+    """The registry's actions; the registry locks. Methods raise `MessageTypeError` for actions without a mapping."""
 
     def __init__(self, messages: MessageMapping) -> None:
         self._messages = messages
 
     def ros2_name(self, action: str) -> str:
-        """The ROS 2 action for one of ROS 1: installed; else on the hub with a goal that says it; else derived."""
+        """Return the ROS 2 action for a ROS 1 action: installed, else on the hub with a matching goal, else derived."""
         names = self._messages.rules.ros2_names(action, "action")
         for name in names:
             if self._messages.ros2.installed(f"{name}_Goal") is not None:
@@ -59,11 +59,11 @@ class ActionMapping:
         return legal_type(action, "action")
 
     def ros1_name(self, action: str) -> str:
-        """The ROS 1 action for a ROS 2 action (``nav2_msgs/action/NavigateToPose``): a known one, else derived."""
+        """Return the ROS 1 action for a ROS 2 action, ``pkg/action/Name``: a known one, else derived."""
         return next(self._known_ros1(action), action.replace("/action/", "/", 1))
 
     def topics(self, action: str) -> ActionTopicTypes:
-        """What a ROS 1 action's topics carry."""
+        """Return the message types of a ROS 1 action's topics."""
         return ActionTopicTypes(*(self.topic(action, content) for content in CONTENTS["action"]))
 
     def topic(self, action: str, content: str) -> SideType:
@@ -72,48 +72,48 @@ class ActionMapping:
         return SideType(wrapper.name, md5_sum(wrapper), full_text(wrapper))
 
     def of_ros1(self, name: str) -> tuple[str, Types, Types]:
-        """A part of a ROS 1 action, ``pkg/action/Name_SendGoal``: ROS 2's name, definitions in ROS 1 and in ROS 2."""
+        """Return ROS 2's name of a ROS 1 part, ``pkg/action/Name_SendGoal``, and its definitions in ROS 1 and ROS 2."""
         base, part = _split(name, World.ROS1)
         action, content = base.replace("/action/", "/", 1), _CONTENT_OF[part]
         ros2_action = self.ros2_name(action)
-        one = self._ros1_content(action, content)
-        two = self._ros2_content(ros2_action, part, one)
-        return f"{ros2_action}_{part}", self._ros1_types(base, part, one), self._ros2_types(ros2_action, two)
+        ros1 = self._ros1_content(action, content)
+        ros2 = self._ros2_content(ros2_action, part, ros1)
+        return f"{ros2_action}_{part}", self._ros1_types(base, part, ros1), self._ros2_types(ros2_action, ros2)
 
     def of_ros2(self, name: str, type_hash: str = "") -> tuple[str, Types, Types]:
-        """A part of a ROS 2 action: ROS 1's name of it, the definitions in ROS 1, in ROS 2; see `of_ros1`."""
+        """Return ROS 1's name of a ROS 2 part, and its definitions in ROS 1 and ROS 2; see `of_ros1`."""
         action, part = _split(name, World.ROS2)
         content = _CONTENT_OF[part]
         root = self._messages.ros2.find(name, type_hash)
         if root is None:
             return self._derived(name, type_hash)
         if f"{action}_{content}" not in root.types:
-            raise MessageTypeError(f"the definition that was announced of {name} has no {content.lower()} in it")
+            raise MessageTypeError(f"the definition of {name} on the hub contains no {content.lower()}")
         ros1_action = self.ros1_name(action)
-        two = root.sub(f"{action}_{content}")
-        one = self._messages.ros1.find(f"{ros1_action}{content}", newest=True) or derive_ros1(
-            two, self._messages.to_ros1, f"{ros1_action}{content}"
+        ros2 = root.sub(f"{action}_{content}")
+        ros1 = self._messages.ros1.find(f"{ros1_action}{content}", newest=True) or derive_ros1(
+            ros2, self._messages.to_ros1, f"{ros1_action}{content}"
         )
         base = ros1_action.replace("/", "/action/", 1)
-        return f"{base}_{part}", self._ros1_types(base, part, one), dict(root.types)
+        return f"{base}_{part}", self._ros1_types(base, part, ros1), dict(root.types)
 
     def _derived(self, name: str, type_hash: str) -> tuple[str, Types, Types]:
-        """The part of a ROS 2 action that ROS 1 alone has."""
+        """Return the same for a part that is known only from ROS 1."""
         action, part = _split(name, World.ROS2)
         known = " or ".join(self._messages.ros2.fingerprints(name))
         for ros1_action in self._known_ros1(action):
             if self.ros2_name(ros1_action) != action:
                 continue
             base = ros1_action.replace("/", "/action/", 1)
-            _, one, two = self.of_ros1(f"{base}_{part}")
-            found = rihs01(closure(two[name], two))
-            if type_hash in ("", found):
-                return f"{base}_{part}", one, two
-            known = known or found
+            _, ros1_types, ros2_types = self.of_ros1(f"{base}_{part}")
+            derived_hash = rihs01(closure(ros2_types[name], ros2_types))
+            if type_hash in ("", derived_hash):
+                return f"{base}_{part}", ros1_types, ros2_types
+            known = known or derived_hash
         raise unknown_type(name, World.ROS2, type_hash, known)
 
     def schema(self, name: str, type_hash: str = "") -> Schema:
-        """A message of a ROS 2 action that ROS 1 alone has; with a hash, the one that has it."""
+        """Return a message of a ROS 2 action that is known only from ROS 1, with the given hash unless that is ""."""
         action, known = split_part(name)[0], ""
         for ros1_action in self._known_ros1(action):
             if self.ros2_name(ros1_action) == action:
@@ -126,29 +126,29 @@ class ActionMapping:
         raise unknown_type(name, World.ROS2, type_hash, known)
 
     def derived(self, action: str) -> Types:
-        """All definitions of the ROS 2 action for a ROS 1 action; without those of parts that are not known."""
+        """Return all definitions of the ROS 2 action for a ROS 1 action, except those of unknown parts."""
         ros2_action = self.ros2_name(action)
         types: Types = {}
         for part, content in _CONTENT_OF.items():
-            one = self._find_ros1(action, content)
-            if one is not None:
-                types |= self._ros2_types(ros2_action, self._ros2_content(ros2_action, part, one))
+            ros1 = self._find_ros1(action, content)
+            if ros1 is not None:
+                types |= self._ros2_types(ros2_action, self._ros2_content(ros2_action, part, ros1))
         return types
 
     def names(self, package: str) -> list[str]:
-        """ROS 2 actions of a package that are wholly known: installed, announced on the hub, or of ROS 1."""
+        """Return the complete ROS 2 actions of a package: installed, announced on the hub, or derived from ROS 1."""
         known = [split_part(name)[0] for name in self._messages.ros2.names(package, "action")]
         known += [legal_type(name, "action") for name in self._ros1_names(package)]
-        return [name for name in dict.fromkeys(known) if name.startswith(f"{package}/") and self._is_whole(name)]
+        return [name for name in dict.fromkeys(known) if name.startswith(f"{package}/") and self._is_complete(name)]
 
-    def _is_whole(self, action: str) -> bool:
+    def _is_complete(self, action: str) -> bool:
         if all(self._messages.ros2.find(f"{action}_{content}") is not None for content in CONTENTS["action"]):
             return True
         ros1 = next((name for name in self._known_ros1(action) if self.ros2_name(name) == action), "")
         return bool(ros1) and all(self._find_ros1(ros1, content) is not None for content in CONTENTS["action"])
 
     def _ros2_content(self, action: str, part: str, ros1: Schema) -> Schema:
-        """A ROS 2 action's goal, result or feedback."""
+        """Return a ROS 2 action's goal, result or feedback."""
         name = f"{action}_{_CONTENT_OF[part]}"
         installed = self._messages.ros2.installed(name)
         if installed is not None:
@@ -159,15 +159,15 @@ class ActionMapping:
         return derive_ros2(ros1, self._messages.to_ros2, name)
 
     def _announced(self, action: str, part: str) -> list[Schema]:
-        """The goals, results or feedbacks that the definitions announced on the hub have."""
+        """Return the goals, results or feedbacks in the definitions that are announced on the hub."""
         content = f"{action}_{_CONTENT_OF[part]}"
         return [root.sub(content) for root in self._messages.ros2.variants(f"{action}_{part}") if content in root.types]
 
     def _ros1_content(self, action: str, content: str) -> Schema:
-        """A ROS 1 action's goal, result or feedback."""
-        found = self._find_ros1(action, content)
-        if found is not None:
-            return found
+        """Return a ROS 1 action's goal, result or feedback."""
+        known = self._find_ros1(action, content)
+        if known is not None:
+            return known
         if is_ros1_name(action):
             for name in self._messages.rules.ros2_names(action, "action"):
                 ros2 = self._messages.ros2.find(f"{name}_{content}")
@@ -180,7 +180,7 @@ class ActionMapping:
         return self._messages.ros1.find(f"{action}{content}", newest=True)
 
     def _known_ros1(self, action: str) -> Iterator[str]:
-        """The ROS 1 actions that may stand for a ROS 2 action, the likeliest first."""
+        """Yield the ROS 1 actions that may correspond to a ROS 2 action, the likeliest first."""
         names = self._messages.rules.ros1_names(action)
         others = self._ros1_names(action.split("/", 1)[0])
         names += [name for name in others if name not in names and legal_type(name, "action") == action]
@@ -189,7 +189,7 @@ class ActionMapping:
                 yield name
 
     def _ros1_names(self, package: str) -> list[str]:
-        """What may be actions of a ROS 1 package: all that has a goal, but for what wraps one."""
+        """Return the possible actions of a ROS 1 package: all names with a goal, except wrappers of a goal."""
         known = dict.fromkeys(self._messages.ros1.names(package))
         goals = [name for name in known if name.endswith("Goal")]
         wrappers = {f"{name.removesuffix('Goal')}ActionGoal" for name in goals}
@@ -204,17 +204,17 @@ class ActionMapping:
     def _ros2_types(self, action: str, content: Schema) -> Types:
         types = made_parts(action, World.ROS2)
         for needed in _NEEDED:
-            found = self._messages.ros2.installed(needed)
-            assert found is not None  # rosbags' store has it
-            types.update(found.types)
+            schema = self._messages.ros2.installed(needed)
+            assert schema is not None  # rosbags' store has it
+            types.update(schema.types)
         return {**types, **content.types}
 
     def _wrapper(self, action: str, content: str) -> Schema:
-        """The message in which actionlib sends a goal, a result or feedback."""
+        """Return the message in which actionlib sends a goal, a result or feedback."""
         name = f"{action}Action{content}"
-        found = self._messages.ros1.find(name, newest=True)
-        if found is not None:
-            return found
+        wrapper = self._messages.ros1.find(name, newest=True)
+        if wrapper is not None:
+            return wrapper
         types = {**actionlib_messages(action), **self._ros1_content(action, content).types}
         for needed in types[name].nested_names():
             known = self._messages.ros1.installed(needed) if needed not in types else None
@@ -223,7 +223,7 @@ class ActionMapping:
 
 
 def _split(name: str, world: World) -> tuple[str, str]:
-    """The action, ``pkg/action/Name``, and the part."""
+    """Split a name into the action, ``pkg/action/Name``, and the part."""
     base, _, part = name.rpartition("_")
     if not is_ros2_name(name) or part not in _CONTENT_OF:
         raise unknown_type(name, world)

@@ -1,9 +1,9 @@
-"""Which field of a ROS 1 type stands for which field of a ROS 2 type.
+"""The fields of a ROS 1 type that correspond to fields of a ROS 2 type.
 
-By rule where a mapping rule lists the fields, else by name ignoring case (``CameraInfo.D`` is ``d``). ``Header.seq``
-has no counterpart and needs none. Fields on one side only get default values; where both sides have such fields the
-types are no pair, since nobody can tell which field became which. actionlib's status text (`parts.STATUS_TEXT`) stands
-for the ``error_msg`` of a ROS 2 action's result where no field of ROS 1's does; else it needs no counterpart.
+Fields correspond by a mapping rule that lists them, otherwise by name ignoring case (``CameraInfo.D`` is ``d``).
+``Header.seq`` needs no counterpart. Fields of only one type get default values; if both types have such fields, the
+types do not match, since a field may have been renamed. actionlib's status text (`parts.STATUS_TEXT`) corresponds to
+the ``error_msg`` of a ROS 2 action's result unless a field of the ROS 1 result does; otherwise it needs no counterpart.
 """
 
 from __future__ import annotations
@@ -25,36 +25,36 @@ _ERROR_MSG = "error_msg"
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two message types and the paths of the fields that stand for each other."""
+    """Two message types and the paths of their corresponding fields."""
 
     ros1: Definition
     ros2: Definition
     fields: Fields
 
 
-PairTable = Mapping[tuple[str, str], Pair]  # pairs by ROS 1 and ROS 2 name: the root types' and all that they nest
+PairTable = Mapping[tuple[str, str], Pair]  # pairs by ROS 1 and ROS 2 name: of the root types and of all nested types
 
 
 def pair_types(ros1: Schema, ros2: Schema, rules: Rules) -> PairTable:
-    """Match two types and all that they nest; raises `MessageTypeError` with the fields that stand in the way."""
+    """Match two types and their nested types; raises `MessageTypeError` with the fields that do not match."""
     table: dict[tuple[str, str], Pair] = {}
 
     def visit(name1: str, name2: str) -> None:
         if (name1, name2) in table:
             return
-        own1, own2 = ros1.sub(name1), ros2.sub(name2)
+        type1, type2 = ros1.sub(name1), ros2.sub(name2)
         rule = rules.fields(name1, name2)
-        fields = _by_name(own1.root, own2.root) if rule is None else _by_rule(own1, own2, rule)
-        fields = _status_text(own1.root, own2.root, fields) + fields
-        table[name1, name2] = Pair(own1.root, own2.root, fields)
+        fields = _by_name(type1.root, type2.root) if rule is None else _by_rule(type1, type2, rule)
+        fields = _status_text(type1.root, type2.root, fields) + fields
+        table[name1, name2] = Pair(type1.root, type2.root, fields)
         for path1, path2 in fields:
-            kind1, kind2 = field_at(own1, path1), field_at(own2, path2)
+            kind1, kind2 = field_at(type1, path1), field_at(type2, path2)
             assert kind1 is not None
             assert kind2 is not None
             reason = _unlike(kind1, kind2, rules)
             if reason:
                 msg = (
-                    f"{name1} and {name2} are no pair: field {'.'.join(path1)} ({kind1}) and field"
+                    f"{name1} and {name2} do not match: field {'.'.join(path1)} ({kind1}) and field"
                     f" {'.'.join(path2)} ({kind2}): {reason}"
                 )
                 raise MessageTypeError(msg, "write a mapping rule that leaves the field out (types.mapping_rules)")
@@ -66,31 +66,31 @@ def pair_types(ros1: Schema, ros2: Schema, rules: Rules) -> PairTable:
 
 
 def left_out(pairs: PairTable, rules: Rules) -> tuple[str, ...]:
-    """The ROS 1 fields that have no counterpart, as ``package/Name.field``, but for those that a rule leaves out."""
-    found: list[str] = []
+    """Return the ROS 1 fields without a counterpart, as ``package/Name.field``, except those that a rule leaves out."""
+    missing: list[str] = []
     for pair in pairs.values():
         if rules.fields(pair.ros1.name, pair.ros2.name) is None:
             mapped = {path1[0] for path1, _ in pair.fields}
-            found += [f"{pair.ros1.name}.{name}" for name in _named(pair.ros1) if name not in mapped]
-    return tuple(found)
+            missing += [f"{pair.ros1.name}.{name}" for name in _named(pair.ros1) if name not in mapped]
+    return tuple(missing)
 
 
 def _named(ros1: Definition) -> list[str]:
-    """The fields that need a counterpart: all but a header's ``seq``, and actionlib's status text."""
+    """Return the fields that need a counterpart: all except ``seq`` of a header and actionlib's status text."""
     needless = {STATUS_TEXT, "seq"} if ros1.name == "std_msgs/Header" else {STATUS_TEXT}
     return [field.name for field in ros1.fields if field.name not in needless]
 
 
 def _status_text(ros1: Definition, ros2: Definition, fields: Fields) -> Fields:
-    """What actionlib's status text stands for."""
-    said = any(field.name == STATUS_TEXT for field in ros1.fields)
-    wanted = Field(_ERROR_MSG, FieldType("string")) in ros2.fields
+    """Match actionlib's status text with ``error_msg``, if both exist and no other field matches."""
+    has_text = any(field.name == STATUS_TEXT for field in ros1.fields)
+    has_error = Field(_ERROR_MSG, FieldType("string")) in ros2.fields
     pair = (STATUS_TEXT,), (_ERROR_MSG,)
-    return (pair,) if said and wanted and all(two != pair[1] for _, two in fields) else ()
+    return (pair,) if has_text and has_error and all(path2 != pair[1] for _, path2 in fields) else ()
 
 
 def says_the_same(ros1: Schema, ros2: Schema, rules: Rules) -> bool:
-    """Whether two types and all that they nest are a pair in which each field has its counterpart."""
+    """Whether two types and their nested types match with a counterpart for every field."""
     try:
         pairs = pair_types(ros1, ros2, rules)
     except MessageTypeError:
@@ -105,7 +105,7 @@ def says_the_same(ros1: Schema, ros2: Schema, rules: Rules) -> bool:
 
 
 def field_at(schema: Schema, path: FieldPath) -> FieldType | None:
-    """The type of the field at a path such as ``("header", "stamp")``; None where there is no such field."""
+    """Return the type of the field at a path such as ``("header", "stamp")``, None if the field does not exist."""
     definition: Definition | None = schema.root
     kind: FieldType | None = None
     for step in path:
@@ -119,16 +119,16 @@ def field_at(schema: Schema, path: FieldPath) -> FieldType | None:
 
 
 def _by_rule(ros1: Schema, ros2: Schema, rule: FieldRule) -> Fields:
-    pairs = [(tuple(one.split(".")), tuple(two.split("."))) for one, two in rule.fields.items()]
-    for one, two in pairs:
-        for schema, path in ((ros1, one), (ros2, two)):
+    pairs = [(tuple(name1.split(".")), tuple(name2.split("."))) for name1, name2 in rule.fields.items()]
+    for path1, path2 in pairs:
+        for schema, path in ((ros1, path1), (ros2, path2)):
             if field_at(schema, path) is None:
                 msg = f"{rule.origin}: {schema.name} has no field {'.'.join(path)}"
                 raise MessageTypeError(msg, f"its fields: {', '.join(f.name for f in schema.root.fields) or 'none'}")
-    targets = [two for _, two in pairs]
-    for two in targets:
-        if any(other is not two and other[: len(two)] == two for other in targets):
-            raise MessageTypeError(f"{rule.origin}: {'.'.join(two)} of {ros2.name} is mapped twice")
+    targets = [path2 for _, path2 in pairs]
+    for target in targets:
+        if any(other is not target and other[: len(target)] == target for other in targets):
+            raise MessageTypeError(f"{rule.origin}: {'.'.join(target)} of {ros2.name} is mapped twice")
     return tuple(pairs)
 
 
@@ -150,15 +150,15 @@ def _by_name(ros1: Definition, ros2: Definition) -> Fields:
     only2 = [field.name for field in ros2.fields if field.name not in taken]
     if only1 and only2:
         msg = (
-            f"{ros1.name} and {ros2.name} are no pair: only the first has {', '.join(only1)}, only the second"
+            f"{ros1.name} and {ros2.name} do not match: only the first has {', '.join(only1)}, only the second"
             f" {', '.join(only2)}"
         )
-        raise MessageTypeError(msg, "say which field became which in a mapping rule (types.mapping_rules)")
+        raise MessageTypeError(msg, "list the fields that correspond in a mapping rule (types.mapping_rules)")
     return tuple(pairs)
 
 
 def _unlike(one: FieldType, two: FieldType, rules: Rules) -> str:
-    """Why a field of ROS 1 cannot stand for one of ROS 2; "" where it can."""
+    """Return the reason why a ROS 1 field cannot correspond to a ROS 2 field, "" if it can."""
     if one.shape is not two.shape:
         return f"one is {_a(one.shape)}, the other {_a(two.shape)}"
     if one.shape is Shape.ARRAY and one.length != two.length:
@@ -177,7 +177,7 @@ def _unlike(one: FieldType, two: FieldType, rules: Rules) -> str:
 
 
 def _same_bits(one: str, two: str) -> bool:
-    """Whether two primitives are integers of the same size: ROS 1's byte is an int8, ROS 2's an octet, and so on."""
+    """Whether two primitives are integers of the same size; a byte is an int8 in ROS 1 and an octet in ROS 2."""
     sizes = PRIMITIVE_SIZES.get(one), PRIMITIVE_SIZES.get(two)
     floats = any(base.startswith("float") or base == "bool" for base in (one, two))
     return sizes[0] is not None and sizes[0] == sizes[1] and not floats

@@ -275,7 +275,7 @@ def test_services_of_one_name_that_differ_are_no_pair(folders: Path):
     other = folders / "std_srvs" / "srv"
     other.mkdir(parents=True)
     (other / "SetBool.srv").write_text("float32 Header\nHeader data\n---\nbool success\nstring message\n")
-    with pytest.raises(MessageTypeError, match="std_srvs/srv/SetBool_Request are no pair") as caught:
+    with pytest.raises(MessageTypeError, match="std_srvs/srv/SetBool_Request do not match") as caught:
         Registry(folders=[folders]).service_ros1_to_hub("std_srvs/SetBool")
     assert "mapping rule" in caught.value.cure
 
