@@ -1,8 +1,8 @@
-"""Writes the section "Class by class" of docs/yarp/python.md: what of YARP's bindings yarp_compat has, and what not.
+"""Write the section "Class by class" of docs/yarp/python.md: the names of the bindings that yarp_compat has and lacks.
 
-    python scripts/yarp_classes.py      after names were added or taken away
+    python scripts/yarp_classes.py      after names were added or removed
 
-The bindings' names are those of tests/yarp_compat/data/bindings.txt, the reasons those of yarp_compat/absences.py.
+The names come from tests/yarp_compat/data/bindings.txt, the reasons from yarp_compat/absences.py.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from yarp_compat import absences, check  # noqa: E402 - from this tree
 
 PAGE = ROOT / "docs" / "yarp" / "python.md"
 BEGIN, END = "<!-- class by class: scripts/yarp_classes.py -->", "<!-- end of class by class -->"
-_MANY = 4  # names of one beginning are told by that from so many on
+_MANY = 4  # from this number on, names with the same beginning are shortened to it
 
 
 @dataclass
@@ -34,62 +34,63 @@ class Bindings:
 
     @classmethod
     def read(cls, path: Path = ROOT / "tests" / "yarp_compat" / "data" / "bindings.txt") -> Bindings:
-        """The names in the file."""
-        found = cls()
+        """Return the names in the file."""
+        bindings = cls()
         into: list[set[str]] = []
         for line in path.read_text(encoding="utf-8").splitlines():
             head = re.fullmatch(r"(class|functions|constants)\s*([\w ]*):", line)
             if head and head[1] == "class":
-                into = [found.classes.setdefault(name, set()) for name in head[2].split()]
+                into = [bindings.classes.setdefault(name, set()) for name in head[2].split()]
             elif head:
-                into = [found.functions if head[1] == "functions" else found.constants]
+                into = [bindings.functions if head[1] == "functions" else bindings.constants]
             elif line.startswith(" "):
                 for names in into:
                     names.update(line.split())
-        return found
+        return bindings
 
 
 def absent(names: Iterable[str]) -> dict[str, list[str]]:
-    """The names that are not here, by what is said of them."""
-    said = defaultdict(list)
+    """Return the missing names by their reason."""
+    by_reason = defaultdict(list)
     for name in sorted(names):
         if check.lacking(name)[0]:
-            said[absences.instead(name)].append(name)
-    return said
+            by_reason[absences.instead(name)].append(name)
+    return by_reason
 
 
 def methods(bindings: Bindings) -> dict[str, dict[str, list[str]]]:
-    """Each class that is here, and its methods that are not, by what is said of them."""
-    here = [name for name in sorted(bindings.classes) if not check.lacking(name)[0]]
+    """Return each implemented class with its missing methods by their reason."""
+    implemented = [name for name in sorted(bindings.classes) if not check.lacking(name)[0]]
     return {
         name: {
-            said: [one.partition(".")[2] for one in lost]
-            for said, lost in absent(f"{name}.{method}" for method in bindings.classes[name]).items()
+            reason: [missing_name.partition(".")[2] for missing_name in missing]
+            for reason, missing in absent(f"{name}.{method}" for method in bindings.classes[name]).items()
         }
-        for name in here
+        for name in implemented
     }
 
 
 def section(bindings: Bindings) -> str:
-    """The section's text."""
-    here = methods(bindings)
-    whole = [name for name, lost in here.items() if not lost]
+    """Return the text of the section."""
+    classes = methods(bindings)
+    complete = [name for name, missing in classes.items() if not missing]
     lines = [
         BEGIN,
         f"The bindings of YARP 3.9.1, 3.12.3 and 4.0.0 together have {len(bindings.classes)} classes.",
-        f"{len(here)} of them are here, {len(whole)} with every method: {_code(whole)}.",
+        f"yarp_compat has {len(classes)} of them, {len(complete)} with every method: {_code(complete)}.",
         "",
-        "| these lack | methods | why, and what instead |",
+        "| classes | missing methods | reason and replacement |",
         "|---|---|---|",
     ]
     alike = defaultdict(list)
-    for name, lost in here.items():
-        for said, own in lost.items():
-            alike[tuple(own), said].append(name)
-    lines += [f"| {_code(names)} | {_code(own)} | {said} |" for (own, said), names in sorted(alike.items(), key=_first)]
-    lines += ["", "| classes that are not here | why, and what instead |", "|---|---|"]
+    for name, missing in classes.items():
+        for reason, lacking in missing.items():
+            alike[tuple(lacking), reason].append(name)
+    rows = sorted(alike.items(), key=_first)
+    lines += [f"| {_code(names)} | {_code(lacking)} | {reason} |" for (lacking, reason), names in rows]
+    lines += ["", "| missing classes | reason and replacement |", "|---|---|"]
     lines += _rows(absent(bindings.classes))
-    lines += ["", "| functions and constants that are not here | why, and what instead |", "|---|---|"]
+    lines += ["", "| missing functions and constants | reason and replacement |", "|---|---|"]
     lines += _rows(absent(bindings.functions | bindings.constants), short=True)
     return "\n".join([*lines, END])
 
@@ -98,17 +99,17 @@ def _first(row: tuple[object, list[str]]) -> list[str]:
     return row[1]
 
 
-def _rows(said: Mapping[str, list[str]], *, short: bool = False) -> list[str]:
-    rows = sorted((_shortened(names) if short else names, why) for why, names in said.items())
-    return [f"| {_code(names)} | {why} |" for names, why in rows]
+def _rows(by_reason: Mapping[str, list[str]], *, short: bool = False) -> list[str]:
+    rows = sorted((_shortened(names) if short else names, reason) for reason, names in by_reason.items())
+    return [f"| {_code(names)} | {reason} |" for names, reason in rows]
 
 
 def _shortened(names: Iterable[str]) -> list[str]:
-    """Names, those of one beginning as one: ``VOCAB_...``."""
+    """Combine names with the same beginning: ``VOCAB_...``."""
     groups = defaultdict(list)
     for name in names:
         groups[name.partition("_")[0] if "_" in name else name].append(name)
-    return [one for begin, own in groups.items() for one in ([f"{begin}_..."] if len(own) >= _MANY else own)]
+    return [name for begin, group in groups.items() for name in ([f"{begin}_..."] if len(group) >= _MANY else group)]
 
 
 def _code(names: Iterable[str]) -> str:

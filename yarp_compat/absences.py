@@ -1,4 +1,4 @@
-"""What YARP's bindings have and this package lacks: why, and what there is instead."""
+"""Reasons why this package lacks names that the bindings of YARP have, and replacements for them."""
 
 from __future__ import annotations
 
@@ -6,62 +6,60 @@ import re
 
 _NAMES = {
     r"I\w+Raw|Deprecated\w+|Device(Driver|Responder)|(Stub)?DriverCreator|Drivers|IConfig|IWrapper|IMultipleWrapper": (
-        "devices of one's own are C++ plugins: serve an interface by yarp.ServiceServer; clients are in yarp.PolyDriver"
+        "custom devices are C++ plugins: serve an interface by yarp.ServiceServer; clients are in yarp.PolyDriver"
     ),
     r"I(FrameGrabber|FrameWriter|RGBDSensor|VisualParams|Rgb|Depth)\w*|(cameraFeature|cameraDescriptor)\w*"
-    r"|(YARP_FEATURE|MODE|BUS)_\w+": "there are no cameras as devices: read a camera's port by BufferedPortImageRgb",
-    r"IAnalogSensor|VOCAB_IANALOG": "there are no such devices: read the sensor's port by BufferedPortVector",
+    r"|(YARP_FEATURE|MODE|BUS)_\w+": "no camera devices here: read a camera's port by BufferedPortImageRgb",
+    r"IAnalogSensor|VOCAB_IANALOG": "no such devices here: read the sensor's port by BufferedPortVector",
     r"I(Three|Six|Orientation|Temperature|Position|Contact|Encoder|Skin|Linear)\w+(Sensors|s|Arrays|Patches)"
-    r"|\w+_EXTENDED_INTERFACE|MAS_\w+": "there are no such devices: read the sensors' port, <name>/measures:o",
+    r"|\w+_EXTENDED_INTERFACE|MAS_\w+": "no such devices here: read the sensors' port, <name>/measures:o",
     r"I(Cartesian|Gaze)\w*|(Cartesian|Gaze)Event\w*": (
-        "there are no such devices: ask the controller's rpc port by RpcClient"
+        "no such devices here: use the controller's rpc port by RpcClient"
     ),
     r"I(Speech|ChatBot|Audio|SimulatedWorld)\w*|Pose6D|ColorRGB": (
-        "there are no such devices: ask the server's rpc port by RpcClient"
+        "no such devices here: use the server's rpc port by RpcClient"
     ),
     r"I(Pid|Impedance|JointFault|JointCoupling|ControlDebug|Torque|Motor|Amplifier|Current|PWM)\w*|Pid\w*|MotorTorque\w*"
     r"|I(Control|Position|Velocity|Encoders|AxisInfo|Interaction|Remote)\w*": (
-        "no device here has it: ask the board's rpc port by RpcClient"
+        "not implemented by the devices here: use the board's rpc port by RpcClient"
     ),
-    r"VOCAB_\w+": "make the number of a word by yarp.createVocab32('a', 'b')",
+    r"VOCAB_\w+": "create the number of a vocab by yarp.createVocab32('a', 'b')",
     r"\w*Clock": "programs run on system time: use yarp.now() and yarp.delay()",
     r"Semaphore|Mutex|RecursiveLock|Event": "use Python's threading",
     r"Random": "use Python's random or numpy",
-    r"Run|SharedLibrary\w*|YarpPlugin\w*|Carriers?|NameStore|DummyConnector": "it has no meaning in pure Python",
+    r"Run|SharedLibrary\w*|YarpPlugin\w*|Carriers?|NameStore|DummyConnector": "has no meaning in pure Python",
     r"NestedContact": "use NestedName",
     r"PortReaderBuffer\w*|PortWriterBuffer\w*": "use BufferedPort",
     r"PortablePair\w*|BinPortable\w*|WireLink|Wire|AbstractContactable|PortReaderCreator": ("write and read a Bottle"),
-    r"SearchMonitor|SearchReport": "who reads a Property is not followed here",
+    r"SearchMonitor|SearchReport": "reads of a Property are not monitored here",
     r"RateThread": "use PeriodicThread",
     r"INavigation2D\w+Actions": "use INavigation2D, which has all of its methods",
-    r"Map2D\w+Data": "use Map2DLocation and its kin, which have its fields",
+    r"Map2D\w+Data": "use Map2DLocation and similar classes, which have these fields",
     r"\w+Vector|VectorBase|vertex_t": "use a list",
     r"(Union)?Net(Int|Float)\w+|SwigPyIterator|(ALLOW|YARP_VERSION|YARP_RETURNVALUE|YARP_CROP)\w*|cvar|PAD_BYTES": (
-        "it is of the C++ library"
+        "specific to the C++ library"
     ),
     r"yarp_print_trace": "use Python's traceback",
 }
-"""Patterns of names, and what is said of them; the first that fits counts."""
+"""Reasons by pattern of the name; the first pattern that matches is used."""
 
 _METHODS = {
-    r"\w+\.(\w*[mM]onitor\w*)": "who reads it is not followed here",
-    r"\w+\.([cr]?begin|[cr]?end|get_allocator|iterator)": (
-        "it is an iterator of C++: a for loop, list() and numpy.asarray() do the same"
-    ),
-    r"\w+\.erase": "it takes iterators of C++: del does the same",
+    r"\w+\.(\w*[mM]onitor\w*)": "reads are not monitored here",
+    r"\w+\.([cr]?begin|[cr]?end|get_allocator|iterator)": ("a C++ iterator: use a for loop, list() or numpy.asarray()"),
+    r"\w+\.erase": "takes C++ iterators: use del",
     r"Contact\.\w*Nested\w*": "use NestedName",
-    r"(Unbuffered)?Contactable\.\w+": "a Port has it",
-    r"SoundMarker\.isEqual": "compare them by ==",
-    r"QosStyle\.get\w+ByVocab": "give the level, or the number of the DSCP, itself",
-    r"Type\.\w+": "a type is its name here",
-    r"I[A-Z]\w+\.\w+": "nobody is asked that here: ask the server's rpc port by RpcClient",
-    r"PolyDriver\.(link|give|take|getImplementation)": "a device has one PolyDriver: hand that on",
-    r"PolyDriver\.\w+": "a device is told all when it is opened",
-    r"RFModule\.getThreadKey|Value\.create": "it is for C++",
-    r"(Network|NetworkBase)\.\w+": "it sets up the C++ library",
-    r"Port\.\w+|BufferedPort\w*\.\w+|TypedReader\w*\.\w+": "it is for C++'s own threads",
-    r"(Thread|PeriodicThread)\.\w+": "Python's threads have no priorities and no such statistics",
-    r"Connection(Reader|Writer)\.\w+": "it is for C++'s own ports",
+    r"(Unbuffered)?Contactable\.\w+": "use a Port, which has it",
+    r"SoundMarker\.isEqual": "use ==",
+    r"QosStyle\.get\w+ByVocab": "set the level or the number of the DSCP",
+    r"Type\.\w+": "a type is only its name here",
+    r"I[A-Z]\w+\.\w+": "not requested from servers here: use the server's rpc port by RpcClient",
+    r"PolyDriver\.(link|give|take|getImplementation)": "a device has one PolyDriver: pass that on",
+    r"PolyDriver\.\w+": "pass all options to open()",
+    r"RFModule\.getThreadKey|Value\.create": "specific to C++",
+    r"(Network|NetworkBase)\.\w+": "configures the C++ library",
+    r"Port\.\w+|BufferedPort\w*\.\w+|TypedReader\w*\.\w+": "specific to the threads of the C++ library",
+    r"(Thread|PeriodicThread)\.\w+": "Python's threads have no priorities or statistics",
+    r"Connection(Reader|Writer)\.\w+": "specific to the ports of the C++ library",
     r"Log\.\w+": "logs are not forwarded: use Python's logging",
 }
 
@@ -69,6 +67,6 @@ DOCUMENTED = "which YARP may have: see docs/yarp/python.md"
 
 
 def instead(name: str) -> str:
-    """What is said of an absent name, or of the method ``Class.method``; empty where nothing is."""
+    """Return the reason for a missing name or method, ``Class.method``, with a replacement; "" if none is known."""
     patterns = _METHODS if "." in name else _NAMES
-    return next((said for pattern, said in patterns.items() if re.fullmatch(pattern, name)), "")
+    return next((reason for pattern, reason in patterns.items() if re.fullmatch(pattern, name)), "")

@@ -1,8 +1,8 @@
-"""The names of YARP that a Python script uses, by its syntax tree; the script is not run.
+"""The names of YARP that a Python script uses, from its syntax tree; the script does not run.
 
-Found are names of the module (``yarp.Bottle``, ``from yarp import Bottle``), methods of variables that are made of one
-class alone in their function (``port = yarp.Port()``, ``self.port = ...``, ``motors = driver.viewIEncoders()``), and
-the names of devices (``options.put("device", "grabber")``).
+These are names of the module (``yarp.Bottle``, ``from yarp import Bottle``), methods of variables with one class in
+their function (``port = yarp.Port()``, ``self.port = ...``, ``motors = driver.viewIEncoders()``), and names of devices
+(``options.put("device", "grabber")``).
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ _PYTHON_2 = re.compile(
     r"""^\s*print\b\s*[^\s(=]|^\s*except\s.*,\s*\w+\s*:|^\s*raise\s+[\w.]+\s*,|^\s*exec\s+\S|<>|`|\bur["']"""
     r"""|\b0[0-7]+\b|\b\d+L\b|lambda\s*\(|def\s+\w+\(.*\(\w+,"""
 )
-"""A line at which Python 3 stops, and Python 2 does not."""
+"""A line with a syntax error in Python 3 that is valid in Python 2."""
 
 
 class ScriptError(Exception):
-    """A file is no script that can be read; the message says which, where and why."""
+    """A file cannot be read as a script; the message gives the file, line and reason."""
 
 
 @dataclass(frozen=True, order=True)
 class NameUse:
-    """A name that a script uses: ``Bottle``, ``Bottle.get``; or a device's, which ``is_device``."""
+    """A name that a script uses: ``Bottle``, ``Bottle.get``, or with ``is_device`` the name of a device."""
 
     line: int
     name: str
@@ -42,14 +42,14 @@ class NameUse:
 
 @dataclass(frozen=True)
 class ScriptNames:
-    """What a script uses; it may be no script for YARP at all."""
+    """The names that a script uses, and whether it uses YARP at all."""
 
     imports_yarp: bool
     uses: tuple[NameUse, ...]
 
 
 def read(path: Path) -> ScriptNames:
-    """The names that a file uses; raises `ScriptError`."""
+    """Return the names that a file uses; raises `ScriptError`."""
     try:
         content = path.read_bytes()
         text = content.decode(tokenize.detect_encoding(io.BytesIO(content).readline)[0])
@@ -59,28 +59,30 @@ def read(path: Path) -> ScriptNames:
         tree = ast.parse(text)
     except SyntaxError as error:
         line = (text.splitlines()[(error.lineno or 1) - 1 :] or [""])[0]
-        said = "it is Python 2: convert it first, by 2to3 or by hand" if _PYTHON_2.search(line) else _no(error.msg)
-        raise ScriptError(f"{path}:{error.lineno or 1}: {said}") from None
-    except (ValueError, RecursionError, MemoryError) as error:  # a zero byte, or brackets without end
-        raise ScriptError(f"{path}: {_no(error)}") from None
+        reason = (
+            "it is Python 2: convert it first, by 2to3 or by hand" if _PYTHON_2.search(line) else _invalid(error.msg)
+        )
+        raise ScriptError(f"{path}:{error.lineno or 1}: {reason}") from None
+    except (ValueError, RecursionError, MemoryError) as error:  # a zero byte, or too many brackets
+        raise ScriptError(f"{path}: {_invalid(error)}") from None
     return names_of(tree)
 
 
-def _no(why: object) -> str:
-    return f"it is no Python: {why}"
+def _invalid(reason: object) -> str:
+    return f"not valid Python: {reason}"
 
 
 def names_of(tree: ast.Module) -> ScriptNames:
-    """The names that a script's tree uses, in the order of lines."""
-    found = _Imports(tree)
-    if not (found.modules or found.names or found.star):
+    """Return the names that a script's tree uses, in order of lines."""
+    imports = _Imports(tree)
+    if not (imports.modules or imports.names or imports.star):
         return ScriptNames(imports_yarp=False, uses=())
-    uses = {*_Uses(tree, found).found, *_devices(tree)}
+    uses = {*_Uses(tree, imports).uses, *_devices(tree)}
     return ScriptNames(imports_yarp=True, uses=tuple(sorted(uses)))
 
 
 class _Imports:
-    """What names of the script are YARP's."""
+    """The names in a script that are imported from YARP."""
 
     def __init__(self, tree: ast.Module) -> None:
         self.modules: set[str] = set()
@@ -89,17 +91,17 @@ class _Imports:
         self.lines: dict[str, int] = {}
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
-                self.modules |= {one.asname or one.name for one in node.names if one.name in _MODULES}
+                self.modules |= {alias.asname or alias.name for alias in node.names if alias.name in _MODULES}
             elif isinstance(node, ast.ImportFrom) and node.module in _MODULES and not node.level:
-                for one in node.names:
-                    self.star = self.star or one.name == "*"
-                    self.names[one.asname or one.name] = one.name
-                    self.lines.setdefault(one.name, node.lineno)
+                for alias in node.names:
+                    self.star = self.star or alias.name == "*"
+                    self.names[alias.asname or alias.name] = alias.name
+                    self.lines.setdefault(alias.name, node.lineno)
         self.names.pop("*", None)
         self.lines.pop("*", None)
 
     def name(self, node: ast.expr) -> str:
-        """The name of YARP that an expression is; empty where it is none."""
+        """Return the name of YARP that an expression refers to, "" if none."""
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in self.modules:
             return node.attr
         return self.names.get(node.id, "") if isinstance(node, ast.Name) else ""
@@ -109,7 +111,7 @@ _Scope = tuple[ast.AST, ...]
 
 
 class _Uses:
-    """All uses in a tree. A variable has a class where all that is assigned to it in its function is made of that."""
+    """All uses in a tree. A variable has a class if all assignments in its function create objects of that class."""
 
     def __init__(self, tree: ast.Module, imports: _Imports) -> None:
         self._imports = imports
@@ -118,12 +120,12 @@ class _Uses:
         if imports.star:
             imports.names |= {name: name for name in _unbound(tree)}
         for node, scope in self._scopes:
-            self._learn(node, scope)
-        self.found = {NameUse(line, name) for name, line in imports.lines.items()}
+            self._collect_assignments(node, scope)
+        self.uses = {NameUse(line, name) for name, line in imports.lines.items()}
         for node, scope in self._scopes:
-            self._see(node, scope)
+            self._collect_uses(node, scope)
 
-    def _learn(self, node: ast.AST, scope: _Scope) -> None:
+    def _collect_assignments(self, node: ast.AST, scope: _Scope) -> None:
         if isinstance(node, ast.Assign):
             for target in node.targets:
                 self._assign(target, node.value, scope)
@@ -140,36 +142,36 @@ class _Uses:
         if isinstance(target, (ast.Tuple, ast.List)):
             values = value.elts if isinstance(value, (ast.Tuple, ast.List)) else []
             paired = values if len(values) == len(target.elts) else [None] * len(target.elts)
-            for one, its in zip(target.elts, paired, strict=True):
-                self._assign(one, its, scope)
+            for element, assigned in zip(target.elts, paired, strict=True):
+                self._assign(element, assigned, scope)
             return
         key = _key(target, scope)
         if key is not None and not (isinstance(value, ast.Constant) and value.value is None):
-            self._kinds[key].add(self._made(value))
+            self._kinds[key].add(self._class_of(value))
 
-    def _made(self, value: ast.expr | None) -> str:
-        """The class of what an expression makes; empty where that is not known."""
+    def _class_of(self, value: ast.expr | None) -> str:
+        """Return the class of the object that an expression creates, "" if unknown."""
         if not isinstance(value, ast.Call):
             return ""
         view = isinstance(value.func, ast.Attribute) and _VIEW.fullmatch(value.func.attr)
         return view[1] if view else self._imports.name(value.func)
 
-    def _see(self, node: ast.AST, scope: _Scope) -> None:
+    def _collect_uses(self, node: ast.AST, scope: _Scope) -> None:
         if isinstance(node, (ast.Attribute, ast.Name)) and isinstance(node.ctx, ast.Load):
             name = self._imports.name(node)
             if name:
-                self.found.add(NameUse(node.lineno, name))
+                self.uses.add(NameUse(node.lineno, name))
         if isinstance(node, ast.Attribute):
             owner = self._imports.name(node.value)
             if owner and owner[:1].isupper():
-                self.found.add(NameUse(node.lineno, f"{owner}.{node.attr}"))
+                self.uses.add(NameUse(node.lineno, f"{owner}.{node.attr}"))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
-            made = self._made(node.func.value) or self._kind(node.func.value, scope)
-            if made[:1].isupper():
-                self.found.add(NameUse(node.lineno, f"{made}.{node.func.attr}"))
+            kind = self._class_of(node.func.value) or self._kind(node.func.value, scope)
+            if kind[:1].isupper():
+                self.uses.add(NameUse(node.lineno, f"{kind}.{node.func.attr}"))
 
     def _kind(self, node: ast.expr, scope: _Scope) -> str:
-        """The class of a variable; empty where it is not known, or there are several."""
+        """Return the class of a variable, "" if it is unknown or not unique."""
         while scope:
             key = _key(node, scope)
             kinds = self._kinds.get(key, set()) if key is not None else set()
@@ -180,50 +182,50 @@ class _Uses:
 
 
 def _scopes(node: ast.AST, scope: _Scope) -> Iterator[tuple[ast.AST, _Scope]]:
-    """Each node, and the module, classes and functions that it is in."""
+    """Yield each node with the module, classes and functions around it."""
     for child in ast.iter_child_nodes(node):
-        own = isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Lambda))
+        opens = isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Lambda))
         yield child, scope
-        yield from _scopes(child, (*scope, child) if own else scope)
+        yield from _scopes(child, (*scope, child) if opens else scope)
 
 
 def _key(target: ast.expr, scope: _Scope) -> tuple[ast.AST, str] | None:
-    """What tells a variable from others of its name: its function; of an attribute of ``self``, its class."""
+    """Return the identity of a variable: its function and name, or for an attribute of ``self``, its class and name."""
     if isinstance(target, ast.Name):
         return scope[-1], target.id
     if isinstance(target, ast.Attribute) and isinstance(target.value, ast.Name) and target.value.id == "self":
-        owner = next((one for one in reversed(scope) if isinstance(one, ast.ClassDef)), None)
+        owner = next((node for node in reversed(scope) if isinstance(node, ast.ClassDef)), None)
         return None if owner is None else (owner, f"self.{target.attr}")
     return None
 
 
 def _unbound(tree: ast.Module) -> set[str]:
-    """The names that a script uses and does not make: those that ``from yarp import *`` has to give."""
-    used, made = set[str](), {*dir(builtins), "__file__", "__name__", "__doc__"}
+    """Return the names that a script uses and does not bind, which ``from yarp import *`` must provide."""
+    used, bound = set[str](), {*dir(builtins), "__file__", "__name__", "__doc__"}
     for node in ast.walk(tree):
         if isinstance(node, ast.Name):
-            (used if isinstance(node.ctx, ast.Load) else made).add(node.id)
+            (used if isinstance(node.ctx, ast.Load) else bound).add(node.id)
         elif isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
-            made.add(node.name)
+            bound.add(node.name)
         elif isinstance(node, ast.arg):
-            made.add(node.arg)
+            bound.add(node.arg)
         elif isinstance(node, (ast.Import, ast.ImportFrom)):
-            made |= {(one.asname or one.name).partition(".")[0] for one in node.names}
+            bound |= {(alias.asname or alias.name).partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ExceptHandler) and node.name:
-            made.add(node.name)
-    return used - made
+            bound.add(node.name)
+    return used - bound
 
 
 def _devices(tree: ast.Module) -> Iterator[NameUse]:
-    """The devices that a script opens by names that stand in it."""
+    """Yield the devices that a script opens by a literal name."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Call):
-            words = [one.value if isinstance(one, ast.Constant) else None for one in node.args]
+            values = [argument.value if isinstance(argument, ast.Constant) else None for argument in node.args]
             called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-            if called == "put" and len(words) == 2 and words[0] == "device" and isinstance(words[1], str):
-                yield NameUse(node.lineno, words[1], is_device=True)
-            elif called in ("PolyDriver", "open_str") and len(words) == 1 and isinstance(words[0], str):
-                yield NameUse(node.lineno, words[0], is_device=True)
+            if called == "put" and len(values) == 2 and values[0] == "device" and isinstance(values[1], str):
+                yield NameUse(node.lineno, values[1], is_device=True)
+            elif called in ("PolyDriver", "open_str") and len(values) == 1 and isinstance(values[0], str):
+                yield NameUse(node.lineno, values[0], is_device=True)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            for found in _DEVICE.finditer(node.value):
-                yield NameUse(node.lineno, found[1], is_device=True)
+            for match in _DEVICE.finditer(node.value):
+                yield NameUse(node.lineno, match[1], is_device=True)

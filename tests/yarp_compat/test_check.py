@@ -1,4 +1,4 @@
-"""``python -m yarp_compat --check``: which names of YARP a script uses, and which are not here."""
+"""``python -m yarp_compat --check``: the names of YARP that a script uses, and the missing ones."""
 
 from __future__ import annotations
 
@@ -47,21 +47,21 @@ def uses(text: str) -> set[tuple[int, str]]:
     return {(use.line, use.name) for use in names_of(ast.parse(text)).uses}
 
 
-def test_names_methods_and_devices_are_found() -> None:
-    found = names_of(ast.parse(SCRIPT)).uses
-    assert NameUse(5, "gazecontrollerclient", is_device=True) in found
-    named = {(use.line, use.name) for use in found if not use.is_device}
+def test_names_methods_and_devices_are_detected() -> None:
+    names = names_of(ast.parse(SCRIPT)).uses
+    assert NameUse(5, "gazecontrollerclient", is_device=True) in names
+    named = {(use.line, use.name) for use in names if not use.is_device}
     assert {
         (2, "Bottle"), (2, "IGazeControl"), (4, "Property"), (5, "Property.put"), (6, "PolyDriver"),
         (7, "PolyDriver.viewIGazeControl"), (8, "IGazeControl.lookAtFixationPoint"), (11, "RFModule"),
         (20, "Port.open"), (21, "Port.openFakely"), (23, "BufferedPortBottle.getEnvelopes"), (25, "Network.conect"),
         (26, "Botle"),
     } <= named  # fmt: skip
-    assert not {line for line, _ in named} & {22, 24}, "what has several classes, or an unknown one, is left alone"
+    assert not {line for line, _ in named} & {22, 24}, "variables with several classes, or an unknown one, are ignored"
 
 
 @pytest.mark.parametrize(
-    ("text", "found"),
+    ("text", "expected"),
     [
         ("import os\nos.getcwd()", set()),
         ("import yarp\nx = yarp\nprint(x)", set()),
@@ -76,15 +76,15 @@ def test_names_methods_and_devices_are_found() -> None:
         ("import yarp\nd = yarp.PolyDriver('(device usb)')", {(2, "PolyDriver"), (2, "usb"), (2, "(device usb)")}),
     ],
 )
-def test_what_counts_as_a_use(text: str, found: set[tuple[int, str]]) -> None:
-    assert uses(text) == found
+def test_uses_in_a_script(text: str, expected: set[tuple[int, str]]) -> None:
+    assert uses(text) == expected
 
 
-def test_what_is_missing_is_said_with_its_lines(tmp_path: Path) -> None:
+def test_missing_names_are_listed_with_their_lines(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
     checked = check.check(script)
-    assert {one.name: one.lines for one in checked.absent} == {
+    assert {absent.name: absent.lines for absent in checked.absent} == {
         "IGazeControl": [2, 8],
         "device gazecontrollerclient": [5],
         "Port.openFakely": [21],
@@ -92,15 +92,15 @@ def test_what_is_missing_is_said_with_its_lines(tmp_path: Path) -> None:
         "Network.conect": [25],
         "Botle": [26],
     }
-    said = str(checked)
-    assert "  IGazeControl (lines 2, 8): there are no such devices: ask the controller's rpc port by RpcClient" in said
-    assert "  Botle (line 26): did you mean 'Bottle'?" in said
-    assert "  BufferedPortBottle.getEnvelopes (line 23): did you mean 'getEnvelope'?" in said
-    assert "  Network.conect (line 25): did you mean 'connect'?" in said
-    assert said.splitlines()[0] == f"{script}: 18 names of YARP, 6 missing"
+    text = str(checked)
+    assert "  IGazeControl (lines 2, 8): no such devices here: use the controller's rpc port by RpcClient" in text
+    assert "  Botle (line 26): did you mean 'Bottle'?" in text
+    assert "  BufferedPortBottle.getEnvelopes (line 23): did you mean 'getEnvelope'?" in text
+    assert "  Network.conect (line 25): did you mean 'connect'?" in text
+    assert text.splitlines()[0] == f"{script}: 18 names of YARP, 6 missing"
 
 
-def test_the_scripts_that_run_have_every_name() -> None:
+def test_no_name_is_missing_in_the_scripts_that_run() -> None:
     for path in SCRIPTS.glob("*.py"):
         checked = check.check(path)
         assert checked.imports_yarp
@@ -108,32 +108,32 @@ def test_the_scripts_that_run_have_every_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "error"),
     [
         (b"import yarp\nprint 'hello'\n", "bad.py:2: it is Python 2"),
         (b"import yarp\ntry:\n    pass\nexcept Exception, e:\n    pass\n", "bad.py:4: it is Python 2"),
         (b"import yarp\nraise ValueError, 'no'\n", "bad.py:2: it is Python 2"),
         (b"import yarp\nx = 0777\n", "bad.py:2: it is Python 2"),
-        (b'import yarp\n""" print \'x\' """\nx = = 3\n', "bad.py:3: it is no Python: invalid syntax"),
-        (b"# YARP\n\nYARP is a library\n", "bad.py:3: it is no Python"),
+        (b'import yarp\n""" print \'x\' """\nx = = 3\n', "bad.py:3: not valid Python: invalid syntax"),
+        (b"# YARP\n\nYARP is a library\n", "bad.py:3: not valid Python"),
         (b"\x7fELF\x02\x01\x01\x00\xff\xfe", "bad.py: it cannot be read as Python"),
         (b"x = 1\x00\n", "bad.py"),
         (b"# -*- coding: latin-99 -*-\n", "bad.py: it cannot be read as Python"),
-        (b"(" * 100_000, "it is no Python"),
+        (b"(" * 100_000, "not valid Python"),
     ],
 )
-def test_a_file_that_is_no_script_is_an_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, said: str
+def test_an_invalid_script_is_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, error: str
 ) -> None:
     (tmp_path / "bad.py").write_bytes(content)
     (tmp_path / "good.py").write_text("import yarp\nyarp.Network.init()\n")
     assert check.main([str(tmp_path)]) == 1
     out, err = capsys.readouterr()
-    assert said in err
-    assert "1 script for YARP, 1 with every name" in out, "the others are checked all the same"
+    assert error in err
+    assert "1 script for YARP, 1 with every name" in out, "the other files are checked"
 
 
-def test_files_and_folders_by_the_command_line(tmp_path: Path) -> None:
+def test_files_and_folders_on_the_command_line(tmp_path: Path) -> None:
     folder = tmp_path / "folder"
     (folder / "inner").mkdir(parents=True)
     (folder / "inner" / "one.py").write_text("import yarp\nyarp.Network.init()\n")
@@ -142,19 +142,19 @@ def test_files_and_folders_by_the_command_line(tmp_path: Path) -> None:
     other.write_text("import os\n")
     empty.mkdir()
 
-    def run(*asked: Path | str) -> subprocess.CompletedProcess[str]:
-        words = [sys.executable, "-m", "yarp_compat", "--check", *map(str, asked)]
-        return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    def run(*paths: Path | str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "yarp_compat", "--check", *map(str, paths)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
-    ended = run(folder, other)
-    assert ended.returncode == 0, ended.stderr
-    assert ended.stdout == (
+    done = run(folder, other)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == (
         f"{folder / 'inner' / 'one.py'}: 2 names of YARP, none missing\n{other}: it does not import yarp\n"
         "1 script for YARP, 1 with every name\n"
     )
-    ended = run(empty, tmp_path / "nowhere")
-    assert ended.returncode == 1
-    assert f"{empty}: there is no Python file in this folder" in ended.stderr
-    assert f"{tmp_path / 'nowhere'}: there is no such file or folder" in ended.stderr
+    done = run(empty, tmp_path / "nowhere")
+    assert done.returncode == 1
+    assert f"{empty}: no Python files in this folder" in done.stderr
+    assert f"{tmp_path / 'nowhere'}: file or folder not found" in done.stderr
     assert check.main([]) == 1
     assert check.main(["--chek"]) == 1
