@@ -20,17 +20,17 @@ import rclpy.utilities
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from ros2_calls import Calls  # run as a file, it sees those beside it alone
+from ros2_calls import Calls  # from the same folder: this file runs as a script
 
 
 def message_class(name: str) -> Any:
-    """The class of a type spelled ``package/Name``."""
+    """Return the class of a type ``package/Name``."""
     package, _, short = name.rpartition("/")
     return getattr(importlib.import_module(f"{package.partition('/')[0]}.msg"), short)
 
 
 def to_plain(value: Any) -> Any:
-    """A message, or a part of one, as JSON knows it."""
+    """Return a message, or a part of one, as JSON values."""
     if hasattr(value, "get_fields_and_field_types"):
         return {field: to_plain(getattr(value, field)) for field in value.get_fields_and_field_types()}
     if isinstance(value, bytes):
@@ -44,16 +44,16 @@ def fill(message: Any, fields: dict[str, Any]) -> Any:
     """Set the fields of a message from JSON; those not named keep their defaults."""
     types = message.get_fields_and_field_types()
     for field, value in fields.items():
-        setattr(message, field, made(types[field], value))
+        setattr(message, field, converted(types[field], value))
     return message
 
 
-def made(kind: str, value: Any) -> Any:
-    """A field's value of the ROS 2 type ``kind`` (as get_fields_and_field_types spells it)."""
+def converted(kind: str, value: Any) -> Any:
+    """Return a field's value of the ROS 2 type ``kind``, in the form of ``get_fields_and_field_types``."""
     if kind.startswith("sequence<"):
-        return [made(kind[9:-1].split(",")[0].strip(), item) for item in value]
+        return [converted(kind[9:-1].split(",")[0].strip(), item) for item in value]
     if kind.endswith("]"):
-        return [made(kind.rpartition("[")[0], item) for item in value]
+        return [converted(kind.rpartition("[")[0], item) for item in value]
     if kind == "octet":
         return bytes([value])
     return fill(message_class(kind)(), value) if "/" in kind else value
@@ -124,7 +124,7 @@ class Peer:
         return {}
 
     def publish_raw(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Bytes in place of a message: ``hex``, then as many zeros as ``zeros`` says."""
+        """Publish bytes instead of a message: ``hex``, then ``zeros`` zero bytes."""
         self.endpoints[params["id"]].handle.publish(bytes.fromhex(params["hex"]) + bytes(params.get("zeros", 0)))
         return {}
 
@@ -228,7 +228,7 @@ def qos(params: dict[str, Any]) -> Any:
 
 
 class EndedError(Exception):
-    """SIGTERM came; what is in shared memory is still to be given back."""
+    """SIGTERM arrived; the shared memory must still be released."""
 
 
 def end(_number: int, _frame: Any) -> None:
