@@ -72,7 +72,7 @@ class Host:
         self.clock = RunClock(simulated=config.clock.simulated)
         follow_clock(self.clock, hub)
         self.node = ModuleNode(hub, registry, self.loop, self.clock)
-        self.yarp = Ports(config, name)
+        self.yarp = Ports(config, name, None if shared is None else shared.findings)
         if self.clock.simulated:
             self._done = self.node.publisher(DONE_TOPIC, DONE_TYPE)
             self.clock.on_time(self._acknowledge, last=True)

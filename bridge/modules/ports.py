@@ -11,18 +11,20 @@ from bridge.callers import AGAIN, Callers, callers_file
 from bridge.config.model import Config
 from bridge.routing.counters import Counters
 from bridge.state_file import worker_folder
+from yarp_compat.dev.release_trial import ReleaseTrials
 from yarp_compat.dev.server import Server
 from yarp_compat.dev.service import Service
 from yarp_compat.naming import config as conf
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
-from yarp_compat.ports.connections import ConnectionEvent
+from yarp_compat.ports.client_process import inspect_client
+from yarp_compat.ports.connections import AnyOutput, ConnectionEvent
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import NamingConfigError, NoNameServerError
 from yarp_compat.ports.port import PortCore
 from yarp_compat.pythonic import Content, Received, payload_of
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.generation import Generations
+from yarp_compat.wire.generation import Findings, Generation, GenerationDecision, Generations
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import begun_by_vocab
@@ -57,18 +59,69 @@ class HostedPort:
             self.counters.crossed(0)
         return took
 
+    def write_by_release(self, make: Callable[[Generation], Content], envelope: str = "") -> int:
+        """Send to each reader what ``make`` returns for its generation of YARP; a port with ``by_release``."""
+        readers: dict[Generation, set[AnyOutput]] = {}
+        for output in self.core.connections.outputs:
+            readers.setdefault(self._generation(output), set()).add(output)
+        took = 0
+        for generation, outputs in readers.items():
+            took += self.core.write(payload_of(make(generation)), envelope, strict=False, chosen=outputs.__contains__)
+        if took:
+            self.counters.crossed(0)
+        return took
+
+    def _generation(self, output: AnyOutput) -> Generation:
+        decision = self._decision(output)
+        cure = self._generations.hint(decision) if _is_device(output) else ""
+        if cure:
+            what = "%s: the YARP release of its reader %s is unknown (%s); it gets the data of %s; %s"
+            _log.warning(what, self.name, decision.peer, decision.reason, decision.generation.value, cure)
+        return decision.generation
+
+    def _decision(self, output: AnyOutput) -> GenerationDecision:
+        """Return the generation of a reader, by its device and its process."""
+        target, link = output.route.target, ("", 0)
+        inspect_client(self._generations, target, output.profile, link, _far_end(output))
+        return self._generations.of(target, output.profile, link)
+
+    @property
+    def _generations(self) -> Generations:
+        if self.answers is None:
+            raise TypeError(f"{self.name} was opened without by_release")
+        return self.answers
+
     def status(self) -> dict[str, Any]:
         """Return the port's entry in the status document."""
         document = {"port": self.name, "state": "waiting" if self.trouble else "open", **self.counters.as_dict()}
         if self.trouble:
             document["error"] = self.trouble
         if self.answers is not None:
+            for link in self.core.connections.inputs:
+                inspect_client(self.answers, link.route.source, link.profile, link.address)
             document["peers"] = [
                 {"port": i.route.source, "carrier": i.carrier.name}
                 | self.answers.of(i.route.source, i.profile, i.address).as_dict()
                 for i in self.core.connections.inputs
+            ] + [
+                {"port": output.route.target, "carrier": output.carrier.name} | self._decision(output).as_dict()
+                for output in self.core.connections.outputs
+                if _is_device(output)
             ]
         return document
+
+
+def _is_device(output: AnyOutput) -> bool:
+    """Return whether a reader is the stream of a network client; other readers interpret the values themselves."""
+    return output.route.target.endswith("/data:i")
+
+
+def _far_end(output: AnyOutput) -> tuple[str, int] | None:
+    try:
+        host, number, *_ = output.sock.getpeername()
+    except (OSError, ValueError):
+        return None
+    return str(host), int(number)
 
 
 class _SwitchedOff(NameClient):
@@ -85,20 +138,22 @@ class Ports:
 
     Args:
         config: the configuration; its section ``yarp`` names the name server.
+        findings: of the clients' releases, which all modules of the process share.
 
     Attributes:
         naming: the client of the name server.
         generations: the YARP generation of each client of a served interface.
     """
 
-    def __init__(self, config: Config, name: str) -> None:
+    def __init__(self, config: Config, name: str, findings: Findings | None = None) -> None:
         self._config = config
         self._profile = Profile(config.yarp.profile)
-        self.generations = config.yarp.generations()
+        self.generations = config.yarp.generations(findings)
         self._off = config.yarp.enabled is False
         self.naming = (_SwitchedOff if self._off else NameClient)(
             _address(config), namespace=config.yarp.namespace, timeout=_ASK_SECONDS, numbers=config.yarp.numbers
         )
+        self._trials = ReleaseTrials(self.generations, self.naming)
         self._ports: list[HostedPort] = []
         self._callers = Callers(self.naming, callers_file(worker_folder(config), name))
         self._wake = threading.Event()
@@ -111,6 +166,8 @@ class Ports:
 
         def on_event(event: ConnectionEvent) -> None:
             server.on_event(event)
+            if event.incoming and event.up:
+                self._trials.connected(event.route.source, event.address)
             self._wake.set()
 
         port = self._made(name, server, is_output=False, rpc=True, on_event=on_event)
@@ -150,9 +207,18 @@ class Ports:
         port = self._made(name, taken, is_output=False)
         return port
 
-    def output(self, name: str, type_name: str = "") -> HostedPort:
-        """Write to the ports that connect."""
-        return self._made(name, None, is_input=False, type_name=type_name)
+    def output(self, name: str, type_name: str = "", *, by_release: bool = False) -> HostedPort:
+        """Write to the ports that connect; ``by_release``: to each in the form of its release of YARP."""
+        if not by_release:
+            return self._made(name, None, is_input=False, type_name=type_name)
+
+        def on_event(event: ConnectionEvent) -> None:
+            if not event.incoming:
+                self.generations.forget(event.route.target)
+
+        port = self._made(name, None, is_input=False, type_name=type_name, on_event=on_event)
+        port.answers = self.generations
+        return port
 
     def status(self) -> list[dict[str, Any]]:
         """Return all ports' entries in the status document."""
@@ -181,6 +247,7 @@ class Ports:
     def close(self) -> None:
         """Close all ports."""
         self._closed = True
+        self._trials.close()
         for port in self._ports:
             self._callers.leave(port.core)
         self._wake.set()

@@ -1,4 +1,4 @@
-"""What the modules of one process share: a session on the hub, and the store of maps and places."""
+"""Parts that the modules of one process share: a session on the hub, and the store of maps and places."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from bridge.hub.errors import HubClosedError
 from bridge.hub.session import Hub, HubSession, HubSettings
 from bridge.state_file import lane_folder
 from bridge.stores.service import StoreService
+from yarp_compat.wire.generation import Findings
 
 
 def hub_settings(config: Config, node: str, worker: str) -> HubSettings:
@@ -30,8 +31,8 @@ def hub_settings(config: Config, node: str, worker: str) -> HubSettings:
 class Shared:
     """Opens each part when a module first needs it. Safe to use from any thread.
 
-    One session spares a process the links, buffers and graphs of one for each module, and what several modules hear
-    comes over a link once.
+    One session spares a process the links, buffers and graphs of one for each module, and a topic of
+    several modules crosses a link once.
 
     Args:
         config: the configuration; its ``hub`` and ``store`` hold as long as the process.
@@ -39,6 +40,7 @@ class Shared:
 
     Attributes:
         stores: the process's store.
+        findings: of the releases of YARP clients; a client calls several modules.
     """
 
     def __init__(self, config: Config, alone: str = "") -> None:
@@ -47,9 +49,10 @@ class Shared:
         self._session: HubSession | None = None
         self._closed = False
         self.stores = StoreService(config, alone, self.join)
+        self.findings = Findings()
 
     def join(self, node: str, worker: str) -> Hub:
-        """Another node on the session; raises `HubError` where the hub cannot be joined."""
+        """Open another node on the session; raises `HubError` if joining the hub fails."""
         with self._lock:
             if self._closed:
                 raise HubClosedError("the hub session is closed")
@@ -58,7 +61,7 @@ class Shared:
             return Hub.on(self._session, node, worker)
 
     def hears_diagnostics(self) -> bool:
-        """Whether somebody hears `/diagnostics`, as far as a module has joined the hub."""
+        """Return whether `/diagnostics` has subscribers, once a module has joined the hub."""
         session = self._session
         return session is not None and heard(session.graph)
 

@@ -1,4 +1,4 @@
-"""The configuration says how the calls of YARP programs are answered."""
+"""The configuration sets how the calls of YARP programs are answered."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from yarp_compat.wire.profile import Profile
 
 RULES = [{"port": "/old/*", "release": "3.9.1"}, {"port": "/old/but/new", "release": "4"}]
 
-GUESS = "a guess: nothing that it sent tells its release"
-YARP3 = "its bytes are YARP 3's; which release of it is a guess"
+GUESS = "a guess: its requests are those of several releases"
+YARP3 = "its bytes are YARP 3's; the release of YARP 3 is a guess"
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ YARP3 = "its bytes are YARP 3's; which release of it is a guess"
         ({"profile": "yarp4"}, "/any", None, "4.0", GUESS),
         ({"profile": "yarp4"}, "/any", Profile.YARP3, "3.12", YARP3),
         ({"release": "3.11.2"}, "/any", None, "3.11", "its name server's generation"),
-        ({"peers": RULES}, "/old/but/new", None, "3.6", "the rule for /old/* says so"),
+        ({"peers": RULES}, "/old/but/new", None, "3.6", "set by the rule for /old/*"),
         ({"peers": RULES}, "/any", Profile.YARP4, "4.0", "its bytes are YARP 4's"),
         ({"peers": RULES}, "/old/one", Profile.YARP4, "4.0", "its bytes are YARP 4's"),
         ({"release": "3.9", "profile": "yarp4"}, "/any", Profile.YARP3, "3.6", "its name server's generation"),
@@ -74,5 +74,5 @@ def test_what_a_peer_told_itself_outweighs_the_rules() -> None:
     "section", [{"release": "2.3"}, {"release": "new"}, {"peers": [{"port": "/a", "release": ""}]}]
 )
 def test_what_is_no_release_is_refused(section: dict[str, Any]) -> None:
-    with pytest.raises(ValidationError, match=r"is no version of YARP that this knows: give one from 3\.6 on"):
+    with pytest.raises(ValidationError, match=r"is not a supported version of YARP: give one from 3\.6 on"):
         YarpSection.model_validate(section)

@@ -1,4 +1,4 @@
-"""A battery: what it streams, what its port answers (`IBatteryMsgs.thrift`), and a client (`IBattery.h`).
+"""A battery: its stream, the service of its port (`IBatteryMsgs.thrift`), and a client (`IBattery.h`).
 
 Ports (`battery_nws_yarp`, once `batteryWrapper`): the stream ``<name>/data:o``, and ``<name>/rpc:i``. From 3.12 on the
 stream is of `BatteryData`. Before it is a Bottle of the same numbers in another order (voltage, current, charge,
@@ -19,8 +19,9 @@ from yarp_compat.dev.client import ClientOptions, StreamingClient
 from yarp_compat.dev.fields import Generated
 from yarp_compat.dev.rangefinder import OldAnswer
 from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnValue, answered, given
-from yarp_compat.dev.service import Service, rpc
+from yarp_compat.dev.service import Service, before, rpc
 from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.generation import Generation
 
 
 class BatteryStatus(IntEnum):
@@ -45,6 +46,10 @@ class BatteryData(Generated):
     temperature: float = 0.0
     status: int = 3
 
+    def older(self) -> list[float | int]:
+        """Return the Bottle that clients before 3.12 read instead (``battery_nwc_yarp.cpp``)."""
+        return [self.voltage, self.current, self.charge, self.temperature, self.status]
+
 
 @rpc
 class IBatteryMsgs(Service):
@@ -54,6 +59,7 @@ class IBatteryMsgs(Service):
 
 
 @rpc
+@before(Generation.YARP_3_12)
 class OlderBatteryWords(Service):
     """The same in the words of YARP before 3.12."""
 
@@ -76,7 +82,7 @@ class IBattery:
     ) = BatteryStatus  # fmt: skip
 
     def newest(self) -> BatteryData | None:
-        """What came last; None before anything has."""
+        """Return the latest message; None before the first."""
         raise NotImplementedError
 
     def described(self) -> tuple[ReturnValue, str]:
@@ -116,7 +122,7 @@ class IBattery:
 
 
 class BatteryClient(StreamingClient[_BatteryCalls, BatteryData], IBattery):
-    """Hears a battery, as YARP's ``battery_nwc_yarp`` does.
+    """Receives a battery's state, as YARP's ``battery_nwc_yarp`` does.
 
     ``server`` begins the names of its ports (``/robot/battery``), ``name`` the own ones; ``carrier`` is the stream's;
     more as of `ServiceClient`.
@@ -129,7 +135,7 @@ class BatteryClient(StreamingClient[_BatteryCalls, BatteryData], IBattery):
         )
 
     def newest(self) -> BatteryData | None:
-        """What came last; None before anything has."""
+        """Return the latest message; None before the first."""
         last = self.last()
         return None if last is None else last[0]
 

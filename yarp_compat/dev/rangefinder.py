@@ -1,6 +1,6 @@
 """Laser scans (`yarp/sig/LaserScan2D.h`), and what a laser's port answers (`IRangefinder2DMsgs.thrift`).
 
-Ports (`rangefinder2D_nws_yarp` of YARP 3.6 to 4.0): the stream of LaserScan2D, and beside it ``<name>/rpc:i``. Clients
+Ports (`rangefinder2D_nws_yarp` of YARP 3.6 to 4.0): the stream of LaserScan2D, and the port ``<name>/rpc:i``. Clients
 before 3.10 use older words: ``[get] [ilas] [lsdr]`` is answered ``[is] [lsdr] 0.1 20.0`` (`IRangefinder2D.h`).
 """
 
@@ -17,9 +17,10 @@ from typing import Annotated, Any, Concatenate, ParamSpec
 
 from yarp_compat.dev.fields import Choice, Generated
 from yarp_compat.dev.returnvalue import CallFailed, ReturnValue
-from yarp_compat.dev.service import Service, rpc
+from yarp_compat.dev.service import Service, before, rpc
 from yarp_compat.sig.vector import Vector
 from yarp_compat.wire.elements import ElementReader, ElementWriter
+from yarp_compat.wire.generation import Generation
 from yarp_compat.wire.portable import Portable
 
 P = ParamSpec("P")
@@ -113,6 +114,7 @@ class IRangefinder2DMsgs(Service):
 
 
 @rpc
+@before(Generation.YARP_3_11)
 class OlderWords(Service):
     """The same in the words of clients before 3.10: distances, directions, resolution, rate, description."""
 

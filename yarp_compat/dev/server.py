@@ -1,8 +1,8 @@
-"""Answers the requests to an interface, each peer in its own generation of YARP.
+"""Answers the requests to an interface, each client in its own generation of YARP.
 
-What it takes is what YARP's servers take: the name in one word or in several, vocabs or strings, in a list that says
-its elements' type or not; ``help``; the introduction of YARP 4's clients. What nobody knows is answered by ``[fail]``.
-Where a peer's generation is a guess, no generation reads a failure as success (`yarp_compat.dev.returnvalue`).
+It accepts what YARP's servers accept: the name in one word or in several, vocabs or strings, in a list with or without
+its elements' type; ``help``; the introduction of YARP 4's clients. Unknown requests are answered by ``[fail]``.
+If a client's generation is a guess, no generation reads a failure as success (`yarp_compat.dev.returnvalue`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 from yarp_compat.dev import returnvalue
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.service import INTRODUCTION, Call, Service, write_version
+from yarp_compat.ports.client_process import inspect_client
 from yarp_compat.ports.connections import ConnectionEvent
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.pythonic import OpenPort
@@ -22,7 +23,7 @@ from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.framing import Buffer
-from yarp_compat.wire.generation import Generation, GenerationDecision, Generations, PeerAddress
+from yarp_compat.wire.generation import Finding, Generation, GenerationDecision, Generations, PeerAddress
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.tags import VOCAB32
 from yarp_compat.wire.values import Vocab, begun_by_vocab
@@ -30,18 +31,22 @@ from yarp_compat.wire.values import Vocab, begun_by_vocab
 log = logging.getLogger(__name__)
 
 HELP = "help"
-SILENCE = 1.0  # seconds between two lines in the log of one server: a peer cannot fill it
+LOCATIONS = "get_locations_list_RPC"
+SILENCE = 1.0  # seconds between two lines of one server in the log, which a client could fill otherwise
 _HELP = (
     "help([functionName])",
     "Return list of available commands, or help message for a specific function",
     "@param functionName name of the command to describe; without it all names are listed",
 )
 
+_OTHER = {Generation.YARP_3_12: Generation.YARP_3_6, Generation.YARP_3_6: Generation.YARP_3_12}
+"""The generation to try for a client that did not read a reply: both replies have the same length."""
+
 
 class Server:
-    """Answers with an interface's implementation, as a port's ``on_message`` and, :meth:`on_event`, its other hook.
+    """Answers with an interface's implementation: a port's ``on_message`` and, as :meth:`on_event`, ``on_event``.
 
-    The owner keeps ``generations``, so that it can show what peers are answered in.
+    ``generations`` has the generation of each client, also for the owner's status.
     """
 
     def __init__(self, service: Service, generations: Generations | None = None) -> None:
@@ -49,8 +54,9 @@ class Server:
         self._calls = type(service).calls()
         self._longest = max((name.count("_") + 1 for name in self._calls), default=1)
         self.generations = Generations() if generations is None else generations
-        self.refused = 0  # requests that were none
+        self.refused = 0  # invalid requests
         self._silent = 0.0
+        self._given: dict[str, str] = {}  # the location that a client asked for last and was given
 
     def __call__(self, request: PortMessage) -> None:
         """Answer a message."""
@@ -65,9 +71,12 @@ class Server:
             peer.profile = Profile.YARP4
 
     def on_event(self, event: ConnectionEvent) -> None:
-        """Hear that a connection came or went: who calls on it now may be another than before."""
-        if event.incoming:
+        """Note that a connection began or ended: the next client with its name may have another release."""
+        if event.incoming and event.up:
+            self.generations.connected(event.route.source, event.route.carrier, event.address)
+        elif event.incoming:
             self.generations.forget(event.route.source, event.address)
+            self._given.pop(event.route.source, None)
 
     def answer(
         self,
@@ -79,11 +88,13 @@ class Server:
         text: bool = False,
         acked: bool = False,
     ) -> bytes:
-        """The reply to a request of a port, over a connection (``link``), in its dialect where that is known.
+        """Return the reply to a request of a port over a connection (``link``), in its dialect if that is known.
 
-        ``text``: it is printed, so it must be a Bottle; ``acked``: the carrier acknowledges, and `returnvalue.SPARE`
-        bytes can be behind that.
+        ``text``: it is printed, so it must be a Bottle; ``acked``: the carrier acknowledges, so `returnvalue.SPARE`
+        bytes can follow.
         """
+        if not text:
+            inspect_client(self.generations, peer, profile, link)
         decision = self.generations.of(peer, profile, link)
         likely = profile or decision.generation.profile
         try:
@@ -104,31 +115,53 @@ class Server:
         if text:
             reason = "it is text"
         elif "_" in _first_word(payload, found) and not self.generations.of(peer, profile, link).sure:
-            # generated code splits names: this is a person at `yarp rpc`, or a script, who reads a Bottle
+            # generated code splits names: this is a person at `yarp rpc` or a script, and expects a Bottle
             reason = "its words are typed"
         else:
-            decision = self._learned(call, found, peer, profile, link)
+            decision = self._learned(call, arguments, found, peer, profile, link)
             return self._called(call, arguments, decision, decision.generation.profile, acked=acked)
         return self._called(call, arguments, GenerationDecision(peer, Generation.YARP_3_6, reason), found)
 
     def _learned(
-        self, call: Call, found: Profile, peer: str, profile: Profile | None, link: PeerAddress
+        self, call: Call, arguments: list[Any], found: Profile, peer: str, profile: Profile | None, link: PeerAddress
     ) -> GenerationDecision:
-        """Decides the generation of the answer, by all that a request tells."""
+        """Decide the generation of the answer, by all that the request and the connection disclose."""
         generations = self.generations
         if found is not generations.of(peer, profile, link).generation.profile:
             generations.recognised(peer, found, link)
-        if call.since is not None and generations.of(peer, profile, link).generation.profile is Profile.YARP3:
-            generations.called(peer, call.name, call.since, link)
-        decision = generations.of(peer, profile, link)
+        if generations.of(peer, profile, link).generation.profile is Profile.YARP3:
+            if call.since is not None:
+                generations.called(peer, call.name, call.since, link)
+            if call.before is not None:
+                reason = f"it called {call.name}, as clients before {call.before.value} do"
+                generations.findings.add(peer, Finding(Generation.YARP_3_6, reason), link)
+        decision = self._reacted(call, arguments, peer, generations.of(peer, profile, link), link)
+        trial = generations.findings.trial_of(peer) if call.name == LOCATIONS and not decision.sure else None
+        if trial is not None:
+            return GenerationDecision(peer, trial.generation, "a trial", decision.cure)
         cure = generations.hint(decision) if call.tells else ""
         if cure:
-            what = "nothing tells which release of YARP %s is of; its calls are answered as %s does, with care (%s)"
-            log.warning(what, peer or "?", decision.generation.value, cure)
+            what = "the YARP release of %s is unknown (%s); its calls are answered as by %s, with care; %s"
+            log.warning(what, peer or "?", decision.reason, decision.generation.value, cure)
         return decision
 
+    def _reacted(
+        self, call: Call, arguments: list[Any], peer: str, decision: GenerationDecision, link: PeerAddress
+    ) -> GenerationDecision:
+        """Change the guess if the client did not read the last reply.
+
+        ``navigation2D_nwc_yarp`` asks for the area of a name only after the location failed
+        (``gotoTargetByLocationName``, 3.6 to 4.0).
+        """
+        given, other = self._given.pop(peer, None), _OTHER.get(decision.generation)
+        if decision.sure or other is None or call.name != "get_area_RPC" or given is None or given != arguments[0]:
+            return decision
+        reason = f"a guess: it asked for the area {given!r} although it had been given the location"
+        self.generations.findings.add(peer, Finding(other, reason, sure=False), link)
+        return self.generations.of(peer, decision.generation.profile, link)
+
     def _commanded(self, payload: Buffer, profile: Profile | None, likely: Profile) -> bytes | None:
-        """The answer to a request in words; None where it means nothing to the service."""
+        """Return the answer to a request in words; None if it means nothing to the service."""
         try:
             said = self._service.command(decode(payload, profile))
             return None if said is None else encode(begun_by_vocab(said), likely)
@@ -160,7 +193,7 @@ class Server:
         raise first or WireError("no profile fits")
 
     def _named(self, source: ElementReader) -> tuple[str, Call | None]:
-        """The name in a request; without a call where it is one that every service knows."""
+        """Return the name in a request and its call; None for the names that every service knows."""
         source.begin()
         name = source.word()
         if name == "__direct__":
@@ -171,7 +204,7 @@ class Server:
             if name in self._calls:
                 return name, self._calls[name]
             if not source.left or name.count("_") + 1 >= self._longest:
-                raise WireError(f"there is no method {name!r}")
+                raise WireError(f"unknown method {name!r}")
             name += "_" + source.word()
 
     def _special(
@@ -217,6 +250,11 @@ class Server:
             results = _failed(call, ReturnCode.GENERIC)
         if results is None:
             return _fail()
+        if call.name == "get_location_RPC" and results[0] and decision.peer.endswith("/locations/rpc"):
+            self._given[decision.peer] = arguments[0]
+        trial = self.generations.findings.trial_of(decision.peer) if call.name == LOCATIONS else None
+        if trial is not None and trial.generation is decision.generation:
+            trial.answered = bool(results[0] and results[1])
         try:
             return _written(call, results, decision, profile, acked=acked)
         except WireError:
@@ -238,7 +276,7 @@ def _first_word(payload: Buffer, profile: Profile) -> str:
 
 
 class _Outcome(bytes):
-    """A reply of `returnvalue.alone`, which wants `returnvalue.SPARE` bytes behind its acknowledgement."""
+    """A reply of `returnvalue.alone`, which wants `returnvalue.SPARE` bytes after its acknowledgement."""
 
 
 def _written(call: Call, results: list[Any], decision: GenerationDecision, profile: Profile, *, acked: bool) -> bytes:
@@ -282,7 +320,7 @@ def _fail() -> bytes:
 
 
 class DeviceCalls:
-    """Calls a device: any object with some of YARP's methods, which return results, None or an outcome, or raise."""
+    """Calls a device: any object with some methods of YARP, which return results, None or an outcome, or raise."""
 
     def __init__(self, device: object) -> None:
         self._device = device
@@ -293,7 +331,7 @@ class DeviceCalls:
         return returned if isinstance(returned, ReturnValue) else OK
 
     def found(self, method: str, *arguments: Any, lacking: str) -> Any:
-        """The result of a method; ``lacking`` is the error where it returns None."""
+        """Return the result of a method; ``lacking`` is the error if it returns None."""
         returned = self._method(method)(*arguments)
         if isinstance(returned, ReturnValue):
             raise CallFailed(returned.code if not returned else ReturnCode.METHOD_FAILED, lacking)

@@ -36,12 +36,12 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 class Channel(Protocol):
-    """A client's way to its server; what the server answers sets its ``generation``."""
+    """A client's connection to its server; replies of the server set its ``generation``."""
 
     generation: Generation
 
     def request(self, payload: bytes, parse: Callable[[Buffer], int]) -> Buffer:
-        """Send a request and return the reply, which ends where ``parse`` says (it raises Incomplete for more)."""
+        """Send a request and return the reply; ``parse`` returns its length (or raises Incomplete)."""
 
 
 class Service:
@@ -70,10 +70,10 @@ class Service:
         return version
 
     def command(self, words: list[Any]) -> Sequence[Any] | None:  # noqa: ARG002 - most know none
-        """Answer a request in words, as modules had them before their services; None where it is no command.
+        """Answer a request in words, as modules had them before their services; None for any other request.
 
         ``words`` are a Bottle's values, and so is the answer, whose first may be a vocab as text (``[many]``). Raises
-        `ValueError`, which says what is wrong with a known command.
+        `ValueError` with the reason for a known command that is wrong.
         """
         return None
 
@@ -85,7 +85,7 @@ class Service:
 
 
 def rpc(method: _Method) -> _Method:
-    """Mark a method of an interface: where the interface has a channel, calling it calls the server's.
+    """Mark a method of an interface: with a channel, calling it calls the server's method.
 
     Its annotations are what is on the wire, see :mod:`yarp_compat.dev.fields`; ``tuple[ReturnValue, ...]`` is what
     YARP's structures ``return_...`` are. On a class it marks all public methods that `Service` does not have.
@@ -124,6 +124,18 @@ def since(generation: Generation) -> Callable[[_Method], _Method]:
     return marked
 
 
+def before(generation: Generation) -> Callable[[_Method], _Method]:
+    """Mark a method that only clients of older generations call, or all methods of a class; below :func:`rpc`."""
+
+    def marked(method: _Method) -> _Method:
+        methods = filter(isfunction, vars(method).values()) if isinstance(method, type) else (method,)
+        for each in methods:
+            each.__dict__["before"] = generation
+        return method
+
+    return marked
+
+
 def write_version(protocol: int, generation: Generation = Generation.YARP_4) -> bytes:
     """The answer to a client's introduction, by a server of the client's own generation."""
     major, minor = map(int, generation.value.split("."))
@@ -131,7 +143,7 @@ def write_version(protocol: int, generation: Generation = Generation.YARP_4) -> 
 
 
 def read_version(reply: Buffer) -> tuple[int, int, int, int] | None:
-    """A server's protocol and version; None where the reply is another."""
+    """Return a server's protocol and version; None for any other reply."""
     if memoryview(reply).nbytes != VERSION.size:
         return None
     code, count, protocol, major, minor, patch = VERSION.unpack(reply)
@@ -168,7 +180,7 @@ _ONE, _THREE = struct.Struct("<i"), struct.Struct("<iii")
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """A reply taken apart: the method's results, the bytes that it took, and the generation that its bytes tell."""
+    """A reply taken apart: the method's results, the number of its bytes, and the generation that wrote them."""
 
     results: list[Any]
     size: int
@@ -177,7 +189,7 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A method; ``alone``: of one result, no structure; ``since``: the generation that brought it, if any."""
+    """A method. ``alone``: it has one result and no structure; ``since``, ``before``: the generations that call it."""
 
     name: str
     arguments: tuple[tuple[str, FieldCodec], ...]
@@ -185,6 +197,7 @@ class Call:
     alone: bool
     prototype: str
     since: Generation | None = None
+    before: Generation | None = None
 
     @classmethod
     def of(cls, method: Callable[..., Any]) -> Call:
@@ -198,8 +211,8 @@ class Call:
         listed = ", ".join(f"{field.name} {name}" for name, field in arguments)
         returns = " ".join(field.name for field in results) or "void"
         prototype = f"{returns} {method.__name__}({listed})"
-        since = getattr(method, "since", None)
-        return cls(method.__name__, arguments, results, alone and bool(results), prototype, since)
+        bounds = getattr(method, "since", None), getattr(method, "before", None)
+        return cls(method.__name__, arguments, results, alone and bool(results), prototype, *bounds)
 
     @property
     def tells(self) -> bool:
@@ -223,7 +236,7 @@ class Call:
         return out.payload()
 
     def read_arguments(self, source: ElementReader) -> list[Any]:
-        """The arguments of a request, whose name has been read; raises `WireError` where one is missing or wrong."""
+        """The arguments of a request, whose name has been read; raises `WireError` if one is missing or wrong."""
         found = []
         for name, field in self.arguments:
             try:
@@ -245,10 +258,10 @@ class Call:
         return out.payload()
 
     def read_reply(self, data: Buffer, generation: Generation) -> Reply:
-        """Take a reply apart, which ``data`` begins with; where the bytes tell another generation, that counts.
+        """Parse the reply that ``data`` begins with; a generation that its bytes show overrides the argument.
 
-        Raises `WireError` where it is none of this method's (``[fail]``: the server lacks it), `Incomplete` before its
-        end.
+        Raises `WireError` if it is not a reply to this method (``[fail]``: the server lacks it), `Incomplete` for a
+        part of one.
         """
         if self.tells:
             generation = _told(data, generation, alone=self.alone)
@@ -264,12 +277,12 @@ class Call:
 
     @property
     def _itself(self) -> bool:
-        """Whether the one result is the reply, being a list of its own."""
+        """Whether the only result, a list, is the whole reply."""
         return self.alone and isinstance(self.results[0], Nested)
 
 
 def _told(data: Buffer, generation: Generation, *, alone: bool) -> Generation:
-    """The generation that wrote a reply with an outcome, where its first bytes tell."""
+    """Return the generation that wrote a reply with an outcome, as far as its first bytes show it."""
     try:
         first = _ONE.unpack_from(data, 0)[0] if alone else _THREE.unpack_from(data, 0)[2]
     except struct.error as error:

@@ -1,8 +1,14 @@
-"""Decides in which of YARP's four generations of replies a peer is answered.
+"""Decides in which of YARP's four generations of replies a client is answered.
 
-YARP's generated (thrift) services have answered with a bool, a bare number, a tagged number and a list, in turn. Few
-requests tell who makes them: 4.0 asks for the protocol's version and has its own tags for numbers, and some methods
-came with 3.12. Whom nothing tells apart is answered by a guess, and then with care, see `yarp_compat.dev.returnvalue`.
+YARP's generated (thrift) services have replied with a bool, a plain number, a tagged number and a list, in turn, to the
+same requests. A client's generation follows, in this order, from
+
+1. its bytes: YARP 4 has its own tags for numbers and asks for the protocol's version, and some methods came with 3.12;
+2. the settings;
+3. findings: the YARP library that its process has loaded, or how it reacts to a reply;
+4. a guess, for which the carrier that it connects by is a hint.
+
+Clients with only a guess are answered with care, see `yarp_compat.dev.returnvalue`.
 """
 
 from __future__ import annotations
@@ -13,14 +19,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from fnmatch import fnmatchcase
+from typing import Any
 
 from yarp_compat.wire.profile import Profile
 
-MOST_PEERS = 4096  # peers whose own words are remembered; the longest known goes first
+MOST_PEERS = 4096  # clients whose release is remembered; the oldest entry is dropped first
+MOST_HINTS = 100  # clients for which the log names the setting
 
 
 class Generation(Enum):
-    """The way in which releases of YARP write a call's results; its value is the first such release."""
+    """A format of a call's results; its value is the first release of YARP that writes it."""
 
     YARP_3_6 = "3.6"  # a bool: the vocab ``[ok]`` or ``[fail]``
     YARP_3_11 = "3.11"  # an int64 without a tag
@@ -32,9 +40,14 @@ class Generation(Enum):
         """The Bottle tags that this generation writes."""
         return Profile.YARP4 if self is Generation.YARP_4 else Profile.YARP3
 
+    @property
+    def before_3_12(self) -> bool:
+        """Whether it is older than 3.12, which also reordered some streams."""
+        return self in (Generation.YARP_3_6, Generation.YARP_3_11)
+
     @classmethod
     def of(cls, version: str) -> Generation:
-        """The generation of a release of YARP, such as ``3.9.1`` or ``4``; raises `ValueError` for none from 3.6 on."""
+        """Return the generation of a release of YARP, such as ``3.9.1`` or ``4``; raises `ValueError` before 3.6."""
         match = re.fullmatch(r"(\d{1,4})(?:\.(\d{1,4}))?(?:\.\d{1,8})?\+?", version.strip())
         release = (int(match[1]), int(match[2] or 0)) if match else (0, 0)
         if match and match[2] is None and release[0] == 3:
@@ -44,22 +57,22 @@ class Generation(Enum):
             if release >= first:
                 return generation
         raise ValueError(
-            f"{version!r} is no version of YARP that this knows: give one from 3.6 on, such as 3.9, 3.12 or 4.0"
+            f"{version!r} is not a supported version of YARP: give one from 3.6 on, such as 3.9, 3.12 or 4.0"
         )
 
     @classmethod
     def newest(cls, profile: Profile) -> Generation:
-        """The generation to expect where only the Bottle tags are known."""
+        """Return the generation to expect if only the Bottle tags are known."""
         return cls.YARP_4 if profile is Profile.YARP4 else cls.YARP_3_12
 
 
-PeerAddress = tuple[str, int]  # the address of a connection, which tells two of one name apart
+PeerAddress = tuple[str, int]  # the client's end of a connection, which distinguishes two clients with one name
 _NOWHERE: PeerAddress = ("", 0)
 
 
 @dataclass(frozen=True, slots=True)
 class GenerationDecision:
-    """The generation for a peer, and the reason; ``cure`` says what would make a guess certain, else it is empty."""
+    """The generation for a client, and the reason; ``cure`` is the setting that replaces a guess, else empty."""
 
     peer: str
     generation: Generation
@@ -68,41 +81,122 @@ class GenerationDecision:
 
     @property
     def sure(self) -> bool:
-        """Whether the peer or a setting has said it."""
+        """Whether it is more than a guess."""
         return not self.cure
 
     def as_dict(self) -> dict[str, str]:
-        """Generation and reason, for a status document; and the cure of a guess."""
-        said = {"generation": self.generation.value, "generation_why": self.reason}
-        return said if self.sure else {**said, "generation_cure": self.cure}
+        """Return generation and reason for a status document, and the cure of a guess."""
+        document = {"generation": self.generation.value, "generation_why": self.reason}
+        return document if self.sure else {**document, "generation_cure": self.cure}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """An observation of a client.
+
+    ``sure``: only this generation explains it; ``overrides``: the client disclosed it itself, so settings do not count.
+    """
+
+    generation: Generation
+    reason: str
+    sure: bool = True
+    overrides: bool = False
+
+
+@dataclass(slots=True)
+class Trial:
+    """A reply in a chosen generation, to find out whether a client can read it (`yarp_compat.dev.release_trial`)."""
+
+    generation: Generation
+    answered: bool = False  # whether the reply was sent, with values
+
+
+_OF_ONE_DEVICE = re.compile(r"/(?:(?:navigation|locations|localization|user_commands)/rpc|mapClient_rpc|rpc:o|data:i)")
+
+
+def device_of(peer: str) -> str:
+    """Return the common beginning of the ports of one network client: its parameter ``local``."""
+    match = _OF_ONE_DEVICE.search(peer)
+    return peer[: match.start()] if match and match.end() == len(peer) and peer.startswith("/") else peer
+
+
+class Findings:
+    """Observations of clients, by device: its ports belong to one process. Shared by all servers of our process."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, PeerAddress], tuple[str, Finding]] = {}  # each with the port that it came of
+        self._trials: dict[str, Trial] = {}
+        self._lock = threading.Lock()
+
+    def get(self, peer: str, link: PeerAddress = _NOWHERE) -> Finding | None:
+        """Return the finding on a client, if there is one."""
+        known = self._known.get(_key(peer, link))
+        return None if known is None else known[1]
+
+    def add(self, peer: str, finding: Finding, link: PeerAddress = _NOWHERE) -> None:
+        """Record a finding; a guess never replaces a sure one."""
+        key = _key(peer, link)
+        with self._lock:
+            known = self._known.get(key)
+            if finding.sure or known is None or not known[1].sure:
+                self._known[key] = peer, finding
+                _limit(self._known)
+
+    def begin(self, device: str, trial: Trial) -> Trial | None:
+        """Begin a trial of a device; return None while there is one already."""
+        with self._lock:
+            return trial if self._trials.setdefault(device, trial) is trial else None
+
+    def trial_of(self, peer: str) -> Trial | None:
+        """Return the trial of a client, if there is one now."""
+        return self._trials.get(device_of(peer))
+
+    def end(self, device: str) -> None:
+        """End the trial of a device."""
+        with self._lock:
+            self._trials.pop(device, None)
+
+    def drop(self, peer: str, link: PeerAddress = _NOWHERE) -> None:
+        """Forget what came of this port; what other ports of the device disclosed stays."""
+        key = _key(peer, link)
+        with self._lock:
+            if key in self._known and self._known[key][0] == peer:
+                del self._known[key]
+
+
+def _key(peer: str, link: PeerAddress) -> tuple[str, PeerAddress]:
+    """Return the key of a client: names of ports are unique, other names are not."""
+    return (device_of(peer), _NOWHERE) if peer.startswith("/") else (peer, link)
 
 
 class Generations:
-    """Decides for each connection, and remembers what its peer disclosed."""
+    """Decides for each connection, and remembers what its client disclosed."""
 
     def __init__(
         self,
-        default: Generation | None = None,  # what peers on this name server are, where somebody said it
-        # patterns of port names (``/cer/*``) and what those are, the first that fits
+        default: Generation | None = None,  # of all clients on this name server, if a setting gives it
+        # patterns of port names (``/cer/*``) with their generations; the first match counts
         rules: Sequence[tuple[str, Generation]] = (),
         *,
-        guess: Generation = Generation.YARP_3_12,  # what peers count as where neither they nor any setting say it
-        # how it can be said, for people; ``{peer}`` stands for the peer
-        cure: str = "give the server the Generations of its peers",
+        guess: Generation = Generation.YARP_3_12,  # for clients without any of the above
+        cure: str = "give the server the Generations of its peers",  # the setting; ``{peer}`` stands for the client
+        findings: Findings | None = None,
     ) -> None:
         self._default, self._guess, self._cure = default, guess, cure
         self._rules = tuple(rules)
-        self._told: dict[tuple[str, PeerAddress], GenerationDecision] = {}
-        self._hinted = False
+        self.findings = Findings() if findings is None else findings
+        self._disclosed: dict[tuple[str, PeerAddress], GenerationDecision] = {}
+        self._inspected: set[tuple[str, PeerAddress]] = set()
+        self._hinted: set[str] = set()
         self._lock = threading.Lock()
 
     def adopt(self, other: Generations) -> None:
-        """Take over the settings of another; what peers told of themselves stays."""
+        """Adopt the settings of another; what clients disclosed stays."""
         self._default, self._guess, self._cure, self._rules = other._default, other._guess, other._cure, other._rules
-        self._hinted = False
+        self._hinted = set()
 
     def introduced(self, peer: str, profile: Profile | None = None, link: PeerAddress = _NOWHERE) -> None:
-        """The peer asked for the protocol's version, as clients of 4.0 do, and some of 3.12."""
+        """Note that the client asked for the protocol's version, as clients of 4.0 do, and some of 3.12."""
         asked = "it asked for the protocol's version"
         if profile is Profile.YARP3:
             reason = f"{asked}, and is of YARP 3, of which only 3.12 does"
@@ -111,33 +205,43 @@ class Generations:
             self._remember(link, GenerationDecision(peer, Generation.YARP_4, f"{asked}, as clients of 4.0 do"))
 
     def recognised(self, peer: str, profile: Profile, link: PeerAddress = _NOWHERE) -> None:
-        """The peer wrote bytes that only one profile explains: that outweighs all else, also an introduction.
+        """Note that the client wrote bytes of this profile only; that overrides even an introduction.
 
-        (Clients of services of one's own may introduce themselves in 3.12 too.)
+        (Clients of custom services may introduce themselves in 3.12 too.)
         """
         if profile is not self.of(peer, link=link).generation.profile:
             self._remember(link, self._by_bytes(peer, profile))
 
     def called(self, peer: str, method: str, since: Generation, link: PeerAddress = _NOWHERE) -> None:
-        """The peer, of YARP 3, called a method that releases before ``since`` lack: a guess is none any more."""
+        """Note that the client, of YARP 3, called a method that releases before ``since`` lack."""
         if not self.of(peer, link=link).sure:
             self._remember(link, GenerationDecision(peer, since, f"it called {method}, which came with {since.value}"))
 
     def of(self, peer: str, profile: Profile | None = None, link: PeerAddress = _NOWHERE) -> GenerationDecision:
-        """The generation for this peer. A known profile outweighs the rules, even where it never called."""
-        told = self._told.get((peer, link))
-        if told is not None:
-            return told
-        decision = self._ruled(peer)
-        return decision if profile in (None, decision.generation.profile) else self._by_bytes(peer, profile)
+        """Return the generation for a client. A known profile overrides the rules, even before its first call."""
+        disclosed = self._disclosed.get((peer, link))
+        finding = self.findings.get(peer, link)
+        if disclosed is None and finding is not None and finding.overrides:
+            fits = profile in (None, finding.generation.profile)
+            generation = finding.generation if profile is None or fits else Generation.newest(profile)
+            return GenerationDecision(peer, generation, finding.reason)
+        decision = disclosed or self._ruled(peer)
+        if disclosed is None and profile not in (None, decision.generation.profile):
+            decision = self._by_bytes(peer, profile)
+        if decision.sure or finding is None:
+            return decision
+        known = decision.generation.profile if disclosed is not None else profile
+        if known not in (None, finding.generation.profile):
+            return decision
+        return GenerationDecision(peer, finding.generation, finding.reason, "" if finding.sure else decision.cure)
 
     def _ruled(self, peer: str) -> GenerationDecision:
         for pattern, generation in self._rules:
             if fnmatchcase(peer, pattern):
-                return GenerationDecision(peer, generation, f"the rule for {pattern} says so")
+                return GenerationDecision(peer, generation, f"set by the rule for {pattern}")
         if self._default is not None:
             return GenerationDecision(peer, self._default, "its name server's generation")
-        return self._guessed(peer, self._guess, "a guess: nothing that it sent tells its release")
+        return self._guessed(peer, self._guess, "a guess: its requests are those of several releases")
 
     def _by_bytes(self, peer: str, profile: Profile | None) -> GenerationDecision:
         reason = f"its bytes are YARP {'4' if profile is Profile.YARP4 else '3'}'s"
@@ -145,30 +249,57 @@ class Generations:
             return GenerationDecision(peer, Generation.YARP_4, reason)
         if self._default not in (None, Generation.YARP_4):
             return GenerationDecision(peer, self._default, reason)
-        return self._guessed(peer, Generation.YARP_3_12, f"{reason}; which release of it is a guess")
+        return self._guessed(peer, Generation.YARP_3_12, f"{reason}; the release of YARP 3 is a guess")
 
     def _guessed(self, peer: str, generation: Generation, reason: str) -> GenerationDecision:
         return GenerationDecision(peer, generation, reason, self._cure.format(peer=peer))
 
-    def forget(self, peer: str, link: PeerAddress = _NOWHERE) -> None:
-        """The peer's connection came or is gone; the next one may be another release's."""
+    def connected(self, peer: str, carrier: str, link: PeerAddress = _NOWHERE) -> None:
+        """Note a new connection: forget the client of an earlier one, and use the carrier as a hint.
+
+        ``map2D_nwc_yarp`` connects by tcp by default up to 3.9, later by fast_tcp (``map2D_nwc_yarp_params.md``).
+        """
+        self.forget(peer, link)
+        if carrier == "tcp" and peer.endswith("/mapClient_rpc"):
+            reason = "a guess: map2D_nwc_yarp connects by tcp up to 3.9, later by fast_tcp"
+            self.findings.add(peer, Finding(Generation.YARP_3_6, reason, sure=False), link)
+
+    def inspects(self, peer: str, profile: Profile | None = None, link: PeerAddress = _NOWHERE) -> bool:
+        """Return whether to inspect the client's process: once for each connection, and only instead of a guess."""
+        if self.of(peer, profile, link).sure:
+            return False
         with self._lock:
-            self._told.pop((peer, link), None)
+            is_new = (peer, link) not in self._inspected
+            self._inspected.add((peer, link))
+        return is_new
+
+    def forget(self, peer: str, link: PeerAddress = _NOWHERE) -> None:
+        """Forget a client whose connection began or ended; the next one may have another release."""
+        with self._lock:
+            self._disclosed.pop((peer, link), None)
+            self._inspected.discard((peer, link))
+        self.findings.drop(peer, link)
 
     def hint(self, decision: GenerationDecision) -> str:
-        """The cure of a guess, the first time that one is made; else "": one line in the log is enough."""
-        if decision.sure or self._hinted:
+        """Return the cure of a guess for the log, once for each client; else ""."""
+        if decision.sure or decision.peer in self._hinted or len(self._hinted) >= MOST_HINTS:
             return ""
-        self._hinted = True
+        self._hinted.add(decision.peer)
         return decision.cure
 
     def explain(self) -> list[GenerationDecision]:
-        """Every peer that told of itself, the longest known first."""
+        """Return the decisions on all clients that disclosed their generation, the oldest first."""
         with self._lock:
-            return list(self._told.values())
+            return list(self._disclosed.values())
 
     def _remember(self, link: PeerAddress, decision: GenerationDecision) -> None:
         with self._lock:
-            self._told[decision.peer, link] = decision
-            while len(self._told) > MOST_PEERS:
-                del self._told[next(iter(self._told))]
+            self._disclosed[decision.peer, link] = decision
+            _limit(self._disclosed)
+        if decision.sure:  # for the other ports of the same device
+            self.findings.add(decision.peer, Finding(decision.generation, decision.reason, overrides=True), link)
+
+
+def _limit(entries: dict[tuple[str, PeerAddress], Any]) -> None:
+    while len(entries) > MOST_PEERS:
+        del entries[next(iter(entries))]

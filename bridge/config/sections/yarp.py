@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 
 from bridge.config.sections.section import ROS2_NAME, Enabled, PortName, Section, SideSection, matching, setting
-from yarp_compat.wire.generation import Generation, Generations
+from yarp_compat.wire.generation import Findings, Generation, Generations
 from yarp_compat.wire.profile import Profile
 
 ProfileName = Literal["yarp3", "yarp4"]
@@ -191,9 +191,10 @@ class YarpSection(SideSection):
     )
     release: _Release | None = setting(
         None,
-        "Release of this network's programs, such as `3.9`. It decides how their calls are answered, which changed"
-        " with 3.11, 3.12 and 4.0. Clients of 4.0 announce it. By default, clients of YARP 3 get the answers of 3.12,"
-        " except for answers that another release would read as a success although they report a failure.",
+        "Release of this network's programs, such as `3.9`. It decides the format of replies to their calls, which"
+        " changed with 3.11, 3.12 and 4.0. By default Midspan finds out each client's (docs/sides/yarp.md); unknown"
+        " clients of YARP 3 get the replies of 3.12, except for those that another release would read as a success"
+        " although they report a failure.",
     )
     peers: tuple[Peer, ...] = setting((), "The release of some ports; the first match counts.")
     as_: Literal["bottle", "natural"] = Field(
@@ -224,13 +225,14 @@ class YarpSection(SideSection):
         first, _, last = self.ports.partition("-")
         return range(0) if self.ports == "server" else range(int(first), int(last) + 1)
 
-    def generations(self) -> Generations:
-        """Decides how calls of a port's peers are answered, also by what the peers announce."""
+    def generations(self, findings: Findings | None = None) -> Generations:
+        """Decides how calls of a port's clients are answered, also by what the clients disclose."""
         return Generations(
             None if self.release is None else Generation.of(self.release),
             [(peer.port, Generation.of(peer.release)) for peer in self.peers],
             guess=Generation.newest(Profile(self.profile)),
             cure=_SAY_THE_RELEASE,
+            findings=findings,
         )
 
     def joins_as(self, other: Section) -> bool:

@@ -8,19 +8,26 @@ import random
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.support.wait import until
+from tests.support.yarp_processes import library, processes
 from tests.yarp_compat.dev.interfaces import All
 from tests.yarp_compat.dev.releases import RELEASES, Release
 from tests.yarp_compat.dev.test_transcripts import exchanges, taken
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
 from yarp_compat.dev.inavigation2d import NavigationStatusEnum
 from yarp_compat.dev.locations import Map2DLocation, Map2DObject
+from yarp_compat.dev.release_trial import ReleaseTrials
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
 from yarp_compat.dev.service import INTRODUCTION, VERSION, Call
+from yarp_compat.ports import client_process
+from yarp_compat.ports.message import PortMessage
+from yarp_compat.ports.naming import Naming
 from yarp_compat.wire import carriers, framing
 from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.carriers import Carrier
@@ -28,6 +35,7 @@ from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.errors import Incomplete
 from yarp_compat.wire.generation import Generation, Generations
 from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.values import Vocab
 
 __all__ = ["make_port", "naming"]
 
@@ -85,12 +93,13 @@ class Client:
         self._sock.sendall(carriers.opening(carrier, name))
         self.receive(8)
         self._came = b""
+        self.address: tuple[str, int] = self._sock.getsockname()
 
     def close(self) -> None:
         self._sock.close()
 
     def call(self, name: str, arguments: list[Any]) -> bool:
-        """Make a call; whether it is told that it succeeded."""
+        """Make a call; return whether the client reads a success."""
         call = All.calls()[name]
         self.send(call.request(arguments, self._release.profile))
         return self.read(call)
@@ -148,7 +157,7 @@ def connect(make_port: MakePort) -> Iterator[Callable[..., Client]]:
 def test_no_release_that_nothing_tells_reads_a_success_of_what_failed(
     connect: Callable[..., Client], release: str
 ) -> None:
-    """Over tcp all stay in step too, so that no reply is taken for the one to a later call."""
+    """Over tcp all stay in step too, so that no reply is read as the reply to a later call."""
     client = connect(Server(Planner()), "/nav/rpc", release)
     calls = [(call, True) for call in GOOD] + [(call, False) for call in BAD]
     chance = random.Random(7)
@@ -168,7 +177,7 @@ def test_maps_of_3_12_are_asked_without_acknowledgements(connect: Callable[..., 
 
 
 def test_a_method_of_3_12_tells_the_release(connect: Callable[..., Client]) -> None:
-    """The failure behind it has its number, which a client that may be older is not given."""
+    """The next failure has its number, which a client that may be older is not given."""
     server = Server(Planner())
     client = connect(server, "/nav/rpc", "3.12")
     assert client.call("get_object_RPC", ["cup"])
@@ -190,7 +199,7 @@ def test_who_types_a_method_is_answered_by_bottles(connect: Callable[..., Client
 
 
 def test_two_of_one_name_are_told_apart(connect: Callable[..., Client]) -> None:
-    """Names without a slash are no port's, and many may have them."""
+    """Names without a slash belong to programs without a port, and several may have the same."""
     server = Server(Planner())
     new, old = connect(server, "nav", "4.0"), connect(server, "nav", "3.12")
     new.introduce()
@@ -203,20 +212,218 @@ def test_two_of_one_name_are_told_apart(connect: Callable[..., Client]) -> None:
     assert [decision.generation.value for decision in server.generations.explain()] == ["4.0"]
 
 
-def test_the_setting_that_helps_is_logged_once(
+def test_the_log_names_each_unknown_client_and_its_setting_once(
     connect: Callable[..., Client], caplog: pytest.LogCaptureFixture
 ) -> None:
-    server = Server(Planner(), Generations(cure="say what {peer} is"))
+    server = Server(Planner(), Generations(cure="set the release of {peer}"))
     with caplog.at_level(logging.WARNING):
         for peer in ("/a", "/b"):
             client = connect(server, peer, "3.9")
             for name, arguments in [*GOOD, *BAD]:
                 client.call(name, arguments)
-    (line,) = [record.getMessage() for record in caplog.records if "release" in record.getMessage()]
-    assert "say what /a is" in line
-    assert server.generations.of("/b").as_dict()["generation_cure"] == "say what /b is"
+    lines = [record.getMessage() for record in caplog.records if "release" in record.getMessage()]
+    assert ["set the release of /a" in lines[0], "set the release of /b" in lines[1]] == [True, True]
+    assert len(lines) == 2
+    assert server.generations.of("/b").as_dict()["generation_cure"] == "set the release of /b"
     named = Server(Planner(), Generations(Generation.YARP_3_6))
     assert "generation_cure" not in named.generations.of("/a").as_dict()
+
+
+# -- without a setting -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def loads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, Client]], None]:
+    """Have the processes of clients load the library of a release."""
+    numbers = itertools.count()
+
+    def load(clients: dict[str, Client]) -> None:
+        owners = {client.address: [library(release)] for release, client in clients.items()}
+        monkeypatch.setattr(client_process, "_PROC", processes(tmp_path / str(next(numbers)), owners))
+
+    return load
+
+
+Load = Callable[[dict[str, Client]], None]
+LOADED = {"3.9": "3.9.1", "3.11": "3.11.2", "3.12": "3.12.3", "4.0": "4.0.0"}
+
+
+def served(client: Client) -> None:
+    """Require that a client is answered in its own generation."""
+    for (name, arguments), succeeds in [*((c, True) for c in GOOD), *((c, False) for c in BAD)] * 2:
+        assert client.call(name, arguments) is succeeds, name
+        assert client.in_step, name
+
+
+def test_clients_on_this_machine_are_answered_as_their_library_reads(
+    connect: Callable[..., Client], loads: Load, caplog: pytest.LogCaptureFixture
+) -> None:
+    """All generations at one server at once, without a setting; over fast_tcp too, which allows no care."""
+    for carrier in (carriers.TCP, carriers.FAST_TCP):
+        server = Server(Planner())
+        clients = {loaded: connect(server, f"/of{name}/rpc", name, carrier) for name, loaded in LOADED.items()}
+        loads(clients)
+        for client in clients.values():
+            served(client)
+        for name, loaded in LOADED.items():
+            decision = server.generations.of(f"/of{name}/rpc", link=clients[loaded].address)
+            assert (decision.generation, decision.sure) == (Generation.of(loaded), True)
+            assert loaded in decision.reason
+    assert not caplog.records
+
+
+def test_a_setting_overrides_the_library(connect: Callable[..., Client], loads: Load) -> None:
+    for settings in (Generations(None, [("/odd/*", Generation.YARP_3_6)]), Generations(Generation.YARP_3_6)):
+        client = connect(Server(Planner(), settings), "/odd/rpc", "3.9")
+        loads({"3.12.3": client})
+        served(client)
+
+
+def test_another_release_may_connect_by_the_same_name(connect: Callable[..., Client], loads: Load) -> None:
+    server = Server(Planner())
+    for name in ("3.9", "3.12", "3.9"):
+        client = connect(server, "/nav/navigation/rpc", name)
+        loads({LOADED[name]: client})
+        served(client)
+        client.close()
+
+
+def test_maps_by_tcp_are_asked_by_releases_before_3_10(connect: Callable[..., Client]) -> None:
+    """``map2D_nwc_yarp`` connects by fast_tcp since 3.10; a hint, so answers stay careful."""
+    server = Server(Planner())
+    old = connect(server, "/module/mapClient_rpc", "3.9", carriers.TCP)
+    new = connect(server, "/other/mapClient_rpc", "3.12", carriers.FAST_TCP)
+    served(old)
+    served(new)
+    decision = server.generations.of("/module/mapClient_rpc", link=old.address)
+    assert (decision.generation, decision.sure) == (Generation.YARP_3_6, False)
+    careful = connect(server, "/third/mapClient_rpc", "3.12", carriers.TCP)
+    for name, arguments in BAD:
+        assert not careful.call(name, arguments), name
+        assert careful.in_step
+
+
+@pytest.mark.parametrize(("name", "rounds"), [("3.12", 0), ("3.9", 1), ("3.6", 1)])
+def test_a_client_that_does_not_read_a_location_asks_for_an_area(
+    connect: Callable[..., Client], name: str, rounds: int
+) -> None:
+    """``gotoTargetByLocationName`` of ``navigation2D_nwc_yarp``; afterwards all ports of the device are understood."""
+    server = Server(Planner())
+    maps, goals = connect(server, "/nav/locations/rpc", name), connect(server, "/nav/navigation/rpc", name)
+    needed = 0
+    while not maps.call("get_location_RPC", ["kitchen"]):
+        maps.call("get_area_RPC", ["kitchen"])
+        needed += 1
+        assert needed <= 1
+    assert needed == rounds
+    for client in (maps, goals):
+        assert client.call("get_navigation_status_RPC", [])
+        for method, arguments in BAD:
+            assert not client.call(method, arguments), method
+            assert client.in_step
+    decision = server.generations.of("/nav/navigation/rpc", link=goals.address)
+    assert (decision.generation, decision.sure) == (Generation.of(name), False)
+
+
+def test_an_area_of_another_name_discloses_nothing(connect: Callable[..., Client]) -> None:
+    client = connect(Server(Planner()), "/nav/locations/rpc", "3.12")
+    for method, arguments in (("get_area_RPC", ["bedroom"]), ("get_navigation_status_RPC", [])):
+        assert client.call("get_location_RPC", ["kitchen"])
+        client.call(method, arguments)
+        client.call("get_area_RPC", ["kitchen"])
+        assert client.call("get_location_RPC", ["kitchen"]), "the area was not the next request"
+
+
+class Places(Planner):
+    """Has a location; ``names`` are those of its list."""
+
+    def __init__(self, *names: str) -> None:
+        super().__init__()
+        self.names = list(names)
+
+    def get_locations_list_RPC(self) -> Any:
+        return OK, self.names
+
+
+class Commands:
+    """``<local>/user_commands/rpc`` of a ``navigation2D_nwc_yarp``, which asks its map server for the list."""
+
+    def __init__(self, maps: Client, names: list[str]) -> None:
+        self.maps, self.names = maps, names
+        self.asked: list[Any] = []
+
+    def __call__(self, message: PortMessage) -> None:
+        self.asked.append(decode(message.payload, Profile.YARP3))
+        read = self.maps.call("get_locations_list_RPC", [])
+        message.reply(encode([Vocab("many"), *(self.names if read else [])], Profile.YARP3))
+
+
+@pytest.mark.parametrize(
+    ("name", "names", "generation", "sure"),
+    [
+        ("3.9", ["kitchen", "bed room"], Generation.YARP_3_6, True),
+        ("3.6", ["kitchen"], Generation.YARP_3_6, True),
+        ("3.12", ["kitchen"], Generation.YARP_3_12, False),
+        ("3.9", [], Generation.YARP_3_12, False),  # an empty list shows nothing
+    ],
+)
+def test_a_navigation_client_is_tried_by_a_list_of_locations(
+    connect: Callable[..., Client], make_port: MakePort, naming: Naming, name: str, names: list[str],
+    generation: Generation, sure: bool,
+) -> None:  # fmt: skip
+    server = Server(Places(*names))
+    maps, goals = connect(server, "/nav/locations/rpc", name), connect(server, "/nav/navigation/rpc", name)
+    trials = ReleaseTrials(server.generations, naming)
+    trials.connected("/nav/navigation/rpc", goals.address)
+    commands = Commands(maps, names)
+    make_port("/nav/user_commands/rpc", commands, rpc=True)
+    until(lambda: commands.asked == [["listLocations"]], "the question")
+    until(lambda: not trials.running, "the end of the trial")
+    decision = server.generations.of("/nav/navigation/rpc", link=goals.address)
+    assert (decision.generation, decision.sure) == (generation, sure)
+    if names:
+        for client in (maps, goals):
+            served(client)
+    trials.close()
+
+
+def test_a_client_of_another_map_server_is_not_judged(
+    connect: Callable[..., Client], make_port: MakePort, naming: Naming
+) -> None:
+    ours, theirs = Server(Places("kitchen")), Places("kitchen")
+    goals = connect(ours, "/nav/navigation/rpc", "3.12")
+    other = make_port("/real/rpc", Server(theirs, Generations(Generation.YARP_3_12)), rpc=True)
+    maps = Client("/nav/locations/rpc", BY_NAME["3.12"], other.contact)
+    commands = Commands(maps, ["kitchen"])
+    make_port("/nav/user_commands/rpc", commands, rpc=True)
+    trials = ReleaseTrials(ours.generations, naming)
+    trials.connected("/nav/navigation/rpc", goals.address)
+    until(lambda: commands.asked and not trials.running, "the end of the trial")
+    assert ours.generations.findings.get("/nav/navigation/rpc") is None
+    maps.close()
+    trials.close()
+
+
+def test_a_known_client_is_not_asked(connect: Callable[..., Client], make_port: MakePort, naming: Naming) -> None:
+    server = Server(Places("kitchen"), Generations(None, [("/nav/*", Generation.YARP_3_12)]))
+    maps = connect(server, "/nav/locations/rpc", "3.12")
+    commands = Commands(maps, ["kitchen"])
+    make_port("/nav/user_commands/rpc", commands, rpc=True)
+    trials = ReleaseTrials(server.generations, naming)
+    for peer in ("/nav/locations/rpc", "/nav/other", "nav/locations/rpc"):
+        trials.connected(peer, maps.address)
+    until(lambda: not trials.running, "the end of the trials")
+    assert commands.asked == []
+    trials.close()
+
+
+def test_the_ports_of_a_device_are_of_one_release(connect: Callable[..., Client]) -> None:
+    server = Server(Planner(), Generations(Generation.YARP_3_6))
+    nav, maps = connect(server, "/nav/navigation/rpc", "4.0"), connect(server, "/nav/locations/rpc", "4.0")
+    nav.introduce()
+    served(maps)
+    old = connect(server, "/old/locations/rpc", "3.9")
+    served(old)
 
 
 # -- the transcripts ---------------------------------------------------------------------------------------------------
@@ -242,7 +449,7 @@ def recorded() -> dict[str, Talk]:
 
 
 class Replaying(All):
-    """Each method returns what the real server of the caller's release did; who calls is told by the thread's name."""
+    """Each method returns what the real server of the caller's release did; the thread's name has that release."""
 
     def __init__(self, talks: dict[str, Talk]) -> None:
         super().__init__()
@@ -282,7 +489,7 @@ def test_transcripts_of_four_releases_at_one_server_at_once(connect: Callable[..
 
 
 def test_transcripts_of_four_releases_where_nobody_said_who_is_who(connect: Callable[..., Client]) -> None:
-    """3.12's and 4.0's clients get all that they ask; the older ones are told of no success that was none."""
+    """3.12's and 4.0's clients get all that they ask; the older ones never get a false success."""
     talks = recorded()
     server = Server(Replaying(talks), Generations())
     clients = {release: connect(server, f"/nav{release}", release) for release in talks}

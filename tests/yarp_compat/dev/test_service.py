@@ -1,4 +1,4 @@
-"""Interfaces over a channel: every generation, whatever the client expects, and what is typed or wrong."""
+"""Interfaces over a channel: every generation, for any expectation of the client; requests that are typed or wrong."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Kept(Places):
 
 @dataclass
 class Wire:
-    """A channel to a server in this process, whose replies come a byte at a time with something behind them."""
+    """A channel to a server in this process, whose replies come a byte at a time, followed by other bytes."""
 
     server: Server
     generation: Generation
@@ -139,7 +139,7 @@ def test_clients_of_any_expectation_understand_servers_of_any_generation(
     wire = Wire(server, expected)
     places = Places(wire)
     if Generation.YARP_3_11 in (generation, expected):
-        wire.generation = generation  # its bare numbers cannot be told from 3.12's tags
+        wire.generation = generation  # its bare numbers look like 3.12's tags
     assert places.get_location_RPC("kitchen")[0].code is ReturnCode.METHOD_FAILED
     if generation is not Generation.YARP_4 or expected is Generation.YARP_4:
         assert wire.generation in (generation, expected)
@@ -395,7 +395,7 @@ def test_versions_have_a_generation(version: str, generation: str) -> None:
 
 @pytest.mark.parametrize("version", ["", "3.5", "x", "3.9.1.2.3", "9" * 30, "-4"])
 def test_what_is_no_version_is_refused(version: str) -> None:
-    with pytest.raises(ValueError, match="no version of YARP"):
+    with pytest.raises(ValueError, match="not a supported version of YARP"):
         Generation.of(version)
 
 

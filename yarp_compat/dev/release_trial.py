@@ -1,0 +1,88 @@
+"""Finds out the release of a ``navigation2D_nwc_yarp`` on any machine, by a reply that not all releases can read.
+
+Its port ``<local>/user_commands/rpc`` answers ``listLocations`` with the names that it gets from its map server
+(``Navigation2D_nwc_yarp.cpp``, 3.6 to 4.0). If that is one of our servers, it sends the names in the format of 3.6 to
+3.10 for once, and the client's answer has them only if it could read that.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+
+from yarp_compat.ports.client_process import inspect_client
+from yarp_compat.ports.naming import Naming
+from yarp_compat.ports.text_client import ask
+from yarp_compat.wire.contact import PortContact
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.generation import Finding, Generation, Generations, PeerAddress, Trial, device_of
+from yarp_compat.wire.text import from_text
+
+log = logging.getLogger(__name__)
+
+COMMANDS = "/user_commands/rpc"
+_PORTS = ("/navigation/rpc", "/locations/rpc", "/localization/rpc")
+_OPENING = 5.0  # seconds for the client to open its last port
+_STEPS = 0.02, 0.5  # seconds between the first two attempts, and at most
+_PATIENCE = 2.0  # seconds for the client's answer
+
+
+class ReleaseTrials:
+    """Tries the releases of clients as they connect, each on a thread that ends by itself."""
+
+    def __init__(self, generations: Generations, naming: Naming) -> None:
+        self._generations, self._naming = generations, naming
+        self._closed = threading.Event()
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def running(self) -> bool:
+        """Whether a trial is in progress."""
+        return any(thread.is_alive() for thread in self._threads)
+
+    def connected(self, peer: str, link: PeerAddress) -> None:
+        """Start a trial of a client that has connected, if its release may be unknown."""
+        if peer.startswith("/") and peer.endswith(_PORTS) and not self._closed.is_set():
+            run = threading.Thread(target=self._run, args=(peer, link), name=f"release of {peer}", daemon=True)
+            self._threads = [*(thread for thread in self._threads if thread.is_alive()), run]
+            run.start()
+
+    def close(self) -> None:
+        """Start no new trials, and end the waiting ones."""
+        self._closed.set()
+
+    def _run(self, peer: str, link: PeerAddress) -> None:
+        findings, device = self._generations.findings, device_of(peer)
+        end, step = time.monotonic() + _OPENING, _STEPS[0]
+        while self._is_unknown(peer, link) and time.monotonic() < end and not self._closed.is_set():
+            with contextlib.suppress(OSError, WireError):  # the port does not listen yet, or the client has ended
+                contact = self._naming.query(device + COMMANDS)
+                trial = None if contact is None else findings.begin(device, Trial(Generation.YARP_3_6))
+                if contact is not None and trial is not None:
+                    try:
+                        self._try(peer, link, contact, trial)
+                    finally:
+                        findings.end(device)
+                    return
+            self._closed.wait(step)
+            step = min(2 * step, _STEPS[1])
+
+    def _is_unknown(self, peer: str, link: PeerAddress) -> bool:
+        inspect_client(self._generations, peer, None, link)
+        return not self._generations.of(peer, link=link).sure and self._generations.findings.get(peer, link) is None
+
+    def _try(self, peer: str, link: PeerAddress, contact: PortContact, trial: Trial) -> None:
+        lines = ask(contact, ["listLocations"], timeout=_PATIENCE)
+        names = from_text(lines[0])[1:] if lines else []
+        if not trial.answered:
+            return  # another map server answered, or the store has no locations
+        if names:
+            reason = "it read a reply in the format of 3.6 to 3.10"
+            finding = Finding(trial.generation, reason)
+        else:
+            reason = "a guess: it did not read a reply in the format of 3.6 to 3.10"
+            finding = Finding(Generation.YARP_3_12, reason, sure=False)
+        self._generations.findings.add(peer, finding, link)
+        log.info("%s: YARP %s, since %s", device_of(peer), finding.generation.value, reason)
