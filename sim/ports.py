@@ -1,7 +1,7 @@
 """The simulator's YARP ports, named as the robot's own (``/cer/...``) or its Gazebo model's (``/SIM_CER_ROBOT/...``).
 
-A laser (`rangefinder2D_nws_yarp`), odometry (`odometry2D_nws_yarp`), the battery (`battery_nws_yarp`), and the wheels
-as a control board (`controlBoard_nws_yarp`) for clients of YARP 3 and 4.
+A laser (`rangefinder2D_nws_yarp`), odometry (`odometry2D_nws_yarp`), the battery (`battery_nws_yarp`, for each reader
+in the order of its release), and the wheels as a control board (`controlBoard_nws_yarp`) for clients of YARP 3 and 4.
 """
 
 # ruff: noqa: N802 - YARP's names
@@ -9,7 +9,6 @@ as a control board (`controlBoard_nws_yarp`) for clients of YARP 3 and 4.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -17,9 +16,9 @@ from bridge.modules.host import Host
 from sim.board import WheelBoard
 from sim.simulation import TICK_NS, Simulation
 from yarp_compat.dev.basecontrol import IOdometry2DMsgs, OdometryData
-from yarp_compat.dev.battery import BatteryData, BatteryStatus, IBatteryMsgs
+from yarp_compat.dev.battery import BatteryData, BatteryStatus, IBatteryMsgs, OlderBatteryWords
 from yarp_compat.dev.controlboard.server import BoardAnswers, positions
-from yarp_compat.dev.rangefinder import DeviceStatus, LaserScan2D, Rangefinder2D
+from yarp_compat.dev.rangefinder import DeviceStatus, LaserScan2D, OldAnswer, Rangefinder2D
 from yarp_compat.dev.returnvalue import OK, ReturnCode, ReturnValue
 from yarp_compat.sig.image import ImageFloat
 from yarp_compat.sig.vector import Vector
@@ -48,7 +47,7 @@ class RobotPorts:
         self._velocity = yarp.output(f"{prefix}/velocity:o")
         yarp.serve(f"{prefix}/rpc", _Reset(host, simulation))
         self._battery = yarp.output(f"{prefix}/battery:o")
-        self._battery_data = yarp.output(f"{prefix}/battery/data:o")
+        self._battery_data = yarp.output(f"{prefix}/battery/data:o", by_release=True)
         yarp.serve(f"{prefix}/battery/rpc:i", _Battery())
         self._board = _Board(host, f"{prefix}/{simulation.section.part}", simulation)
         # as rgbdSensor_nws_yarp names it
@@ -58,7 +57,7 @@ class RobotPorts:
         self._scanned = -1
 
     def tell(self, time_ns: int) -> None:
-        """Say what is due after a tick; ``time_ns`` is the time of the stamps."""
+        """Write the messages that are due after a tick; ``time_ns`` is the time of their stamps."""
         self._ticks += 1
         envelope = f"{self._ticks} {time_ns / 1e9:.9f}"
         scan = self._simulation.scan
@@ -78,12 +77,13 @@ class RobotPorts:
     def _tell_battery(self, envelope: str) -> None:
         charge = self._simulation.battery.charge
         percent, current = 100.0 * charge.share, -charge.current
-        if self._battery.heard:  # in the order of YARP before 3.12
-            said: list[Any] = [charge.voltage, current, percent, _TEMPERATURE, int(_IN_USE)]
-            self._battery.write(said, envelope)
+        data = BatteryData(percent, charge.voltage, current, _TEMPERATURE, int(_IN_USE))
+        if self._battery.heard:
+            self._battery.write(data.older(), envelope)
         if self._battery_data.heard:
-            data = BatteryData(percent, charge.voltage, current, _TEMPERATURE, int(_IN_USE))
-            self._battery_data.write(data, envelope)
+            self._battery_data.write_by_release(
+                lambda generation: data.older() if generation.before_3_12 else data, envelope
+            )
 
     def _scan(self) -> LaserScan2D:
         """The last scan as YARP counts: from the robot's front around to the left, 0 to 360 degrees."""
@@ -110,7 +110,7 @@ class _Board:
     """The ports of the wheels; ``name`` is what theirs begin with."""
 
     def __init__(self, host: Host, name: str, simulation: Simulation) -> None:
-        # what nobody waits for any more never moves a wheel
+        # a command that timed out never moves a wheel
         board = WheelBoard(lambda: simulation.board, lambda action: host.loop.call(action, late=False))
         answers = BoardAnswers(board)
         self._board = board
@@ -129,7 +129,7 @@ class _Board:
         return {"halted": True}
 
     def tell(self, envelope: str) -> None:
-        """Say what the wheels do, on the simulation's thread."""
+        """Write the state of the wheels, on the simulation's thread."""
         if self._state.heard or self._positions.heard:
             state = self._board.state()
             self._state.write(state, envelope)
@@ -148,7 +148,7 @@ class _Laser(Rangefinder2D):
         return OK, DeviceStatus.DEVICE_OK_IN_USE
 
     def getDistanceRange_RPC(self) -> tuple[ReturnValue, float, float]:
-        """What it measures."""
+        """Return the nearest and farthest distance in metres."""
         section = self._simulation.section.laser
         return OK, section.nearest, section.farthest
 
@@ -182,21 +182,27 @@ class _Laser(Rangefinder2D):
         return _FIXED
 
     def getDeviceInfo_RPC(self) -> tuple[ReturnValue, str]:
-        """What it is."""
+        """Describe the laser."""
         section = self._simulation.section.laser
         return OK, f"Midspan's simulated laser ({section.kind}, {section.beams} beams)"
 
 
-class _Battery(IBatteryMsgs):
-    """Says what battery it is."""
+class _Battery(IBatteryMsgs, OlderBatteryWords):
+    """Describes the battery to clients of all releases."""
+
+    _INFO = "Midspan's simulated battery"
 
     def getBatteryInfoRPC(self) -> tuple[ReturnValue, str]:
-        """One that nobody charges by hand."""
-        return OK, "Midspan's simulated battery"
+        """Answer clients from 3.12 on."""
+        return OK, self._INFO
+
+    def ibat_btnf(self) -> OldAnswer:
+        """Answer clients before 3.12."""
+        return OldAnswer("btnf", self._INFO)
 
 
 class _Reset(IOdometry2DMsgs):
-    """Begins odometry anew."""
+    """Resets the odometry."""
 
     def __init__(self, host: Host, simulation: Simulation) -> None:
         super().__init__()

@@ -36,6 +36,7 @@ def test_a_yarp_client_has_laser_odometry_and_battery(tmp_path: Path) -> None:
             until(lambda: "waiting" not in str(place.status()["ports"]), "all are open")
             streams(place, names)
             settings(names)
+            batteries(names)
             with network_of(names):
                 devices()
             place.worker.stop()
@@ -44,7 +45,7 @@ def test_a_yarp_client_has_laser_odometry_and_battery(tmp_path: Path) -> None:
 
 
 def streams(place: Place, names: NameClient) -> None:
-    """What the ports say."""
+    """Check the messages of all output ports."""
 
     def heard(port: str) -> Received:
         with Reader(f"/test{port}", naming=names) as reader:
@@ -73,10 +74,25 @@ def streams(place: Place, names: NameClient) -> None:
     assert current > 0
     assert 99 < charge <= 100
     assert status == 2
+    charge, voltage, current, _, status = heard("/cer/battery/data:o").values
+    assert (99 < charge <= 100, 50 < voltage < 55, current > 0, status == 2) == (True, True, True, True)
+
+
+def batteries(names: NameClient) -> None:
+    """Check that each client reads the battery in the order of its release, side by side."""
+    older, newer = Reader("/older/data:i", naming=names), Reader("/newer/data:i", naming=names)
+    with older, newer, Client("/cer/battery/rpc:i", "/older/rpc:o", naming=names) as description:
+        assert description.ask([Vocab("ibat"), Vocab("btnf")], timeout=20)[2] == "Midspan's simulated battery"
+        for reader in ("/older/data:i", "/newer/data:i"):
+            connections.connect(names, "/cer/battery/data:o", reader)
+        voltage, _, charge, *_ = until(older.read_now, "the battery of an older client").values
+        assert (50 < voltage < 55, 99 < charge <= 100) == (True, True)
+        charge, voltage, *_ = until(newer.read_now, "the battery of a newer client").values
+        assert (50 < voltage < 55, 99 < charge <= 100) == (True, True)
 
 
 def devices() -> None:
-    """What a script's devices have of them."""
+    """Check the values that a script's devices return."""
     names = {
         "laser": "(device rangefinder2D_nwc_yarp) (remote /cer/laser:o)",
         "older": "(device Rangefinder2DClient) (remote /cer/laser:o)",
@@ -106,7 +122,7 @@ def devices() -> None:
 
 
 def settings(names: NameClient) -> None:
-    """What the ports answer, in newer and older words."""
+    """Check the replies of the RPC ports, in newer and older words."""
     with ServiceClient(IRangefinder2DMsgs, "/cer/laser:o/rpc:i", naming=names) as laser:
         assert laser.remote.getDistanceRange_RPC()[1:] == (0.1, 15.0)
         assert laser.remote.getScanLimits_RPC()[1:] == (0.0, 360.0)
