@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.doctor.check import Result
+from bridge.doctor.check import Finding, Result
 from bridge.doctor.checks import yarp
 from tests.doctor.parts import around, hub, only
 from tests.support.ports import free_port
@@ -37,20 +37,28 @@ def test_this_shells_yarp(names: Names, tmp_path: Path) -> None:
     none = only(yarp.look_at_environment(around(config, environ)))
     assert (none.result, str(tmp_path / "yarp.conf") in none.cure) == (Result.WARN, True)
     (tmp_path / "yarp.conf").write_text("127.0.0.1 1 yarp\n")
-    assert "says 127.0.0.1:1" in only(yarp.look_at_environment(around(config, environ))).seen
+    assert "has 127.0.0.1:1" in only(yarp.look_at_environment(around(config, environ))).seen
     (tmp_path / "yarp.conf").write_text(f"{names.address.host} {names.address.port} yarp\n")
     assert only(yarp.look_at_environment(around(config, environ))).result is Result.OK
     (tmp_path / "yarp.conf").write_text("nonsense\n")
     assert only(yarp.look_at_environment(around(config, environ))).result is Result.FAIL
 
 
-def test_callers_whose_release_nobody_tells() -> None:
+def report_on(*peers: dict[str, str]) -> list[Finding]:
+    module = {"module": True, "worker": "gateway", "ports": [{"port": "/nav/rpc", "peers": list(peers)}]}
+    findings = yarp.look_at_releases(around(hub=hub(module)))
+    return [findings] if isinstance(findings, Finding) else list(findings)
+
+
+def test_the_releases_of_clients() -> None:
     assert only(yarp.look_at_releases(around())).result is Result.SKIP
     known = {"port": "/new/rpc", "generation": "4.0", "generation_why": "it asked"}
-    guess = {"port": "/old/rpc", "generation": "3.12", "generation_why": "a guess", "generation_cure": "say it"}
-    for peers, result in (([known], Result.OK), ([known, guess], Result.WARN)):
-        module = {"module": True, "worker": "gateway", "ports": [{"port": "/nav/rpc", "peers": peers}]}
-        found = only(yarp.look_at_releases(around(hub=hub(module))))
-        assert found.result is result
-    assert "/old/rpc" in found.seen
-    assert found.cure == "say it"
+    guess = {"port": "/old/rpc", "generation": "3.12", "generation_why": "a guess", "generation_cure": "set it"}
+    (ok,) = report_on(known)
+    assert (ok.result, ok.seen) == (Result.OK, "/new/rpc: 4.0 (it asked)")
+    warning, ok = report_on(known, guess)
+    assert (warning.result, ok.result) == (Result.WARN, Result.OK)
+    assert "/old/rpc at /nav/rpc is unknown (a guess)" in warning.seen
+    assert warning.cure == "set it"
+    several = report_on(*({**known, "port": f"/n{number}/rpc"} for number in range(12)))
+    assert [(finding.result, finding.seen[-12:]) for finding in several] == [(Result.OK, ", and 2 more")]

@@ -11,6 +11,8 @@ from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.ports.naming import NamingConfigError, NamingError
 
+MOST_NAMED = 10  # clients in one line of the report
+
 
 def look_at_name_server(context: CheckContext) -> Findings:
     """Does it answer?"""
@@ -29,7 +31,7 @@ def look_at_name_server(context: CheckContext) -> Findings:
 
 
 def look_at_environment(context: CheckContext) -> Findings:
-    """Do the YARP programs of this shell ask the name server that the daemon is told to use?"""
+    """Check whether the YARP programs of this shell use the daemon's name server."""
     section = context.config.yarp
     if reason := _why_not(context):
         return skip(reason)
@@ -43,27 +45,37 @@ def look_at_environment(context: CheckContext) -> Findings:
         cure = f"for programs of this user: echo '{place.host} {place.port} yarp' > {_file(context)}"
         return warn(f"there is no {_file(context)}: YARP programs of this shell find no name server", cure)
     if wanted is not None and (wanted.host, wanted.port) != (told.host, told.port):
-        seen = f"yarp.address is {wanted.host}:{wanted.port}, {_file(context)} says {told.host}:{told.port}"
+        seen = f"yarp.address is {wanted.host}:{wanted.port}, {_file(context)} has {told.host}:{told.port}"
         return warn(seen, "set both alike, unless they are one machine's two names")
-    return ok(f"{_file(context)} says {told.host} port {told.port}")
+    return ok(f"{_file(context)} has {told.host} port {told.port}")
 
 
 def look_at_releases(context: CheckContext) -> Findings:
-    """Is the release of every YARP program known that calls one of our ports?"""
-    callers = [(port, peer) for port in _module_ports(context) for peer in port.get("peers") or ()]
-    callers = [(port, peer) for port, peer in callers if peer.get("generation")]
-    if not callers:
-        return skip("no YARP program calls a port of a module")
-    guessed = {
-        peer["port"]: warn(
-            f"nothing tells which release of YARP {peer['port']} is of, which calls {port['port']}: it is answered as"
-            f" {peer['generation']} does, and others are told of some calls that they failed",
+    """Name the release of each YARP client of our ports, and the setting for those whose release is unknown."""
+    clients = {
+        peer["port"]: (port, peer)
+        for port in _module_ports(context)
+        for peer in port.get("peers") or ()
+        if peer.get("generation")
+    }
+    if not clients:
+        return skip("no YARP program is connected to a module's port")
+    guessed = [
+        warn(
+            f"the YARP release of {name} at {port['port']} is unknown ({peer.get('generation_why')}): it gets the"
+            f" replies of {peer['generation']}, some of which clients of other releases read as failures",
             str(peer["generation_cure"]),
         )
-        for port, peer in callers
+        for name, (port, peer) in clients.items()
         if peer.get("generation_cure")
-    }
-    return [*guessed.values()] or ok("the release of every YARP program that calls is known")
+    ]
+    known = [
+        f"{name}: {peer['generation']} ({peer.get('generation_why')})"
+        for name, (_, peer) in clients.items()
+        if not peer.get("generation_cure")
+    ]
+    more = f", and {len(known) - MOST_NAMED} more" if len(known) > MOST_NAMED else ""
+    return [*guessed, *([ok("; ".join(known[:MOST_NAMED]) + more)] if known else [])]
 
 
 def _module_ports(context: CheckContext) -> list[Document]:
@@ -72,7 +84,7 @@ def _module_ports(context: CheckContext) -> list[Document]:
 
 
 def _why_not(context: CheckContext) -> str:
-    """Why there is no YARP side to look at, "" where there is."""
+    """Return why the YARP side is not checked, "" if it is."""
     if context.config.yarp.enabled is False:
         return "yarp.enabled is false"
     if context.config.yarp.enabled == "auto" and not context.hub.of_side("yarp"):
