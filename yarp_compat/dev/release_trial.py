@@ -17,7 +17,7 @@ from yarp_compat.ports.naming import Naming
 from yarp_compat.ports.text_client import ask
 from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.generation import Finding, Generation, Generations, PeerAddress, Trial, device_of
+from yarp_compat.wire.generation import Generation, Generations, PeerAddress, ReleaseFinding, Trial, device_of
 from yarp_compat.wire.text import from_text
 
 log = logging.getLogger(__name__)
@@ -80,9 +80,9 @@ class ReleaseTrials:
             return  # another map server answered, or the store has no locations
         if names:
             reason = "it read a reply in the format of 3.6 to 3.10"
-            finding = Finding(trial.generation, reason)
+            finding = ReleaseFinding(trial.generation, reason)
         else:
             reason = "a guess: it did not read a reply in the format of 3.6 to 3.10"
-            finding = Finding(Generation.YARP_3_12, reason, sure=False)
+            finding = ReleaseFinding(Generation.YARP_3_12, reason, sure=False)
         self._generations.findings.add(peer, finding, link)
         log.info("%s: YARP %s, since %s", device_of(peer), finding.generation.value, reason)

@@ -23,7 +23,7 @@ from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.elements import ElementReader, ElementWriter
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.framing import Buffer
-from yarp_compat.wire.generation import Finding, Generation, GenerationDecision, Generations, PeerAddress
+from yarp_compat.wire.generation import Generation, GenerationDecision, Generations, PeerAddress, ReleaseFinding
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.tags import VOCAB32
 from yarp_compat.wire.values import Vocab, begun_by_vocab
@@ -134,7 +134,7 @@ class Server:
                 generations.called(peer, call.name, call.since, link)
             if call.before is not None:
                 reason = f"it called {call.name}, as clients before {call.before.value} do"
-                generations.findings.add(peer, Finding(Generation.YARP_3_6, reason), link)
+                generations.findings.add(peer, ReleaseFinding(Generation.YARP_3_6, reason), link)
         decision = self._reacted(call, arguments, peer, generations.of(peer, profile, link), link)
         trial = generations.findings.trial_of(peer) if call.name == LOCATIONS and not decision.sure else None
         if trial is not None:
@@ -157,7 +157,7 @@ class Server:
         if decision.sure or other is None or call.name != "get_area_RPC" or given is None or given != arguments[0]:
             return decision
         reason = f"a guess: it asked for the area {given!r} although it had been given the location"
-        self.generations.findings.add(peer, Finding(other, reason, sure=False), link)
+        self.generations.findings.add(peer, ReleaseFinding(other, reason, sure=False), link)
         return self.generations.of(peer, decision.generation.profile, link)
 
     def _commanded(self, payload: Buffer, profile: Profile | None, likely: Profile) -> bytes | None:

@@ -13,7 +13,7 @@ import re
 import sys
 from pathlib import Path
 
-from yarp_compat.wire.generation import Finding, Generation, Generations, PeerAddress
+from yarp_compat.wire.generation import Generation, Generations, PeerAddress, ReleaseFinding
 from yarp_compat.wire.profile import Profile
 
 _PROC = Path("/proc")
@@ -34,7 +34,7 @@ def inspect_client(
             generations.findings.add(peer, finding, link)
 
 
-def loaded_release(address: PeerAddress, proc: Path | None = None) -> Finding | None:
+def loaded_release(address: PeerAddress, proc: Path | None = None) -> ReleaseFinding | None:
     """Return the release that the process at one end of a TCP connection has loaded, if it can be read."""
     proc = proc or _PROC
     inode = _inode(address, proc)
@@ -46,7 +46,7 @@ def loaded_release(address: PeerAddress, proc: Path | None = None) -> Finding | 
         if len(releases) == 1:
             release = releases.pop()
             reason = f"its process {process.name} on this machine has loaded YARP {release}"
-            return Finding(Generation.of(release), reason)
+            return ReleaseFinding(Generation.of(release), reason)
     return None
 
 

@@ -91,7 +91,7 @@ class GenerationDecision:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class ReleaseFinding:
     """An observation of a client.
 
     ``sure``: only this generation explains it; ``overrides``: the client disclosed it itself, so settings do not count.
@@ -124,16 +124,16 @@ class Findings:
     """Observations of clients, by device: its ports belong to one process. Shared by all servers of our process."""
 
     def __init__(self) -> None:
-        self._known: dict[tuple[str, PeerAddress], tuple[str, Finding]] = {}  # each with the port that it came of
+        self._known: dict[tuple[str, PeerAddress], tuple[str, ReleaseFinding]] = {}  # with the port that disclosed it
         self._trials: dict[str, Trial] = {}
         self._lock = threading.Lock()
 
-    def get(self, peer: str, link: PeerAddress = _NOWHERE) -> Finding | None:
+    def get(self, peer: str, link: PeerAddress = _NOWHERE) -> ReleaseFinding | None:
         """Return the finding on a client, if there is one."""
         known = self._known.get(_key(peer, link))
         return None if known is None else known[1]
 
-    def add(self, peer: str, finding: Finding, link: PeerAddress = _NOWHERE) -> None:
+    def add(self, peer: str, finding: ReleaseFinding, link: PeerAddress = _NOWHERE) -> None:
         """Record a finding; a guess never replaces a sure one."""
         key = _key(peer, link)
         with self._lock:
@@ -262,7 +262,7 @@ class Generations:
         self.forget(peer, link)
         if carrier == "tcp" and peer.endswith("/mapClient_rpc"):
             reason = "a guess: map2D_nwc_yarp connects by tcp up to 3.9, later by fast_tcp"
-            self.findings.add(peer, Finding(Generation.YARP_3_6, reason, sure=False), link)
+            self.findings.add(peer, ReleaseFinding(Generation.YARP_3_6, reason, sure=False), link)
 
     def inspects(self, peer: str, profile: Profile | None = None, link: PeerAddress = _NOWHERE) -> bool:
         """Return whether to inspect the client's process: once for each connection, and only instead of a guess."""
@@ -297,7 +297,7 @@ class Generations:
             self._disclosed[decision.peer, link] = decision
             _limit(self._disclosed)
         if decision.sure:  # for the other ports of the same device
-            self.findings.add(decision.peer, Finding(decision.generation, decision.reason, overrides=True), link)
+            self.findings.add(decision.peer, ReleaseFinding(decision.generation, decision.reason, overrides=True), link)
 
 
 def _limit(entries: dict[tuple[str, PeerAddress], Any]) -> None:

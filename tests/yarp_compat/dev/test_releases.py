@@ -248,11 +248,12 @@ Load = Callable[[dict[str, Client]], None]
 LOADED = {"3.9": "3.9.1", "3.11": "3.11.2", "3.12": "3.12.3", "4.0": "4.0.0"}
 
 
-def served(client: Client) -> None:
-    """Require that a client is answered in its own generation."""
+def served(client: Client) -> bool:
+    """Return whether a client is answered in its own generation; asserts each reply."""
     for (name, arguments), succeeds in [*((c, True) for c in GOOD), *((c, False) for c in BAD)] * 2:
         assert client.call(name, arguments) is succeeds, name
         assert client.in_step, name
+    return True
 
 
 def test_clients_on_this_machine_are_answered_as_their_library_reads(
@@ -264,7 +265,7 @@ def test_clients_on_this_machine_are_answered_as_their_library_reads(
         clients = {loaded: connect(server, f"/of{name}/rpc", name, carrier) for name, loaded in LOADED.items()}
         loads(clients)
         for client in clients.values():
-            served(client)
+            assert served(client)
         for name, loaded in LOADED.items():
             decision = server.generations.of(f"/of{name}/rpc", link=clients[loaded].address)
             assert (decision.generation, decision.sure) == (Generation.of(loaded), True)
@@ -276,7 +277,7 @@ def test_a_setting_overrides_the_library(connect: Callable[..., Client], loads: 
     for settings in (Generations(None, [("/odd/*", Generation.YARP_3_6)]), Generations(Generation.YARP_3_6)):
         client = connect(Server(Planner(), settings), "/odd/rpc", "3.9")
         loads({"3.12.3": client})
-        served(client)
+        assert served(client)
 
 
 def test_another_release_may_connect_by_the_same_name(connect: Callable[..., Client], loads: Load) -> None:
@@ -284,7 +285,7 @@ def test_another_release_may_connect_by_the_same_name(connect: Callable[..., Cli
     for name in ("3.9", "3.12", "3.9"):
         client = connect(server, "/nav/navigation/rpc", name)
         loads({LOADED[name]: client})
-        served(client)
+        assert served(client)
         client.close()
 
 
@@ -293,8 +294,8 @@ def test_maps_by_tcp_are_asked_by_releases_before_3_10(connect: Callable[..., Cl
     server = Server(Planner())
     old = connect(server, "/module/mapClient_rpc", "3.9", carriers.TCP)
     new = connect(server, "/other/mapClient_rpc", "3.12", carriers.FAST_TCP)
-    served(old)
-    served(new)
+    assert served(old)
+    assert served(new)
     decision = server.generations.of("/module/mapClient_rpc", link=old.address)
     assert (decision.generation, decision.sure) == (Generation.YARP_3_6, False)
     careful = connect(server, "/third/mapClient_rpc", "3.12", carriers.TCP)
@@ -383,7 +384,7 @@ def test_a_navigation_client_is_tried_by_a_list_of_locations(
     assert (decision.generation, decision.sure) == (generation, sure)
     if names:
         for client in (maps, goals):
-            served(client)
+            assert served(client)
     trials.close()
 
 
@@ -421,9 +422,9 @@ def test_the_ports_of_a_device_are_of_one_release(connect: Callable[..., Client]
     server = Server(Planner(), Generations(Generation.YARP_3_6))
     nav, maps = connect(server, "/nav/navigation/rpc", "4.0"), connect(server, "/nav/locations/rpc", "4.0")
     nav.introduce()
-    served(maps)
+    assert served(maps)
     old = connect(server, "/old/locations/rpc", "3.9")
-    served(old)
+    assert served(old)
 
 
 # -- the transcripts ---------------------------------------------------------------------------------------------------
