@@ -19,7 +19,7 @@ from bridge.messages.values import is_array
 from bridge.routing.rules import glob_regex
 
 MAX_DEPTH = 30
-"""How deep namespaces nest that are read; ROS 1's own tools do no deeper ones."""
+"""Levels of namespaces that are read; ROS 1's own tools have the same limit."""
 
 _INT32 = range(-(2**31), 2**31)
 _INT64 = range(-(2**63), 2**63)
@@ -43,14 +43,14 @@ class ParameterType(IntEnum):
 
 
 class UnsayableError(Exception):
-    """A value that the other world cannot express; the text says why."""
+    """A value that the other network's parameters cannot have; the text has the reason."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterValue:
     """A value in ROS 2's terms. Equal are those of one kind that read the same, NaN among them.
 
-    ``content`` is a bool, int, float, text, bytes, or a list of one of the first four; None where it is not set.
+    ``content`` is a bool, int, float, text, bytes, or a list of one of the first four; None if it is not set.
     """
 
     kind: ParameterType
@@ -92,7 +92,7 @@ def _field(kind: ParameterType) -> str:
 
 
 def to_ros1(value: ParameterValue) -> Any:
-    """What ROS 1's parameter server takes; raises `UnsayableError`."""
+    """Convert a value for ROS 1's parameter server; raises `UnsayableError`."""
     content = value.content
     if value.kind is ParameterType.NOT_SET:
         raise UnsayableError("it has no value")
@@ -107,10 +107,10 @@ def to_ros1(value: ParameterValue) -> Any:
 
 
 def to_ros2(value: Any, like: ParameterType = ParameterType.NOT_SET) -> ParameterValue:
-    """What a ROS 2 node takes for a value of ROS 1's parameter server; raises `UnsayableError`.
+    """Convert a value of ROS 1's parameter server for a ROS 2 node; raises `UnsayableError`.
 
-    ``like`` is the kind of the node's parameter: whole numbers serve as doubles, and such doubles as integers, since
-    `rosparam set` does not tell them apart. An empty list is of any kind.
+    ``like`` is the type of the node's parameter: a whole number becomes a double, and a whole double an integer, since
+    `rosparam set` does not distinguish them. An empty list has any type.
     """
     if isinstance(value, xmlrpc.client.Binary):
         return ParameterValue(ParameterType.BYTE_ARRAY, value.data)
@@ -162,14 +162,14 @@ def flatten(tree: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
 
 
 class ParameterNames:
-    """The names that a rule takes, in both worlds; ``rest`` is what follows `ParameterRule.ros1`, ``a/b``."""
+    """The names that a rule covers, on both networks; ``rest`` is the part after `ParameterRule.ros1`, ``a/b``."""
 
     def __init__(self, rule: ParameterRule) -> None:
         self.rule = rule
         self._globs = [glob_regex(glob.strip("/")) for glob in rule.names]
 
     def takes(self, rest: str) -> bool:
-        """Whether the rule takes a parameter."""
+        """Whether the rule covers a parameter."""
         return any(glob.fullmatch(rest) for glob in self._globs)
 
     def ros1(self, rest: str) -> str:
@@ -181,7 +181,7 @@ class ParameterNames:
         return ".".join(part for part in (self.rule.prefix, rest.replace("/", ".")) if part)
 
     def rest(self, ros2_name: str) -> str | None:
-        """What of a node's parameter name follows; None where the rule does not take it, or ROS 1 has no such names."""
+        """Return the rest of a node's parameter name; None if the rule excludes it, or ROS 1 has no such names."""
         name, prefix = ros2_name, self.rule.prefix
         if prefix:
             if name != prefix and not name.startswith(f"{prefix}."):
