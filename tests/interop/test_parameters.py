@@ -30,11 +30,14 @@ def test_parameters_are_shared_both_ways(deployment: Deployment) -> None:
     ros1 = deployment.ros1()
     ros1.ask("set_param", name="/robot", value={"speed": 1.5, "name": "r1", "limits": {"turn": 2}, "ranges": [1, 2.5]})
     ros2 = deployment.keep(Peer(PROGRAM, ros2_python(), ros2_environment(), "controller_server"))
-    ros2.ask("declare", parameters={"FollowPath.speed": 0.5, "mode": "slow", "tries": 3, "weights": [1.0, 2.0]})
+    declared = {"FollowPath.speed": 0.5, "mode": "slow", "tries": 3, "weights": [1.0, 2.0]}
+    ambiguous = {"exposure": 7500, "exposure.1": 100}
+    ros2.ask("declare", parameters=declared | ambiguous, unset={"late": "DOUBLE"})
     deployment.run()
 
     _ros1s_are_a_nodes(ros1, ros2)
     _a_nodes_are_in_ros1(ros1, ros2)
+    _unusual_names_are_reported(deployment, ros1, ros2)
     parameters = {one["ros1"]: one["shared"] for one in deployment.worker("ros1")["parameters"]}
     assert parameters["/robot"] == 5
     assert parameters["/nav/controller"] >= 4
@@ -42,7 +45,8 @@ def test_parameters_are_shared_both_ways(deployment: Deployment) -> None:
     assert not [name for name in deployment.master.state()["services"] if "get_parameters" in name]
     _a_reload_takes_up_other_rules(deployment, ros1, ros2)
     assert deployment.stop_daemon() == 0
-    assert ros1.ask("get_param", name="/nav/controller")["value"] in (None, {}, {"FollowPath": {}})
+    left = ros1.ask("get_param", name="/nav/controller")["value"]
+    assert {name: value for name, value in left.items() if value != {}} == {"trise": 3}, "the copies are deleted"
     assert ros1.ask("get_param", name="/robot/speed")["value"] == 2.5
 
 
@@ -93,6 +97,22 @@ def _a_nodes_are_in_ros1(ros1: Peer, ros2: Peer) -> None:
     until(lambda: in_ros1("tries") == 9, "the node's own change is in ROS 1", 30)
 
 
+def _unusual_names_are_reported(deployment: Deployment, ros1: Peer, ros2: Peer) -> None:
+    """ROS 1 sets a parameter that the node has not set, and one that it does not have; a name is also a prefix."""
+    namespace = "/nav/controller"
+    assert ros1.ask("get_param", name=f"{namespace}/exposure")["value"] == 7500
+    ros1.ask("set_param", name=f"{namespace}/late", value=3)
+    until(lambda: ros2.ask("own", name="late")["value"] == 3.0, "the node has the value of its declared type", 30)
+    ros1.ask("set_param", name=f"{namespace}/trise", value=3)
+
+    def reported() -> set[str]:
+        warnings = deployment.worker("ros1")["warnings"]
+        return {one.partition(": ")[0] for one in warnings if one.startswith(f"parameter {namespace}")}
+
+    wanted = {f"parameter {namespace}/exposure/1", f"parameter {namespace}/trise"}
+    until(lambda: wanted <= reported(), "status has both", 30)
+
+
 def _a_reload_takes_up_other_rules(deployment: Deployment, ros1: Peer, ros2: Peer) -> None:
     deployment.configure(routing={"parameters": [{**RULES[0], "node": "/renamed"}, RULES[1]]})
     deployment.hang_up()
@@ -103,7 +123,7 @@ def _a_reload_takes_up_other_rules(deployment: Deployment, ros1: Peer, ros2: Pee
 
 @pytest.mark.parametrize("owner", ["ros2", "ros1"])
 def test_the_parameters_of_a_node_of_the_hub(deployment: Deployment, owner: str) -> None:
-    """A native node of the hub, as rmw_zenoh declares it, beside one that no rule names."""
+    """A native node of the hub, as rmw_zenoh declares it, and one that no rule names."""
     deployment.master.start()
     deployment.configure(routing={"parameters": [{"ros1": "/copy", "node": "/ns/named", "owner": owner}]})
     ros1 = deployment.ros1()

@@ -1,8 +1,8 @@
-"""A real rclpy program with parameters, which also asks other nodes for theirs; driven as `tests.support.peer` says.
+"""A real rclpy program with parameters, which also reads and sets those of other nodes; see `tests.support.peer`.
 
-Words beside those of `ros2_peer`: ``declare`` parameters (name to value); ``refuse`` names; ``own`` name -> value;
-``change`` name, value; ``get_of`` node, names -> values; ``set_of`` node, parameters -> reasons ("" where it was set);
-``list_of`` node -> names; ``nodes`` -> names.
+Commands in addition to those of `ros2_peer`: ``declare`` parameters (name to value) and ``unset`` ones (name to type);
+``refuse`` names; ``own`` name -> value; ``change`` name, value; ``get_of`` node, names -> values; ``set_of`` node,
+parameters -> reasons ("" if it was set); ``list_of`` node -> names; ``nodes`` -> names.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ros2_peer import Peer, main
 
 
 class ParameterPeer(Peer):
-    """The program's words."""
+    """The program's commands."""
 
     def __init__(self, node: Any) -> None:
         super().__init__(node)
@@ -33,6 +33,8 @@ class ParameterPeer(Peer):
     def declare(self, params: dict[str, Any]) -> dict[str, Any]:
         for name, value in params["parameters"].items():
             self._node.declare_parameter(name, value)
+        for name, kind in params.get("unset", {}).items():
+            self._node.declare_parameter(name, Parameter.Type[kind])
         return {}
 
     def refuse(self, params: dict[str, Any]) -> dict[str, Any]:
@@ -40,7 +42,7 @@ class ParameterPeer(Peer):
         return {}
 
     def own(self, params: dict[str, Any]) -> dict[str, Any]:
-        value = self._node.get_parameter(params["name"]).value
+        value = self._node.get_parameter_or(params["name"]).value
         return {"value": list(value) if hasattr(value, "typecode") else value}
 
     def change(self, params: dict[str, Any]) -> dict[str, Any]:
@@ -72,7 +74,7 @@ class ParameterPeer(Peer):
     def _wait(self, future: Any) -> Any:
         done = threading.Event()
         future.add_done_callback(lambda _: done.set())
-        assert done.wait(30.0), "no answer"
+        assert done.wait(30.0), "no response"
         return future.result()
 
 

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from bridge.adapters.ros1.graph.master import Master
     from bridge.adapters.ros1.node import Ros1Node
     from bridge.adapters.ros1.parameters.follower import ParameterSharing
+    from bridge.adapters.ros1.parameters.store import ParameterServer
     from bridge.config.sections.routing import ParameterRule
     from bridge.hub.session import Hub
 
@@ -84,6 +85,7 @@ class Ros1Edge(SideEdge):
         self._node: Ros1Node | None = None
         self._master: Master | None = None
         self._parameters: ParameterSharing | None = None
+        self._joined = False
         self._stopped = False
 
     # -- life ----------------------------------------------------------------------------------------------------------
@@ -220,6 +222,10 @@ class Ros1Edge(SideEdge):
         assert self._node is not None
         if self._stopped:
             return
+        if listed is not None and not self._joined:
+            self._joined = True
+            if not self._config.routing.parameters:  # a killed worker may have had rules, and left its copies
+                self._parameter_server().close()
         look = self._standing.update(listed)
         changed = look is not self._look
         self._look = look
@@ -317,12 +323,17 @@ class Ros1Edge(SideEdge):
         if not rules or self._node is None or self._master is None:
             return super().carry_parameters(rules, hub, active)
         from bridge.adapters.ros1.parameters.follower import ParameterSharing
-        from bridge.adapters.ros1.parameters.store import ParameterServer
 
-        store = ParameterServer(self._master.uri, self._caller, self._node.uri)
-        self._parameters = ParameterSharing(rules, hub, self._registry, store, active)
+        self._parameters = ParameterSharing(rules, hub, self._registry, self._parameter_server(), active)
         self._node.hear_parameters(self._parameters.changed)
         return self._parameters.stop
+
+    def _parameter_server(self) -> ParameterServer:
+        from bridge.adapters.ros1.parameters.store import ParameterServer
+
+        assert self._node is not None
+        assert self._master is not None
+        return ParameterServer(self._master.uri, self._caller, self._node.uri, self._ledger.owner)
 
     def details(self) -> dict[str, Any]:
         """The shared parameters."""

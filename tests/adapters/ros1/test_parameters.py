@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import threading
 import xmlrpc.client
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Protocol
 
 import pytest
 
 from bridge.adapters.ros1.parameters.follower import ParameterSharing
-from bridge.adapters.ros1.parameters.store import ParameterServer, codecs
+from bridge.adapters.ros1.parameters.store import ParameterServer, codecs, copies_parameter
 from bridge.adapters.ros1.parameters.values import (
     NOT_SET,
     ParameterNames,
@@ -28,6 +30,7 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.messages.values import MessageReader
 from bridge.routing.rules import RuleSet
+from tests.adapters.ros1.parts import edge_on
 from tests.support.hub import HubNetwork
 from tests.support.ros1 import RosMaster, needs_ros1
 from tests.support.wait import until
@@ -35,8 +38,10 @@ from tests.support.wait import until
 REGISTRY = Registry()
 CODECS = codecs(REGISTRY)
 PERIOD = 0.1
+OWNER = "1d3f"
+COPIES = copies_parameter(OWNER)
 NOBODY = "http://127.0.0.1:1/"
-"""Where no master can tell that something changed: what the next look finds then must do."""
+"""No master can report changes there: the next comparison finds them."""
 
 VALUES = [
     (True, ParameterValue(ParameterType.BOOL, True)),
@@ -79,7 +84,7 @@ def test_numbers_take_the_kind_that_the_node_has(ros1: Any, like: ParameterType,
     assert to_ros2(ros1, like) == ros2
 
 
-def test_what_cannot_be_said_is_refused():
+def test_values_that_the_other_network_lacks_are_rejected():
     for ros1 in ({"a": 1}, [[1], [2]], [1, "a"], [True, 1], None, xmlrpc.client.DateTime(), 2**63):
         with pytest.raises(UnsayableError):
             to_ros2(ros1)
@@ -122,7 +127,7 @@ def test_names_follow_the_rule():
         ([{}, {"ros1": "/a/b", "node": "/m"}], "both take what is in /a/b"),
     ],
 )
-def test_a_wrong_rule_is_told(rules: list[dict[str, Any]], reason: str):
+def test_an_invalid_rule_is_rejected(rules: list[dict[str, Any]], reason: str):
     whole = [{"ros1": "/a", "node": "/n", "owner": "ros2", **one} for one in rules]
     with pytest.raises(ValueError, match=reason):
         RoutingSection.model_validate({"parameters": whole})
@@ -160,15 +165,36 @@ def hubs(network: HubNetwork) -> Iterator[tuple[Hub, Hub]]:
         yield ours, others
 
 
-Share = Callable[..., ParameterSharing]
+def server(master: RosMaster, owner: str = OWNER) -> RecordingServer:
+    return RecordingServer(master.uri, lambda: "/midspan_test", NOBODY, owner)
+
+
+class RecordingServer(ParameterServer):
+    """A parameter server that counts the parameters that were written."""
+
+    written = 0
+
+    def write(self, values: Mapping[str, Any]) -> list[str]:
+        self.written += len(values)
+        return super().write(values)
+
+
+class Share(Protocol):
+    """Starts the sharing of parameters by some rules."""
+
+    def __call__(
+        self, *rules: ParameterRule, active: Callable[[], bool] = ..., store: ParameterServer | None = ...
+    ) -> ParameterSharing: ...
 
 
 @pytest.fixture
 def share(master: RosMaster, hubs: tuple[Hub, Hub]) -> Iterator[Share]:
     started: list[ParameterSharing] = []
 
-    def start(*rules: ParameterRule, active: Callable[[], bool] = lambda: True) -> ParameterSharing:
-        store = ParameterServer(master.uri, lambda: "/midspan_test", NOBODY)
+    def start(
+        *rules: ParameterRule, active: Callable[[], bool] = lambda: True, store: ParameterServer | None = None
+    ) -> ParameterSharing:
+        store = store or server(master)
         started.append(ParameterSharing(rules, hubs[0], REGISTRY, store, active, PERIOD))
         return started[-1]
 
@@ -233,7 +259,7 @@ def test_ros1s_parameters_are_those_of_a_node(master: RosMaster, hubs: tuple[Hub
         (3, False, "ROS 1 parameter /own/speed"),
         (2, True, "ROS 1 parameter /own_one"),
     ]
-    until(lambda: any("/own/odd" in warning for warning in parameters.warnings()), "the odd list is told")
+    until(lambda: any("/own/odd" in warning for warning in parameters.warnings()), "the odd list is reported")
     assert parameters.details()[0] == {"ros1": "/own", "node": "/ns/own_node", "owner": "ros1", "shared": 4}
 
 
@@ -279,22 +305,28 @@ def test_changes_of_ros1s_parameters_are_events(master: RosMaster, hubs: tuple[H
         master.call("setParam", "/told/changes", master.call("getParam", "/told/changes") + 1)
         return any(one["name"] == "changes" for event in heard for one in event["changed_parameters"])
 
-    until(changed, "the change is told", every=0.5)
+    until(changed, "the change is published", every=0.5)
     master.call("deleteParam", "/told/goes")
     master.call("setParam", "/told/comes", "new")
-    until(lambda: [n["name"] for e in heard for n in e["deleted_parameters"]] == ["goes"], "the end is told")
+    until(lambda: [n["name"] for e in heard for n in e["deleted_parameters"]] == ["goes"], "the deletion is published")
     until(lambda: [n["value"]["string_value"] for e in heard for n in e["new_parameters"]] == ["new"], "the new")
     assert {event["node"] for event in heard} == {"/told_node"}
 
 
 class Node:
-    """A ROS 2 node on the hub that has parameters, some of which it refuses to change."""
+    """A ROS 2 node on the hub that has parameters, some of which it refuses to change.
+
+    Attributes:
+        values: the declared parameters; the type of one without a value is in ``types``, DOUBLE by default.
+        asked: how often it was asked for the names of its parameters.
+    """
 
     def __init__(self, hub: Hub, node: str, **values: ParameterValue) -> None:
         self.values = {name.replace("__", "."): value for name, value in values.items()}
+        self.types: dict[str, ParameterType] = {}
         self.refuses: set[str] = set()
         self.set: list[tuple[str, Any]] = []
-        self.whole = True
+        self.asked = 0
         self._servers = [
             hub.server(f"{node}/{word}", codec.type.name, codec.type.type_id, self._answer(word))
             for word, codec in CODECS.items()
@@ -308,14 +340,22 @@ class Node:
         return call
 
     def _list_parameters(self, request: Any) -> Any:
+        self.asked += 1
         wanted = [n for n in self.values if not request["prefixes"] or n.startswith(request["prefixes"][0])]
         return {"result": {"names": wanted}}
 
+    def _describe_parameters(self, request: Any) -> Any:
+        return {"descriptors": [{"name": name, "type": int(self._type(name))} for name in request["names"]]}
+
+    def _type(self, name: str) -> ParameterType:
+        kind = self.values.get(name, NOT_SET).kind
+        return self.types.get(name, ParameterType.DOUBLE) if kind is ParameterType.NOT_SET else kind
+
     def _get_parameter_types(self, request: Any) -> Any:
-        return {"types": [int(self.values[name].kind) for name in request["names"]]}
+        return {"types": [int(self.values.get(name, NOT_SET).kind) for name in request["names"]]}
 
     def _get_parameters(self, request: Any) -> Any:
-        values = [self.values[name] for name in request["names"]]
+        values = [self.values.get(name, NOT_SET) for name in request["names"]]
         return {"values": [] if NOT_SET in values else [value.message() for value in values]}  # as rclcpp does
 
     def _set_parameters(self, request: Any) -> Any:
@@ -323,14 +363,14 @@ class Node:
 
     def _set(self, name: str, value: ParameterValue) -> Any:
         self.set.append((name, value.content))
-        if name in self.refuses or value.kind is not self.values[name].kind:
+        if name in self.refuses or value.kind is not self._type(name):
             return {"successful": False, "reason": "not now"}
         self.values[name] = value
         return {"successful": True}
 
     def close(self) -> None:
-        for server in self._servers:
-            server.close()
+        for service in self._servers:
+            service.close()
 
 
 @needs_ros1
@@ -351,10 +391,166 @@ def test_a_nodes_parameters_are_kept_in_ros1(master: RosMaster, hubs: tuple[Hub,
     node.values["FollowPath.speed"] = ParameterValue(ParameterType.DOUBLE, 2.5)
     until(lambda: master.call("getParam", "/kept/speed") == 2.5, "the node's change is in ROS 1")
     del node.values["FollowPath.inner.frame"]
-    until(lambda: master.call("getParam", "/kept/inner/frame") is None, "what it no longer has is gone")
+    until(lambda: master.call("getParam", "/kept/inner/frame") is None, "the dropped parameter is deleted")
     assert node.set == []
     parameters.stop()
     assert master.call("getParam", "/kept").keys() <= {"mine", "inner"}
+
+
+def _double(value: float) -> ParameterValue:
+    return ParameterValue(ParameterType.DOUBLE, value)
+
+
+def _integer(value: int) -> ParameterValue:
+    return ParameterValue(ParameterType.INTEGER, value)
+
+
+@needs_ros1
+def test_a_value_that_is_also_a_prefix_is_copied_without_the_names_below_it(
+    master: RosMaster, hubs: tuple[Hub, Hub], share: Share
+):
+    hdr = Node(hubs[1], "/hdr", exposure=_integer(7500), exposure__1=_integer(100), exposure__a__b=_integer(5))
+    single = Node(hubs[1], "/single", limits__speed=_double(1.5), limits__speed__max=_double(2.0))
+    unset = Node(hubs[1], "/unset_above", exposure=NOT_SET, exposure__1=_integer(100))
+    huge = Node(hubs[1], "/huge_above", exposure=_integer(2**40), exposure__1=_integer(100))
+    store = server(master)
+    parameters = share(
+        rule("ros2", "/hdr", "/hdr"), rule("ros2", "/single", "/single", prefix="limits.speed"),
+        rule("ros2", "/unset_above", "/unset_above"), rule("ros2", "/huge_above", "/huge_above"), store=store,
+    )  # fmt: skip
+    below = {"exposure": {"1": 100}}
+    wanted = {"/hdr": {"exposure": 7500}, "/single": 1.5, "/unset_above": below, "/huge_above": below}
+    until(lambda: {key: master.call("getParam", key) for key in wanted} == wanted, "what ROS 1 can have is copied")
+    written, asked = store.written, hdr.asked
+    for node in (hdr, single, unset, huge):
+        until(lambda node=node: node.asked > asked + 5, "several comparisons")
+    assert store.written == written, "nothing is written again"
+    problems = parameters.warnings()
+    for key, above in (("/hdr/exposure/1", "/hdr/exposure"), ("/hdr/exposure/a/b", "/hdr/exposure"),
+                       ("/single/max", "/single")):  # fmt: skip
+        assert any(one.startswith(f"parameter {key}: not copied, since {above} has a value") for one in problems), key
+    del hdr.values["exposure"]
+    until(lambda: master.call("getParam", "/hdr") == {"exposure": {"1": 100, "a": {"b": 5}}}, "the names below")
+    hdr.values["exposure"] = _integer(50)
+    until(lambda: master.call("getParam", "/hdr") == {"exposure": 50}, "the value has the name again")
+
+
+@needs_ros1
+def test_copies_that_a_killed_process_left_go_with_the_next_ones_stop(
+    master: RosMaster, hubs: tuple[Hub, Hub], share: Share
+):
+    alive = threading.Event()
+    alive.set()
+    node = Node(hubs[1], "/killed_node", speed=_double(1.5), turn=_double(0.5))
+    rules = rule("ros2", "/killed", "/killed_node"), rule("ros2", "/killed_too", "/killed_node", prefix="turn")
+    share(*rules, active=alive.is_set)
+    until(lambda: master.call("getParam", "/killed") == {"speed": 1.5, "turn": 0.5}, "both are copied")
+    until(lambda: master.call("getParam", "/killed_too") == 0.5, "the other rule's too")
+    assert sorted(master.call("getParam", COPIES)) == ["/killed/speed", "/killed/turn", "/killed_too"]
+    alive.clear()  # from here on it does nothing, like a killed process
+    node.close()
+    master.call("setParam", "/killed/mine", 1)
+    again = share(rules[0])
+    until(lambda: master.call("getParam", "/killed_too") is None, "no rule covers this copy any longer")
+    again.stop()
+    assert master.call("getParam", "/killed") == {"mine": 1}, "copies go, and what others have set stays"
+    assert master.call("getParam", COPIES) is None
+
+
+@needs_ros1
+def test_copies_that_another_daemon_made_go_with_the_one_that_took_over(
+    master: RosMaster, hubs: tuple[Hub, Hub], share: Share
+):
+    first = threading.Event()
+    first.set()
+    node = Node(hubs[1], "/taken_node", speed=_double(1.5), lasts=_double(2.0))
+    share(rule("ros2", "/taken", "/taken_node"), active=first.is_set, store=server(master, "dead"))
+    until(lambda: master.call("getParam", "/taken") == {"speed": 1.5, "lasts": 2.0}, "both are copied")
+    first.clear()
+    second = share(rule("ros2", "/taken", "/taken_node"))
+    until(lambda: set(master.call("getParam", COPIES) or ()) == {"/taken/speed", "/taken/lasts"}, "it adopts them")
+    del node.values["speed"]
+    until(lambda: master.call("getParam", "/taken/speed") is None, "the node dropped it")
+    second.stop()
+    assert master.call("getParam", "/taken") == {}
+
+
+@needs_ros1
+def test_copies_that_a_killed_process_left_go_if_no_rule_shares_parameters_any_longer(
+    master: RosMaster, tmp_path: Path
+):
+    (tmp_path / "ros1.json").write_text(json.dumps({"owner": "5e1f", "last": None}))
+    master.call("setParam", "/unruled", {"gain": 1.0, "mine": 1})
+    master.call("setParam", copies_parameter("5e1f"), ["/unruled/gain"])
+    with edge_on(master, tmp_path, node="unruled"):
+        until(lambda: master.call("getParam", copies_parameter("5e1f")) is None, "the copies go")
+        assert master.call("getParam", "/unruled") == {"mine": 1}
+
+
+@needs_ros1
+def test_names_that_the_node_does_not_have_are_reported(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    node = Node(hubs[1], "/names_node", gain=_double(1.0), lens__focus=_double(2.0))
+    master.call("setParam", "/names", {"excluded": {"mine": 1}})
+    parameters = share(rule("ros2", "/names", "/names_node", names=["*", "lens/**"]))
+    until(lambda: master.call("getParam", "/names/gain") == 1.0, "it is in ROS 1")
+    assert parameters.warnings() == []
+    master.call("setParam", "/names/gian", 2.0)
+    master.call("setParam", "/names/lens/focs", 2.0)
+    master.call("setParam", "/names/lens/focus/x", 3)  # replaces the copy by a namespace
+    cure = "delete it in ROS 1, or leave it out by 'names' in routing.parameters"
+    want = [
+        f"parameter /names/{key}: set in ROS 1, but /names_node has no parameter {name} (similar: {similar}); {cure}"
+        for key, name, similar in (("gian", "gian", "gain"), ("lens/focs", "lens.focs", "lens.focus"))
+    ]
+    until(lambda: parameters.warnings() == want, "both are reported")
+    assert master.call("getParam", "/names/lens") == {"focus": 2.0, "focs": 2.0}
+    assert node.set == []
+    master.call("deleteParam", "/names/gian")
+    master.call("deleteParam", "/names/lens/focs")
+    until(lambda: parameters.warnings() == [], "all is well again")
+
+
+@needs_ros1
+def test_a_declared_parameter_without_a_value_gets_ros1s(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    node = Node(hubs[1], "/late_node", lost=NOT_SET, mode=NOT_SET, count=NOT_SET, gain=_double(1.0))
+    node.types = {"mode": ParameterType.STRING, "count": ParameterType.INTEGER}
+    master.call("setParam", "/late/lost", 3)  # before the node came, as a launch file does
+    parameters = share(rule("ros2", "/late", "/late_node"))
+    until(lambda: node.values["lost"] == _double(3.0), "it has the declared type")
+    until(lambda: "/late/lost" in (master.call("getParam", COPIES) or ()), "it is a copy now")
+    master.call("setParam", "/late/mode", 5)
+    until(lambda: master.call("getParam", "/late/mode") is None, "the refused value is deleted")
+    assert any("/late/mode: /late_node refused 5: not now" in one for one in parameters.warnings())
+    master.call("setParam", "/late/count", [[1]])
+    until(lambda: master.call("getParam", "/late/count") is None, "ROS 2 has no lists of lists")
+    assert any("/late/count: the value set in ROS 1 is not set on /late_node" in one for one in parameters.warnings())
+    node.values["lost"] = NOT_SET
+    until(lambda: master.call("getParam", "/late/lost") is None, "the node's state counts")
+    assert node.values["lost"] == NOT_SET
+
+
+@needs_ros1
+@pytest.mark.parametrize("write", [True, False])
+def test_problems_of_a_node_end_with_it(master: RosMaster, hubs: tuple[Hub, Hub], share: Share, write: bool):
+    name = f"/ended_{write}".lower()
+    node = Node(
+        hubs[1], f"{name}_node", huge=_integer(2**40), speed=_double(1.5), speed__x=_double(1.0), fixed=_double(1.0),
+        lost=NOT_SET,
+    )  # fmt: skip
+    node.refuses = {"fixed", "lost"}
+    parameters = share(rule("ros2", name, f"{name}_node", write=write))
+    until(lambda: master.call("getParam", f"{name}/fixed") == 1.0, "it is in ROS 1")
+    for other in ("fixed", "lost", "unknown"):
+        master.call("setParam", f"{name}/{other}", 2.0)
+
+    def reported() -> set[str]:
+        return {warning.partition(": ")[0] for warning in parameters.warnings()}
+
+    wanted = {f"parameter {name}/{rest}" for rest in ("huge", "speed/x", "fixed", "lost", "unknown")}
+    until(lambda: reported() == wanted, "all are reported")
+    assert master.call("getParam", f"{name}/fixed") == 1.0
+    node.close()
+    until(lambda: parameters.warnings() == [], "they end with the node")
 
 
 @needs_ros1
@@ -372,24 +568,24 @@ def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], 
     until(lambda: node.values["speed"] == ParameterValue(ParameterType.DOUBLE, 3.0), "the node has ROS 1's value")
     node.refuses = {"mode"}
     master.call("setParam", "/asked/mode", "fast")
-    until(lambda: master.call("getParam", "/asked/mode") == "slow", "what it refused is put back")
+    until(lambda: master.call("getParam", "/asked/mode") == "slow", "the refused value is reset")
     assert ("mode", "fast") in node.set
-    until(lambda: any("refused 'fast': not now" in one for one in parameters.warnings()), "it is told")
+    until(lambda: any("refused 'fast': not now" in one for one in parameters.warnings()), "the refusal is reported")
     assert parameters.details() == [{"ros1": "/asked", "node": "/asked_node", "owner": "ros2", "shared": 2}]
 
 
 @needs_ros1
-def test_what_is_not_to_be_written_is_put_back(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+def test_a_read_only_copy_is_reset(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = Node(hubs[1], "/read_node", speed=ParameterValue(ParameterType.DOUBLE, 1.5))
     share(rule("ros2", "/read_only", "/read_node", write=False))
     until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "it is in ROS 1")
     master.call("setParam", "/read_only/speed", 3.0)
-    until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "it is put back")
+    until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "it is reset")
     assert node.set == []
 
 
 @needs_ros1
-def test_nothing_is_kept_for_a_node_that_is_away(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+def test_values_set_while_the_node_is_away_are_discarded(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = Node(hubs[1], "/away_node", speed=ParameterValue(ParameterType.DOUBLE, 1.5))
     parameters = share(rule("ros2", "/away", "/away_node"))
     until(lambda: master.call("getParam", "/away/speed") == 1.5, "it is in ROS 1")
@@ -406,15 +602,14 @@ def test_nothing_is_kept_for_a_node_that_is_away(master: RosMaster, hubs: tuple[
 def test_a_master_that_goes_takes_the_node_with_it(hubs: tuple[Hub, Hub]):
     with RosMaster() as master:
         master.call("setParam", "/gone/speed", 1.0)
-        store = ParameterServer(master.uri, lambda: "/midspan_test", NOBODY)
         parameters = ParameterSharing(
-            [rule("ros1", "/gone", "/gone_node")], hubs[0], REGISTRY, store, lambda: True, PERIOD
+            [rule("ros1", "/gone", "/gone_node")], hubs[0], REGISTRY, server(master), lambda: True, PERIOD
         )
         try:
             assert Client(hubs[1], "/gone_node").get("speed") == [1.0]
             master.stop()
             until(lambda: not hubs[1].graph.servers("/gone_node/get_parameters"), "the node is gone")
-            assert any("cannot be asked" in warning for warning in parameters.warnings())
+            assert any("does not respond" in warning for warning in parameters.warnings())
             master.start()
             master.call("setParam", "/gone/speed", 2.0)
             assert Client(hubs[1], "/gone_node").get("speed") == [2.0]
@@ -424,7 +619,7 @@ def test_a_master_that_goes_takes_the_node_with_it(hubs: tuple[Hub, Hub]):
 
 
 @needs_ros1
-def test_who_stands_by_shares_nothing(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+def test_a_worker_on_standby_shares_nothing(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     active = threading.Event()
     master.call("setParam", "/standing/speed", 1.0)
     share(rule("ros1", "/standing", "/standing_node"), active=active.is_set)

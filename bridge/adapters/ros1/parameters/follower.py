@@ -20,13 +20,13 @@ from bridge.messages.registry import Registry
 _log = logging.getLogger(__name__)
 
 PERIOD = 1.0
-"""Seconds between two looks; what ROS 1 changes is told at once, a ROS 2 node's own changes are not."""
+"""Seconds between two comparisons; the master reports changes in ROS 1 at once, a ROS 2 node reports none."""
 
 _SETTLE = 0.02
-"""Seconds between two looks at least: several parameters are often set together."""
+"""Least seconds between two comparisons: several parameters are often set together."""
 
 MAX_JOBS = 1000
-"""Calls and replies that wait for the thread."""
+"""Largest number of calls and replies that wait for the thread."""
 
 _BUSY = "too many calls of parameter services wait for ROS 1's parameter server"
 _MAX_SHOWN = 20
@@ -51,25 +51,25 @@ class ParameterSharing:
         self._watched = [rule.ros1 for rule in rules if rule.owner == "ros2"]
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = threading.Event()
-        self._look_now = True
+        self._due = True
         self._stopping = threading.Event()
         self._trouble = ""
         self._thread = threading.Thread(target=self._run, name="midspan-ros1-parameters", daemon=True)
         self._thread.start()
 
     def changed(self) -> None:
-        """Something may have changed; on any thread."""
-        self._look_now = True
+        """Schedule a comparison; may be called from any thread."""
+        self._due = True
         self._wake.set()
 
     def stop(self) -> None:
-        """Leave the hub, and take back what was set on ROS 1's parameter server. Safe to call twice."""
+        """Leave the hub, and delete the copies on ROS 1's parameter server. Safe to call twice."""
         self._stopping.set()
         self._wake.set()
         self._thread.join(5.0)
 
     def warnings(self) -> list[str]:
-        """What is wrong, for the status document."""
+        """Return the problems, for the status document."""
         found = [self._trouble] if self._trouble else []
         for part in self._parts:
             found += [f"parameter {name}: {why}" for name, why in sorted(dict(part.troubles).items())]
@@ -77,13 +77,13 @@ class ParameterSharing:
         return [*found[:_MAX_SHOWN], *([f"and {rest} more about parameters"] if rest > 0 else [])]
 
     def details(self) -> list[dict[str, Any]]:
-        """The rules as the status document shows them."""
+        """Return the rules as the status document shows them."""
         found = [(rule, offered.count) for offered in self._offered for rule in offered.rules]
         found += [(mirrored.rule, mirrored.count) for mirrored in self._mirrored]
         return [{"ros1": rule.ros1, "node": rule.node, "owner": rule.owner, "shared": count} for rule, count in found]
 
     def _submit(self, job: Callable[[], None], waits: Done | None) -> None:
-        """Do something on the thread; a call that finds no room is ended with an error."""
+        """Run a job on the thread; a call for which the queue is full ends with an error."""
         if waits is not None and len(self._jobs) >= MAX_JOBS:
             waits(CallError(_BUSY))
             return
@@ -96,39 +96,42 @@ class ParameterSharing:
             self._wake.clear()
             while self._jobs and not self._stopping.is_set():
                 self._try(self._jobs.popleft())
-            if self._look_now or not timely:
-                self._look_now = False
-                self._try(self._look)
+            if self._due or not timely:
+                self._due = False
+                self._try(self._compare)
                 self._stopping.wait(_SETTLE)
         self._close()
         while self._jobs:
             self._try(self._jobs.popleft())
-        self._store.close([key for one in self._mirrored for key in sorted(one.written)])
+        self._store.close()
 
     def _try(self, job: Callable[[], None]) -> None:
         try:
             job()
         except Ros1Error as err:
             if not self._trouble:
-                _log.warning("ROS 1's parameter server cannot be asked: %s", err)
-            self._trouble = f"ROS 1's parameter server cannot be asked: {err}"
+                _log.warning("ROS 1's parameter server does not respond: %s", err)
+            self._trouble = f"ROS 1's parameter server does not respond: {err}"
             self._close()
         except Exception as err:
             _log.exception("carrying parameters failed")
             self._trouble = f"carrying parameters failed: {err}"
 
-    def _look(self) -> None:
+    def _compare(self) -> None:
         if not self._active():
             self._close()
             return
         trees = self._store.watch([*self._keys, *self._watched])
         self._trouble = ""
+        copies = self._store.copies
+        left = [key for key in copies if not any(mirrored.covers(key) for mirrored in self._mirrored)]
+        self._store.copy(dict.fromkeys(left), copies.difference(left))  # copies by a rule that no longer exists
         for offered in self._offered:
             offered.follow(trees)
         for mirrored in self._mirrored:
             mirrored.follow()
 
     def _close(self) -> None:
-        """Leave the hub: the parameters are gone with the network, or another worker shares them."""
+        """Leave the hub: the network is away, or another worker shares the parameters."""
         for part in self._parts:
             part.close()

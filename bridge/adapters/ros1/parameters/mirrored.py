@@ -1,9 +1,10 @@
-"""Parameters of a ROS 2 node, kept on ROS 1's parameter server, and set on the node where ROS 1 changes them."""
+"""Parameters of a ROS 2 node, copied to ROS 1's parameter server, and set on the node when ROS 1 changes them."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any
 
 from bridge.adapters.ros1.parameters.store import ParameterContext, codecs
@@ -24,14 +25,19 @@ from bridge.messages.errors import ConversionError
 _log = logging.getLogger(__name__)
 
 _Values = dict[str, ParameterValue]
-_USED = ("list_parameters", "get_parameters", "get_parameter_types", "set_parameters")
+_USED = ("list_parameters", "get_parameters", "get_parameter_types", "describe_parameters", "set_parameters")
+_LOGGED = 5
+"""Unknown names in one log line."""
+
+_READ_ONLY = "routing.parameters has write: false"
 
 
 class MirroredNode:
     """One rule whose parameters a ROS 2 node owns. All but the constructor runs on the parameters' thread.
 
-    Where both sides changed one since the last look, the node's value counts, and so it does when the node comes. A
-    value that the node refuses is put back. ``wake`` has that thread look again, from any thread.
+    If both sides changed a value since the last comparison, the node's counts, as when the node starts. A value that
+    the node rejects is reset in ROS 1. ``wake`` schedules a comparison; it may be called from any thread. In the
+    attributes, a parameter's key is what follows the rule's name in ROS 1.
     """
 
     def __init__(self, rule: ParameterRule, context: ParameterContext, wake: Callable[[], None]) -> None:
@@ -41,13 +47,12 @@ class MirroredNode:
         self._codecs = {word: codec for word, codec in codecs(context.registry).items() if word in _USED}
         self._clients: dict[str, Any] = {}
         self._busy = False
-        self._agreed: dict[str, ParameterValue] = {}
-        """By what follows the rule's name: the value that both had at the last look."""
-        self.written: set[str] = set()
-        """Names on the parameter server that we set."""
-        self._careful = False
-        self._unsaid: dict[str, str] = {}
-        self._refused: dict[str, str] = {}
+        self._ask_types = False
+        self._declared: frozenset[str] = frozenset()
+        self._agreed: _Values = {}  # the value of both sides at the last comparison
+        self._unknown: frozenset[str] = frozenset()
+        self._problems: dict[str, str] = {}  # of the last comparison, by the name in ROS 1
+        self._rejected: dict[str, str] = {}  # the last value that the node did not accept, by the name in ROS 1
 
     @property
     def count(self) -> int:
@@ -56,138 +61,244 @@ class MirroredNode:
 
     @property
     def troubles(self) -> dict[str, str]:
-        """The trouble of each parameter."""
-        return {**self._unsaid, **self._refused}
+        """The problem of each parameter, by its name in ROS 1."""
+        return {**self._problems, **self._rejected}
 
     @property
-    def there(self) -> bool:
-        """Whether the node is."""
+    def present(self) -> bool:
+        """Whether all used services of the node are on the hub."""
         return bool(self._clients) and all(client.ready for client in self._clients.values())
 
+    def covers(self, key: str) -> bool:
+        """Whether a name of ROS 1's parameter server can be a copy by this rule."""
+        ros1 = self.rule.ros1
+        inside = key == ros1 or key.startswith(f"{ros1}/")
+        return inside and self._names.takes(key.removeprefix(ros1).removeprefix("/"))
+
     def follow(self) -> None:
-        """Begin a look at the node, unless one is under way."""
+        """Begin a comparison with the node, unless one is running."""
         if not self._clients:
             for word, codec in self._codecs.items():
                 name = f"{self.rule.node}/{word}"
                 self._clients[word] = self._hub.client(name, codec.type.name, codec.type.type_id, self._wake)
-        if not self.there:
-            self._agreed = {}
+        if not self.present:
+            self._reset()
         elif not self._busy:
             self._busy = True
-            self._look()
-
-    def _look(self) -> None:
-        prefixes = [self.rule.prefix] if self.rule.prefix else []
-        self._call("list_parameters", {"prefixes": prefixes, "depth": 0}, self._listed)
+            prefixes = [self.rule.prefix] if self.rule.prefix else []
+            self._call("list_parameters", {"prefixes": prefixes, "depth": 0}, self._on_names)
 
     def close(self) -> None:
-        """Ask no more. Safe to call twice."""
+        """Close the clients. Safe to call twice."""
         clients, self._clients = self._clients, {}
         for client in clients.values():
             client.close()
-        self._agreed, self._busy = {}, False
+        self._busy = False
+        self._reset()
+
+    def _reset(self) -> None:
+        """Drop the state and the problems of a node that has ended."""
+        self._agreed, self._unknown = {}, frozenset()
+        self._problems, self._rejected = {}, {}
 
     def _call(self, word: str, request: Mapping[str, Any], then: Callable[[dict[str, Any]], bool]) -> None:
-        """Ask the node; ``then`` gets the reply on the parameters' thread, and says whether the look goes on."""
+        """Call a service of the node.
+
+        ``then`` gets the response on the parameters' thread, and returns whether the comparison goes on.
+        """
         client, codec = self._clients[word], self._codecs[word]
 
-        def answered(result: bytes | CallError) -> None:
-            self._submit(lambda: take(result), None)
+        def respond(result: bytes | CallError) -> None:
+            self._submit(lambda: accept(result), None)
 
-        def take(result: bytes | CallError) -> None:
+        def accept(result: bytes | CallError) -> None:
             if self._clients.get(word) is not client:
                 return  # closed meanwhile
             self._busy = False
             if isinstance(result, CallError):
-                self._unsaid = {self.rule.node: str(result)} if self.there else {}
+                self._problems = {self.rule.node: str(result)} if self.present else {}
                 return
             try:
                 self._busy = then(codec.response_value(result))
             except ConversionError as err:
-                self._unsaid = {self.rule.node: str(err)}
+                self._problems = {self.rule.node: str(err)}
 
-        client.call(codec.request(request), answered)
+        client.call(codec.request(request), respond)
 
-    def _listed(self, reply: Mapping[str, Any]) -> bool:
-        names = [name for name in reply["result"]["names"] if self._names.rest(name) is not None]
-        if self._careful:
-            self._call("get_parameter_types", {"names": names}, lambda types: self._ask(names, types["types"]))
+    # -- one comparison ------------------------------------------------------------------------------------------------
+
+    def _on_names(self, response: Mapping[str, Any]) -> bool:
+        names = [name for name in response["result"]["names"] if self._names.rest(name) is not None]
+        self._declared = frozenset(self._names.rest(name) or "" for name in names)
+        if self._ask_types:
+            self._call("get_parameter_types", {"names": names}, lambda types: self._ask_values(names, types["types"]))
         else:
-            self._ask(names, [ParameterType.STRING] * len(names))
+            self._ask_values(names, [ParameterType.STRING] * len(names))
         return True
 
-    def _ask(self, names: Sequence[str], types: Sequence[int]) -> bool:
+    def _ask_values(self, names: Sequence[str], types: Sequence[int]) -> bool:
         wanted = [name for name, kind in zip(names, types, strict=False) if kind != ParameterType.NOT_SET]
-        self._call("get_parameters", {"names": wanted}, lambda got: self._got(wanted, got))
+        self._call("get_parameters", {"names": wanted}, lambda response: self._on_values(wanted, response))
         return True
 
-    def _got(self, names: Sequence[str], reply: Mapping[str, Any]) -> bool:
-        """Compare what the node has with what ROS 1 has and with what both had."""
-        values = [ParameterValue.read(value) for value in reply["values"]]
+    def _on_values(self, names: Sequence[str], response: Mapping[str, Any]) -> bool:
+        """Compare the node's values with ROS 1's and with those of the last comparison."""
+        values = [ParameterValue.read(value) for value in response["values"]]
         if len(values) != len(names):
-            # rclcpp tells of no parameter at all where one of them was declared and never set.
-            self._careful = True
+            # rclcpp and rclpy return no value at all if one of the parameters was declared and never set.
+            self._ask_types = True
             return False
         rests = [self._names.rest(name) or "" for name in names]
         node = {rest: value for rest, value in zip(rests, values, strict=True) if value != NOT_SET}
-        tree = self._store.watch([self.rule.ros1])[self.rule.ros1]
-        ros1 = dict(flatten(tree))
-        self._unsaid = {}
-        gone = {rest for rest in self._agreed if rest not in node}
-        writes: dict[str, Any] = {self._names.ros1(rest): None for rest in gone if rest in ros1}
+        ros1 = dict(flatten(self._store.watch([self.rule.ros1])[self.rule.ros1]))
+        self._problems = {}
+        shown = self._representable(node)
+        copies = {self._names.ros1(rest) for rest in shown}
+        foreign = frozenset(key for key in self._store.copies if not self.covers(key))
+        leaves = {self._names.ros1(rest) for rest in ros1}
+        # Deletions come first: a name without a value may become the namespace of others.
+        writes: dict[str, Any] = dict.fromkeys((self._store.copies - foreign - copies) & leaves)
+        self._agreed = {rest: value for rest, value in self._agreed.items() if rest in shown}
+        self._rejected = {key: why for key, why in self._rejected.items() if self._is_declared(key)}
+        wishes = self._compare(shown, ros1, writes)
+        unset = self._unset(node, {rest: value for rest, value in ros1.items() if self._names.ros1(rest) not in writes})
+        self._report_unknown(ros1)
+        for key in self._store.copy(writes, foreign | copies):
+            self._problems[key] = "ROS 1's master refuses it"
+        if unset:
+            request = {"names": [self._names.ros2(rest) for rest in unset]}
+            self._call("describe_parameters", request, lambda response: self._on_types(shown, wishes, unset, response))
+            return True
+        return self._set(shown, wishes)
+
+    def _representable(self, node: _Values) -> _Values:
+        """Return the values that ROS 1 can have: it has no name that is both a value and a namespace."""
+        shown: _Values = {}
+        for rest, value in sorted(node.items()):  # a name comes before the names below it
+            key = self._names.ros1(rest)
+            above = next((outer for outer in _outer(rest) if outer in shown), None)
+            if above is not None:
+                self._problems[key] = (
+                    f"not copied, since {self._names.ros1(above)} has a value and ROS 1 does not allow names below it;"
+                    " choose between them by 'names' in routing.parameters"
+                )
+                continue
+            try:
+                to_ros1(value)
+            except UnsayableError as err:
+                self._problems[key] = str(err)
+            else:
+                shown[rest] = value
+        return shown
+
+    def _compare(self, shown: _Values, ros1: Mapping[str, Any], writes: dict[str, Any]) -> _Values:
+        """Add the node's values that ROS 1 lacks to ``writes``; return ROS 1's changes, which the node should get."""
         wishes: _Values = {}
-        for rest, value in node.items():
-            self._compare(rest, value, ros1, writes, wishes)
-        for rest in gone:
-            del self._agreed[rest]
-        self._write(writes)
+        for rest, value in shown.items():
+            key, agreed = self._names.ros1(rest), self._agreed.get(rest)
+            theirs = self._converted(key, ros1[rest], value.kind) if rest in ros1 else None
+            if theirs is not None and theirs != value and agreed == value:
+                if self.rule.write:
+                    wishes[rest] = theirs
+                    continue
+                self._reject(key, f"{theirs.content!r} is not set on {self.rule.node}: {_READ_ONLY}")
+            elif agreed != value:
+                self._rejected.pop(key, None)
+            self._agreed[rest] = value
+            if theirs != value:
+                writes[key] = to_ros1(value)
+        return wishes
+
+    def _converted(self, key: str, value: Any, kind: ParameterType) -> ParameterValue | None:
+        """Return a value of ROS 1 as the node's parameter takes it, None if ROS 2 has no such value."""
+        try:
+            return to_ros2(value, kind)
+        except UnsayableError as err:
+            self._reject(key, f"the value set in ROS 1 is not set on {self.rule.node}: {err}")
+            return None
+
+    def _unset(self, node: _Values, ros1: Mapping[str, Any]) -> dict[str, Any]:
+        """Return ROS 1's values of parameters that the node has declared and not set."""
+        unset = {rest: ros1[rest] for rest in sorted(self._declared - node.keys()) if rest in ros1}
+        if self.rule.write:
+            return unset
+        why = f"{self.rule.node} has not set it, and does not get ROS 1's value: {_READ_ONLY}"
+        self._problems |= {self._names.ros1(rest): why for rest in unset}
+        return {}
+
+    def _report_unknown(self, ros1: Mapping[str, Any]) -> None:
+        """Report names in ROS 1 that the node does not have; they may be another program's, and stay."""
+        known = [self._names.ros2(rest) for rest in self._declared]
+        unknown = {
+            rest for rest in ros1 if rest not in self._declared and self._names.takes(rest) and self._names.ros2(rest)
+        } - {rest for rest in ros1 if self._names.ros1(rest) in self._store.copies}
+        for rest in unknown:
+            name = self._names.ros2(rest)
+            similar = get_close_matches(name, known, n=1)
+            hint = f" (similar: {similar[0]})" if similar else ""
+            self._problems[self._names.ros1(rest)] = (
+                f"set in ROS 1, but {self.rule.node} has no parameter {name}{hint}; delete it in ROS 1, or leave it out"
+                " by 'names' in routing.parameters"
+            )
+        new = sorted(self._names.ros1(rest) for rest in unknown - self._unknown)
+        if new:
+            more = f" and {len(new) - _LOGGED} more" if len(new) > _LOGGED else ""
+            names = ", ".join(new[:_LOGGED])
+            _log.warning("set in ROS 1, but not parameters of %s: %s%s", self.rule.node, names, more)
+        self._unknown = frozenset(unknown)
+
+    def _on_types(self, shown: _Values, wishes: _Values, unset: Mapping[str, Any], response: Mapping[str, Any]) -> bool:
+        """Convert ROS 1's values of unset parameters to the types that the node has declared."""
+        writes: dict[str, Any] = {}
+        for (rest, value), descriptor in zip(unset.items(), response["descriptors"], strict=False):
+            key = self._names.ros1(rest)
+            wish = self._converted(key, value, _kind(descriptor["type"]))
+            if wish is None:
+                writes[key] = None
+            else:
+                wishes[rest] = wish
+        self._store.write(writes)
+        return self._set(shown, wishes)
+
+    def _set(self, shown: _Values, wishes: _Values) -> bool:
         if not wishes:
             return False
         parameters = [{"name": self._names.ros2(rest), "value": wish.message()} for rest, wish in wishes.items()]
-        self._call("set_parameters", {"parameters": parameters}, lambda result: self._set(node, wishes, result))
+        request = {"parameters": parameters}
+        self._call("set_parameters", request, lambda response: self._on_results(shown, wishes, response))
         return True
 
-    def _compare(
-        self, rest: str, value: ParameterValue, ros1: Mapping[str, Any], writes: dict[str, Any], wishes: _Values
-    ) -> None:
-        """One parameter: write it on ROS 1's server, wish for ROS 1's value, or leave both as they are."""
-        key = self._names.ros1(rest)
-        try:
-            wanted = to_ros1(value)
-        except UnsayableError as err:
-            self._unsaid[key] = str(err)
-            return
-        theirs: ParameterValue | None = None
-        try:
-            theirs = to_ros2(ros1[rest], value.kind) if rest in ros1 else None
-        except UnsayableError as err:
-            self._unsaid[key] = str(err)
-        if theirs is not None and theirs != value and self._agreed.get(rest) == value and self.rule.write:
-            wishes[rest] = theirs
-            return
-        if self._agreed.get(rest) != value:
-            self._refused.pop(key, None)
-        self._agreed[rest] = value
-        if theirs != value:
-            writes[key] = wanted
-
-    def _set(self, node: _Values, wishes: _Values, reply: Mapping[str, Any]) -> bool:
-        """The node's answer to ROS 1's values."""
+    def _on_results(self, shown: _Values, wishes: _Values, response: Mapping[str, Any]) -> bool:
+        """Reset what the node rejected."""
         writes: dict[str, Any] = {}
-        for (rest, wish), result in zip(wishes.items(), reply["results"], strict=False):
+        for (rest, wish), result in zip(wishes.items(), response["results"], strict=False):
             key = self._names.ros1(rest)
-            self._refused.pop(key, None)
             if result["successful"]:
+                self._rejected.pop(key, None)
                 self._agreed[rest] = wish
                 continue
             reason = result["reason"] or "it gives no reason"
-            self._refused[key] = f"{self.rule.node} refused {wish.content!r}: {reason}"
-            _log.warning("parameter %s is put back: %s", key, self._refused[key])
-            writes[key] = to_ros1(node[rest])
-        self._write(writes)
+            self._reject(key, f"{self.rule.node} refused {wish.content!r}: {reason}")
+            writes[key] = to_ros1(shown[rest]) if rest in shown else None
+        self._store.write(writes)
         return False
 
-    def _write(self, writes: Mapping[str, Any]) -> None:
-        self._store.write(writes)
-        self.written |= {key for key, value in writes.items() if value is not None}
-        self.written -= {key for key, value in writes.items() if value is None}
+    def _reject(self, key: str, why: str) -> None:
+        self._rejected[key] = why
+        _log.warning("parameter %s is reset in ROS 1: %s", key, why)
+
+    def _is_declared(self, key: str) -> bool:
+        return key.removeprefix(self.rule.ros1).removeprefix("/") in self._declared
+
+
+def _kind(number: int) -> ParameterType:
+    try:
+        return ParameterType(number)
+    except ValueError:
+        return ParameterType.NOT_SET
+
+
+def _outer(rest: str) -> Collection[str]:
+    """Return the names above a name: "" and ``a`` for ``a/b``."""
+    parts = rest.split("/") if rest else []
+    return ["/".join(parts[:count]) for count in range(len(parts))]

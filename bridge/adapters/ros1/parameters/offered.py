@@ -72,6 +72,7 @@ class OfferedNode:
         for closer in closers:
             closer()
         self._told = self._publish = None
+        self.troubles = {}
 
     def _open(self) -> None:
         self._closers.append(self._hub.graph.announce(self._token))
@@ -118,7 +119,7 @@ class OfferedNode:
         try:
             reply = getattr(self, f"_{word}")(codec.request_value(request))
         except Ros1Error as err:
-            return CallError(f"ROS 1's parameter server cannot be asked: {err}")
+            return CallError(f"ROS 1's parameter server does not respond: {err}")
         except ConversionError as err:
             return CallError(str(err))
         return codec.response(reply)
@@ -174,7 +175,7 @@ class OfferedNode:
                 return _no(f"no rule of routing.parameters shares {name}")
             names, rest = place
             if not names.rule.write:
-                return _no(f"{name} is shared for reading alone (routing.parameters, write: false)")
+                return _no(f"{name} is read-only (write: false in routing.parameters)")
             if any(other.startswith(f"{name}.") for other in known):
                 return _no(f"{names.ros1(rest)} is a namespace in ROS 1")
             try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,26 +18,53 @@ _STOP_TIMEOUT = 0.5
 _BATCH = 200
 
 
-class ParameterServer:
-    """A master's parameter server, for one thread; raises `Ros1Error`. ``slave`` is our node's XML-RPC address."""
+def copies_parameter(owner: str) -> str:
+    """Name of the parameter that lists the copies of a daemon, by the ``owner`` in its state folder.
 
-    def __init__(self, uri: str, caller: Callable[[], str], slave: str) -> None:
-        self._uri, self._caller, self._slave = uri, caller, slave
+    The list is on the master because it must outlive a killed process, and end with the master, as the copies do.
+    """
+    return f"/midspan/parameters/daemon_{owner}"
+
+
+def removal_calls(caller: str, owner: str, listed: object) -> list[Call]:
+    """Return the calls that delete a daemon's copies and their list; ``listed`` is the value of `copies_parameter`."""
+    names = sorted(_names(listed))
+    return [("deleteParam", (caller, name)) for name in [*names, copies_parameter(owner)]] if names else []
+
+
+def _names(listed: object) -> frozenset[str]:
+    return frozenset(name for name in listed if isinstance(name, str)) if isinstance(listed, list) else frozenset()
+
+
+class ParameterServer:
+    """A master's parameter server, for one thread; raises `Ros1Error`.
+
+    ``slave`` is our node's XML-RPC address, ``owner`` this daemon's identity on the master.
+
+    Attributes:
+        copies: names of the copies of ROS 2 parameters that this daemon has put there, also in an earlier process.
+    """
+
+    def __init__(self, uri: str, caller: Callable[[], str], slave: str, owner: str) -> None:
+        self._uri, self._caller, self._slave, self._owner = uri, caller, slave, owner
         self._client = XmlRpcClient(uri, _TIMEOUT)
         self._watched: set[str] = set()
+        self.copies: frozenset[str] = frozenset()
 
     def watch(self, keys: Sequence[str]) -> dict[str, Any]:
-        """Read parameters or namespaces, and subscribe to changes below them; {} for what is not set.
+        """Read parameters or namespaces, and subscribe to changes below them; {} if not set.
 
-        A restarted master has forgotten who listens, so this asks for it each time.
+        A restarted master has no subscriptions, so each call subscribes.
         """
         self._watched |= set(keys)
-        calls: list[Call] = [("subscribeParam", (self._caller(), self._slave, key)) for key in keys]
-        values = self._client.calls(calls) if calls else []
+        me = self._caller()
+        calls: list[Call] = [("subscribeParam", (me, self._slave, key)) for key in keys]
+        *values, listed = self._client.calls([*calls, ("getParam", (me, copies_parameter(self._owner)))])
+        self.copies = _names(listed)
         return dict(zip(keys, values, strict=True))
 
     def write(self, values: Mapping[str, Any]) -> list[str]:
-        """Set parameters, and delete those whose value is None; those that the master did not set."""
+        """Set parameters, and delete those whose value is None; return those that the master did not set."""
         me = self._caller()
         calls: list[Call] = [
             ("deleteParam", (me, key)) if value is None else ("setParam", (me, key, value))
@@ -49,20 +76,37 @@ class ParameterServer:
         pairs = zip(values.items(), answers, strict=True)
         return [key for (key, value), answer in pairs if value is not None and answer is None]
 
-    def close(self, written: Sequence[str]) -> None:
-        """Delete what we wrote, and unsubscribe."""
+    def copy(self, values: Mapping[str, Any], copies: Collection[str]) -> list[str]:
+        """Write as `write`, and list ``copies`` for `close` or, after a crash, for the next process.
+
+        A name is listed before it is set, and until it is deleted.
+        """
+        listed = frozenset(copies)
+        self._list(self.copies | listed)
+        refused = self.write(values)
+        self._list(listed)
+        return refused
+
+    def _list(self, copies: frozenset[str]) -> None:
+        if copies != self.copies:
+            self.write({copies_parameter(self._owner): sorted(copies) or None})
+            self.copies = copies
+
+    def close(self) -> None:
+        """Delete the listed copies, and unsubscribe."""
         me = self._caller()
-        calls: list[Call] = [("deleteParam", (me, key)) for key in written]
-        calls += [("unsubscribeParam", (me, self._slave, key)) for key in sorted(self._watched)]
+        calls: list[Call] = [("unsubscribeParam", (me, self._slave, key)) for key in sorted(self._watched)]
         self._client.close()
         client = XmlRpcClient(self._uri, _STOP_TIMEOUT)
         with contextlib.closing(client), contextlib.suppress(Ros1Error):
+            (listed,) = client.calls([("getParam", (me, copies_parameter(self._owner)))])
+            calls += removal_calls(me, self._owner, listed)
             if calls:
                 client.calls(calls)
 
 
 Submit = Callable[[Callable[[], None], Done | None], None]
-"""Has something done on the one thread that talks to the parameter server; who waits is told where that is too busy."""
+"""Schedules a job on the thread that calls the parameter server; a call's `Done` gets an error if it is too busy."""
 
 
 @dataclass(frozen=True, slots=True)
