@@ -1,4 +1,4 @@
-"""What a worker is to the daemon that starts and watches it, whatever it joins."""
+"""The interface of a worker to the daemon that starts and watches it."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from bridge.config.model import Config
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """How a worker is: ``waiting`` where its network is away, ``standby`` where another daemon is active on it."""
+    """State of a worker: ``waiting`` if its network is away, ``standby`` if another daemon is active there."""
 
     state: Literal["running", "waiting", "standby"]
     text: str
 
 
 def costs(process: psutil.Process) -> dict[str, Any]:
-    """Processor (share of a core since the last call) and memory (bytes), as they stand in a status document.
+    """Return processor (share of a core since the last call) and memory (bytes) for a status document.
 
-    Nothing where no file descriptor is left to read them with: the rest of the document is all the more wanted then.
+    Empty if no file descriptor is free to read them: the rest of the document is important then.
     """
     try:
         return {"cpu": round(process.cpu_percent() / 100, 4), "rss": process.memory_info().rss}
@@ -38,15 +38,15 @@ class Worker(ABC):
 
     @abstractmethod
     def start(self, config: Config) -> None:
-        """Begin; returns soon. Raises `RuntimeError` with a plain reason where it can never work here."""
+        """Start, and return soon. Raises `RuntimeError` with a plain reason if it can never work here."""
 
     @abstractmethod
     def reload(self, config: Config) -> bool:
-        """Take up a new, already checked configuration; False where only a restart of the worker can."""
+        """Apply a new, already checked configuration; return False if that needs a restart of the worker."""
 
     @abstractmethod
     def health(self) -> Health:
-        """How the worker is, asked of its real loop.
+        """Return the worker's state, from its main loop.
 
         Raises:
             TimeoutError: that loop does not answer in time.
@@ -54,9 +54,9 @@ class Worker(ABC):
         """
 
     def hears_diagnostics(self) -> bool:
-        """Whether somebody hears ``/diagnostics``, which this process then tells unless another one of the daemon does.
+        """Whether ``/diagnostics`` has a subscriber, so that one process of the daemon publishes it.
 
-        False of a worker that cannot see it, or tells by itself.
+        False for a worker that does not see the hub's graph, or publishes by itself.
         """
         return False
 

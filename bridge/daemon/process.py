@@ -1,8 +1,8 @@
-"""A worker's process: its main loop, joined to the daemon's pipes, to a control socket, to systemd, or to nobody.
+"""A worker's process: its main loop, with the daemon's pipes, a control socket, systemd, or none of them.
 
-The main loop starts the worker, asks it how it is, hands it commands, and stops it. Commands come from a queue that
+The main loop starts the worker, polls its health, passes commands to it, and stops it. Commands come from a queue that
 signals, the daemon's pipe and the control socket fill; reports go to a function. So the same loop serves a supervised
-worker, one that outlives its daemon, and one that runs alone.
+worker, one that outlives its daemon, and one without a daemon.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger("midspan.worker")
 
 _LOOK_EACH = 4
-"""Heartbeats between looks at what the process has left."""
+"""Heartbeats between checks of the free file descriptors."""
 
 
 class RunEnd(Enum):
@@ -47,26 +47,26 @@ class RunEnd(Enum):
     NEEDS_RESTART = "needs a restart"
 
 
-class Beside(Protocol):
-    """What a worker's process does besides; see `bridge.metrics.on_demand`."""
+class Companion(Protocol):
+    """A companion of the worker in its process; see `bridge.metrics.on_demand`."""
 
     def look(self, config: Config) -> None:
-        """At each heartbeat: it returns at once."""
+        """Called at each heartbeat; returns at once."""
 
     def close(self) -> None:
-        """Before the worker stops."""
+        """Called before the worker stops."""
 
 
 class Child:
     """One worker in this process.
 
-    ``report`` must not block for long; ``load`` loads the configuration upon SIGHUP, None where the daemon sends it;
-    with ``end_for_restart`` the run ends where a reload needs a restart. ``beside`` is looked after at each heartbeat.
+    ``report`` must not block for long; ``load`` loads the configuration upon SIGHUP, None if the daemon sends it;
+    with ``end_for_restart`` the run ends if a reload needs a restart. ``companion`` is called at each heartbeat.
     """
 
     def __init__(
         self, worker: Worker, commands: Commands, report: Callable[[protocol.Report], None], *,
-        load: Callable[[], Config] | None = None, end_for_restart: bool = False, beside: Beside | None = None,
+        load: Callable[[], Config] | None = None, end_for_restart: bool = False, companion: Companion | None = None,
     ) -> None:  # fmt: skip
         self._worker = worker
         self._commands = commands
@@ -78,16 +78,16 @@ class Child:
         self._said: Health | None = None
         self._answering = True
         self._short = False
-        self._beside = beside
+        self._companion = companion
 
     def run(self, config: Config) -> RunEnd:
-        """Run until stopped. Whatever the worker raises but `RuntimeError` from its start goes through."""
+        """Run until stopped; raises what the worker raises, except `RuntimeError` from its start."""
         self._config = config
         try:
             return self._run()
         finally:
-            if self._beside is not None:
-                self._beside.close()
+            if self._companion is not None:
+                self._companion.close()
             self._worker.stop()
 
     def _run(self) -> RunEnd:
@@ -113,9 +113,9 @@ class Child:
                 return outcome
 
     def _beat(self) -> float:
-        """Tell how the worker is; seconds until the next time."""
+        """Report the worker's health; return the seconds until the next report."""
         try:
-            with working.busy("telling how it is"):
+            with working.busy("reporting its health"):
                 health = self._worker.health()
         except TimeoutError as err:
             if self._answering:
@@ -127,15 +127,15 @@ class Child:
         if self._beats % _LOOK_EACH == 0:
             self._look_at_descriptors()
         LARGE_MESSAGES.look()
-        if self._beside is not None:
-            self._beside.look(self._config)
+        if self._companion is not None:
+            self._companion.look(self._config)
         self._report(protocol.Beat(self._beats, health))
         before, self._said = self._said, health
         quiet = health == before and health.state == "running"
         return protocol.QUIET_INTERVAL if quiet else protocol.BEAT_INTERVAL
 
     def _look_at_descriptors(self) -> None:
-        """Log when they run short, and when they no longer do; also for a router that nobody can ask then."""
+        """Log when they run short, and when they no longer do: a router without descriptors answers no query."""
         short = resources.descriptors()
         if bool(short) != self._short:
             self._short = bool(short)
@@ -169,11 +169,11 @@ class Child:
             self._report(protocol.Reloaded())
             return None
         log.set_level(config)
-        with working.busy("taking up the new configuration"):
+        with working.busy("applying the new configuration"):
             done = self._worker.reload(config)
         if done:
             self._config = config
-            logger.info("configuration taken up")
+            logger.info("configuration applied")
             self._report(protocol.Reloaded())
             return None
         self._report(protocol.Restart("the new configuration needs a restart"))
@@ -191,12 +191,12 @@ def install_signals(commands: Commands) -> None:
 class Process:
     """The process of one worker; with a control socket (``control``) it outlives its daemon.
 
-    ``beside`` makes what is looked after beside a worker and its name.
+    ``companion`` makes the companion of a worker, given its name.
     """
 
-    def __init__(self, kind: WorkerKind, beside: Callable[[Worker, str], Beside], *, control: bool) -> None:
+    def __init__(self, kind: WorkerKind, companion: Callable[[Worker, str], Companion], *, control: bool) -> None:
         self._kind = kind
-        self._beside = beside
+        self._companion = companion
         self._control = control
         few_heaps()
         self._commands = Commands()
@@ -204,7 +204,7 @@ class Process:
         tell_stacks_on_signal()
 
     def run_supervised(self) -> int:
-        """Run under the daemon; the exit code."""
+        """Run under the daemon; return the exit code."""
         pipe = DaemonPipe()
         first = pipe.first_config()
         if first is None:
@@ -229,7 +229,7 @@ class Process:
             server.close()
 
     def run_alone(self, config: Config, load: Callable[[], Config]) -> int | None:
-        """Run without a daemon; the exit code, or None where a new configuration needs this process to start again."""
+        """Run without a daemon; return the exit code, or None if a new configuration needs a new process."""
         log.setup(config, self._kind.name, log.style_for())
         raise_open_files()
         notifier = Notifier()
@@ -277,8 +277,10 @@ class Process:
         try:
             working.at(f"loading the code of {self._kind.name}")
             worker = self._kind.create()
-            beside = self._beside(worker, self._kind.name)
-            child = Child(worker, self._commands, report, load=load, end_for_restart=load is not None, beside=beside)
+            companion = self._companion(worker, self._kind.name)
+            child = Child(
+                worker, self._commands, report, load=load, end_for_restart=load is not None, companion=companion
+            )
             outcome = child.run(config)
         except Exception:
             logger.exception("%s failed", self._kind.name)
@@ -293,7 +295,7 @@ class Process:
         return ControlServer(state_file.control_socket(config, self._kind.name), owner, obey)
 
     def _lock(self, config: Config) -> Lock | None:
-        """One process a worker, also beside a daemon of the same name."""
+        """Lock the worker, which has one process, with and without a daemon of the same name."""
         if sys.platform == "win32":
             return None
 
