@@ -19,6 +19,10 @@ class Health:
     text: str
 
 
+class WorkerFailedError(RuntimeError):
+    """A worker cannot go on; the text is the reason. Its process ends, and is started again."""
+
+
 def costs(process: psutil.Process) -> dict[str, Any]:
     """Return processor (share of a core since the last call) and memory (bytes) for a status document.
 
@@ -38,7 +42,12 @@ class Worker(ABC):
 
     @abstractmethod
     def start(self, config: Config) -> None:
-        """Start, and return soon. Raises `RuntimeError` with a plain reason if it can never work here."""
+        """Start, and return soon.
+
+        Raises:
+            RuntimeError: it can never work here; the text is a plain reason.
+            HubError: it cannot join the hub now; its process ends, and is started again.
+        """
 
     @abstractmethod
     def reload(self, config: Config) -> bool:
@@ -50,7 +59,7 @@ class Worker(ABC):
 
         Raises:
             TimeoutError: that loop does not answer in time.
-            RuntimeError: the worker cannot go on; its process ends, and is started again.
+            WorkerFailedError: the worker cannot go on; its process ends, and is started again.
         """
 
     def hears_diagnostics(self) -> bool:

@@ -37,7 +37,7 @@ from bridge.routing.services.route import ServiceRoute
 from bridge.routing.services.side_to_hub import PLANNERS
 from bridge.sides import all_networks, imported
 from bridge.state_file import lane_folder, state_folder, worker_folder
-from bridge.worker import Health, Worker, costs
+from bridge.worker import Health, Worker, WorkerFailedError, costs
 
 _log = logging.getLogger(__name__)
 
@@ -109,7 +109,7 @@ class BridgeWorker(Worker):
     def health(self) -> Health:
         """The combined health of the engines: running if any of them is."""
         if self._failure:
-            raise RuntimeError(self._failure)
+            raise WorkerFailedError(self._failure)
         reports = {crossing.name: crossing.health() for crossing in self.crossings}
         if not reports:
             return Health("waiting", "starting")
@@ -230,7 +230,7 @@ class Crossing:
         computes = engine.alive()
         summary = engine.summary()
         self._diagnostics.publish()
-        text = summary.text or f"{self.name} is away"
+        text = summary.text or engine.edge.away or f"{self.name} is away"
         return Health(summary.state, f"{text}; it {computes}" if computes else text)
 
     def hears_diagnostics(self) -> bool:
@@ -277,7 +277,7 @@ class Crossing:
             "lane": self._hub.lane(),
             "warnings": [
                 *document["warnings"],
-                *filter(None, [engine.edge.clock.trouble()]),
+                *filter(None, [engine.edge.away, engine.edge.clock.trouble()]),
                 *resources.warnings(state_folder(self._config)),
             ],
         }

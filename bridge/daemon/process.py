@@ -26,9 +26,10 @@ from bridge.daemon.control import Commands, ControlServer, DaemonPipe, Hangup
 from bridge.daemon.notify import Notifier
 from bridge.daemon.succession import Successor, succeed
 from bridge.daemon.workers import WorkerKind
+from bridge.hub.errors import HubError
 from bridge.progress import working
 from bridge.resources import LARGE_MESSAGES, raise_open_files
-from bridge.worker import Health, Worker
+from bridge.worker import Health, Worker, WorkerFailedError
 
 if TYPE_CHECKING:
     from bridge.daemon.lock import Lock
@@ -43,6 +44,7 @@ class RunEnd(Enum):
     """How a worker's run ended."""
 
     STOPPED = "stopped"
+    FAILED = "failed"
     CANNOT_WORK = "cannot work"
     NEEDS_RESTART = "needs a restart"
 
@@ -81,7 +83,7 @@ class Child:
         self._companion = companion
 
     def run(self, config: Config) -> RunEnd:
-        """Run until stopped; raises what the worker raises, except `RuntimeError` from its start."""
+        """Run until stopped, or until the worker fails with a plain reason; raises what else the worker raises."""
         self._config = config
         try:
             return self._run()
@@ -98,11 +100,16 @@ class Child:
             logger.error("cannot work here: %s", err)  # noqa: TRY400  a plain reason, not a fault of the program
             self._report(protocol.Failed(str(err)))
             return RunEnd.CANNOT_WORK
+        except HubError as err:  # such as a client's router that is off
+            return self._failed(str(err))
         due = time.monotonic()
         while True:
             wait = due - time.monotonic()
             if wait <= 0:
-                due = time.monotonic() + self._beat()
+                try:
+                    due = time.monotonic() + self._beat()
+                except WorkerFailedError as err:
+                    return self._failed(str(err))
                 continue
             try:
                 command = self._commands.get(timeout=wait)
@@ -111,6 +118,12 @@ class Child:
             outcome = self._obey(command)
             if outcome is not None:
                 return outcome
+
+    def _failed(self, reason: str) -> RunEnd:
+        """End for a reason that may not last: a new process starts the worker again."""
+        logger.error("%s", reason)
+        self._report(protocol.Failed(reason))
+        return RunEnd.FAILED
 
     def _beat(self) -> float:
         """Report the worker's health; return the seconds until the next report."""
@@ -287,7 +300,7 @@ class Process:
             return 1
         if outcome is RunEnd.NEEDS_RESTART:
             return None
-        return protocol.EXIT_CANNOT_WORK if outcome is RunEnd.CANNOT_WORK else 0
+        return {RunEnd.CANNOT_WORK: protocol.EXIT_CANNOT_WORK, RunEnd.FAILED: 1}.get(outcome, 0)
 
     def _open_control(
         self, config: Config, owner: protocol.Owner, obey: Callable[[protocol.Command], None]

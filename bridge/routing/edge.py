@@ -175,6 +175,9 @@ class Edge(ABC):
     outlives_network: ClassVar[bool] = False
     """Whether endpoints go on under their ids if the network's identity changes, as connections that need no master."""
 
+    away: str = ""
+    """Why the network is away, if the edge knows a reason; shown to people."""
+
     clock: RunClock = SYSTEM
     """What stamps are made by; the worker gives it before `start`."""
 

@@ -35,6 +35,12 @@ _log = logging.getLogger(__name__)
 TICK = 0.25
 """Seconds between two calls of `KeyEdge.tick`."""
 
+RETRY_SECONDS = 1.0
+"""Pause between two attempts of a client to connect to its router."""
+
+_CLIENT_WAIT_MS = 1500
+"""Limit of one such attempt."""
+
 LINK_SECONDS = 0.5
 """Seconds after which a new link has delivered all tokens; a query right after it opens returns none."""
 
@@ -57,6 +63,8 @@ class KeyEdge(SideEdge):
     Subclasses read the graph and create endpoints.
     """
 
+    _settings: zenoh.Config
+
     def __init__(self, config: Config, dialect: Dialect, registry: Registry, state: Path, scope: str) -> None:
         super().__init__(config, registry)
         self.dialect = dialect
@@ -71,25 +79,68 @@ class KeyEdge(SideEdge):
         self._ticker = threading.Thread(target=self._tick_on, name=f"midspan-{self.side}-tick", daemon=True)
 
     def start(self, listener: EdgeListener) -> None:
-        """Open the session; it joins the network as soon as it can, also after a cut."""
-        self._listener = listener
-        session, executor = _open(self._config), SerialExecutor(f"midspan-{self.side}-executor")
+        """Open the session; it joins the network as soon as it can, also after a cut.
+
+        In client mode zenoh opens no session before the router responds, so the edge's thread opens it.
+        """
+        self._listener, self._settings = listener, _settings(self._config)
+        if self._is_client:
+            self.away = f"waiting for the zenoh router at {self._places}"
+        else:
+            self._join(_open(self._settings))
+        self._ticker.start()
+
+    @property
+    def _is_client(self) -> bool:
+        return bool(json.loads(self._settings.get_json("mode")) == "client")
+
+    @property
+    def _places(self) -> str:
+        places = json.loads(self._settings.get_json("connect/endpoints"))
+        lists = places.values() if isinstance(places, dict) else [places]
+        return ", ".join(str(place) for one in lists for place in one or ()) or "an unknown address"
+
+    def _open_client(self) -> bool:
+        """Open the session of a client; whether its router responded."""
+        try:
+            session = zenoh.open(self._settings)
+        except zenoh.ZError as err:
+            away = f"waiting for the zenoh router at {self._places}: {zenoh_reason(err)}"
+            if away != self.away and not self._stopping.is_set():
+                _log.warning("%s: %s", self.side, away)
+                self.away = away
+            return False
+        if self._stopping.is_set():
+            session.close()  # type: ignore[no-untyped-call]
+            return False
+        try:
+            self._join(session)
+        except Exception as err:
+            _log.exception("%s: joining the network failed", self.side)
+            assert self._listener is not None
+            self._listener.edge_failed(f"joining the network failed: {err}")
+        self._graph_changed()
+        return True
+
+    def _join(self, session: zenoh.Session) -> None:
+        assert self._listener is not None
+        executor = SerialExecutor(f"midspan-{self.side}-executor")
         small, bulk = (Dispatcher(f"midspan-{self.side}-in-{size}") for size in ("small", "bulk"))
         small.start()
         bulk.start()
         limit = self._config.limits.message_bytes
         self._context = KeyContext(session, limit, executor, small, bulk, self._unregister)
         past = remember(str(session.zid()), self._file)
-        callbacks = listener.graph_changed, listener.presence_changed
-        self._presence = KeyNeighbours(session, self.side, self._scope, past, *callbacks)
+        changed = self._listener.graph_changed, self._listener.presence_changed
+        self._presence = KeyNeighbours(session, self.side, self._scope, past, *changed)
         self.opened(session)
-        self._ticker.start()
+        self.away = ""
 
     def stop(self) -> None:
         """Close everything; see `Edge.stop`."""
         self._stopping.set()
-        if self._ticker.is_alive():
-            self._ticker.join(2.0)
+        if self._ticker.is_alive():  # a client's attempt to connect is not awaited; its thread closes the session
+            self._ticker.join(2.0 if self._context is not None else 0.1)
         context, self._context = self._context, None
         if context is None:
             return
@@ -116,6 +167,9 @@ class KeyEdge(SideEdge):
         """Do periodic work; called each `TICK` with the monotonic time."""
 
     def _tick_on(self) -> None:
+        while self._context is None:
+            if self._stopping.is_set() or (not self._open_client() and self._stopping.wait(RETRY_SECONDS)):
+                return
         while not self._stopping.wait(TICK):
             context, neighbours = self._context, self._presence
             if context is None or neighbours is None:
@@ -187,13 +241,19 @@ def configured(
     return endpoints
 
 
-def _open(config: Config) -> zenoh.Session:
+def _settings(config: Config) -> zenoh.Config:
+    """Return the session's configuration; raises `HubConfigError`."""
     section = config.zenoh
     own = section.router is not None or section.zenoh is not None
     router, over = (section.router, section.zenoh) if own else (config.hub.listen, config.hub.zenoh)
     tree = session_tree(router, shared_memory=config.hub.shared_memory and not own, max_payload=MAX_PAYLOAD)
+    tree["connect"]["timeout_ms"]["client"] = _CLIENT_WAIT_MS
     settings = make_config(tree, over)
     settings.insert_json5("id", json.dumps(new_zid()))
+    return settings
+
+
+def _open(settings: zenoh.Config) -> zenoh.Session:
     try:
         return zenoh.open(settings)
     except zenoh.ZError as err:

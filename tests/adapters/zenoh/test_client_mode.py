@@ -1,0 +1,66 @@
+"""Dialects whose sessions are zenoh clients: zenoh opens no client session without its router."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from bridge.adapters.worker import Crossing, make_edges
+from bridge.adapters.zenoh import edge
+from bridge.messages.registry import Registry
+from tests.adapters.zenoh.conftest import Place, cross
+from tests.contract.zenohside import ZenohBridge
+from tests.support.wait import until
+
+STRING = "std_msgs/String"
+KEYS = [{"key": "json/both", "topic": "/both", "type": "std_msgs/msg/String"}]
+DIALECTS = {"ros2dds": {"dialect": "ros2dds"}, "ros1": {"dialect": "ros1"}, "json": {"dialect": "json", "keys": KEYS}}
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(edge, "RETRY_SECONDS", 0.1)
+    monkeypatch.setattr(edge, "_CLIENT_WAIT_MS", 300)
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_a_client_waits_for_its_router(
+    place: Place, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, dialect: str
+) -> None:
+    place.router.stop()
+    client = {"mode": "client", "connect": {"endpoints": [place.router.endpoint]}}
+    config = place.config(zenoh={"zenoh": client, "dialects": [DIALECTS[dialect]]})
+    monkeypatch.setattr("tests.contract.zenohside.until", lambda *_: None)  # it returns before the dialect has joined
+    bridge = ZenohBridge(config)
+    (crossing,) = bridge.crossings
+    try:
+        until(lambda: "Unable to connect" in crossing.health().text, "the reason")
+        health = crossing.health()
+        assert health.state == "waiting"
+        assert health.text.startswith(f"waiting for the zenoh router at {place.router.endpoint}: ")
+        assert health.text in place.status(crossing.name)["warnings"]
+        place.router.start()
+        until(lambda: crossing.health().state == "running", "it joins")
+        topic = "/json/both" if dialect == "json" else "/both"
+        program = {"ros2dds": place.ros2dds, "ros1": place.ros1, "json": place.json}[dialect]()
+        out, received = program.advertise(topic, STRING), place.far.subscribe("/both", STRING)
+        assert cross(program, out, place.far, received, {"data": "hi"}) == {"data": "hi"}
+        assert not [w for w in place.status(crossing.name)["warnings"] if "waiting" in w]
+        assert sum("waiting for the zenoh router" in record.message for record in caplog.records) <= 1
+    finally:
+        bridge.stop()
+
+
+def test_a_client_that_waits_stops_at_once(place: Place) -> None:
+    place.router.stop()
+    client = {"mode": "client", "connect": {"endpoints": [place.router.endpoint], "timeout_ms": -1}}
+    config = place.config(zenoh={"zenoh": client, "dialects": [DIALECTS["ros2dds"]]})
+    registry = Registry()
+    (made,) = make_edges("zenoh", config, registry, place.folder).values()
+    crossing = Crossing("zenoh_ros2dds", made, config, registry, pytest.fail, diagnostics=False)
+    assert crossing.health().state == "waiting"
+    crossing.stop()
+    place.router.start()
+    until(lambda: f"midspan-{made.side}-tick" not in {t.name for t in threading.enumerate()}, "its attempt ends")
+    assert made.network() is None
