@@ -7,13 +7,14 @@ hub's graph: which machines a router does not trust, which sessions are theirs, 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import zenoh
 
 from bridge.cli.client import CliClient
-from bridge.cli.documents import Document, dicts, route_list
+from bridge.cli.documents import Document, dicts, route_list, texts
 from bridge.cli.output import clean, plural
 from bridge.config.rules import commands
 from bridge.config.sections.routing import RoutingSection
@@ -68,8 +69,9 @@ def refusals(client: CliClient, documents: Iterable[Document]) -> list[Refusal]:
         if not distrusted:
             continue
         harmless = _harmless(router.get("commands"))
+        zids = {endpoint.zid for endpoint in graph.endpoints()}
         for machine in distrusted:
-            theirs = _sessions(str(machine.get("zid")), documents)
+            theirs = _sessions(router, machine, documents, zids)
             served = {server.topic for server in graph.servers() if server.zid not in theirs}
             for endpoints, allowed in ((graph.publishers(), harmless), (graph.clients(), _QUESTIONS)):
                 groups = _by_topic(e for e in endpoints if e.zid in theirs)
@@ -86,11 +88,11 @@ def warn_of_refusals(client: CliClient, published: Iterable[tuple[str, str, str]
     """
     answers = client.ask("status", worker="router")
     routers = [answer.value for answer in answers if isinstance(answer.value, dict)]
-    topics, refused = list(published), list[Refusal]()
+    topics, refused, own = list(published), list[Refusal](), client.hub.zid
     for router in routers:
         harmless = _harmless(router.get("commands"))
         for machine in dicts(router.get("machines")):
-            if machine.get("trusted") or client.hub.zid not in _sessions(str(machine.get("zid")), routers):
+            if machine.get("trusted") or own not in _sessions(router, machine, routers, {own}):
                 continue
             daemon, name = str(router.get("daemon")), str(machine.get("name") or "")
             for topic, type_name, type_hash in topics:
@@ -126,10 +128,34 @@ def _refusal(
     )
 
 
-def _sessions(zid: str, documents: Iterable[Document]) -> set[str]:
-    """Return the sessions of a connected machine: its own, or those of the router whose external listener it is."""
-    behind = [document.get("members") or () for document in documents if document.get("door") == zid]
-    return {zid} | {str(session) for members in behind for session in members}
+def _sessions(router: Document, machine: Document, documents: Sequence[Document], known: Collection[str]) -> set[str]:
+    """Return the sessions that reach a router by its link with a machine, from those ``known`` and from the documents.
+
+    These are the machine's own, and those of the routers that are connected to it, also if it is a router without a
+    status document, such as zenohd. If it is the only machine, these are all that are not the router's own.
+    """
+    links: dict[str, set[str]] = defaultdict(set)
+    members: dict[str, set[str]] = {}
+    for document in documents:
+        if door := str(document.get("door") or ""):
+            members[door] = set(texts(document.get("members")))
+            for other in dicts(document.get("machines")):
+                links[door].add(str(other.get("zid")))
+                links[str(other.get("zid"))].add(door)
+    start, here = str(machine.get("zid")), str(router.get("door") or "")
+    reached, waiting = links[here] | {here}, [start]  # another machine of the router has its own link
+    sessions = {start}
+    while waiting:
+        place = waiting.pop()
+        sessions |= {place} | members.get(place, set())
+        waiting += links[place] - reached
+        reached |= links[place]
+    own = members.get(here, set())
+    if len(links[here]) == 1 and len(own) >= int(router.get("sessions") or 1):  # the list is complete
+        daemon = router.get("daemon")
+        own |= {str(document.get("zid")) for document in documents if document.get("daemon") == daemon}
+        sessions |= set(known) - own
+    return sessions
 
 
 def _by_topic(endpoints: Iterable[HubEndpoint]) -> Iterable[list[HubEndpoint]]:

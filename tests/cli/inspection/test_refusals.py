@@ -8,15 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 
 from bridge.config.rules import ALWAYS
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
+from bridge.hub.zenoh_config import make_config, router_tree
 from tests.bags.playing import Said, write_bag
 from tests.cli.conftest import Midspan, Outcome
 from tests.cli.workers import FakeWorker, config_file, route, status
 from tests.hub.machines import Machines, make_keys
 from tests.support.hub import HubNetwork
+from tests.support.ports import free_port
 from tests.support.wait import until
 
 SET_BOOL, GET_PLAN = "std_srvs/srv/SetBool", "nav_msgs/srv/GetPlan"
@@ -39,12 +42,12 @@ class Fleet:
         for topic, type_name in (("/cmd_vel", TWIST), ("/scan", LASER)):
             self.worker.kept.append(self.worker.hub.publisher(topic, type_name, HASH, Qos()))
         self.machine = {"name": name, "zid": "d1", "address": "tls/10.0.0.2:1", "trusted": False}
-        robot = router("robot1", door="d2", machines=[self.machine], commands=COMMANDS)
-        operator = router("operator1", door="d1", members=[zid, "d1"], machines=[])
+        self.robot = router("robot1", door="d2", machines=[self.machine], commands=COMMANDS)
+        self.operator = router("operator1", door="d1", members=[zid, "d1"], machines=[])
         closing += [
             self.worker,
-            FakeWorker(network, "router", daemon="robot1", status=lambda _: robot),
-            FakeWorker(network, "router", daemon="operator1", status=operator),
+            FakeWorker(network, "router", daemon="robot1", status=lambda _: self.robot),
+            FakeWorker(network, "router", daemon="operator1", status=lambda _: self.operator),
         ]
 
 
@@ -82,6 +85,39 @@ def test_refused_calls_are_told_where_there_is_something_to_refuse(
     assert "robot1 refuses the calls of operator1 to /lamp (/midspan_ros1); 2 calls so far" in words
     assert words.count("refuses the calls") == 1  # GetPlan only reads, and /quiet and /gone have no refused calls
     assert "2 calls so far. cure: if that is not intended, name" in " ".join(midspan("explain", "/lamp").out.split())
+
+
+@pytest.mark.parametrize("place", ["beyond a router", "beyond two routers", "program", "other link", "trusted link"])
+def test_commands_that_come_through_another_router(
+    midspan: Midspan, network: HubNetwork, closing: list[Any], place: str
+) -> None:
+    """The robot is connected to a router without a status document, such as zenohd with TLS, and does not trust it."""
+    fleet = Fleet(network, closing, name="middle")
+    fleet.machine["zid"] = "m1"
+    fleet.operator["machines"] = [{"name": "middle", "zid": "m2" if place == "beyond two routers" else "m1"}]
+    if place == "beyond two routers":
+        station = router("station", door="d3", machines=[{"name": "m", "zid": "m1"}, {"name": "m", "zid": "m2"}])
+        closing.append(FakeWorker(network, "router", daemon="station", status=station))
+    elif place == "program":  # it is connected to the router itself: no document has its session
+        fleet.operator |= {"door": "", "members": [], "machines": []}
+        fleet.robot["members"] = ["d2"]
+    elif place == "other link":
+        fleet.robot["machines"] = [fleet.machine, {"name": "operator1", "zid": "d1", "trusted": True}]
+    elif place == "trusted link":
+        fleet.machine["trusted"] = True
+    words = " ".join(midspan("explain", "/cmd_vel").out.split())
+    refused = "robot1 refuses the commands of middle on /cmd_vel (/midspan_ros1)"
+    assert (refused in words) == (place not in ("other link", "trusted link"))
+
+
+def test_the_sessions_of_a_robot_do_not_come_through_another_router(
+    midspan: Midspan, network: HubNetwork, closing: list[Any]
+) -> None:
+    fleet = Fleet(network, closing, name="middle")
+    fleet.machine["zid"] = "m1"
+    fleet.operator |= {"door": "", "members": [], "machines": []}
+    fleet.robot["members"] = ["d2", fleet.worker.hub.zid]
+    assert "refuses" not in midspan("explain", "/cmd_vel").out
 
 
 def test_commands_of_a_trusted_machine_are_not(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
@@ -199,3 +235,25 @@ def test_commands_through_the_router_of_a_machine_that_is_not_trusted(
             return done.code == 1 and "test refuses the commands of guest on /cmd_vel (this command)" in done.err
 
         until(refused, "the doors are linked, and the robot's refusal is reported", 30)
+
+
+def test_commands_through_a_router_that_is_not_midspans(
+    door: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A zenoh router with TLS in the middle, configured as zenohd: `explain` reports it to the commanding machine."""
+    place = f"tls/127.0.0.1:{free_port()}"
+    guest = {name: str(door.folder / f"guest.{end}") for name, end in (("certificate", "pem"), ("private_key", "key"))}
+    tls = {f"{way}_{name}": file for way in ("listen", "connect") for name, file in guest.items()}
+    tls |= {"root_ca_certificate": str(door.folder / "ca.pem"), "enable_mtls": True}
+    tree = router_tree([place], max_payload=1 << 20)
+    tree["connect"]["endpoints"] = [door.place]
+    middle = zenoh.open(make_config(tree, {"transport": {"link": {"tls": tls}}}))
+    hub = {"connect": [place], "keys": str(door.folder), "certificate": str(door.folder / "friend.pem")}
+    with HubNetwork(run=False, door={**hub, "key": str(door.folder / "friend.key")}) as own:
+        own.start_router()
+        with Hub.open(own.settings("operator")) as operator:
+            operator.publisher("/cmd_vel", TWIST, HASH, Qos())
+            midspan = Midspan(config_file(tmp_path, own), capsys)
+            wanted = "test refuses the commands of guest on /cmd_vel (/operator)"
+            until(lambda: wanted in " ".join(midspan("explain", "/cmd_vel").out.split()), "explain reports it", 30)
+    middle.close()
