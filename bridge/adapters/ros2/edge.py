@@ -14,6 +14,7 @@ from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.graph import neighbours, spdp, vendors
 from bridge.adapters.ros2.graph.graph import GraphSnapshot, Ros2Graph, is_hidden
+from bridge.adapters.ros2.graph.interfaces import InterfaceWatch
 from bridge.adapters.ros2.graph.neighbours import ProcessWatch
 from bridge.adapters.ros2.graph.origins import Origins, new_prefix, participant_number
 from bridge.adapters.ros2.graph.presence import TYPE, PresenceTopic
@@ -76,6 +77,7 @@ class Ros2Edge(SideEdge):
         self._ends: set[Ros2Subscription | Ros2Publisher | Ros2Caller | Ros2Server] = set()
         self._prefix = b""
         self._neighbours: neighbours.MemoryNeighbours | None = None
+        self._interfaces: InterfaceWatch | None = None
         self._context: Ros2Context | None = None
         self._origins: Origins | None = None
         self._presence: PresenceTopic | None = None
@@ -90,6 +92,8 @@ class Ros2Edge(SideEdge):
         self._prefix, later = profile.prefix, DelayedCalls("midspan-ros2-later")
         if profile.segment and self._config.ros2.transport == "auto" and self._config.ros2.profile is None:
             self._neighbours = neighbours.MemoryNeighbours(self._prefix, number, self._leave_shared_memory, later)
+        if not self._localhost_only:
+            self._interfaces = InterfaceWatch(self._use_new_addresses, later)
         participant = Participant(self._config.ros2.node, number)
         try:
             self._types.prepare_services()
@@ -115,8 +119,17 @@ class Ros2Edge(SideEdge):
         """Dispose our dead predecessors, and prompt all participants to announce themselves."""
         number, caller = domain(self._config, os.environ), new_prefix(rcl.host_prefix())
         call = [spdp.hello(caller, number, participant_number(self._prefix)), spdp.farewell(caller)]
-        localhost_only = self._config.ros2.localhost_only and self._config.ros2.profile is None
-        spdp.say([*map(spdp.farewell, dead), *call], number, localhost_only=localhost_only)
+        spdp.say([*map(spdp.farewell, dead), *call], number, localhost_only=self._localhost_only)
+
+    @property
+    def _localhost_only(self) -> bool:
+        return self._config.ros2.localhost_only and self._config.ros2.profile is None
+
+    def _use_new_addresses(self, text: str) -> None:
+        if self._config.ros2.profile is not None:  # it may exclude the new ones
+            _log.warning("%s; restart the worker if it should, or restrict it in ros2.profile", text)
+        elif self._listener is not None:
+            self._listener.edge_failed(f"{text}: starting again")
 
     def _clean_ports(self, past: Iterable[bytes]) -> None:
         """Remove the shared memory of our dead predecessors, except under our own participant number."""
@@ -295,6 +308,7 @@ class Ros2Edge(SideEdge):
                     offers.setdefault(end.topic, set()).add(end.qos)
         cyclone = vendors.report(self.endpoints())
         found = [vendors.warning(cyclone)] if cyclone else []
+        found += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
         for endpoint in self.endpoints():
             if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:
                 reasons = {mismatch(qos, endpoint.qos) for qos in offers.get(endpoint.topic, ())} - {""}

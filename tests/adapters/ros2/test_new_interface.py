@@ -1,0 +1,82 @@
+"""A network that comes after the edge: rclpy on another machine is discovered once the edge has started again."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.adapters.ros2.edge import Ros2Edge
+from bridge.adapters.ros2.environment import worker_environment
+from bridge.config.model import Config
+from bridge.messages.registry import Registry
+from tests.support.netns import Cable, Machine, need_namespaces
+from tests.support.peer import Peer
+from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
+from tests.support.wait import until
+
+ROOT = Path(__file__).parents[3]
+STRING = "std_msgs/String"
+
+
+@pytest.fixture
+def machines() -> Iterator[tuple[Machine, Machine]]:
+    """A robot and another computer without a link."""
+    need_namespaces()
+    pair = Machine("ddsrobot"), Machine("ddsother")
+    yield pair
+    for machine in pair:
+        machine.close()
+
+
+def program(machine: Machine, env: dict[str, str], *words: str) -> Peer:
+    command = machine.command(sys.executable, *words)
+    return Peer(Path(command[1]), Path(command[0]), env, *command[2:])
+
+
+def edge(machine: Machine, state: Path) -> Peer:
+    # the two have one /dev/shm, by which they would find each other without a network
+    section = {"domain": ros2_domain(), "localhost_only": False, "transport": "udp"}
+    config = Config.model_validate({"ros2": section})
+    env = {**worker_environment(config, os.environ), "PYTHONPATH": str(ROOT), "HOME": str(state)}
+    return program(machine, env, "-m", "tests.adapters.ros2.edge_program", json.dumps({"ros2": section}), str(state))
+
+
+def test_an_edge_ends_when_a_network_comes_and_the_next_one_uses_it(
+    machines: tuple[Machine, Machine], tmp_path: Path
+) -> None:
+    robot, other = machines
+    ros2_python()
+    first = edge(robot, tmp_path)
+    with first:
+        assert first.ask("status")["failed"] == []
+        Cable(robot, other)
+        (reason,) = until(lambda: first.ask("status")["failed"], "the edge asks to be started again", 20)
+        assert "a new address that the ROS 2 side does not use: 10.77.0.1 on eth77: starting again" in reason
+    until(lambda: "state UP" in other.run("ip", "link", "show", "eth77"), "Fast DDS will use the other end, too")
+    env = ros2_environment(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
+    with program(other, env, str(ROS2_PEER), "remote") as remote, edge(robot, tmp_path) as second:
+        remote.advertise("/remote", STRING)
+        until(lambda: "publisher /remote native" in second.ask("status")["endpoints"], "it discovers the node", 20)
+        assert second.ask("status")["failed"] == []
+
+
+@pytest.mark.parametrize("profile", [None, "own.xml"])
+def test_only_without_a_profile_the_edge_starts_again(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, profile: str | None
+) -> None:
+    failures: list[str] = []
+
+    class Listener:
+        edge_failed = staticmethod(failures.append)
+
+    config = Config.model_validate({"ros2": {"localhost_only": False, "profile": profile}})
+    ros2 = Ros2Edge(config, Registry(), tmp_path)
+    ros2._listener = Listener()  # type: ignore[assignment]
+    ros2._use_new_addresses("a new address")
+    assert failures == ([] if profile else ["a new address: starting again"])
+    assert ("restart the worker" in caplog.text) == bool(profile)
