@@ -1,17 +1,17 @@
 """The Fast DDS profile of the worker's participant: transports, mark, announcements.
 
-What was measured with Fast DDS 2.14.5, the side's nodes on their defaults:
+Measurements with Fast DDS 2.14.5, and the defaults in the side's nodes:
 
-- Shared memory delivers nothing between users (its files are the maker's alone), while the graph looks perfect. With
-  UDP alone on our end data crosses both ways, and nothing is asked of the other end.
-- The discovery range LOCALHOST makes rmw_fastrtps add shared memory again. So the range is left to this profile:
-  loopback only by the white list, the machine's nodes found by multicast on loopback and, for those that do not
-  listen to multicast (their range is LOCALHOST), by unicast to the first 32 participants' ports.
-- The default queue in front of a participant's shared memory (512) overflows in a burst; what did not fit comes again
-  after the writer's next heartbeat, which is every 3 s.
+- Shared memory between users delivers nothing, as its files belong to their creator, while the graph is complete. With
+  UDP only on this end data crosses both ways, and the other end needs no change.
+- The discovery range LOCALHOST makes rmw_fastrtps add shared memory again. So this profile sets the range: loopback
+  only by the white list. It discovers the machine's nodes by multicast on loopback, and those that do not listen to
+  multicast (their range is LOCALHOST) by unicast to the ports of the first 32 participants.
+- The default queue of a participant's shared memory (512) overflows in a burst; the rest is sent again after the
+  writer's next heartbeat, each 3 s.
 - The default shared-memory segment (512 kB) makes a message of 1 MB five times slower than a large one does.
-- A participant's death without a word is noticed after its lease, 20 s by default; see
-  `bridge.adapters.ros2.graph.spdp` for why it is not shorter here.
+- Other participants notice a killed one after its lease, 20 s by default; see `bridge.adapters.ros2.graph.spdp` for
+  the reason why it is not shorter here.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from bridge.state_file import keep
 
 _NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 _QUEUE = "8192"
-"""Messages that other participants may have written to us by shared memory and that Fast DDS has not yet taken up."""
+"""Messages in the shared memory of this participant that Fast DDS has not read yet."""
 
 _UDP_BUFFER = str(4 * 1024 * 1024)
 
 
 @dataclass(frozen=True, slots=True)
 class FastDdsProfile:
-    """The participant's profile; ``prefix`` is marked (12 bytes), ``segment`` bytes of shared memory (0: UDP alone)."""
+    """The profile of the participant: its marked ``prefix`` (12 bytes), its shared memory in bytes (0: only UDP)."""
 
     prefix: bytes
     segment: int
     localhost_only: bool
 
     def xml(self) -> str:
-        """The profile as a Fast DDS XML document."""
+        """Return the profile as a Fast DDS XML document."""
         root = ET.Element("dds", xmlns=_NAMESPACE)
         profiles = ET.SubElement(root, "profiles")
         transports = ET.SubElement(profiles, "transport_descriptors")
@@ -84,13 +84,13 @@ class FastDdsProfile:
 
 
 def stamped(own: Path, prefix: bytes) -> str:
-    """A user's own profile with our mark in its default participant; raises `ValueError` without one, or `OSError`."""
+    """Return a user's profile with Midspan's mark in its default participant; raises `ValueError` or `OSError`."""
     try:
         root = ET.fromstring(own.read_bytes())  # noqa: S314 - a file that the configuration names
     except ET.ParseError as err:
         raise ValueError(f"ros2.profile {own}: not XML: {err}") from None
     for element in root.iter():
-        # Fast DDS does not heed the namespace, and ElementTree writes none as the default one.
+        # Fast DDS ignores the namespace, and ElementTree does not write it as the default one.
         element.tag = element.tag.rpartition("}")[2]
     for participant in root.iter("participant"):
         rtps = participant.find("rtps")
@@ -102,14 +102,14 @@ def stamped(own: Path, prefix: bytes) -> str:
 
 
 def _stamp(rtps: ET.Element, prefix: bytes) -> None:
-    """Set the prefix, and have the participant's own writers and readers ignore each other."""
+    """Set the prefix, and make the participant's own writers and readers ignore each other."""
     for old in rtps.findall("prefix"):
         rtps.remove(old)
     _texts(rtps, prefix=prefix.hex("."))
     properties = rtps
     for name in ("propertiesPolicy", "properties"):
-        found = properties.find(name)
-        properties = ET.SubElement(properties, name) if found is None else found
+        element = properties.find(name)
+        properties = ET.SubElement(properties, name) if element is None else element
     _texts(ET.SubElement(properties, "property"), name="fastdds.ignore_local_endpoints", value="true")
 
 
@@ -122,7 +122,7 @@ _PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILE
 
 
 def use_profile(config: Config, state: Path) -> FastDdsProfile:
-    """Write the Fast DDS profile and point this process at it; it is read once, so a later edge keeps the first."""
+    """Write the Fast DDS profile for this process, which reads it once: a later edge keeps the first."""
     if _used:
         return _used[0]
     prefix = new_prefix(rcl.host_prefix(), kept_prefixes(state / "ros2"))
@@ -130,8 +130,8 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
     own = config.ros2.profile
     text = profile.xml() if own is None else stamped(own, profile.prefix)
     path = state / "ros2" / "fastdds.xml"
-    if not keep(path, text, "the Fast DDS profile is taken from memory"):
-        file = os.memfd_create("midspan-fastdds")  # without a disk, for as long as this process lives
+    if not keep(path, text, "Fast DDS reads its profile from memory"):
+        file = os.memfd_create("midspan-fastdds")  # not on the disk, until this process exits
         os.write(file, text.encode())
         path = Path(f"/proc/self/fd/{file}")
     os.environ.update(SWITCHES | dict.fromkeys(_PROFILE_VARIABLES, str(path)))
@@ -142,7 +142,7 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
 
 
 _used: list[FastDdsProfile] = []
-"""The profile that this process's Fast DDS was loaded with."""
+"""The profile that Fast DDS has read in this process."""
 
 
 def _segment(config: Config, state: Path) -> int:

@@ -1,8 +1,8 @@
 """The calls of rcl that rclpy does not offer, by ctypes.
 
 Structures as in Jazzy's headers (rcutils/types/uint8_array.h, rmw/types.h). A call through `_held` keeps the GIL: it is
-for calls of a few microseconds, where giving the GIL away costs more than the call. Nothing of Python runs on a thread
-of the middleware: the only callback that it is given is libc's ``eventfd_write``.
+for calls of a few microseconds, as releasing the GIL costs more than the call. No Python code runs on a thread of the
+middleware: its only callback is libc's ``eventfd_write``.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from bridge.messages.errors import MessageTypeError
 
 RET_OK = 0
 RET_TAKE_FAILED = 401
-"""``RCL_RET_SUBSCRIPTION_TAKE_FAILED``: nothing to take."""
+"""``RCL_RET_SUBSCRIPTION_TAKE_FAILED``: the subscription has no message."""
 
 LARGE = 32 * 1024
-"""Bytes from which a call gives the GIL away, so that copying one large message does not stop the other threads."""
+"""Least bytes of a message for which a call releases the GIL, so that copying it does not stop the other threads."""
 
 _GID_BYTES = 16
 
@@ -51,14 +51,14 @@ class _Bytes(Structure):
 
 
 class _Content(Structure):
-    """The same, around a Python object that outlives the call."""
+    """The same for a Python object that outlives the call."""
 
     _fields_ = [("buffer", c_char_p), ("length", c_size_t), ("capacity", c_size_t), ("allocator", _Allocator)]
 
 
 _INFO = struct.Struct(f"@qqQQP{_GID_BYTES}s?0P")
 """``rmw_message_info_t``: source and reception time stamp, publication and reception sequence number, implementation
-identifier, GID, whether from this process. Read in one go: field by field costs more than the take."""
+identifier, GID, whether from this process. Reading single fields would cost more than the take."""
 
 
 _rcl = CDLL("librcl.so")
@@ -90,7 +90,7 @@ for _function in _NEW_CALLBACK.values():
 
 
 def reset_error() -> None:
-    """Have rcl forget the text of the last error of this thread."""
+    """Delete the text of the last error of rcl in this thread."""
     _rcutils.rcutils_reset_error()
 
 
@@ -116,7 +116,7 @@ class Taken(NamedTuple):
 
 
 class Taker:
-    """Takes serialized messages; its buffer is used again and again. For one thread."""
+    """Takes serialized messages into a buffer that it reuses, for one thread."""
 
     def __init__(self) -> None:
         self._bytes = _Bytes(None, 0, 0, _rcutils.rcutils_get_default_allocator())
@@ -124,7 +124,7 @@ class Taker:
         self._bytes_ref = byref(self._bytes)
 
     def take(self, subscription: int, *, large: bool) -> Taken | None:
-        """The next message of ``rcl_subscription_t *``, None where there is none; ``large``: as LARGE says."""
+        """Return the next message of ``rcl_subscription_t *``, or None; ``large`` releases the GIL (`LARGE`)."""
         take = (_rcl if large else _rcl_held).rcl_take_serialized_message
         code = take(subscription, self._bytes_ref, self._info, None)
         if code != RET_OK:
@@ -182,9 +182,9 @@ def wait_set_add_guard_condition(wait_set: int, guard_condition: int) -> None:
 def host_prefix() -> bytes:
     """The four bytes with which Fast DDS begins the GUID prefix of every participant of this host.
 
-    Fast DDS takes nodes for neighbours (shared memory) by them: vendor 01.0f and two bytes made of the host's
-    addresses. Asked of Fast DDS 2.14 itself; where another version has no such function, the vendor's two bytes and
-    zeros, which costs nothing but the recognition of neighbours.
+    Fast DDS recognizes neighbors (for shared memory) by them: vendor 01.0f and two bytes made of the host's addresses.
+    A function of Fast DDS 2.14 returns them. Other versions lack it; then they are the vendor's two bytes and zeros,
+    and only neighbors are not recognized.
     """
     guid = (c_ubyte * _GID_BYTES)()
     participant = c_int32(-1)
@@ -206,16 +206,15 @@ def has_eventfd() -> bool:
 # -- requests and replies as bytes -------------------------------------------------------------------------------------
 # rmw has raw topics but no raw services: it hands a C structure to the type support's serializer, and has one filled by
 # its deserializer. Here the structure is a `Wire`, a place in memory, and the two functions copy bytes from there or to
-# there. They are C (service_callbacks.c) and know nothing of Python: the serializer runs while Fast DDS holds a
-# writer's lock, and if it waited for Python's lock there, a thread that makes an endpoint could wait for it in turn,
-# for ever.
+# there. They are C (service_callbacks.c) without Python: the serializer runs while Fast DDS holds a
+# writer's lock, and if it waited for Python's lock there, a thread that creates an endpoint could wait for it forever.
 #
 # The functions' forms are those of rosidl_typesupport_fastrtps_cpp/message_type_support.h (Jazzy); of Fast CDR 2.2's
-# ``Cdr`` they use what its header makes public, and the place of its iterators, which is looked for (``end_of``).
+# ``Cdr`` they use the public members, and the offset of its iterators, which `end_of` searches for.
 
 try:
     from bridge.adapters.ros2 import service_callbacks
-except ImportError:  # there was no compiler
+except ImportError:  # set up without a compiler
     service_callbacks = None  # type: ignore[assignment]
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
@@ -224,7 +223,7 @@ ENCAPSULATION = b"\x00\x01\x00\x00"
 NOT_COMPILED = "ROS 2 services and actions do not cross: what hands their bytes to rmw is not compiled"
 
 _KEPT = 64 * 1024
-"""Bytes of a buffer that is used again; a larger one is given back after each message."""
+"""Bytes of a reused buffer; a larger one is freed after each message."""
 
 _APPEND = "_ZN8eprosima7fastcdr3Cdr15serialize_arrayEPKcm"
 _BEGIN = "_ZN8eprosima7fastcdr3Cdr18get_buffer_pointerEv"
@@ -242,14 +241,14 @@ def outgoing(payload: bytes) -> Wire:
 
 
 class Incoming:
-    """Where rmw puts what it takes; used again and again, by one thread."""
+    """A reused buffer for the messages that rmw takes, for one thread."""
 
     def __init__(self) -> None:
         self._wire = Wire(None, 0, 0)
         self.pointer = ctypes.addressof(self._wire)
 
     def payload(self) -> bytes:
-        """The message that was taken last."""
+        """Return the last message."""
         payload = ctypes.string_at(self._wire.start or 0, self._wire.length)
         if self._wire.capacity > _KEPT:
             self.close()
@@ -262,7 +261,7 @@ class Incoming:
 
 
 class Callbacks:
-    """Addresses of the compiled functions, for all services; raises `MessageTypeError` where there is no compiler."""
+    """Return the addresses of the compiled functions for all services; raises `MessageTypeError` without a compiler."""
 
     def __init__(self) -> None:
         if service_callbacks is None:
@@ -275,7 +274,7 @@ class Callbacks:
 
 
 # -- services ----------------------------------------------------------------------------------------------------------
-# All of these give Python's lock away: rmw may wait up to 0.1 s for a client of which it knows only half.
+# All of these release the GIL: rmw may wait up to 0.1 s for a client that it has discovered only in part.
 
 _CLIENT_TAKE_FAILED, _SERVICE_TAKE_FAILED = 501, 601
 _TIMEOUT = 2
@@ -290,7 +289,7 @@ _declare(_rcl.rcl_service_server_is_available, c_int32, c_void_p, c_void_p, POIN
 
 
 class RequestId(NamedTuple):
-    """Whose request it is: a GID of the client's, by which its reply finds it, and the client's number."""
+    """Return the client of a request: its GID, by which the reply is routed, and its number."""
 
     gid: bytes
     number: int
@@ -304,12 +303,12 @@ class CallTaker:
         self._id = create_string_buffer(_REQUEST_ID.size)
 
     def request(self, service: int) -> tuple[RequestId, bytes] | None:
-        """The next request of ``rcl_service_t *``, None where there is none."""
+        """Return the next request of ``rcl_service_t *``, or None."""
         code = _rcl.rcl_take_request(service, self._id, self._incoming.pointer)
         return self._taken("rcl_take_request", code, _SERVICE_TAKE_FAILED)
 
     def response(self, client: int) -> tuple[RequestId, bytes] | None:
-        """The next reply to ``rcl_client_t *``, None where there is none."""
+        """Return the next reply to ``rcl_client_t *``, or None."""
         code = _rcl.rcl_take_response(client, self._id, self._incoming.pointer)
         return self._taken("rcl_take_response", code, _CLIENT_TAKE_FAILED)
 
@@ -327,14 +326,14 @@ class CallTaker:
 
 
 def send_request(client: int, payload: bytes) -> int:
-    """Send CDR bytes by ``rcl_client_t *``; the request's number."""
+    """Send CDR bytes by ``rcl_client_t *``; returns the request's number."""
     number = c_int64()
     _check("rcl_send_request", _rcl.rcl_send_request(client, byref(outgoing(payload)), byref(number)))
     return number.value
 
 
 def send_response(service: int, request: RequestId, payload: bytes) -> bool:
-    """Send CDR bytes by ``rcl_service_t *``; False where the client cannot be reached."""
+    """Send CDR bytes by ``rcl_service_t *``; returns False if the client is unreachable."""
     name = create_string_buffer(_REQUEST_ID.pack(*request), _REQUEST_ID.size)
     code = _rcl.rcl_send_response(service, name, byref(outgoing(payload)))
     if code == _TIMEOUT:
@@ -345,7 +344,7 @@ def send_response(service: int, request: RequestId, payload: bytes) -> bool:
 
 
 def has_server(node: int, client: int) -> bool:
-    """Whether ``rcl_client_t *`` and a server have found each other."""
+    """Whether ``rcl_client_t *`` and a server have discovered each other."""
     there = c_bool()
     code = _rcl.rcl_service_server_is_available(node, client, byref(there))
     _check("rcl_service_server_is_available", code)

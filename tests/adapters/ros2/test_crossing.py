@@ -1,4 +1,4 @@
-"""The edge in a process of its own: other users, a small /dev/shm, a sudden death."""
+"""The edge in a separate process: other users, a small or full /dev/shm, a sudden death."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Programs:
         env = {**worker_environment(config, os.environ), "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
         for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
             env.pop(name, None)
-        # Each user has a state of its own that outlives the process, as a worker's does.
+        # each user has a separate state that outlives the process, like a worker's
         state = self.folder / f"state-{user}"
         state.mkdir(exist_ok=True)
         if os.geteuid() == 0:
@@ -81,7 +81,7 @@ def programs() -> Iterator[Programs]:
 
 @pytest.fixture
 def own_shm(programs: Programs) -> Iterator[Callable[[str], int]]:
-    """Makes a mount namespace with a /dev/shm of its own, given its size; the id of the process that holds it."""
+    """Return a function that makes a mount namespace with a /dev/shm of a size; it returns the namespace's process."""
     holders: list[subprocess.Popen[str]] = []
 
     def mount(size: str) -> int:
@@ -93,7 +93,7 @@ def own_shm(programs: Programs) -> Iterator[Callable[[str], int]]:
         holders.append(holder)
         assert holder.stdout is not None
         if holder.stdout.readline() != "mounted\n":
-            pytest.skip("may not mount a /dev/shm of its own")
+            pytest.skip("may not mount a separate /dev/shm")
         return holder.pid
 
     yield mount
@@ -140,7 +140,7 @@ def segments(program: Peer) -> set[Path]:
 
 
 def need_other_user() -> None:
-    """Skip where this process cannot become another user who could run the programs."""
+    """Skip if this process cannot run the programs as another user."""
     if os.geteuid() != 0 or not shutil.which("setpriv"):
         pytest.skip("needs root and setpriv to run programs as another user")
     reads = subprocess.run(["setpriv", *AS_NOBODY, sys.executable, "-c", "import bridge"], cwd=ROOT, check=False)
@@ -176,7 +176,7 @@ def test_edge_leaves_shared_memory_when_another_user_appears(
 
 
 def test_data_crosses_to_a_container(programs: Programs, own_shm: Callable[[str], int]) -> None:
-    """A node of the same user with a /dev/shm of its own."""
+    """A node of the same user with a separate /dev/shm."""
     ours, theirs = own_shm("1g"), own_shm("1g")
     edge, native = programs.edge(mounts=ours), programs.native(mounts=theirs)
     native.advertise("/x/appears", "std_msgs/String")
@@ -261,14 +261,14 @@ def test_clean_stop_leaves_nothing_in_shared_memory(programs: Programs) -> None:
 def test_what_one_edge_announces_another_one_hears(edge: RunningEdge, programs: Programs) -> None:
     edge.edge.announce(b"before it came")
     other = programs.edge()
-    until(lambda: other.ask("sightings")["records"] == ["before it came"], "the last record is heard")
+    until(lambda: other.ask("sightings")["records"] == ["before it came"], "the last record arrives")
     other.ask("announce", record="an answer")
     until(lambda: [s.record for s in edge.edge.sightings()] == [b"an answer"], "so is the answer")
     edge.edge.announce(b"more" * 10_000)
     until(lambda: other.ask("sightings")["records"] == ["more" * 10_000], "each record replaces the last")
-    until(lambda: edge.edge.settled(0.0), "who was there at the start is known")
-    assert not edge.edge.settled(time.monotonic()), "who comes at this moment is not seen yet"
+    until(lambda: edge.edge.settled(0.0), "the participants present at the start")
+    assert not edge.edge.settled(time.monotonic()), "a participant that joins now is unknown"
     assert not [e for e in edge.edge.endpoints() if "_midspan" in e.topic]
     other.signal(signal.SIGKILL)
     programs.edge()
-    until(lambda: len(edge.edge.sightings()) == 1, "a successor tells of the death")
+    until(lambda: len(edge.edge.sightings()) == 1, "a successor disposes the dead participant")
