@@ -16,6 +16,7 @@ Measurements with Fast DDS 2.14.5, and the defaults in the side's nodes:
 
 from __future__ import annotations
 
+import logging
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +28,10 @@ from bridge.adapters.ros2.graph import neighbours
 from bridge.adapters.ros2.graph.origins import kept_prefixes, new_prefix, participant_number
 from bridge.adapters.ros2.graph.spdp import MULTICAST, PARTICIPANTS
 from bridge.config.model import Config
+from bridge.hub.shared_memory import FOLDER
 from bridge.state_file import keep
+
+_log = logging.getLogger(__name__)
 
 _NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 _QUEUE = "8192"
@@ -149,4 +153,12 @@ def _segment(config: Config, state: Path) -> int:
     transport = config.ros2.transport
     if transport == "udp" or (transport == "auto" and (neighbours.other_users() or neighbours.noted(state / "ros2"))):
         return 0
-    return neighbours.segment_size()
+    size = neighbours.segment_size()
+    if not size and config.ros2.profile is None:
+        _log.warning(
+            "Fast DDS uses only UDP: %s has no room for its shared memory (%d MB); make room there, then restart this"
+            " worker",
+            FOLDER,
+            8 * neighbours.SMALLEST_SEGMENT // 1_000_000,
+        )
+    return size

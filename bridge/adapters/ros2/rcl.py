@@ -29,6 +29,7 @@ from ctypes import (
 )
 from typing import Any, NamedTuple
 
+from bridge.adapters.ros2.tracing import allow_tracing_if_room
 from bridge.kernels import CURE
 from bridge.messages.errors import MessageTypeError
 
@@ -61,6 +62,7 @@ _INFO = struct.Struct(f"@qqQQP{_GID_BYTES}s?0P")
 identifier, GID, whether from this process. Reading single fields would cost more than the take."""
 
 
+allow_tracing_if_room()
 _rcl = CDLL("librcl.so")
 _rcl_held = PyDLL("librcl.so")
 _rcutils = CDLL("librcutils.so")

@@ -193,6 +193,19 @@ def test_same_user_keeps_shared_memory(programs: Programs, own_shm: Callable[[st
     assert segments(edge)
 
 
+def test_full_shared_memory(programs: Programs, own_shm: Callable[[str], int]) -> None:
+    """Fast DDS uses UDP, and LTTng, which rclpy loads, cannot open the file without whose page it ends the process."""
+    mounts = own_shm("1m")
+    fill = "head -c 2m /dev/zero > /dev/shm/fill 2> /dev/null"
+    subprocess.run(["nsenter", f"--mount=/proc/{mounts}/ns/mnt", "sh", "-c", fill], check=False)
+    edge = programs.edge(mounts=mounts)
+    assert_crosses(edge, programs.native(), "x" * 1_000_000)
+    folder = Path(f"/proc/{edge.pid}/root/dev/shm")
+    assert [file.name for file in folder.iterdir() if not file.is_symlink()] == ["fill"]
+    edge.stop()
+    assert [file.name for file in Path(f"/proc/{mounts}/root/dev/shm").iterdir()] == ["fill"]
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("transport", ["auto", "shared_memory", "udp"])
 def test_small_shared_memory_will_do(programs: Programs, own_shm: Callable[[str], int], transport: str) -> None:
