@@ -149,6 +149,7 @@ def test_units_keep_what_the_middlewares_need(tmp_path: Path) -> None:
             "CacheDirectory=midspan",
             "LimitNOFILE=65536",
         } <= set(lines)
+        assert ("LimitMEMLOCK=infinity" in lines) == (" run " in text), "only workers use shared memory"
         assert "ROS_LOG_DIR=/var/log/midspan" in text
 
 
