@@ -20,7 +20,7 @@ from bridge.config.model import Config
 from bridge.config.sections.navigation import ACTION
 from bridge.config.sections.routing import RoutingSection
 from bridge.config.sections.section import SideSection
-from bridge.hub import shared_memory
+from bridge.hub import opening, shared_memory
 from bridge.hub.control import Handler
 from bridge.hub.diagnostics import heard
 from bridge.hub.errors import HubError
@@ -277,7 +277,7 @@ class Crossing:
             "lane": self._hub.lane(),
             "warnings": [
                 *document["warnings"],
-                *filter(None, [engine.edge.away, engine.edge.clock.trouble()]),
+                *filter(None, [engine.edge.away, engine.edge.clock.trouble(), opening.trouble()]),
                 *resources.warnings(state_folder(self._config)),
             ],
         }

@@ -25,6 +25,7 @@ from bridge.hub.control import Control
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.graph.tokens import MIDSPAN_SPACE
 from bridge.hub.links import MEMBERS
+from bridge.hub.opening import open_session
 from bridge.hub.security.door import HubDoor, KeyWatch, check_closed, has_tls, key_files
 from bridge.hub.security.endpoints import closed_endpoints
 from bridge.hub.security.zenoh_log import ZenohLog
@@ -252,7 +253,7 @@ class RouterWorker(Worker):
             check_closed(zenoh_config)
         except HubError as err:
             raise RuntimeError(f"hub.router_zenoh: {err}") from None
-        session = zenoh.open(zenoh_config)
+        session = open_session(zenoh_config)
         self._session = session
         self._control = Control(session, hub.domain, config.name, "router")
         identity = json.dumps({"daemon": config.name, "pid": os.getpid()}).encode()

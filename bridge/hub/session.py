@@ -42,9 +42,10 @@ from bridge.hub.graph.tokens import (
 from bridge.hub.lane.folder import possible
 from bridge.hub.lane.lane import Lane
 from bridge.hub.links import MEMBERS, Mesh
+from bridge.hub.opening import open_session
 from bridge.hub.wire.keys import ANY_HASH, subscription_key, topic_key
 from bridge.hub.wire.qos import Qos, Reliability
-from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
+from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree, without_shared_memory
 
 _log = logging.getLogger(__name__)
 
@@ -144,7 +145,7 @@ class HubSession:
         if settings.lane is not None and possible():
             self.lane = Lane(Path(settings.lane), self.zid, session, settings.domain)
             self.graph.watch(self.lane.graph_changed)
-        self.mesh = Mesh(session, lambda: _config(settings), self._members)
+        self.mesh = Mesh(session, lambda: without_shared_memory(_config(settings)), self._members)
         # a process that exits with an open session hangs in zenoh's threads
         atexit.register(self.close)
 
@@ -156,7 +157,7 @@ class HubSession:
             _log.info("no lane: zenoh's configuration restricts messages")
             settings = replace(settings, lane=None)
         try:
-            session = zenoh.open(config)
+            session = open_session(config)
         except zenoh.ZError as err:
             raise HubError(f"cannot join the hub: {zenoh_reason(err)}") from None
         try:

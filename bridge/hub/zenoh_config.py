@@ -95,6 +95,12 @@ def client_session_config(listen: str, user: Mapping[str, Any] | str | Path | No
         ("listen/endpoints", []),
     ):
         config.insert_json5(key, json.dumps(value))
+    return without_shared_memory(config)
+
+
+def without_shared_memory(config: zenoh.Config) -> zenoh.Config:
+    """Switch shared memory off, for a session without large messages; returns the configuration."""
+    config.insert_json5("transport/shared_memory/enabled", "false")
     return config
 
 

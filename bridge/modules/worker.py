@@ -14,6 +14,7 @@ import psutil
 from bridge.concurrency import Backoff
 from bridge.config.model import Config
 from bridge.config.sections.section import Section
+from bridge.hub import opening
 from bridge.hub.errors import HubError
 from bridge.messages.errors import MessageError
 from bridge.messages.registry import Registry
@@ -173,7 +174,7 @@ class Running:
             **costs(self._process),
             "routes": [],
             "refused": [],
-            "warnings": list(filter(None, [host.yarp.trouble(), host.clock.trouble()])),
+            "warnings": list(filter(None, [host.yarp.trouble(), host.clock.trouble(), opening.trouble()])),
             **host.status(),
             **module.status(),
         }

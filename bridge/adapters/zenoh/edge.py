@@ -23,6 +23,7 @@ from bridge.config.sections.zenoh import Dialect
 from bridge.hub.endpoints.calls import nothing
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.graph.tokens import Origin
+from bridge.hub.opening import open_session
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import SideType
@@ -255,6 +256,6 @@ def _settings(config: Config) -> zenoh.Config:
 
 def _open(settings: zenoh.Config) -> zenoh.Session:
     try:
-        return zenoh.open(settings)
+        return open_session(settings)
     except zenoh.ZError as err:
         raise HubError(f"cannot join the network of the zenoh dialects: {zenoh_reason(err)}") from None

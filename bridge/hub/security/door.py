@@ -22,6 +22,7 @@ from bridge.config.sections.hub import OpenSection
 from bridge.config.sections.section import is_loopback
 from bridge.hub.errors import HubConfigError, HubError, zenoh_reason
 from bridge.hub.links import LinkLimits
+from bridge.hub.opening import open_session
 from bridge.hub.security.access import ANYBODY, access_control
 from bridge.hub.security.endpoints import EndpointMonitor, EndpointStatus
 from bridge.hub.security.handshake import Identity
@@ -67,7 +68,7 @@ class HubDoor:
         zenoh_config = make_config(door_tree(config), self._open.zenoh)
         identity = Identity.of(zenoh_config)
         try:
-            self._session = zenoh.open(zenoh_config)
+            self._session = open_session(zenoh_config)
         except zenoh.ZError as err:
             places = ", ".join((*self._open.listen, *self._open.connect))
             raise HubError(f"cannot open {places}: {zenoh_reason(err)}") from None

@@ -1,0 +1,142 @@
+"""Opens zenoh sessions, without shared memory if this machine has no room for it.
+
+zenoh 1.10 locks its shared memory into RAM. A session with shared memory does not open if ``/dev/shm`` is full. If a
+session's pool finds no room later, zenoh continues on the network link; but without its book-keeping, which it creates
+for the first large message, each such message raises a Rust panic. So `open_session` creates that first, once in each
+process. A receiver that may not lock a sender's pool (``RLIMIT_MEMLOCK``) loses messages silently, and must not offer
+shared memory either (all observed with 1.10.2).
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import ctypes
+import json
+import logging
+import mmap
+import os
+import re
+import sys
+import threading
+from pathlib import Path
+
+import zenoh
+
+from bridge.hub.errors import zenoh_reason
+from bridge.hub.shared_memory import FOLDER
+
+_log = logging.getLogger(__name__)
+
+_SWITCH = "transport/shared_memory/enabled"
+_POOL_SIZE = "transport/shared_memory/transport_optimization/pool_size"
+
+_BOOKS = 2 << 20
+"""Bytes for zenoh's book-keeping in each process (1.3 MB), and for the small files of a session."""
+
+_lock = threading.Lock()
+_books = False
+_trouble = ""
+
+
+def open_session(config: zenoh.Config) -> zenoh.Session:
+    """Open a session; switch shared memory off in ``config`` if it is enabled but unusable, and log the reason.
+
+    Raises `zenoh.ZError` if the session does not open without shared memory either.
+    """
+    if not json.loads(config.get_json(_SWITCH)):
+        return zenoh.open(config)
+    size = int(json.loads(config.get_json(_POOL_SIZE))) + _BOOKS
+    reason = room_trouble(size) or lock_trouble(size) or _books_trouble()
+    if not reason:
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as err:
+            if "shm" not in str(err).lower():
+                raise
+            reason = zenoh_reason(err)
+    _note(f"large messages go over the network link instead of shared memory: {reason}; then restart this worker")
+    config.insert_json5(_SWITCH, "false")
+    return zenoh.open(config)
+
+
+def trouble() -> str:
+    """Return why sessions of this process do without their shared memory, and the cure; "" if none does."""
+    return _trouble
+
+
+def _note(text: str) -> None:
+    global _trouble
+    with _lock:
+        known, _trouble = _trouble, text
+    if not known:
+        _log.warning("%s", text)
+
+
+def room_trouble(size: int, folder: Path = FOLDER) -> str:
+    """Return why the system's shared memory has no room for ``size`` bytes, with the cure, or ""."""
+    if sys.platform != "linux":  # other systems do not expose it as a folder
+        return ""
+    try:
+        room = os.statvfs(folder)
+    except OSError as err:
+        return f"{folder}: {err.strerror}; mount it"
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return f"{folder} is not writable for this user; its mode should be 1777"
+    free = room.f_bavail * room.f_frsize
+    if room.f_blocks and free < size:
+        return f"{folder} has less room than the {size / 1e6:.0f} MB that a session needs; remove files or enlarge it"
+    return ""
+
+
+def lock_trouble(size: int) -> str:
+    """Return why this process may not lock ``size`` bytes into RAM, with the cure, or ""."""
+    if sys.platform != "linux":
+        return ""
+    import resource
+
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    if limit == resource.RLIM_INFINITY or limit >= 16 * size:
+        return ""
+    libc = ctypes.CDLL(None, use_errno=True)
+    with contextlib.closing(mmap.mmap(-1, size)) as memory:
+        view = ctypes.c_char.from_buffer(memory)
+        refused = libc.mlock(ctypes.byref(view), ctypes.c_size_t(size))
+        del view
+    if not refused:
+        return ""
+    cure = "set LimitMEMLOCK=infinity in the systemd unit, or 'ulimit -l unlimited'"
+    return f"this user may lock {limit / 1e6:.1f} MB of memory, and a session needs {size / 1e6:.0f} MB; {cure}"
+
+
+def _books_trouble() -> str:
+    """Create zenoh's book-keeping in this process; returns the reason if that fails."""
+    global _books
+    with _lock:
+        if _books or sys.platform != "linux":
+            return ""
+        try:
+            zenoh.shm.ShmProvider.default_backend(4096).alloc(64)
+        except BaseException as err:
+            if not isinstance(err, zenoh.ZError) and type(err).__name__ != "PanicException":  # Rust's, no Exception
+                raise
+            return zenoh_reason(Exception(str(err)))
+        _books = True
+        atexit.register(_remove, _mapped_files())
+    return ""
+
+
+def _mapped_files() -> list[Path]:
+    """Return zenoh's files of shared memory that this process has mapped."""
+    try:
+        maps = Path("/proc/self/maps").read_text()
+    except OSError:
+        return []
+    return sorted({Path(path) for path in re.findall(rf"({re.escape(str(FOLDER))}/\d+\.zenoh)$", maps, re.MULTILINE)})
+
+
+def _remove(files: list[Path]) -> None:
+    """Remove the book-keeping, which zenoh leaves at the end of a Python process."""
+    for file in files:
+        with contextlib.suppress(OSError):
+            file.unlink(missing_ok=True)

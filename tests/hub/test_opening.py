@@ -1,0 +1,176 @@
+"""Sessions that open although shared memory is full or refused."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import logging
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from bridge.hub import opening
+from bridge.hub.opening import lock_trouble, open_session, room_trouble
+from bridge.hub.zenoh_config import client_session_config, make_config, session_tree
+from tests.support.hub import ROOT
+from tests.support.ports import free_port
+
+SWITCH = "transport/shared_memory/enabled"
+SEGMENT = "Unable to create POSIX shm segment: OS error 12 at /zenoh/segment.rs:85."
+
+
+def config(*, shared_memory: bool = True) -> zenoh.Config:
+    return make_config(session_tree(None, shared_memory=shared_memory, max_payload=1 << 20), None)
+
+
+class Opened:
+    """Stands in for `zenoh.open`: refuses shared memory with a reason."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        self.switches: list[bool] = []
+
+    def __call__(self, settings: zenoh.Config) -> Opened:
+        self.switches.append(json.loads(settings.get_json(SWITCH)))
+        if self.reason and self.switches[-1]:
+            raise zenoh.ZError(self.reason)
+        return self
+
+
+@pytest.fixture(autouse=True)
+def _fresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(opening, "_trouble", "")
+    monkeypatch.setattr(opening, "room_trouble", lambda _size: "")
+
+
+def opened(monkeypatch: pytest.MonkeyPatch, reason: str = "") -> Opened:
+    stand_in = Opened(reason)
+    monkeypatch.setattr(zenoh, "open", stand_in)
+    return stand_in
+
+
+def test_a_refused_segment_is_done_without(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    zenoh_open = opened(monkeypatch, SEGMENT)
+    with caplog.at_level(logging.WARNING):
+        open_session(config())
+        open_session(config())
+    assert zenoh_open.switches == [True, False] * 2
+    (record,) = caplog.records
+    assert record.getMessage() == opening.trouble()
+    assert "large messages go over the network link" in record.getMessage()
+    assert "Unable to create POSIX shm segment: OS error 12" in record.getMessage()
+    assert "segment.rs" not in record.getMessage()
+
+
+def test_without_room_the_session_does_not_try(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(opening, "room_trouble", lambda _size: "/dev/shm is full")
+    zenoh_open = opened(monkeypatch)
+    open_session(config())
+    assert zenoh_open.switches == [False]
+    assert "/dev/shm is full" in opening.trouble()
+
+
+def test_another_error_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    zenoh_open = opened(monkeypatch, "Unable to connect to any of [tcp/127.0.0.1:1]")
+    with pytest.raises(zenoh.ZError, match="Unable to connect"):
+        open_session(config())
+    assert zenoh_open.switches == [True]
+    assert opening.trouble() == ""
+
+
+def test_a_session_without_shared_memory_just_opens(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(opening, "room_trouble", lambda _size: "full")
+    zenoh_open = opened(monkeypatch)
+    open_session(config(shared_memory=False))
+    assert zenoh_open.switches == [False]
+    assert opening.trouble() == ""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs a folder of shared memory")
+def test_room(tmp_path: Path) -> None:
+    assert room_trouble(1 << 10, tmp_path) == ""
+    assert "less room than the 1152921504607 MB" in room_trouble(1 << 60, tmp_path)
+    assert "No such file" in room_trouble(1, tmp_path / "none")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the limit of Linux")
+def test_memory_that_may_not_be_locked(monkeypatch: pytest.MonkeyPatch) -> None:
+    import resource
+
+    monkeypatch.setattr(resource, "getrlimit", lambda _which: (8 << 20, 8 << 20))
+
+    class Libc:
+        def mlock(self, *_: Any) -> int:
+            return -1
+
+    monkeypatch.setattr(ctypes, "CDLL", lambda *_args, **_more: Libc())
+    assert "may lock 8.4 MB of memory, and a session needs 19 MB; set LimitMEMLOCK" in lock_trouble(18 << 20)
+    monkeypatch.setattr(resource, "getrlimit", lambda _which: (resource.RLIM_INFINITY,) * 2)
+    assert lock_trouble(18 << 20) == ""
+
+
+def test_a_verbs_session_never_uses_shared_memory() -> None:
+    user = {"transport": {"shared_memory": {"enabled": True}}}
+    assert json.loads(client_session_config("tcp/127.0.0.1:1", user, 1.0).get_json(SWITCH)) is False
+
+
+PROGRAM = """
+import json, os, sys, threading
+from bridge.hub.opening import open_session, trouble
+from bridge.hub.zenoh_config import make_config, session_tree
+
+case, endpoint = sys.argv[1:]
+
+def fill(left):
+    with open("/dev/shm/fill", "ab", 0) as file:
+        try:
+            while (room := os.statvfs("/dev/shm")).f_bavail * room.f_frsize > left:
+                file.write(bytes(4096))
+        except OSError:
+            pass
+
+def join(key):
+    config = make_config(session_tree(None, shared_memory=True, max_payload=1 << 28), None)
+    config.insert_json5(f"{key}/endpoints", json.dumps([endpoint]))
+    return open_session(config)
+
+if case == "full":
+    fill(0)
+sender, receiver, arrived = join("listen"), join("connect"), threading.Semaphore(0)
+receiver.declare_subscriber("large", lambda sample: arrived.release() if len(sample.payload.to_bytes()) else None)
+publisher = sender.declare_publisher("large")
+if case == "filled later":
+    fill(17_000_000)  # room for a pool, and none for its book-keeping
+received = 0
+for _ in range(200):
+    publisher.put(bytes(1_000_000))
+    received += arrived.acquire(timeout=0.1)
+    if received == 20:  # zenoh creates its pool while it sends the first ones
+        break
+print(json.dumps([received, trouble()]), flush=True)
+sender.close(), receiver.close()
+"""
+
+
+@pytest.mark.parametrize(("case", "trouble"), [("full", "/dev/shm has less room"), ("filled later", "")])
+def test_large_messages_arrive_with_a_full_folder(case: str, trouble: str) -> None:
+    if not shutil.which("unshare"):
+        pytest.skip("needs unshare")
+    mount = 'mount -t tmpfs -o size=40m tmpfs /dev/shm || exit 97; exec "$@"'
+    program = [sys.executable, "-c", PROGRAM, case, f"tcp/127.0.0.1:{free_port()}"]
+    ended = subprocess.run(
+        ["unshare", "--mount", "sh", "-c", mount, "sh", *program],
+        cwd=ROOT, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    if ended.returncode in (1, 97) and not ended.stdout and "Traceback" not in ended.stderr:
+        pytest.skip("may not mount a separate /dev/shm")
+    assert ended.returncode == 0, ended.stderr
+    received, said = json.loads(ended.stdout.splitlines()[-1])
+    assert received == 20
+    assert bool(said) == bool(trouble)
+    assert trouble in said
