@@ -48,6 +48,10 @@ def test_a_client_waits_for_its_router(
         assert cross(program, out, place.far, received, {"data": "hi"}) == {"data": "hi"}
         assert not [w for w in place.status(crossing.name)["warnings"] if "waiting" in w]
         assert sum("waiting for the zenoh router" in record.message for record in caplog.records) <= 1
+        place.router.stop()
+        until(lambda: crossing.health().state == "waiting", "the router has gone")
+        place.router.start()
+        until(lambda: crossing.health().state == "running", "it joins again")
     finally:
         bridge.stop()
 
