@@ -215,6 +215,8 @@ class Ports:
         def on_event(event: ConnectionEvent) -> None:
             if not event.incoming:
                 self.generations.forget(event.route.target)
+            if not event.incoming and event.up:
+                self._trials.connected(event.route.target, ("", 0))
 
         port = self._made(name, None, is_input=False, type_name=type_name, on_event=on_event)
         port.answers = self.generations

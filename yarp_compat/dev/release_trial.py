@@ -1,8 +1,10 @@
-"""Finds out the release of a ``navigation2D_nwc_yarp`` on any machine, by a reply that not all releases can read.
+"""Finds out the release of a client on any machine: by its process, and by a reply that not all releases can read.
 
-Its port ``<local>/user_commands/rpc`` answers ``listLocations`` with the names that it gets from its map server
-(``Navigation2D_nwc_yarp.cpp``, 3.6 to 4.0). If that is one of our servers, it sends the names in the format of 3.6 to
-3.10 for once, and the client's answer has them only if it could read that.
+The name server knows the process of each C++ port (property ``process``), so what one device of a process disclosed
+holds for its others. A ``navigation2D_nwc_yarp`` is tried: its port ``<local>/user_commands/rpc`` answers
+``listLocations`` with the names that it gets from its map server (``Navigation2D_nwc_yarp.cpp``, 3.6 to 4.0). If that
+is one of our servers, it sends the names in the format of 3.6 to 3.10 for once, and the client's answer has them only
+if it could read that.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ _PATIENCE = 2.0  # seconds for the client's answer
 
 
 class ReleaseTrials:
-    """Tries the releases of clients as they connect, each on a thread that ends by itself."""
+    """Finds out the releases of clients as they connect, each on a thread that ends by itself."""
 
     def __init__(self, generations: Generations, naming: Naming) -> None:
         self._generations, self._naming = generations, naming
@@ -43,8 +45,8 @@ class ReleaseTrials:
         return any(thread.is_alive() for thread in self._threads)
 
     def connected(self, peer: str, link: PeerAddress) -> None:
-        """Start a trial of a client that has connected, if its release may be unknown."""
-        if peer.startswith("/") and peer.endswith(_PORTS) and not self._closed.is_set():
+        """Begin with a port that has connected, if its release is unknown; ``link`` is its end, if that is known."""
+        if peer.startswith("/") and not self._closed.is_set() and not self._generations.of(peer, link=link).sure:
             run = threading.Thread(target=self._run, args=(peer, link), name=f"release of {peer}", daemon=True)
             self._threads = [*(thread for thread in self._threads if thread.is_alive()), run]
             run.start()
@@ -55,6 +57,10 @@ class ReleaseTrials:
 
     def _run(self, peer: str, link: PeerAddress) -> None:
         findings, device = self._generations.findings, device_of(peer)
+        with contextlib.suppress(OSError, WireError):
+            self._join(peer)
+        if not peer.endswith(_PORTS):
+            return
         end, step = time.monotonic() + _OPENING, _STEPS[0]
         while self._is_unknown(peer, link) and time.monotonic() < end and not self._closed.is_set():
             with contextlib.suppress(OSError, WireError):  # the port does not listen yet, or the client has ended
@@ -69,8 +75,14 @@ class ReleaseTrials:
             self._closed.wait(step)
             step = min(2 * step, _STEPS[1])
 
+    def _join(self, peer: str) -> None:
+        contact, process = self._naming.query(peer), self._naming.get_property(peer, "process")
+        if contact is not None and process:
+            self._generations.findings.join(peer, f"{contact.host} {process[0]}")
+
     def _is_unknown(self, peer: str, link: PeerAddress) -> bool:
-        inspect_client(self._generations, peer, None, link)
+        if link[0]:
+            inspect_client(self._generations, peer, None, link)
         return not self._generations.of(peer, link=link).sure and self._generations.findings.get(peer, link) is None
 
     def _try(self, peer: str, link: PeerAddress, contact: PortContact, trial: Trial) -> None:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from fnmatch import fnmatchcase
 from typing import Any
@@ -126,12 +126,27 @@ class Findings:
     def __init__(self) -> None:
         self._known: dict[tuple[str, PeerAddress], tuple[str, ReleaseFinding]] = {}  # with the port that disclosed it
         self._trials: dict[str, Trial] = {}
+        self._processes: dict[str, str] = {}  # of devices
         self._lock = threading.Lock()
 
     def get(self, peer: str, link: PeerAddress = _NOWHERE) -> ReleaseFinding | None:
-        """Return the finding on a client, if there is one."""
-        known = self._known.get(_key(peer, link))
-        return None if known is None else known[1]
+        """Return the finding on a client, if there is one; else a sure one on another device of its process."""
+        with self._lock:
+            known = self._known.get(_key(peer, link))
+            if known is not None and known[1].sure:
+                return known[1]
+            process = self._processes.get(device_of(peer))
+            for device, other in self._processes.items() if process is not None else ():
+                _, found = self._known.get((device, _NOWHERE), ("", None))
+                if other == process and found is not None and found.sure:
+                    return replace(found, reason=f"its process also has {device}, and {found.reason}")
+            return None if known is None else known[1]
+
+    def join(self, peer: str, process: str) -> None:
+        """Record the process of a client, as the name server knows it."""
+        with self._lock:
+            self._processes[device_of(peer)] = process
+            _limit(self._processes)
 
     def add(self, peer: str, finding: ReleaseFinding, link: PeerAddress = _NOWHERE) -> None:
         """Record a finding; a guess never replaces a sure one."""
@@ -162,6 +177,7 @@ class Findings:
         with self._lock:
             if key in self._known and self._known[key][0] == peer:
                 del self._known[key]
+            self._processes.pop(device_of(peer), None)
 
 
 def _key(peer: str, link: PeerAddress) -> tuple[str, PeerAddress]:
@@ -300,6 +316,6 @@ class Generations:
             self.findings.add(decision.peer, ReleaseFinding(decision.generation, decision.reason, overrides=True), link)
 
 
-def _limit(entries: dict[tuple[str, PeerAddress], Any]) -> None:
+def _limit(entries: dict[Any, Any]) -> None:
     while len(entries) > MOST_PEERS:
         del entries[next(iter(entries))]

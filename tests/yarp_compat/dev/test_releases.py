@@ -335,6 +335,12 @@ def test_an_area_of_another_name_discloses_nothing(connect: Callable[..., Client
         assert client.call("get_location_RPC", ["kitchen"]), "the area was not the next request"
 
 
+def settled(client: Client) -> Client:
+    """Return a client whose connection the server has noted: a call comes after that."""
+    client.call("stop_navigation_RPC", [])
+    return client
+
+
 class Places(Planner):
     """Has a location; ``names`` are those of its list."""
 
@@ -373,7 +379,8 @@ def test_a_navigation_client_is_tried_by_a_list_of_locations(
     generation: Generation, sure: bool,
 ) -> None:  # fmt: skip
     server = Server(Places(*names))
-    maps, goals = connect(server, "/nav/locations/rpc", name), connect(server, "/nav/navigation/rpc", name)
+    maps = settled(connect(server, "/nav/locations/rpc", name))
+    goals = settled(connect(server, "/nav/navigation/rpc", name))
     trials = ReleaseTrials(server.generations, naming)
     trials.connected("/nav/navigation/rpc", goals.address)
     commands = Commands(maps, names)
@@ -392,7 +399,7 @@ def test_a_client_of_another_map_server_is_not_judged(
     connect: Callable[..., Client], make_port: MakePort, naming: Naming
 ) -> None:
     ours, theirs = Server(Places("kitchen")), Places("kitchen")
-    goals = connect(ours, "/nav/navigation/rpc", "3.12")
+    goals = settled(connect(ours, "/nav/navigation/rpc", "3.12"))
     other = make_port("/real/rpc", Server(theirs, Generations(Generation.YARP_3_12)), rpc=True)
     maps = Client("/nav/locations/rpc", BY_NAME["3.12"], other.contact)
     commands = Commands(maps, ["kitchen"])
@@ -415,6 +422,30 @@ def test_a_known_client_is_not_asked(connect: Callable[..., Client], make_port: 
         trials.connected(peer, maps.address)
     until(lambda: not trials.running, "the end of the trials")
     assert commands.asked == []
+    trials.close()
+
+
+def test_the_devices_of_a_process_are_of_one_release(connect: Callable[..., Client], naming: Naming) -> None:
+    """By the property that C++ ports set at the name server (``NameClient.cpp``, ``process``), and their host."""
+    server = Server(Planner())
+    trials = ReleaseTrials(server.generations, naming)
+    clients: dict[str, Client] = {}
+    for device, host, process in (
+        ("/map", "127.0.0.1", 7), ("/near", "127.0.0.1", 7), ("/other", "127.0.0.1", 8), ("/far", "192.0.2.7", 7),
+    ):  # fmt: skip
+        port = f"{device}/mapClient_rpc"
+        naming.register(port, host, 10_000)
+        naming.set_property(port, "process", process)
+        clients[device] = settled(connect(server, port, "3.12", carriers.FAST_TCP))
+        trials.connected(port, clients[device].address)
+    until(lambda: not trials.running, "the end of the look-ups")
+    assert clients["/map"].call("get_object_RPC", ["cup"])
+    decisions = {
+        device: server.generations.of(f"{device}/mapClient_rpc", link=client.address)
+        for device, client in clients.items()
+    }
+    assert [device for device, decision in decisions.items() if decision.sure] == ["/map", "/near"]
+    assert decisions["/near"].reason.startswith("its process also has /map, and it called get_object_RPC")
     trials.close()
 
 
