@@ -90,3 +90,35 @@ def test_who_connects_as_a_port_is_registered_loses_nothing(config: Config, monk
             assert received is not None
             assert received.values == ["first"]
         ports.close()
+
+
+def test_each_reader_gets_the_form_of_its_release(config: Config, caplog: pytest.LogCaptureFixture) -> None:
+    """By a rule, by the whole network's setting, and by the default, which the log and the status name."""
+    rules = {"peers": [{"port": "/older/*", "release": "3.9"}]}
+    changed = config.model_copy(update={"yarp": type(config.yarp)(**{**config.yarp.model_dump(), **rules})})
+    ports = Ports(changed, "test")
+    with NameServer(port=Address(*config.yarp.place).port, gc_seconds=0):
+        port = ports.output("/battery/data:o", by_release=True)
+        until(lambda: not port.trouble, "the port is open")
+        with (
+            Reader("/older/data:i", naming=ports.naming) as older,
+            Reader("/client/data:i", naming=ports.naming) as unknown,
+            Reader("/plain", naming=ports.naming) as plain,
+        ):
+            for reader in (older, unknown, plain):
+                connections.connect(ports.naming, "/battery/data:o", reader.name)
+            for settings, values in ((rules, ["3.6", "3.12", "3.12"]), ({"release": "3.9"}, ["3.6", "3.6", "3.6"])):
+                section = type(config.yarp)(**{**config.yarp.model_dump(), **settings})
+                ports.generations.adopt(section.generations())
+                assert port.write_by_release(lambda generation: [generation.value]) == 3
+                received = [reader.read() for reader in (older, unknown, plain)]
+                assert [message and message.values[0] for message in received] == values
+            ports.generations.adopt(changed.yarp.generations())
+            peers = {peer["port"]: peer for peer in port.status()["peers"]}
+        ports.close()
+    assert peers.keys() == {"/older/data:i", "/client/data:i"}, "a plain reader interprets the values itself"
+    assert "port: /client/data:i, release: '3.9'" in peers["/client/data:i"]["generation_cure"]
+    assert "generation_cure" not in peers["/older/data:i"]
+    lines = [record.getMessage() for record in caplog.records if "release" in record.getMessage()]
+    assert len(lines) == 1
+    assert "/battery/data:o: the YARP release of its reader /client/data:i is unknown" in lines[0]
