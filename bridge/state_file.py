@@ -1,4 +1,4 @@
-"""The state folder: where it is, the names of what is kept in it, and files that are written whole or not at all."""
+"""The state folder: its place, the names of its files, and atomic writes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from yarp_compat.file_names import escaped
 
 
 def state_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path:
-    """Where the daemon and its workers keep their state; see ``state`` in the configuration."""
+    """Return the folder of the daemon's and its workers' state; see ``state`` in the configuration."""
     if config.state is not None:
         return config.state
     if environ.get("STATE_DIRECTORY"):  # systemd's StateDirectory=; several are separated by colons
@@ -23,12 +23,12 @@ def state_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Pat
 
 
 def worker_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path:
-    """Where the workers of this daemon keep what they must know again; several daemons may share a state folder."""
+    """Return the folder of this daemon's workers within the state folder, which several daemons may share."""
     return state_folder(config, environ) / escaped(config.name)
 
 
 def lane_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path | None:
-    """Where the workers of this daemon find each other's lanes; None where the configuration wants none."""
+    """Return the folder of the lanes of this daemon's workers; None if the configuration disables lanes."""
     return worker_folder(config, environ) / "lane" if config.hub.lane else None
 
 
@@ -37,7 +37,7 @@ _MAX_SOCKET_PATH = 103
 
 
 def with_state(config: Config, environ: Mapping[str, str] = os.environ) -> Config:
-    """The configuration with its state folder filled in and made, for its owner only.
+    """Return the configuration with its state folder filled in; creates the folder, for its owner only.
 
     Raises `RuntimeError`: the folder cannot be made or written to.
     """
@@ -56,22 +56,22 @@ def with_state(config: Config, environ: Mapping[str, str] = os.environ) -> Confi
 
 
 def daemon_lock(config: Config) -> Path:
-    """The lock of the daemon of this name."""
+    """Return the lock of the daemon of this name."""
     return _in_state(config, f"{config.name}.daemon.lock")
 
 
 def worker_lock(config: Config, worker: str) -> Path:
-    """The lock of one of its workers."""
+    """Return the lock of one of its workers."""
     return _in_state(config, f"{config.name}.{worker}.lock")
 
 
 def worker_output(config: Config, worker: str) -> Path:
-    """Where the stderr of a worker goes that outlives its daemon."""
+    """Return the file for the stderr of a worker that outlives its daemon."""
     return _in_state(config, f"{config.name}.{worker}.stderr")
 
 
 def control_socket(config: Config, worker: str) -> Path:
-    """The control socket of a worker that outlives its daemon.
+    """Return the control socket of a worker that outlives its daemon.
 
     Raises `RuntimeError`: the path is longer than a socket's can be.
     """
@@ -79,12 +79,12 @@ def control_socket(config: Config, worker: str) -> Path:
 
 
 def daemon_socket(config: Config) -> Path:
-    """The socket on which the daemon tells of itself; raises like `control_socket`."""
+    """Return the socket on which the daemon reports its state; raises like `control_socket`."""
     return _socket_in_state(config, f"{config.name}.daemon.sock")
 
 
 def log_socket(config: Config) -> Path:
-    """The socket on which the daemon tells its newest log lines; raises like `control_socket`."""
+    """Return the socket on which the daemon sends its newest log lines; raises like `control_socket`."""
     return _socket_in_state(config, f"{config.name}.log.sock")
 
 
@@ -107,9 +107,9 @@ _log = logging.getLogger(__name__)
 
 
 def keep(file: Path, text: str, loss: str) -> bool:
-    """Write a file in the state folder whole or not at all; whether it was written.
+    """Write a file in the state folder, whole or not at all; return whether it was written.
 
-    ``loss`` says in the log what a failure means.
+    ``loss`` is the consequence of a failure, for the log.
     """
     making = file.with_name(f".{file.name}.{os.getpid()}")
     try:

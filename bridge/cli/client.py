@@ -95,7 +95,7 @@ class CliClient:
 
 
 def config_file(args: argparse.Namespace) -> Path | None:
-    """Return the configuration file that a verb uses, None if there is none."""
+    """Return the configuration file that a verb uses, or None."""
     file: Path | None = args.config or find()
     return file
 

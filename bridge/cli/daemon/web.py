@@ -1,4 +1,4 @@
-"""``midspan web``: the address of the console, or the console in a browser; a token for who comes from elsewhere."""
+"""``midspan web``: the address of the console, or the console in a browser; a token for other machines."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print or open the address, or make a token; raises `CliError` where the console does not run."""
+    """Print or open the address, or make a token; raises `CliError` if the console does not run."""
     if args.token is not None:
         return _make_token(args.token, args.role)
     from bridge.config.load import load
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         import webbrowser
 
         if not webbrowser.open(address):
-            raise CliError("there is no browser on this machine; open the address from elsewhere over 'ssh -L'")
+            raise CliError("no browser found on this machine; open the address from another one over 'ssh -L'")
     return 0
 
 
@@ -62,7 +62,7 @@ def _address(config: Config) -> str:
         raise CliError(f"no daemon of the name '{config.name}' runs here; start it with 'midspan run'")
     console = next((worker for worker in workers if worker["worker"] == "web"), None)
     if console is None:
-        raise CliError("the daemon runs without a console: it has not taken up this configuration")
+        raise CliError("the daemon runs without a console: it has not loaded this configuration")
     address = re.match(r"https?://[^\s,]+", console["text"])
     if console["phase"] != Phase.UP.value or address is None:
         raise CliError(f"the console is {console['phase']}: {console['text']}")
@@ -98,6 +98,6 @@ def _make_token(name: str, role: str) -> int:
     except ValidationError:
         raise CliError(f"{name!r} is not a name: letters, digits, '_' and '-', 63 at the most") from None
     print(f"The token of {name}, to be kept as a password; it is shown this once:\n\n  {token}\n")
-    print("In the configuration, which needs its hash alone:\n")
+    print("In the configuration, which contains only its hash:\n")
     print(f'web:\n  tokens:\n    {name}: {{role: {role}, sha256: "{digest}"}}')
     return 0
