@@ -1,4 +1,4 @@
-"""The model of Midspan's one YAML file. Every key is optional; the defaults run on one machine as they are."""
+"""The model of Midspan's YAML file. Every key is optional; the defaults run on one machine as they are."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class TypesSection(Section):
 
 
 class LimitsSection(Section):
-    """What is refused for its size."""
+    """Limits of sizes."""
 
     message: int = setting(
         256,
@@ -65,7 +65,7 @@ class LogSection(Section):
 class Config(Section):
     """Midspan's configuration."""
 
-    # not for workers: one of an earlier version takes what it knows
+    # not sent to workers: one of an earlier version uses the keys that it knows
     version: int = setting(
         FORMAT, "Format of this file; `midspan config migrate` brings an older one here.", ge=1, exclude=True
     )
@@ -96,17 +96,17 @@ class Config(Section):
         FoxgloveSection, "The server for the Foxglove app; see docs/operate/foxglove.md."
     )
     metrics: MetricsSection = subsection(MetricsSection, "Figures for Prometheus; see docs/operate/metrics.md.")
-    limits: LimitsSection = subsection(LimitsSection, "What is refused for its size.")
+    limits: LimitsSection = subsection(LimitsSection, "Limits of sizes.")
     log: LogSection = subsection(LogSection, "Logging.")
 
     @property
     def rules(self) -> RoutingSection:
-        """What crosses, and how: ``routing``, after what follows from ``navigation``."""
+        """The rules of ``routing``, after those that follow from ``navigation``."""
         return with_navigation(self.routing, self.navigation)
 
     @property
     def hosted(self) -> dict[str, Section]:
-        """The sections of all modules that run, by name; what they leave to ``navigation`` is as it says there."""
+        """The sections of all modules that run, by name; ``navigation`` supplies the values that they leave out."""
         found = self.modules.sections
         if self.navigation.planner:
             found["gateway"] = self.navigation
@@ -115,7 +115,7 @@ class Config(Section):
 
 
 def _filled(section: Section, defaults: dict[str, str | None]) -> Section:
-    """The section with these values where it has None."""
+    """Return the section with these values in place of None."""
     left = {name: value for name, value in defaults.items() if getattr(section, name, value) is None}
     return section.model_copy(update=left) if left else section
 

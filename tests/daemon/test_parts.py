@@ -153,7 +153,7 @@ def test_relayed_lines_wait_bounded_until_somebody_takes_them(capsys: pytest.Cap
     handler.relay_to(lambda _level, _text: False)
     handler.close()
     last_words = capsys.readouterr().err.splitlines()
-    assert last_words[0] == "<6>line 7"  # it was refused, and so is still to be told
+    assert last_words[0] == "<6>line 7"  # it was refused, so it is still pending
     assert last_words[-1] == f"<6>line {log.KEPT_LINES + 4}"
 
 

@@ -26,7 +26,6 @@ class TestPage:
     Attributes:
         values: the newest message of each feed.
         counts: number of messages of each feed.
-        said: all other messages.
     """
 
     __test__ = False
@@ -44,7 +43,7 @@ class TestPage:
         self.takes = takes
         self.values: dict[str, dict[str, Any]] = {}
         self.counts: dict[str, int] = {}
-        self.said: list[dict[str, Any]] = []
+        self.said: list[dict[str, Any]] = []  # all other messages
         self._calls = 0
 
     def send(self, **message: Any) -> None:

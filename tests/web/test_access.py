@@ -371,7 +371,7 @@ def test_who_never_begins_tls_is_cut(guarded: GuardedDesk) -> None:
 
 @pytest.mark.parametrize(
     ("break_", "why"),
-    [("missing", "there is no .*here.key"), ("expired", "here.pem expired on"), ("junk", "is not a certificate"),
+    [("missing", "is no .*here.key"), ("expired", "here.pem expired on"), ("junk", "is not a certificate"),
      ("other", "was not signed by"), ("unfit", "cannot have TLS")],
 )  # fmt: skip
 def test_files_that_cannot_be_used_are_named(guarded: GuardedDesk, tmp_path: Path, break_: str, why: str) -> None:
