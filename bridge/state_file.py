@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from bridge.config.model import Config
+from bridge.config.model import DAEMON_NAME, Config
 from yarp_compat.file_names import escaped
 
 
@@ -36,11 +37,37 @@ def lane_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path
 _MAX_SOCKET_PATH = 103
 
 
+_NAME_FILE = ".name"  # no daemon's name begins with a dot
+
+
+def named(config: Config, environ: Mapping[str, str] = os.environ, *others: Path) -> Config:
+    """Return the configuration with the daemon's name from the state folder, if the file does not set ``name``.
+
+    The stored files have the daemon's name in their paths, so they would be lost if it changed with the machine's.
+    ``others`` are further folders to search if the file does not set ``state`` either.
+    """
+    if "name" in config.model_fields_set:
+        return config
+    folders = [state_folder(config, environ), *(others if config.state is None else ())]
+    names = [name for name in map(_stored_name, folders) if name]
+    return config.model_copy(update={"name": names[0]}) if names else config
+
+
+def _stored_name(folder: Path) -> str:
+    """Return the name in a state folder, "" without a valid one."""
+    try:
+        name = (folder / _NAME_FILE).read_text(encoding="utf-8").strip()
+    except (OSError, ValueError):
+        return ""
+    return name if re.fullmatch(DAEMON_NAME, name) else ""
+
+
 def with_state(config: Config, environ: Mapping[str, str] = os.environ) -> Config:
-    """Return the configuration with its state folder filled in; creates the folder, for its owner only.
+    """Return the configuration with its state folder and its name filled in; creates the folder, for its owner only.
 
     Raises `RuntimeError`: the folder cannot be made or written to.
     """
+    config = named(config, environ)
     folder = state_folder(config, environ).absolute()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -52,7 +79,9 @@ def with_state(config: Config, environ: Mapping[str, str] = os.environ) -> Confi
     except OSError as err:
         msg = f"state folder {folder}: {err.strerror}; set 'state' in the configuration to a folder that can be used"
         raise RuntimeError(msg) from err
-    return config.model_copy(update={"state": folder})
+    if "name" not in config.model_fields_set:
+        keep(folder / _NAME_FILE, f"{config.name}\n", "the daemon's name will change if the machine's does")
+    return config.model_copy(update={"state": folder, "name": config.name})
 
 
 def daemon_lock(config: Config) -> Path:

@@ -19,11 +19,13 @@ from bridge.cli.output import CliError
 from bridge.config.document import ConfigError
 from bridge.config.load import find, load
 from bridge.config.model import Config
+from bridge.daemon import units
 from bridge.doctor.daemon_state import DaemonState, Life, daemon_state, describe, unresponsive_router
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSession, HubSettings
 from bridge.hub.zenoh_config import client_session_config, connect_endpoint
+from bridge.state_file import named
 from bridge.stores.entry import StoreError
 
 if TYPE_CHECKING:
@@ -106,7 +108,7 @@ def client_config(args: argparse.Namespace) -> Config:
     A broken file that the command line does not name is ignored, with a warning, if ``--router`` names the hub.
     """
     try:
-        config = load(args.config)
+        config = named(load(args.config), os.environ, units.STATE)
     except ConfigError as err:
         if args.config is not None or args.router is None:
             raise

@@ -26,6 +26,7 @@ from bridge.config.sections.yarp import YarpSection
 from bridge.config.sections.zenoh import ZenohSection
 from bridge.sides import imported, own_sides
 
+DAEMON_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,62}$"
 FORMAT = 1
 """The format of the files that this Midspan reads; `bridge.config.migrate` brings older ones to it."""
 
@@ -69,9 +70,9 @@ class Config(Section):
     version: int = setting(
         FORMAT, "Format of this file; `midspan config migrate` brings an older one here.", ge=1, exclude=True
     )
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,62}$")] = Field(
+    name: Annotated[str, Field(pattern=DAEMON_NAME)] = Field(
         default_factory=lambda: re.sub(r"[^A-Za-z0-9_.-]", "-", socket.gethostname())[:63] or "midspan",
-        description="Name of this daemon; default the machine's.",
+        description="Name of this daemon; default the machine's at the first start, which the state folder keeps.",
     )
     state: Path | None = setting(
         None, "State folder; default $STATE_DIRECTORY, $XDG_STATE_HOME/midspan or ~/.local/state/midspan."

@@ -58,7 +58,9 @@ class Supervisor:
     ) -> None:  # fmt: skip
         self._file = file
         self._environ = environ
-        self._config = state_file.with_state(load(file), environ)
+        loaded = load(file)
+        self._config = state_file.with_state(loaded, environ)
+        self._machine_name = loaded.name
         self.loop = SelectorLoop()
         self._notify = Notifier(environ)
         self._cores = cores or usable_cores()
@@ -104,6 +106,9 @@ class Supervisor:
         self._begun = self._stepped = time.monotonic()
         try:
             logger.info("%s: limit of open files %d", self._config.name, raise_open_files())
+            if self._machine_name != self._config.name:
+                why = "this daemon keeps the name of its first start, under which its state is stored"
+                logger.warning("%s: the machine's name is %s now; %s", self._config.name, self._machine_name, why)
             self._begin(self._config)
             while not self._stops:
                 self._step()
@@ -241,7 +246,7 @@ class Supervisor:
         self._begin(config)
 
     def _checked_again(self) -> Config:
-        config = load(self._file)
+        config = state_file.named(load(self._file), self._environ)
         # The folder in use may be full or read-only by now: that is reported, but must not make the reload fail.
         config = config.model_copy(update={"state": state_folder(config, self._environ).absolute()})
         for key in ("name", "state"):

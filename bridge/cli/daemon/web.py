@@ -38,8 +38,9 @@ def run(args: argparse.Namespace) -> int:
     if args.token is not None:
         return _make_token(args.token, args.role)
     from bridge.config.load import load
+    from bridge.state_file import named
 
-    config = load(args.config)
+    config = named(load(args.config))
     address = _address(config)
     print(address, flush=True)
     if address.startswith("https:"):

@@ -12,7 +12,7 @@ from bridge.config.document import ConfigError
 from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.daemon.query import Phase
-from bridge.daemon.units import start_hint, units_in_use
+from bridge.daemon.units import STATE, start_hint, units_in_use
 from bridge.doctor.causes import cause, grouped, shared
 from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext, Document
@@ -23,6 +23,7 @@ from bridge.hub.router import port_held, port_holder, probe_router
 from bridge.hub.security.certificates import Certificate, CertificateError, read_certificate, signed_by
 from bridge.hub.security.door import has_tls, key_files
 from bridge.hub.security.key_files import KeyFiles
+from bridge.state_file import named
 
 _COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}
 """What the daemon says of a worker that does not answer on the hub yet."""
@@ -49,7 +50,7 @@ def look_at_services(context: CheckContext) -> Findings:
     claims: dict[str, list[str]] = {}
     for unit, file in units.items():
         try:
-            config = load(file)
+            config = named(load(file), context.environ, STATE)
         except ConfigError as err:
             findings += [fail(f"{unit}: {line}", f"midspan config check {file}") for line in str(err).splitlines()]
             continue
