@@ -19,10 +19,12 @@ from bridge.cli.output import CliError
 from bridge.config.document import ConfigError
 from bridge.config.load import find, load
 from bridge.config.model import Config
+from bridge.config.sections.section import is_loopback
 from bridge.daemon import units
 from bridge.doctor.daemon_state import DaemonState, Life, daemon_state, describe, unresponsive_router
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.errors import HubError
+from bridge.hub.identity import ask_identity
 from bridge.hub.session import Hub, HubSession, HubSettings
 from bridge.hub.zenoh_config import client_session_config, connect_endpoint
 from bridge.state_file import named
@@ -152,7 +154,7 @@ def _connected(args: argparse.Namespace, config: Config) -> Iterator[CliClient]:
     """Join the hub; the error names what this machine's daemon knows of its router."""
     with ExitStack() as stack:
         try:
-            client = stack.enter_context(connect(config))
+            client = stack.enter_context(connect(config, here=of_this_machine(args)))
         except UnreachableHubError as err:
             state = daemon_state(config, file=config_file(args)) if of_this_machine(args) else DaemonState("")
             missing = state.why_missing("router", config) or _report(state)
@@ -190,8 +192,11 @@ def of_this_machine(args: argparse.Namespace) -> bool:
 
 
 @contextmanager
-def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[CliClient]:
-    """Join the hub of a configuration; raises `CliError` if no router answers within ``seconds``."""
+def connect(config: Config, seconds: float = CONNECT_SECONDS, *, here: bool = False) -> Iterator[CliClient]:
+    """Join the hub of a configuration; raises `CliError` if no router answers within ``seconds``.
+
+    ``here``: the hub is that of this machine's daemon, whose name the client gets if it is not known.
+    """
     where = f"the hub at {connect_endpoint(config.hub.listen)} (domain {config.hub.domain})"
     try:
         session = zenoh.open(client_session_config(config.hub.listen, config.hub.zenoh, seconds))
@@ -201,6 +206,7 @@ def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[CliCli
     except HubError as err:
         raise CliError(f"hub.zenoh: {err}") from None
     try:
+        config = _with_name(config, session) if here else config
         settings = HubSettings(
             domain=config.hub.domain, node=f"midspan_cli_{os.getpid()}", daemon=config.name, worker=f"cli-{os.getpid()}"
         )
@@ -212,6 +218,19 @@ def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[CliCli
         yield CliClient(hub, config, where)
     finally:
         hub.close()
+
+
+def _with_name(config: Config, session: zenoh.Session) -> Config:
+    """Return the configuration with the name of the router's daemon, if neither the file nor the state has one.
+
+    The state folder of a service is not readable for other users, and the machine may have been renamed.
+    """
+    if "name" not in config.model_fields_set and is_loopback(config.hub.listen):
+        for zid in session.info.routers_zid():
+            daemon, _ = ask_identity(session, str(zid), ASK_SECONDS)
+            if daemon:
+                return config.model_copy(update={"name": daemon})
+    return config
 
 
 _DOWN = "Is the daemon running? Start it with 'midspan run', or name another router with --router."

@@ -1,8 +1,8 @@
 """The control plane: questions and answers in JSON between Midspan's own programs, as zenoh queries.
 
 A worker answers on ``@midspan/<domain>/<daemon>/<worker>/<verb>``. The answer is ``{"value": ...}`` or
-``{"error": "..."}``, with ``wire``, the version of `bridge.hub.wire.version`. A key that starts with ``@`` is not heard
-by those who listen to everything.
+``{"error": "..."}``, with ``wire``, the version of `bridge.hub.wire.version`. Subscribers of ``**`` do
+not receive keys that start with ``@``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import contextlib
 import json
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from threading import BoundedSemaphore
 from typing import Any
@@ -38,16 +38,17 @@ _THREADS = 2
 
 @dataclass(frozen=True, slots=True)
 class WorkerAnswer:
-    """What one worker answered; ``error`` is "" where ``value`` holds."""
+    """One worker's answer; ``error`` is "" if ``value`` is valid. ``session`` is the id of the worker's session."""
 
     daemon: str
     worker: str
     value: Any
     error: str = ""
+    session: str = field(default="", compare=False)
 
 
 class Control:
-    """Answers for one worker. Handlers run on threads of their own, never on zenoh's."""
+    """Answers for one worker. Handlers run on separate threads, never on zenoh's."""
 
     def __init__(self, session: zenoh.Session, domain: int, daemon: str, worker: str) -> None:
         self._session = session
@@ -76,7 +77,7 @@ class Control:
         return partial(self._withdraw, serving)
 
     def close(self) -> None:
-        """Answer no more, and end the threads. Safe to call twice."""
+        """Stop answering, and end the threads. Safe to call twice."""
         undeclare(*self._serving)
         self._pool.close(1.0)
 
@@ -106,8 +107,12 @@ def ask(
     answers: list[WorkerAnswer] = []
     for reply in replies:
         if reply.ok is not None and len(answers) < _MAX_ANSWERS:
-            answers.append(_read(reply.ok))
+            answers.append(replace(_read(reply.ok), session=_session(reply)))
     return answers
+
+
+def _session(reply: zenoh.Reply) -> str:
+    return "" if reply.replier_id is None else str(reply.replier_id.zid)
 
 
 def _answer(handler: Handler, query: zenoh.Query) -> bytes:
@@ -145,7 +150,7 @@ def _reply(query: zenoh.Query, key: str, answer: bytes) -> None:
         with query:
             query.reply(key, answer)
     except zenoh.ZError as err:
-        _log.debug("nobody waits for %s any more: %s", key, err)
+        _log.debug("the asker of %s has gone: %s", key, err)
 
 
 def _read(sample: zenoh.Sample) -> WorkerAnswer:

@@ -23,8 +23,9 @@ from bridge.config.model import Config
 from bridge.config.rules import commands
 from bridge.hub.control import Control
 from bridge.hub.errors import HubError, zenoh_reason
-from bridge.hub.graph.tokens import MIDSPAN_SPACE
+from bridge.hub.identity import ask_identity, identity, identity_key
 from bridge.hub.links import MEMBERS
+from bridge.hub.namesakes import Namesakes
 from bridge.hub.opening import open_session
 from bridge.hub.security.door import HubDoor, KeyWatch, check_closed, has_tls, key_files
 from bridge.hub.security.endpoints import closed_endpoints
@@ -132,6 +133,7 @@ class RouterWorker(Worker):
         self._door_again = 0.0
         self._session: zenoh.Session | None = None
         self._control: Control | None = None
+        self._namesakes: Namesakes | None = None
         self._other = ""
         self._started = time.monotonic()
         self._process = psutil.Process()
@@ -179,8 +181,10 @@ class RouterWorker(Worker):
             session = self._take_over(self._config)
         if session is None:
             return Health("standby", f"{self._other} is used{self._door_text()}")
-        if not list(session.get(_identity_key(session), timeout=_ANSWER_SECONDS)):
+        if not list(session.get(identity_key(str(session.zid())), timeout=_ANSWER_SECONDS)):
             raise TimeoutError(f"the router does not answer within {_ANSWER_SECONDS:g} s")
+        if self._namesakes is not None:
+            self._namesakes.check()
         sessions = f"{len(session.info.transports())} sessions at {self._config.hub.listen}"
         return Health("running", f"{sessions}{self._door_text()}")
 
@@ -256,15 +260,17 @@ class RouterWorker(Worker):
         session = open_session(zenoh_config)
         self._session = session
         self._control = Control(session, hub.domain, config.name, "router")
-        identity = json.dumps({"daemon": config.name, "pid": os.getpid()}).encode()
-        key = _identity_key(session)
+        answer = identity(config.name, os.getpid())
+        key = identity_key(str(session.zid()))
 
         def identify(query: zenoh.Query) -> None:
             with query:
-                query.reply(key, identity)
+                query.reply(key, answer)
 
         session.declare_queryable(key, zenoh.handlers.Callback(identify, indirect=False))
-        self._control.serve(MEMBERS, lambda _params: {"zid": str(session.zid()), "members": _members(session)})
+        zid, machine = str(session.zid()), socket.gethostname()
+        self._control.serve(MEMBERS, lambda _params: {"zid": zid, "members": _members(session), "machine": machine})
+        self._namesakes = Namesakes(session, hub.domain, config.name)
         self._control.serve("status", lambda _params: self._status(config, session))
         self._process.cpu_percent()
 
@@ -286,8 +292,12 @@ class RouterWorker(Worker):
             **self._door_status(),
             "routes": [],
             "refused": [],
-            "warnings": [f"hub.open: {self._door_trouble}"] if self._door_trouble else [],
+            "warnings": self._warnings(),
         }
+
+    def _warnings(self) -> list[str]:
+        namesakes = self._namesakes.warning if self._namesakes is not None else ""
+        return [*([f"hub.open: {self._door_trouble}"] if self._door_trouble else []), *filter(None, [namesakes])]
 
     def _door_status(self) -> dict[str, Any]:
         """Return the other machines, the endpoints by which they join, and the commands that need ``trusted``."""
@@ -311,20 +321,9 @@ def _members(session: zenoh.Session) -> list[str]:
     return [str(transport.zid) for transport in session.info.transports()]
 
 
-def _identity_key(session: zenoh.Session) -> str:
-    return f"{MIDSPAN_SPACE}/router/{session.zid()}"
-
-
 def _identify(session: zenoh.Session, endpoint: str, seconds: float) -> RouterInfo | None:
     routers = [str(zid) for zid in session.info.routers_zid()]
     peers = [str(zid) for zid in session.info.peers_zid()]
     if not routers:
         return RouterInfo(endpoint, peers[0], "peer") if peers else None
-    for reply in session.get(f"{MIDSPAN_SPACE}/router/{routers[0]}", timeout=seconds):
-        if reply.ok is not None:
-            try:
-                known = json.loads(reply.ok.payload.to_bytes())
-                return RouterInfo(endpoint, routers[0], "router", str(known["daemon"]), int(known["pid"]))
-            except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
-                _log.debug("the router at %s gives no valid identity", endpoint)
-    return RouterInfo(endpoint, routers[0], "router")
+    return RouterInfo(endpoint, routers[0], "router", *ask_identity(session, routers[0], seconds))

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bridge.concurrency import Backoff
+from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.daemon import log
 from bridge.daemon.lock import Lock
@@ -33,9 +34,10 @@ from bridge.daemon.protocol import (
     encode_command,
     encode_report,
 )
+from bridge.daemon.supervisor import Supervisor
 from bridge.daemon.workers import VARIABLE, worker_kinds
 from bridge.progress import Busy
-from bridge.state_file import state_folder
+from bridge.state_file import named, state_folder, with_state, worker_folder
 from bridge.worker import Health
 
 REPORTS = [
@@ -218,6 +220,44 @@ def test_loop_calls_nothing_that_an_earlier_callback_ended() -> None:
 def test_state_folder(environ: dict[str, str], folder: str) -> None:
     assert state_folder(Config(), environ) == Path(folder)
     assert state_folder(Config(state=Path("/own")), environ) == Path("/own")
+
+
+def test_a_renamed_machine_keeps_the_daemons_name_and_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    environ = {"STATE_DIRECTORY": str(tmp_path / "state")}
+    monkeypatch.setattr("socket.gethostname", lambda: "robot1")
+    first = with_state(Config(), environ)
+    assert (first.name, named(Config(), environ).name) == ("robot1", "robot1")
+    monkeypatch.setattr("socket.gethostname", lambda: "robot2")
+    renamed = with_state(Config(), environ)
+    assert (renamed.name, worker_folder(renamed)) == ("robot1", worker_folder(first))
+    assert with_state(Config(name="own"), environ).name == "own"
+    assert named(Config(), environ).name == "robot1", "a configured name is not stored"
+    assert named(Config(), {"STATE_DIRECTORY": "/none"}, tmp_path / "state").name == "robot1"
+    other = Config(state=tmp_path / "other")
+    assert named(other, environ, tmp_path / "state").name == "robot2", "a configured state folder is the only one"
+
+
+@pytest.mark.parametrize("stored", [b"", b"../x", b"a b", b"\xff\xfe", b"x" * 100])
+def test_an_invalid_stored_name_is_replaced(stored: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("socket.gethostname", lambda: "robot1")
+    (tmp_path / ".name").write_bytes(stored)
+    assert with_state(Config(state=tmp_path)).name == "robot1"
+    assert (tmp_path / ".name").read_text() == "robot1\n"
+
+
+def test_a_daemon_reports_and_reloads_under_its_stored_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = tmp_path / "midspan.yaml"
+    file.write_text("state: state\n")
+    monkeypatch.setattr("socket.gethostname", lambda: "robot1")
+    with_state(load(file))
+    monkeypatch.setattr("socket.gethostname", lambda: "robot2")
+    supervisor = Supervisor(file, environ={})
+    supervisor.request_stop()
+    supervisor.run()
+    assert "robot1: the machine's name is robot2 now; this daemon keeps the name" in caplog.text
+    assert supervisor._checked_again() == supervisor.config
 
 
 def test_table_of_workers() -> None:

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import CliClient, client_config, config_file, connect, of_this_machine
+from bridge.cli.inspection.namesakes import distinct
 from bridge.cli.inspection.status import absent, document_of, with_silent
 from bridge.cli.output import CliError, clean, make_console, print_json
 from bridge.config.document import ConfigError
@@ -69,7 +70,7 @@ def _look_around(args: argparse.Namespace) -> CheckContext:
     except (ConfigError, OSError) as err:
         hub = HubSnapshot("the hub was not asked: the configuration cannot be used")
         return CheckContext(config_text=str(err), config_good=False, environ=environ, hub=hub)
-    hub = _look_at_hub(config)
+    config, hub = _look_at_hub(config, here=of_this_machine(args))
     state = daemon_state(config, hub.documents, config_file(args)) if of_this_machine(args) else DaemonState("")
     documents = with_silent(hub.documents, absent(state.document, looping=True))
     hub = dataclasses.replace(hub, documents=documents)
@@ -96,17 +97,18 @@ def _checked(file: Path | None) -> tuple[str, bool]:
     return (f"{file} is good" if file is not None else "no configuration file: all defaults"), True
 
 
-def _look_at_hub(config: Config) -> HubSnapshot:
+def _look_at_hub(config: Config, *, here: bool) -> tuple[Config, HubSnapshot]:
+    """Return the configuration with the daemon's name, and the hub."""
     try:
-        with connect(config) as client:
-            return snapshot(client)
+        with connect(config, here=here) as client:
+            return client.config, snapshot(client)
     except CliError as err:
-        return HubSnapshot(str(err))
+        return config, HubSnapshot(str(err))
 
 
 def snapshot(client: CliClient) -> HubSnapshot:
     """Return the hub as this client sees it."""
-    documents = [document_of(answer) for answer in client.ask("status")]
+    documents = [document_of(answer) for answer in distinct(client.ask("status"), client.hub.zid)]
     client.settle()
     endpoints = [e for e in client.hub.graph.endpoints() if not e.own]
     return HubSnapshot("", documents, endpoints, _clocks(client))

@@ -16,6 +16,7 @@ from rich.text import Text
 from bridge.cli.arguments import add_hub_arguments, number_in
 from bridge.cli.client import CliClient, client_config, config_file, of_this_machine, open_client
 from bridge.cli.documents import Document, arrow, connected_lines, dicts, port_list, route_list, routes_table, texts
+from bridge.cli.inspection.namesakes import distinct
 from bridge.cli.inspection.refusals import Refusal, refusals
 from bridge.cli.output import CliError, clean, duration, is_number, make_console, plural, print_json, side_name, size
 from bridge.daemon.query import Phase
@@ -83,7 +84,7 @@ def ask_status(client: CliClient) -> list[Document]:
         if state.life is Life.RUNNING:
             hint = f"The daemon {state.name} is running (process {state.pid}): 'midspan status' lists its workers."
         raise CliError(f"a router answers, but no worker of Midspan does on {client.where}.\n{hint}")
-    return [document_of(answer) for answer in answers]
+    return [document_of(answer) for answer in distinct(answers, client.hub.zid)]
 
 
 def absent(report: Document, phases: Container[str] = _ABSENT, *, looping: bool = False) -> list[Document]:

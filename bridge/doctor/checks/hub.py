@@ -50,7 +50,7 @@ def look_at_services(context: CheckContext) -> Findings:
     claims: dict[str, list[str]] = {}
     for unit, file in units.items():
         try:
-            config = named(load(file), context.environ, STATE)
+            config = named(load(file), {"STATE_DIRECTORY": str(context.root / STATE.relative_to("/"))})
         except ConfigError as err:
             findings += [fail(f"{unit}: {line}", f"midspan config check {file}") for line in str(err).splitlines()]
             continue

@@ -11,6 +11,7 @@ from typing import Any
 from bridge.cli.client import CliClient
 from bridge.cli.documents import Document, dicts, route_list
 from bridge.cli.graph.view import ask_decisions
+from bridge.cli.inspection.namesakes import distinct
 from bridge.cli.inspection.status import absent, document_of
 from bridge.cli.output import CliError
 from bridge.concurrency import SerialExecutor
@@ -95,7 +96,8 @@ class StatusAsker:
 
 def ask_status(client: CliClient) -> dict[str, Any]:
     """Return the workers on the hub with their routes, and those that this daemon reports as not answering yet."""
-    documents = [document_of(answer) for answer in client.ask("status", timeout=_ASK_SECONDS)]
+    answers = client.ask("status", timeout=_ASK_SECONDS)
+    documents = [document_of(answer) for answer in distinct(answers, client.hub.zid)]
     answering = {(str(document["daemon"]), str(document["worker"])) for document in documents}
     said = ask_daemon(client.config) or {}
     silent = [worker for worker in absent(said, _NOT_HERE) if (said["daemon"], worker["worker"]) not in answering]
