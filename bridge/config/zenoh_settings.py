@@ -86,7 +86,10 @@ def _json5(file: Path, text: str, section: KeyPath) -> Any:
         detail = f"{expected[1] if expected else 'an error'}; check commas, quotes and brackets from here on"
         raise ConfigError([Problem(file, int(place[1]), int(place[2]), key, f"not valid JSON5: {detail}")])
     # zenoh accepts any value as its metadata, and returns it with the keys that it ignores elsewhere
-    return json.loads(config.from_json5(f'{{"metadata": {text}\n}}').get_json("metadata"))
+    wrapped = f'{{"metadata": {text}\n}}'
+    if reason := _refusal(partial(config.from_json5, wrapped)):
+        raise ConfigError([Problem(file, 0, 0, key, f"zenoh refuses it: {reason}")])
+    return json.loads(config.from_json5(wrapped).get_json("metadata"))
 
 
 def _depth(text: str) -> int:
@@ -123,10 +126,10 @@ def _of_tree(tree: Any, section: KeyPath) -> list[_Flaw]:
     tree = {key: value for key, value in tree.items() if not (key == "plugins" and flaws)}
     tree, refused = _accepted(tree)
     flaws += refused
-    flaws += _ignored(tree)
+    flaws += [flaw for flaw in _ignored(tree) if not any(path[: len(flaw[0])] == flaw[0] for path, _ in refused)]
     flaws += _bad_endpoints(tree, indoors=section == _INDOORS)
     flaws += _missing_files(tree)
-    flaws += [] if refused else _bad_references(tree)
+    flaws += [] if flaws else _bad_references(tree)
     if section in _ROUTERS and tree.get("mode", "router") != "router":
         flaws.append((("mode",), f"the mode of the daemon's router is 'router', not {tree['mode']!r}; leave it out"))
     return flaws[:_MOST]
@@ -234,7 +237,9 @@ def _ignored(tree: Tree) -> Iterator[_Flaw]:
     """Yield the keys that zenoh's parser ignores, and the numbers that it changes because they are out of range."""
     config = _zenoh().Config.from_json5(json.dumps(tree))
     for path, value, known in _differences(tree, json.loads(str(config)), ()):
-        if not isinstance(known, dict):
+        if isinstance(value, list) and isinstance(known, dict):
+            yield path, "must be a map, not a list"
+        elif not isinstance(known, dict):
             yield path, f"zenoh reads {value} as {known}; it is out of range"
         elif path not in _LEGACY and _refusal(partial(config.get_json, "/".join(map(str, path)))):
             unknown = _unknown(str(path[-1]), list(known))
@@ -242,7 +247,7 @@ def _ignored(tree: Tree) -> Iterator[_Flaw]:
 
 
 def _differences(given: Any, read: Any, path: KeyPath) -> Iterator[tuple[KeyPath, Any, Any]]:
-    """Yield each lost key with its known siblings, and each changed number with the one that was read."""
+    """Yield each lost key with its known siblings, and each list or number with the different value that was read."""
     if isinstance(given, dict):
         known = read if isinstance(read, dict) else {}
         for key, value in given.items():
@@ -253,8 +258,10 @@ def _differences(given: Any, read: Any, path: KeyPath) -> Iterator[tuple[KeyPath
     elif isinstance(given, list) and isinstance(read, list) and len(given) == len(read):
         for index, (value, other) in enumerate(zip(given, read, strict=True)):
             yield from _differences(value, other, (*path, index))
-    elif isinstance(given, int | float) and isinstance(read, int | float) and given != read:
-        yield path, given, read
+    else:
+        number = isinstance(given, int | float) and isinstance(read, int | float)
+        if (number and given != read) or (isinstance(given, list) and isinstance(read, dict)):
+            yield path, given, read
 
 
 # -- what the parser does not check ------------------------------------------------------------------------------------

@@ -100,6 +100,13 @@ def test_what_zenohs_parser_refuses(text: str, lines: list[str]) -> None:
             ["m.yaml:1:43: hub.router_zenoh.listen.endpoints.router[0]: tcp/0.0.0.0:7447 is open to other machines; these join only by hub.open"],
         ),
         (
+            "hub: {zenoh: {transport: [], scouting: {gossip: [true]}}}",
+            [
+                "m.yaml:1:15: hub.zenoh.transport: must be a map, not a list",
+                "m.yaml:1:41: hub.zenoh.scouting.gossip: must be a map, not a list",
+            ],
+        ),
+        (
             "hub: {zenoh: {listen: {endpoints: ['serial//dev/ttyUSB0']}}}",
             [f"m.yaml:1:24: hub.zenoh.listen.endpoints[0]: serial//dev/ttyUSB0: 'serial' is not one of {PROTOCOLS}"],
         ),
