@@ -25,6 +25,7 @@ import zenoh
 
 from bridge.hub.errors import zenoh_reason
 from bridge.hub.shared_memory import FOLDER
+from bridge.hub.zenoh_config import without_shared_memory
 
 _log = logging.getLogger(__name__)
 
@@ -35,7 +36,7 @@ _BOOKS = 2 << 20
 """Bytes for zenoh's book-keeping in each process (1.3 MB), and for the small files of a session."""
 
 _lock = threading.Lock()
-_books = False
+_books = _noted = False
 _trouble = ""
 
 
@@ -47,7 +48,11 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
     if not json.loads(config.get_json(_SWITCH)):
         return zenoh.open(config)
     size = int(json.loads(config.get_json(_POOL_SIZE))) + _BOOKS
-    reason = room_trouble(size) or lock_trouble(size) or _books_trouble()
+    reason = room_trouble(size)
+    if not reason and (lock := lock_trouble(size)):
+        _note(lock, logging.INFO)  # the default of many systems, and no trouble of this one
+        return zenoh.open(without_shared_memory(config))
+    reason = reason or _books_trouble()
     if not reason:
         try:
             return zenoh.open(config)
@@ -55,22 +60,25 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
             if "shm" not in str(err).lower():
                 raise
             reason = zenoh_reason(err)
-    _note(f"large messages go over the network link instead of shared memory: {reason}; then restart this worker")
-    config.insert_json5(_SWITCH, "false")
-    return zenoh.open(config)
+    _note(reason, logging.WARNING)
+    return zenoh.open(without_shared_memory(config))
 
 
 def trouble() -> str:
-    """Return why sessions of this process do without their shared memory, and the cure; "" if none does."""
+    """Return why sessions of this process have no room for their shared memory, and the cure; "" if they have."""
     return _trouble
 
 
-def _note(text: str) -> None:
-    global _trouble
+def _note(reason: str, level: int) -> None:
+    """Log the reason once, and keep it as `trouble` if the level is that of a warning."""
+    global _noted, _trouble
+    text = f"large messages go over the network link instead of shared memory: {reason}; then restart this worker"
     with _lock:
-        known, _trouble = _trouble, text
+        known, _noted = _noted, True
+        if level >= logging.WARNING:
+            _trouble = text
     if not known:
-        _log.warning("%s", text)
+        _log.log(level, "%s", text)
 
 
 def room_trouble(size: int, folder: Path = FOLDER) -> str:

@@ -45,6 +45,8 @@ class Opened:
 @pytest.fixture(autouse=True)
 def _fresh(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(opening, "_trouble", "")
+    monkeypatch.setattr(opening, "_noted", False)
+    monkeypatch.setattr(opening, "lock_trouble", lambda _size: "")
     monkeypatch.setattr(opening, "room_trouble", lambda _size: "")
 
 
@@ -73,6 +75,19 @@ def test_without_room_the_session_does_not_try(monkeypatch: pytest.MonkeyPatch) 
     open_session(config())
     assert zenoh_open.switches == [False]
     assert "/dev/shm is full" in opening.trouble()
+
+
+def test_a_limit_of_locked_memory_is_logged_but_no_warning(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(opening, "lock_trouble", lambda _size: "this user may lock 8.4 MB of memory")
+    zenoh_open = opened(monkeypatch)
+    with caplog.at_level(logging.INFO):
+        open_session(config())
+    assert zenoh_open.switches == [False]
+    assert [record.levelname for record in caplog.records] == ["INFO"]
+    assert "this user may lock 8.4 MB of memory; then restart this worker" in caplog.text
+    assert opening.trouble() == ""
 
 
 def test_another_error_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
