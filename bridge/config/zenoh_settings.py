@@ -132,6 +132,8 @@ def _of_tree(tree: Any, section: KeyPath) -> list[_Flaw]:
     flaws += [] if flaws else _bad_references(tree)
     if section in _ROUTERS and tree.get("mode", "router") != "router":
         flaws.append((("mode",), f"the mode of the daemon's router is 'router', not {tree['mode']!r}; leave it out"))
+    if section == ("hub", "zenoh") and tree.get("id"):
+        flaws.append((("id",), "all sessions would have this id, and only one could join; leave it out"))
     return flaws[:_MOST]
 
 

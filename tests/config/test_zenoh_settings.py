@@ -100,6 +100,10 @@ def test_what_zenohs_parser_refuses(text: str, lines: list[str]) -> None:
             ["m.yaml:1:43: hub.router_zenoh.listen.endpoints.router[0]: tcp/0.0.0.0:7447 is open to other machines; these join only by hub.open"],
         ),
         (
+            "hub: {zenoh: {id: abc123}}",
+            ["m.yaml:1:15: hub.zenoh.id: all sessions would have this id, and only one could join; leave it out"],
+        ),
+        (
             "hub: {zenoh: {transport: [], scouting: {gossip: [true]}}}",
             [
                 "m.yaml:1:15: hub.zenoh.transport: must be a map, not a list",
