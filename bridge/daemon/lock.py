@@ -16,22 +16,27 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.daemon.protocol import Owner
+from bridge.routing.processes import process_space
 
 logger = logging.getLogger("midspan.daemon")
 
 
 @dataclass(frozen=True, slots=True)
 class Holder:
-    """Who holds a lock, as it wrote itself into the file."""
+    """The process that holds a lock, as the lock's file names it; ``space`` is that of its process id."""
 
     pid: int
     machine: str
     owner: Owner
+    space: str = ""
 
     @property
     def is_here(self) -> bool:
-        """Whether the holder is a process of this machine (a state folder may be shared over the network)."""
-        return self.machine == socket.gethostname()
+        """Whether the holder is a process of this machine (a state folder may be shared over the network).
+
+        The machine may have been renamed since, or restarted.
+        """
+        return self.machine == socket.gethostname() or self.space == process_space() != ""
 
 
 class Lock:
@@ -44,11 +49,11 @@ class Lock:
         except OSError as err:
             if err.errno not in {errno.EROFS, errno.ENOSPC, errno.EACCES, errno.EDQUOT}:
                 raise
-            # The file is there from better times, and a lock needs no writing.
+            # an existing file is enough, as a lock needs no writing
             self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
 
     def try_lock(self) -> bool:
-        """Try to take the lock, for this process or the one that it starts; False where another one holds it."""
+        """Try to lock, for this process or the one that it starts; return False if another one holds the lock."""
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -56,8 +61,9 @@ class Lock:
         return True
 
     def write(self, pid: int, owner: Owner) -> None:
-        """Say who holds the lock, this process or the child with its descriptor; it holds without that, too."""
-        text = json.dumps({"pid": pid, "machine": socket.gethostname(), "owner": owner})
+        """Write the holder into the file: this process, or the child with its descriptor. The lock works without it."""
+        holder = {"pid": pid, "machine": socket.gethostname(), "owner": owner, "space": process_space()}
+        text = json.dumps(holder)
         try:
             os.ftruncate(self._file, 0)
             os.pwrite(self._file, text.encode(), 0)
@@ -65,12 +71,12 @@ class Lock:
             logger.warning("cannot write into %s who holds it: %s", self.path, err.strerror)
 
     def holder(self) -> Holder | None:
-        """Who holds it; None where nothing is written yet."""
+        """Return the holder; None if the file does not name one."""
         try:
             data = json.loads(os.pread(self._file, 4096, 0))
             owner: Owner = "service" if data["owner"] == "service" else "daemon"
-            return Holder(int(data["pid"]), str(data["machine"]), owner)
-        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+            return Holder(int(data["pid"]), str(data["machine"]), owner, str(data.get("space", "")))
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             return None
 
     def fileno(self) -> int:

@@ -1,7 +1,7 @@
 """Names of processes, by which another worker on the machine knows at once that one has ended.
 
-A process is named by the machine's boot id, the PID namespace, the id and the time of its start, so a name means
-nothing to other machines and containers, and an id that was given again is no mistake (proc(5)).
+A process is named by the machine's boot id, the PID namespace, the id and the time of its start, so a name is invalid
+on other machines and in other containers, and a reused id does not match (proc(5)).
 """
 
 from __future__ import annotations
@@ -13,20 +13,23 @@ _PROC = Path("/proc")
 
 
 def process_name(pid: int = 0) -> str:
-    """The name of a process, by default of this one; "" where the system has none."""
+    """Return the name of a process, by default of this one; "" if the system has no /proc."""
     pid = pid or os.getpid()
-    place, started = _place(), _started(pid)
+    place, started = process_space(), _started(pid)
     return f"{place} {pid} {started}" if place and started else ""
 
 
 def has_ended(name: str) -> bool:
-    """Whether a process of this machine has ended; False where that cannot be known from here."""
+    """Return whether a process of this machine has ended; False if that is unknown here."""
     place, _, process = name.rpartition(" ")[0].rpartition(" ")
     pid, started = process, name.rpartition(" ")[2]
-    return bool(place) and place == _place() and pid.isascii() and pid.isdigit() and _started(int(pid)) != started
+    return (
+        bool(place) and place == process_space() and pid.isascii() and pid.isdigit() and _started(int(pid)) != started
+    )
 
 
-def _place() -> str:
+def process_space() -> str:
+    """Return the machine's boot id and the PID namespace, within which process ids are unique; "" if unknown."""
     try:
         boot = (_PROC / "sys/kernel/random/boot_id").read_text().strip()
         return f"{boot} {(_PROC / 'self/ns/pid').stat().st_ino}"
@@ -35,7 +38,7 @@ def _place() -> str:
 
 
 def _started(pid: int) -> str:
-    """Time of a process's start in the kernel's ticks, "" where there is no such process or only its remains."""
+    """Return the start time of a process in the kernel's ticks, "" if it does not exist or is a zombie."""
     try:
         words = (_PROC / str(pid) / "stat").read_text(errors="replace").rpartition(")")[2].split()
     except OSError:

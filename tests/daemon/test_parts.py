@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -174,6 +175,20 @@ def test_lock_lives_with_whoever_has_its_descriptor(tmp_path: Path) -> None:
     os.close(handed_on)
     assert second.try_lock()
     second.close()
+
+
+def test_a_lock_is_of_this_machine_after_a_rename(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lock = Lock(tmp_path / "lock")
+    monkeypatch.setattr("socket.gethostname", lambda: "robot1")
+    lock.write(1, "daemon")
+    monkeypatch.setattr("socket.gethostname", lambda: "robot2")
+    holder = lock.holder()
+    assert holder is not None
+    assert (holder.machine, holder.is_here) == ("robot1", True)
+    assert replace(holder, machine="robot2", space="an earlier boot").is_here, "the machine was restarted"
+    for space in ("another boot", ""):
+        assert not replace(holder, space=space).is_here
+    lock.close()
 
 
 @pytest.mark.parametrize("text", ["", "{}", "nonsense", '{"pid": "x", "machine": 1, "owner": 2}', "[1]"])
