@@ -97,4 +97,4 @@ class ReleaseTrials:
             reason = "a guess: it did not read a reply in the format of 3.6 to 3.10"
             finding = ReleaseFinding(Generation.YARP_3_12, reason, sure=False)
         self._generations.findings.add(peer, finding, link)
-        log.info("%s: YARP %s, since %s", device_of(peer), finding.generation.value, reason)
+        log.info("%s: its calls are answered as by YARP %s (%s)", device_of(peer), finding.generation.value, reason)
