@@ -20,13 +20,14 @@ class ActionGoals:
 
     def __init__(self, host: Host, action: str, *, always: bool, changed: Callable[[bool], None]) -> None:
         self._host, self._changed = host, changed  # called with whether the list differs from the one before
-        self.action = action
+        self.action, parts = action, names(action)
+        self._status = parts.status
         self.list = GoalList(always=always)
         self._to_end: dict[bytes, None] = {}
         self._asked: dict[bytes, float] = {}
         self._end_next = False  # the goals of the next valid list have to end
-        self._client = host.node.client(names(action).cancel_goal, CANCEL)
-        self._subscription = host.node.subscription(names(action).status, STATUSES, self._on_list, LATCHED)
+        self._client = host.node.client(parts.cancel_goal, CANCEL)
+        self._subscription = host.node.subscription(self._status, STATUSES, self._on_list, LATCHED)
 
     @property
     def there(self) -> bool:
@@ -67,7 +68,7 @@ class ActionGoals:
 
     def refresh(self) -> None:
         """Note which servers are there, and cancel again what has to end."""
-        self.list.refresh([one.gid for one in self._host.node.hub.graph.publishers(names(self.action).status)])
+        self.list.refresh([one.gid for one in self._host.node.hub.graph.publishers(self._status)])
         if not self.there:
             self._asked.clear()
             return
