@@ -102,6 +102,27 @@ def test_messages_are_received_with_their_source(master, edge):
         until(lambda: first.ask("connections", id=first_out)["count"] == 0, "the publisher is disconnected")
 
 
+def test_a_publisher_that_latches_a_moment_after_it_was_registered(master, edge):
+    """The message comes from a latched publisher then, as it is kept for late joiners."""
+    with master.peer("late_latch") as peer:
+
+        def latches(number: int) -> bool:
+            """Whether the edge was slower than the program for once; otherwise the race is over before it begins."""
+            topic = f"/late_latch{number}"
+            peer.advertise(topic, "std_msgs/String")
+            inbox = edge.open(topic, "std_msgs/String")
+            assert not edge.endpoint(topic=topic, made_by="native")["latched"]
+            peer.publish(peer.advertise(topic, "std_msgs/String", latched=True), {"data": "kept"})
+            with contextlib.suppress(AssertionError):
+                until(lambda: edge.endpoints(topic=topic, made_by="native", latched=True), "it is known to latch", 5)
+                (latched,) = edge.endpoints(topic=topic, made_by="native", latched=True)
+                until(lambda: (string("kept"), latched["id"]) in edge.received(inbox, 1), "the kept message comes")
+                return True
+            return False
+
+        assert any(latches(number) for number in range(5))
+
+
 def test_messages_from_and_to_roscpp_programs(master, edge):
     # roscore's rosout is a roscpp program: it republishes /rosout on /rosout_agg
     with master.peer("logger") as peer:

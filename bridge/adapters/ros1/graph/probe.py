@@ -7,6 +7,7 @@ of a YARP port, which counts one until its next write) send their first message 
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -29,6 +30,10 @@ HANDSHAKE_SECONDS = 2.0
 HOLD_SECONDS = 1.0
 """How long a publisher's connection waits for a subscription. Nothing is read meanwhile, so one that publishes some
 megabytes and waits for its listeners may wait for so long, once."""
+
+LATCH_SECONDS = 1.0
+"""Delay after which a publisher that does not latch is probed once more: rospy registers a publisher with the master
+before it enables latching (``rospy.topics.Publisher.__init__``), and may announce ``latching=0`` for that moment."""
 
 _FIRST_WAIT = 0.5
 _LONGEST_WAIT = 10.0
@@ -175,6 +180,16 @@ class Prober:
             sock.close()
             self.learned(link, Facts.of(header))
 
+    def _check_latching(self, link: Registration) -> None:
+        """Read a publisher's header again; nothing changes if it does not answer."""
+        with self._lock:
+            if link not in self._facts:
+                return
+        with contextlib.suppress(Ros1Error):
+            sock, header = self._shake(link)
+            sock.close()
+            self.learned(link, Facts.of(header))
+
     def learned(self, link: Registration, facts: Facts) -> None:
         """A publisher announced itself to a subscription that connected; it may have advertised again."""
         with self._lock:
@@ -227,6 +242,8 @@ class Prober:
                 self._timer.after(HOLD_SECONDS, lambda: self._expire(link, sock))
             else:
                 sock.close()
+        if known and facts.native and self._holds and not facts.latching:
+            self._timer.after(LATCH_SECONDS, lambda: self._pool.submit(link.uri, lambda: self._check_latching(link)))
         if known:
             self._changed(link)
 

@@ -64,16 +64,24 @@ def _acquire(topic: str) -> _SubscribedTopic:
 
 @dataclass(slots=True)
 class _PublisherState:
-    """One publisher that the subscription connects to; ``fresh`` until a connection to it has failed or ended."""
+    """One publisher that the subscription connects to.
+
+    Attributes:
+        fresh: until a connection to it has failed or ended.
+        latching: whether it announced to the current connection that it latches.
+    """
 
     reader: PublisherConnection | None = None
     connecting: bool = False
     fresh: bool = True
+    latching: bool = False
     due: float = 0.0
     wait: float = _FIRST_WAIT
 
-    def is_due(self, now: float) -> bool:
-        return self.reader is None and not self.connecting and self.due <= now
+    def is_due(self, now: float, facts: Facts) -> bool:
+        """Whether to connect: without a connection, or again for the latched message of one that latches by now."""
+        missing = self.reader is None or (facts.latching and not self.latching)
+        return missing and not self.connecting and self.due <= now
 
     def postpone(self) -> None:
         self.fresh = False
@@ -133,7 +141,7 @@ class Ros1Subscription:
             gone = [self._publishers.pop(link) for link in self._publishers.keys() - wanted]
             for link in wanted - self._publishers.keys():
                 self._publishers[link] = _PublisherState()
-            idle = [(link, source) for link, source in self._publishers.items() if source.is_due(now)]
+            idle = [(link, source) for link, source in self._publishers.items() if source.is_due(now, publishers[link])]
             for _, source in idle:
                 source.connecting = True
         for source in gone:
@@ -172,7 +180,7 @@ class Ros1Subscription:
             reader = PublisherConnection(
                 sock, self.topic, link.uri,
                 lambda payload: self._deliver(payload, endpoint, None),
-                lambda trouble: self._ended(link, source, trouble),
+                lambda trouble: self._ended(link, source, reader, trouble),
                 self._refused, self._context.limit, self._context.loop,
             )  # fmt: skip
         except OSError as err:  # it has broken again
@@ -182,10 +190,12 @@ class Ros1Subscription:
         with self._lock:
             wanted = self._publishers.get(link) is source
             if wanted:
-                source.reader, source.connecting, source.wait = reader, False, _FIRST_WAIT
+                before, source.reader, source.latching = source.reader, reader, facts.latching
+                source.connecting, source.wait = False, _FIRST_WAIT
         if not wanted:
             reader.close()
             return
+        self._drop(before)
         with self._entry.c_lock:
             self._entry.connections = [*self._entry.connections, reader]
         if taken and self._settle:
@@ -207,10 +217,12 @@ class Ros1Subscription:
         if not isinstance(err, ExhaustedError):  # it may be gone though it is listed: unknown until it answers a probe
             self._prober.doubt(link, str(err))
 
-    def _ended(self, link: Registration, source: _PublisherState, trouble: str) -> None:
+    def _ended(self, link: Registration, source: _PublisherState, reader: PublisherConnection, trouble: str) -> None:
         _log.debug("%s: connection to %s ended: %s", self.topic, link.node, trouble)
-        self._drop(source.reader)
+        self._drop(reader)
         with self._lock:
+            if source.reader is not reader:  # a newer connection has replaced it
+                return
             source.reader = None
             source.postpone()
         self._context.found()

@@ -60,6 +60,28 @@ def test_what_a_header_says(prober):
         assert prober.facts() == {}
 
 
+def test_one_that_latches_a_moment_later_is_probed_again():
+    """``rospy.Publisher`` registers with the master before it enables latching."""
+    headers = iter([{"latching": "0"}])
+
+    def answer(sock) -> None:
+        sock.recv(65536)
+        sock.sendall(encode({**HEADER, **next(headers, {})}))
+        until_closed(sock)
+
+    pool, timer = PeerPool(), DelayedCalls("test-timer")
+    prober = Prober(asking(pool, timer), lambda _link: None, holds=True)
+    try:
+        with publisher(answer) as native:
+            link = Registration("/a", "/t", native)
+            assert not known(prober, frozenset({link}), link).latching
+            until(lambda: prober.facts()[link].latching, "its second header is read")
+    finally:
+        prober.close()
+        timer.close()
+        pool.stop()
+
+
 def test_dead_ones_delay_nobody(prober):
     with contextlib.ExitStack() as stack:
         host, port = stack.enter_context(tcp_server(until_closed))
