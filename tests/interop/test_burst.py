@@ -90,7 +90,7 @@ def test_every_route_stands_after_a_burst_and_tf_goes_on(
         make: dict[str, Callable[[], Any]] = {
             "ros1": deployment.ros1,
             "ros2": deployment.ros2,
-            "zenoh": deployment.sdk,
+            "zenoh": deployment.zenoh,
             "yarp": lambda: deployment.keep(YarpProgram(names, "/burst", Definitions((CUSTOM_FOLDER,)))),
         }
         transforms = Transforms(deployment)
