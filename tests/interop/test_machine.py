@@ -10,6 +10,7 @@ import re
 import resource
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -134,15 +135,16 @@ def test_a_hundred_broken_configurations(running: Deployment) -> None:
 
 
 @contextmanager
-def small_disk(folder: Path) -> Iterator[Path]:
-    """Mount a file system of 3 MB."""
-    folder.mkdir()
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(folder)], check=True)
-    try:
-        yield folder
-    finally:
-        while os.path.ismount(folder):  # also mounts that a test has added on top
-            subprocess.run(["umount", "-l", str(folder)], check=True)
+def small_disk() -> Iterator[Path]:
+    """Mount a file system of 3 MB, in a folder whose path is short enough for the daemon's socket."""
+    with tempfile.TemporaryDirectory(prefix="midspan-") as name:
+        folder = Path(name)
+        subprocess.run(["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", name], check=True)
+        try:
+            yield folder
+        finally:
+            while os.path.ismount(folder):  # also mounts that a test has added on top
+                subprocess.run(["umount", "-l", name], check=True)
 
 
 def fill(disk: Path) -> Path:
@@ -172,9 +174,9 @@ def kill_each_worker(deployment: Deployment, flow: Flow) -> None:
 
 
 @needs_root
-def test_a_full_disk_from_the_start(deployment: Deployment, tmp_path: Path) -> None:
+def test_a_full_disk_from_the_start(deployment: Deployment) -> None:
     """The state folder and the log are on a full disk."""
-    with small_disk(tmp_path / "disk") as disk:
+    with small_disk() as disk:
         log = disk / "log"
         log.touch()
         litter = fill(disk)
@@ -197,8 +199,8 @@ def test_a_full_disk_from_the_start(deployment: Deployment, tmp_path: Path) -> N
 
 
 @needs_root
-def test_a_disk_that_fills_up_and_turns_read_only(deployment: Deployment, tmp_path: Path) -> None:
-    with small_disk(tmp_path / "disk") as disk:
+def test_a_disk_that_fills_up_and_turns_read_only(deployment: Deployment) -> None:
+    with small_disk() as disk:
         deployment.start(state=str(disk / "state"))
         assert deployment.daemon is not None
         daemon = deployment.daemon
