@@ -37,6 +37,7 @@ NODE = "/cyclone_node"
 RULE = {"ros1": "/mirrored", "node": NODE, "owner": "ros2"}
 PARAMETERS = {
     "list_parameters": "rcl_interfaces/ListParameters",
+    "describe_parameters": "rcl_interfaces/DescribeParameters",
     "get_parameters": "rcl_interfaces/GetParameters",
     "get_parameter_types": "rcl_interfaces/GetParameterTypes",
     "set_parameters": "rcl_interfaces/SetParameters",
