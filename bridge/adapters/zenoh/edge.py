@@ -17,7 +17,7 @@ import zenoh
 from bridge.adapters.side_edge import SideEdge
 from bridge.adapters.zenoh.neighbours import KeyNeighbours, new_zid, remember
 from bridge.adapters.zenoh.topics import Announcement, KeyContext
-from bridge.concurrency import SerialExecutor
+from bridge.concurrency import DelayedCalls, SerialExecutor
 from bridge.config.model import Config
 from bridge.config.sections.zenoh import Dialect
 from bridge.hub.endpoints.calls import nothing
@@ -130,7 +130,8 @@ class KeyEdge(SideEdge):
         small.start()
         bulk.start()
         limit = self._config.limits.message_bytes
-        self._context = KeyContext(session, limit, executor, small, bulk, self._unregister)
+        delays = DelayedCalls(f"midspan-{self.side}-delays")
+        self._context = KeyContext(session, limit, executor, delays, small, bulk, self._unregister)
         past = remember(str(session.zid()), self._file)
         changed = self._listener.graph_changed, self._listener.presence_changed
         self._presence = KeyNeighbours(session, self.side, self._scope, past, *changed)
@@ -152,6 +153,7 @@ class KeyEdge(SideEdge):
         self.closing()
         if self._presence is not None:
             self._presence.close()
+        context.delays.close(1.0)
         context.executor.close()
         context.session.close()  # type: ignore[no-untyped-call]
         context.small.stop()

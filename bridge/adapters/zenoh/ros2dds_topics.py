@@ -95,7 +95,9 @@ class LatchedSubscription(KeySubscription):
         self._held: dict[str, list[tuple[zenoh.Sample, str]]] = {}
         self._last: dict[tuple[str, str], tuple[int | None, int]] = {}
         super().__init__(context, key, qos, deliver, source_of, announcement)
-        self._history = LatchedHistory(context.session, key, wanted, self, context.executor, recovers=False)
+        self._history = LatchedHistory(
+            context.session, key, wanted, self, context.executor, context.delays, recovers=False
+        )
         self._history.open()
 
     def ask_for(self, wanted: int) -> None:

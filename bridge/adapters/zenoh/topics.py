@@ -13,7 +13,7 @@ import zenoh
 
 from bridge.adapters.latched_cache import LatchedCache
 from bridge.adapters.zenoh.neighbours import is_marked, sender, time_ns
-from bridge.concurrency import SerialExecutor
+from bridge.concurrency import DelayedCalls, SerialExecutor
 from bridge.hub.endpoints.calls import nothing
 from bridge.hub.wire.qos import Qos
 from bridge.hub.zenoh_compat import answer, source_infos, subscribe, undeclare
@@ -28,13 +28,15 @@ Withdraw = Callable[[], None]
 class KeyContext:
     """What the endpoints of one edge share.
 
-    ``limit`` is the largest request or reply in bytes; ``executor`` runs calls that may wait for zenoh; ``small`` and
-    ``bulk`` convert received messages, urgent ones first; ``closed`` is called with each endpoint that has closed.
+    ``limit`` is the largest request or reply in bytes; ``executor`` runs calls that may wait for zenoh, ``delays``
+    those that are due later; ``small`` and ``bulk`` convert received messages, urgent ones first; ``closed`` is called
+    with each endpoint that has closed.
     """
 
     session: zenoh.Session
     limit: int
     executor: SerialExecutor
+    delays: DelayedCalls
     small: Dispatcher
     bulk: Dispatcher
     closed: Callable[[Any], None]

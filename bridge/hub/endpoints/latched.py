@@ -102,6 +102,10 @@ _log = logging.getLogger(__name__)
 ANSWER_SECONDS = 10.0
 """Time limit for a publisher's answer, and for holding back the live samples of its session."""
 
+AGAIN_SECONDS = (1.0, 3.0, 9.0)
+"""Delays of further queries to a publisher of which nothing has arrived. A session that is joining, or a link that is
+being made again, may have shown the publisher's token while no query reached it yet."""
+
 _PUBLISHERS = "/@adv/pub/"
 _MAX_PUBLISHERS = 4096
 
@@ -123,7 +127,7 @@ class LatchedHistory:
     """Queries all publishers of one key, present and late, once `open` was called.
 
     With ``recovers`` it queries a publisher again if its last sample did not arrive. ``depth`` is how many samples it
-    requests of each publisher; it may be changed later.
+    requests of each publisher; it may be changed later. ``delays`` makes the queries of `AGAIN_SECONDS`.
 
     Queries run on ``executor``: a query blocks on a congested link, and zenoh's receiving thread, which reports the
     publishers, must continue to read. Two peers that each waited for the other to read would block for five seconds,
@@ -137,16 +141,19 @@ class LatchedHistory:
         depth: int,
         listener: HistoryListener,
         executor: SerialExecutor,
+        delays: DelayedCalls,
         *,
         reach: zenoh.Locality = zenoh.Locality.REMOTE,
         recovers: bool,
     ) -> None:
         self._session, self._key, self.depth = session, key, depth
-        self._listener, self._executor, self._reach, self._recovers = listener, executor, reach, recovers
+        self._listener, self._executor, self._delays = listener, executor, delays
+        self._reach, self._recovers = reach, recovers
         self._samples = zenoh.KeyExpr(key)
         self._closed = False
         self._lock = Lock()
         self._numbers: dict[tuple[str, str], int] = {}
+        self._silent: dict[tuple[str, str], int] = {}  # further queries to those of which nothing has arrived
         self._subscribers: list[zenoh.Subscriber[None]] = []
 
     def open(self) -> None:
@@ -163,6 +170,7 @@ class LatchedHistory:
         identity = info.source_id
         publisher = str(identity.zid), str(identity.eid)
         with self._lock:
+            self._silent.pop(publisher, None)
             if is_newer(info.source_sn, self._numbers.get(publisher)):
                 if len(self._numbers) >= _MAX_PUBLISHERS:
                     del self._numbers[next(iter(self._numbers))]
@@ -176,10 +184,11 @@ class LatchedHistory:
     def _ask(self, publishers: str, zid: str) -> None:
         if self._closed:
             return
+        done = partial(self._on_done, publishers, zid)
         try:
             self._session.get(
                 f"{publishers}?_max={self.depth}",
-                zenoh.handlers.Callback(self._on_reply, lambda: self._listener.done(zid), indirect=False),
+                zenoh.handlers.Callback(partial(self._on_reply, publishers), done, indirect=False),
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 accept_replies=zenoh.ReplyKeyExpr.ANY,
@@ -208,8 +217,12 @@ class LatchedHistory:
         if token.kind == zenoh.SampleKind.DELETE:
             with self._lock:
                 self._numbers.pop(publisher, None)
-        else:
-            self.ask(str(token.key_expr), publisher[0])
+                self._silent.pop(publisher, None)
+            return
+        with self._lock:
+            if len(self._silent) < _MAX_PUBLISHERS:
+                self._silent[publisher] = 0
+        self.ask(str(token.key_expr), publisher[0])
 
     def _on_heartbeat(self, sample: zenoh.Sample) -> None:
         publisher = _publisher(sample)
@@ -221,10 +234,28 @@ class LatchedHistory:
         if is_newer(number, seen):
             self.ask(str(sample.key_expr), publisher[0])
 
-    def _on_reply(self, reply: zenoh.Reply) -> None:
+    def _on_reply(self, publishers: str, reply: zenoh.Reply) -> None:
         # the query is not on the samples' key: a server could reply with samples of any key that it may write
         if reply.ok is not None and self._samples.includes(reply.ok.key_expr):
+            with self._lock:
+                self._silent.pop(_identity(publishers), None)
             self._listener.came(reply.ok)
+
+    def _on_done(self, publishers: str, zid: str) -> None:
+        """End the query of a publisher, and prepare another one if nothing of it has ever arrived."""
+        self._listener.done(zid)
+        publisher = _identity(publishers)
+        with self._lock:
+            queries = self._silent.get(publisher, len(AGAIN_SECONDS))
+            if self._closed or queries >= len(AGAIN_SECONDS):
+                return
+            self._silent[publisher] = queries + 1
+        self._delays.after(AGAIN_SECONDS[queries], partial(self._ask_silent, publishers))
+
+    def _ask_silent(self, publishers: str) -> None:
+        publisher = _identity(publishers)
+        if not self._closed and publisher in self._silent:
+            self.ask(publishers, publisher[0])
 
 
 def is_newer(number: int, seen: int | None) -> bool:
@@ -233,6 +264,12 @@ def is_newer(number: int, seen: int | None) -> bool:
 
 
 def _publisher(sample: zenoh.Sample) -> tuple[str, str] | None:
-    """Return session and entity of a token's or a heartbeat's publisher."""
-    parts = str(sample.key_expr).rpartition(_PUBLISHERS)[2].split("/")
-    return (parts[0], parts[1]) if len(parts) > 1 else None
+    """Return session and entity of a token's or a heartbeat's publisher, None of another key."""
+    identity = _identity(str(sample.key_expr))
+    return identity if identity[1] else None
+
+
+def _identity(key: str) -> tuple[str, str]:
+    """Return session and entity of the publisher at a key; "" if the key has no entity."""
+    zid, _, rest = key.rpartition(_PUBLISHERS)[2].partition("/")
+    return zid, rest.partition("/")[0]

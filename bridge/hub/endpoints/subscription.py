@@ -136,8 +136,9 @@ class HubSubscription:
         self._closing = Lock()
         self._closed = False
         self._history = LatchedHistory(
-            context.session, key, self._depth, self, context.asking, reach=context.reach, recovers=self._recovers
-        )
+            context.session, key, self._depth, self, context.asking, context.heartbeats,
+            reach=context.reach, recovers=self._recovers,
+        )  # fmt: skip
         # direct: without a thread per subscription; zenoh's receiving thread only appends and wakes
         self._came = self._on_latched if qos.latched else self._on_sample
         self._subscriber = subscribe(context.session, key, self._came, context.reach)

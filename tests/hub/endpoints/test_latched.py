@@ -10,6 +10,8 @@ from dataclasses import replace
 import pytest
 import zenoh
 
+from bridge.concurrency import DelayedCalls, SerialExecutor
+from bridge.hub.endpoints import latched
 from bridge.hub.endpoints.latched import HEARTBEAT
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
@@ -279,3 +281,42 @@ def test_a_peer_that_does_not_read_keeps_no_latched_publisher_from_leaving(netwo
         finally:
             go_on.set()
             pushing.join(10.0)
+
+
+def test_a_publisher_whose_query_found_nothing_is_queried_again(network: HubNetwork, monkeypatch: pytest.MonkeyPatch):
+    """A link that is being made shows the publisher's token, while its cache is not reached yet."""
+    monkeypatch.setattr(latched, "AGAIN_SECONDS", (0.2, 0.2, 0.2))
+    key, events = "late/cache", Events()
+    executor, delays = SerialExecutor("test-asking"), DelayedCalls("test-delays")
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        own, far = a._session, b._session
+        history = latched.LatchedHistory(own, key, 1, events, executor, delays, recovers=False)
+        history.open()
+        try:
+            publisher = f"{key}/@adv/pub/{far.zid()}/7"
+            token = far.liveliness().declare_token(f"{publisher}/_")
+            until(lambda: "done" in events, "the first query ends")
+            assert "came" not in events
+            cache = far.declare_queryable(f"{publisher}/**", lambda query: query.reply(key, b"kept"))
+            until(lambda: "came" in events, "the cached sample arrives", 10)
+            cache.undeclare()
+            token.undeclare()
+            until(lambda: not history._silent, "the publisher is forgotten")
+        finally:
+            history.close()
+            delays.close()
+            executor.close()
+
+
+class Events(list[str]):
+    """What a history reports."""
+
+    def asked(self, _zid: str) -> None:
+        self.append("asked")
+
+    def came(self, _sample: zenoh.Sample) -> None:
+        self.append("came")
+
+    def done(self, _zid: str) -> None:
+        self.append("done")
