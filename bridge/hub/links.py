@@ -9,6 +9,9 @@ restarted. Seen with a worker that was stopped for 3 s again and again: the four
 router and all peers speak of each other again. So a session that lost a peer which is still at the router opens one for
 a moment (`Mesh`).
 
+A first attempt to link may fail as well: when 13 nodes of rmw_zenoh joined at once on a busy machine, one of them had
+no link to some workers, and they did not see its topics. So a session also compares its links with the router's peers.
+
 zenoh (1.10) ends a link that was silent for its lease. Over TLS it then waits for a packet that is being written, and
 while data goes out that is one which the cut link does not take: until TCP gives up, up to a quarter of an hour, all
 that is behind the link counts as there. A time limit has TCP give up in time (RFC 5482; Linux alone has it as
@@ -59,6 +62,9 @@ _INTRODUCTION_SECONDS = 2.0
 _REMEMBERED_SECONDS = 60.0
 """So long one who is not at the router is remembered: he may come back and not be found."""
 
+_COMPARE_SECONDS = 5.0
+"""Time between two comparisons with the router's peers. One that is missing in two of them has no link."""
+
 _LOOK_SECONDS = 0.4
 _MOST_EVENTS = 1000
 """Links' beginnings and ends that wait to be looked at."""
@@ -72,14 +78,21 @@ class Mesh:
     Args:
         config: makes a configuration by which another session joins the same hub.
         members: zenoh ids of all that are linked with our routers; None where they do not answer.
+        peers: the same of those that are peers.
 
     Attributes:
         mended: links that were lost and are there again.
     """
 
-    def __init__(self, session: zenoh.Session, config: Callable[[], zenoh.Config], members: Members) -> None:
-        self._session, self._config, self._members = session, config, members
+    def __init__(
+        self, session: zenoh.Session, config: Callable[[], zenoh.Config], members: Members, peers: Members
+    ) -> None:
+        self._session, self._config, self._members, self._peers = session, config, members, peers
         self._lost: dict[str, float] = {}
+        self._unlinked: set[str] = set()  # by the last comparison
+        self._unreachable: frozenset[str] = frozenset()
+        self._compare_at = time.monotonic() + _COMPARE_SECONDS
+        self._is_client = json.loads(config().get_json("mode")) == "client"
         self._adrift = float("-inf")
         self._closed = Event()
         self.mended = 0
@@ -106,6 +119,7 @@ class Mesh:
         while not self._closed.wait(_LOOK_SECONDS):  # zenoh's own way to wait for an event looks ten times a second
             try:
                 self._take_all()
+                self._compare()
             except zenoh.ZError:  # the session is closed
                 return
             self._search()
@@ -123,9 +137,30 @@ class Mesh:
                 self._mend()
             except (zenoh.ZError, HubError) as err:  # the session is being closed, or another cannot be opened
                 _log.debug("lost links are not mended: %s", zenoh_reason(err))
-            oldest = time.monotonic() - _REMEMBERED_SECONDS
-            self._lost = {zid: at for zid, at in self._lost.items() if at > oldest}
+            self._give_up(time.monotonic() - _REMEMBERED_SECONDS)
             pause = min(2 * pause, _LONGEST_SECONDS)
+
+    def _give_up(self, oldest: float) -> None:
+        """Look no longer for those that were lost before a time."""
+        over = {zid for zid, at in self._lost.items() if at <= oldest}
+        self._lost = {zid: at for zid, at in self._lost.items() if zid not in over}
+        self._unreachable |= over
+
+    def _compare(self) -> None:
+        """Count peers of the router as lost to which there is no link; a client needs none."""
+        now = time.monotonic()
+        if now < self._compare_at or self._is_client:
+            return
+        self._compare_at = now + _COMPARE_SECONDS
+        peers = self._peers()
+        if peers is None:
+            return
+        self._unreachable &= peers  # one that has left may come back
+        here = self._here() | self._unreachable | {str(self._session.zid())}
+        unlinked = {zid for zid in peers - here if not zid.startswith(_MARK)}
+        for zid in unlinked & self._unlinked:
+            self._lost.setdefault(zid, now - _FIRST_SECONDS)
+        self._unlinked = unlinked
 
     def _take(self, event: zenoh.TransportEvent) -> None:
         """Note who is lost."""

@@ -269,7 +269,12 @@ class RouterWorker(Worker):
 
         session.declare_queryable(key, zenoh.handlers.Callback(identify, indirect=False))
         zid, machine = str(session.zid()), socket.gethostname()
-        self._control.serve(MEMBERS, lambda _params: {"zid": zid, "members": _members(session), "machine": machine})
+        self._control.serve(
+            MEMBERS,
+            lambda _params: {
+                "zid": zid, "members": _members(session), "peers": _members(session, peers=True), "machine": machine,
+            },
+        )  # fmt: skip
         self._namesakes = Namesakes(session, hub.domain, config.name)
         self._control.serve("status", lambda _params: self._status(config, session))
         self._process.cpu_percent()
@@ -317,8 +322,10 @@ class RouterWorker(Worker):
         }
 
 
-def _members(session: zenoh.Session) -> list[str]:
-    return [str(transport.zid) for transport in session.info.transports()]
+def _members(session: zenoh.Session, *, peers: bool = False) -> list[str]:
+    """Return the ids of the sessions that are linked with a router; only peers if wanted."""
+    transports = session.info.transports()
+    return [str(each.zid) for each in transports if not peers or each.whatami == zenoh.WhatAmI.PEER]
 
 
 def _identify(session: zenoh.Session, endpoint: str, seconds: float) -> RouterInfo | None:

@@ -145,7 +145,7 @@ class HubSession:
         if settings.lane is not None and possible():
             self.lane = Lane(Path(settings.lane), self.zid, session, settings.domain)
             self.graph.watch(self.lane.graph_changed)
-        self.mesh = Mesh(session, lambda: without_shared_memory(_config(settings)), self._members)
+        self.mesh = Mesh(session, lambda: without_shared_memory(_config(settings)), self._members, self._peers)
         # a process that exits with an open session hangs in zenoh's threads
         atexit.register(self.close)
 
@@ -194,10 +194,17 @@ class HubSession:
 
     def _members(self) -> set[str] | None:
         """Return the sessions that are linked with this session's routers, None if no router answers."""
+        return self._at_routers("members")
+
+    def _peers(self) -> set[str] | None:
+        """Return those of them that are peers."""
+        return self._at_routers("peers")
+
+    def _at_routers(self, kind: str) -> set[str] | None:
         routers = {str(zid) for zid in self.zenoh.info.routers_zid()}
         answers = self.ask(MEMBERS, {}, "*", "router", 1.0) if routers else []
         values = [a.value for a in answers if isinstance(a.value, dict) and a.value.get("zid") in routers]
-        known = [value["members"] for value in values if isinstance(value.get("members"), list)]
+        known = [value[kind] for value in values if isinstance(value.get(kind), list)]
         return {str(zid) for members in known for zid in members} if known else None
 
 

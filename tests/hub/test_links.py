@@ -48,6 +48,30 @@ def test_a_link_that_alone_was_cut_is_made_again(hubs: QuickHub) -> None:
         until(lambda: one.ask("say", {"word": "again"}, worker="two") and heard, "they hear each other")
 
 
+def test_a_link_that_was_never_made_is_made(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No event tells of it: the session compares its links with the router's peers."""
+    monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.3)
+    monkeypatch.setattr(links.Mesh, "_take", lambda *_: None)
+    with Hub.open(hubs.settings("one")) as one, Hub.open(hubs.settings("two", "two")) as two:
+        until(lambda: two.zid in one.neighbours() and one.zid in two.neighbours(), "they are linked")
+        cut(int(hubs.endpoint.rpartition(":")[2]))
+        until(lambda: two.zid not in one.neighbours() or one.mesh.mended + two.mesh.mended, "they are not linked")
+        until(lambda: one.mesh.mended + two.mesh.mended, "one of them has mended it")
+        until(lambda: two.zid in one.neighbours() and one.zid in two.neighbours(), "they are linked again")
+
+
+def test_one_that_no_link_reaches_is_given_up(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
+    monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 0.5)
+    with Hub.open(hubs.settings("one")) as one:
+        hubs.also_has("abcd")
+        until(lambda: "abcd" in one.mesh.lost, "it is looked for")
+        until(lambda: not one.mesh.lost, "it is given up")
+        told = hubs.told
+        until(lambda: hubs.told > told + 3, "the links are compared again")
+        assert not one.mesh.lost
+
+
 def test_a_router_that_does_not_answer_for_a_moment_is_asked_again(hubs: QuickHub) -> None:
     with Hub.open(hubs.settings("one")) as one, Hub.open(hubs.settings("two", "two")) as two:
         until(lambda: two.zid in one.neighbours() and one.zid in two.neighbours(), "they are linked")

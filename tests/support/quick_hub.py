@@ -17,9 +17,11 @@ class QuickHub(HubNetwork):
 
     Attributes:
         unanswered: so often it does not tell next.
+        told: how often it has told.
     """
 
-    unanswered = 0
+    unanswered = told = 0
+    _others: tuple[str, ...] = ()
     _session: zenoh.Session | None = None
     _control: Control
 
@@ -33,13 +35,20 @@ class QuickHub(HubNetwork):
         if self.unanswered:
             self.unanswered -= 1
             return {}
-        return {"zid": str(session.zid()), "members": [str(t.zid) for t in session.info.transports()]}
+        self.told += 1
+        members = [*(str(t.zid) for t in session.info.transports()), *self._others]
+        peers = [*(str(zid) for zid in session.info.peers_zid()), *self._others]
+        return {"zid": str(session.zid()), "members": members, "peers": peers}
 
     def also_say(self, members: Any) -> None:
         """Have another answer in the router's name to who asks for its members."""
         assert self._session is not None
         router = str(self._session.info.zid())
         self._control.serve(MEMBERS, lambda _: {"zid": router, "members": members})
+
+    def also_has(self, *zids: str) -> None:
+        """Report peers that nobody reaches."""
+        self._others = zids
 
     def stop_router(self) -> None:
         """End the router."""
