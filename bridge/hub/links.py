@@ -1,21 +1,21 @@
-"""The links of zenoh sessions: lost ones between programs of this machine are mended, dead ones to others given up.
+"""The links of zenoh sessions: missing ones between programs of this machine are made again, dead ones to others end.
 
-Peers learn of each other when one of them joins the router (zenoh calls it gossip) and link directly then. A link that
-is given up later is not tried again, and zenoh's routers pass nothing on between two peers (zenoh 1.10:
-``closed_session`` of ``orchestrator.rs`` connects anew to configured endpoints only, ``peers_failover_brokering`` has
-no effect any more). A process that stands still for about the lease of 3 s loses some of its links and keeps others: if
-the router's is among those that it keeps, it and a lost peer receive nothing from each other until one of them is
-restarted. Seen with a worker that was stopped for 3 s again and again: the fourth time. A session that joins has the
-router and all peers speak of each other again. So a session that lost a peer which is still at the router opens one for
-a moment (`Mesh`).
+Peers learn of each other when one of them joins the router (zenoh calls it gossip), and then link directly. zenoh does
+not try a link again after it has ended, and its routers forward nothing between two peers (zenoh 1.10:
+``closed_session`` of ``orchestrator.rs`` reconnects to configured endpoints only; ``peers_failover_brokering`` has no
+effect any more). A process that stands still for about the lease of 3 s loses some of its links and keeps others. If it
+keeps the router's, it and a lost peer receive nothing from each other until one of them is restarted. This was seen
+with a worker that was stopped for 3 s several times: the fourth time. When a session joins, the router and all peers
+are announced again, so a session that has lost a peer which is still at the router opens another one for a moment
+(`Mesh`).
 
 A first attempt to link may fail as well: when 13 nodes of rmw_zenoh joined at once on a busy machine, one of them had
 no link to some workers, and they did not see its topics. So a session also compares its links with the router's peers.
 
-zenoh (1.10) ends a link that was silent for its lease. Over TLS it then waits for a packet that is being written, and
-while data goes out that is one which the cut link does not take: until TCP gives up, up to a quarter of an hour, all
-that is behind the link counts as there. A time limit has TCP give up in time (RFC 5482; Linux alone has it as
-``TCP_USER_TIMEOUT``), see `LinkLimits`.
+zenoh (1.10) ends a link that was silent for its lease. Over TLS it first waits for a packet that is being written. On a
+cut link with outgoing data such a packet is not accepted until TCP gives up, up to a quarter of an hour later, and all
+sessions behind the link count as present until then. A time limit makes TCP give up in time (RFC 5482; only Linux has
+it, as ``TCP_USER_TIMEOUT``), see `LinkLimits`.
 """
 
 from __future__ import annotations
@@ -44,30 +44,30 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 MEMBERS = "members"
-"""The verb that a router of ours answers with the sessions that are there."""
+"""The verb that Midspan's router answers with its sessions."""
 
 _MARK = "d0c0ffee"
-"""Begins the zenoh ids of the sessions that introduce others: nobody misses these."""
+"""Begins the zenoh ids of the sessions that introduce others; their ends are not losses."""
 
 _FIRST_SECONDS = 1.5
-"""Longer than the others and the router take to notice a loss, too: else who stands still would be spoken of, and their
-vain attempts to reach him be under way when he is back."""
+"""Longer than the other sessions and the router take to notice a loss. Otherwise a process that stands still would be
+announced, and failing attempts to reach it would still run when it continues."""
 
 _SOON_SECONDS = 0.2
 _TOGETHER_SECONDS = 1.0
-"""Who lost the router within this time of them is he who stood still, and is back: he need not wait."""
+"""A session that lost its router within this time of its peers stood still itself, and need not wait."""
 
 _LONGEST_SECONDS = 4.0
 _INTRODUCTION_SECONDS = 2.0
 _REMEMBERED_SECONDS = 60.0
-"""So long one who is not at the router is remembered: he may come back and not be found."""
+"""Time for which a lost session is looked for; one that is not at the router may return to it."""
 
 _COMPARE_SECONDS = 5.0
 """Time between two comparisons with the router's peers. One that is missing in two of them has no link."""
 
 _LOOK_SECONDS = 0.4
 _MOST_EVENTS = 1000
-"""Links' beginnings and ends that wait to be looked at."""
+"""Maximum number of unread events of links."""
 
 Members = Callable[[], set[str] | None]
 
@@ -77,11 +77,11 @@ class Mesh:
 
     Args:
         config: makes a configuration by which another session joins the same hub.
-        members: zenoh ids of all that are linked with our routers; None where they do not answer.
-        peers: the same of those that are peers.
+        members: returns the zenoh ids of all sessions at this session's routers, None if no router answers.
+        peers: the same for peers only.
 
     Attributes:
-        mended: links that were lost and are there again.
+        mended: number of links that were missing and were made again.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class Mesh:
 
     @property
     def lost(self) -> frozenset[str]:
-        """Zenoh ids of those whose links were lost, and who are looked for."""
+        """Zenoh ids of the sessions whose links are missing."""
         return frozenset(self._lost)
 
     def _run(self) -> None:
@@ -129,7 +129,7 @@ class Mesh:
             self._take(event)
 
     def _search(self) -> None:
-        """Mend until nobody is lost any more."""
+        """Introduce the lost sessions until all of them are linked or given up."""
         pause = _SOON_SECONDS
         while self._lost and not self._closed.wait(pause):
             try:
@@ -141,13 +141,13 @@ class Mesh:
             pause = min(2 * pause, _LONGEST_SECONDS)
 
     def _give_up(self, oldest: float) -> None:
-        """Look no longer for those that were lost before a time."""
+        """Stop looking for sessions that were lost before a time."""
         over = {zid for zid, at in self._lost.items() if at <= oldest}
         self._lost = {zid: at for zid, at in self._lost.items() if zid not in over}
         self._unreachable |= over
 
     def _compare(self) -> None:
-        """Count peers of the router as lost to which there is no link; a client needs none."""
+        """Count the router's peers without a link as lost; a client needs no links."""
         now = time.monotonic()
         if now < self._compare_at or self._is_client:
             return
@@ -155,7 +155,7 @@ class Mesh:
         peers = self._peers()
         if peers is None:
             return
-        self._unreachable &= peers  # one that has left may come back
+        self._unreachable &= peers  # one that has left may return
         here = self._here() | self._unreachable | {str(self._session.zid())}
         unlinked = {zid for zid in peers - here if not zid.startswith(_MARK)}
         for zid in unlinked & self._unlinked:
@@ -163,7 +163,7 @@ class Mesh:
         self._unlinked = unlinked
 
     def _take(self, event: zenoh.TransportEvent) -> None:
-        """Note who is lost."""
+        """Record a lost peer or router."""
         if event.kind != zenoh.SampleKind.DELETE:
             return
         zid, now = str(event.transport.zid), time.monotonic()
@@ -173,8 +173,8 @@ class Mesh:
             self._lost[zid] = now
 
     def _mend(self) -> None:
-        """Introduce those that are missing; who is at a router that does not answer (yet) is not known."""
-        if not self._session.info.routers_zid():  # its return has all speak of each other
+        """Introduce the missing sessions; does nothing while no router reports its sessions."""
+        if not self._session.info.routers_zid():  # when it returns, all peers are announced
             return
         members = self._members()
         if members is None:
@@ -191,7 +191,7 @@ class Mesh:
         return {str(zid) for zid in self._session.info.peers_zid()}
 
     def _introduce(self, missing: Collection[str]) -> None:
-        """Have a session join that speaks of them, until they are here."""
+        """Open another session, which makes the router announce all peers, until the missing ones are linked."""
         config = self._config()
         config.insert_json5("id", json.dumps(_MARK + secrets.token_hex(12)))
         session = zenoh.open(config)
