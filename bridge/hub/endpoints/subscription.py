@@ -46,7 +46,7 @@ class HubSample:
     Attributes:
         payload: zenoh's bytes, not copied yet.
         gid: the 16 bytes that name its publisher.
-        zid: its session, "" where it is not known.
+        zid: its session, "" if it is unknown.
     """
 
     __slots__ = ("gid", "payload", "sequence", "source_time_ns", "zid")
@@ -76,7 +76,7 @@ class PublisherState:
         self.held: dict[int, HubSample] = {}
 
     def take(self, sample: HubSample) -> int | None:
-        """Mark a sample as delivered; the result of `gap`, None where it is not to be delivered."""
+        """Mark a sample as delivered; the result of `gap`, None if it is not to be delivered."""
         last, number = self.sequence, sample.sequence
         missing = 0 if last is not None and number == last + 1 else self.gap(sample)
         if missing is not None:
@@ -84,7 +84,7 @@ class PublisherState:
         return missing
 
     def gap(self, sample: HubSample) -> int | None:
-        """Samples missing before this one; None where it was delivered already."""
+        """Return the number of samples missing before this one, None if it was delivered already."""
         last = self.sequence
         if last is None:
             return 0
@@ -102,7 +102,7 @@ class HubSubscription:
         lost: samples that publishers numbered and that never came.
         refused: samples left out: without a fitting attachment, or too large.
         way: ``lane`` or ``zenoh``.
-        why: why it is not the lane; "" where it is.
+        why: the reason if it is not the lane, otherwise "".
         by_lane: samples that came by the lane.
         sources: the publishers that it heard, by GID; of those that left the newest.
     """
@@ -232,7 +232,7 @@ class HubSubscription:
                     self._release(source)
 
     def _hold(self, source: PublisherState, message: HubSample) -> bool:
-        """Hold a sample back; False where too much is held already."""
+        """Hold a sample back; return False if too much is held already."""
         size = self._weight(message)
         if self._held + size > MAX_HELD_BYTES or message.sequence in source.held:
             return message.sequence in source.held
@@ -294,7 +294,7 @@ class HubSubscription:
             del self._lost_from[next(iter(self._lost_from))]
 
     def losses(self) -> str:
-        """Where messages were lost, why, and what helps; "" where none were."""
+        """Return why messages were lost and what to do, "" if none were."""
         with self._lock:
             lost = dict(self._lost_from)
         if not lost:

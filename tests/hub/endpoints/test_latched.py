@@ -1,4 +1,4 @@
-"""Latched publishers: what they said last, for each of them, goes to whoever comes late."""
+"""Latched publishers: late subscribers receive the last messages of each of them."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_publishers_that_come_after_the_subscription(network: HubNetwork):
 
 
 def test_history_and_live_without_a_gap_or_a_double(network: HubNetwork):
-    """A subscription joins while its publisher goes on; what it hears is one unbroken run to the end."""
+    """A subscription joins while its publisher publishes; it receives every message from one of them to the last."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         deep = replace(LATCHED, depth=200)
@@ -97,7 +97,7 @@ def test_history_and_live_without_a_gap_or_a_double(network: HubNetwork):
             if number % 20 == 0:
                 joiners.append(Heard(b, "/map", deep))
         for joiner in joiners:
-            until(lambda joiner=joiner: joiner.samples and joiner.texts()[-1] == "199", "the last is heard")
+            until(lambda joiner=joiner: joiner.samples and joiner.texts()[-1] == "199", "the last one arrives")
             assert joiner.texts() == [str(n) for n in range(200)]
             assert joiner.subscription.lost == 0
 
@@ -126,8 +126,8 @@ def test_keep_all_keeps_many(network: HubNetwork):
         assert publisher.matched()
 
 
-def test_own_latched_messages_are_not_heard(network: HubNetwork):
-    """Zenoh's locality does not hold for caches; the hub's does."""
+def test_own_latched_messages_are_not_received(network: HubNetwork):
+    """Zenoh's locality does not apply to caches; the hub's does."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         own = talk(a, "/map", LATCHED, "own")
@@ -173,7 +173,7 @@ def test_a_big_latched_message(network: HubNetwork):
 
 
 def test_what_a_link_drops_is_recovered():
-    """The router lets no live sample of /map through; only what is asked of the publishers comes."""
+    """The router blocks live samples of /map, so only replies to queries arrive."""
     deny = {"id": "deny", "permission": "deny", "messages": ["put"], "flows": ["egress"], "key_exprs": ["*/map/**"]}
     access = {
         "enabled": True,
@@ -204,7 +204,7 @@ def test_what_a_link_drops_is_recovered():
 
 
 def test_a_gap_is_filled_from_the_cache(network: HubNetwork):
-    """A live sample with a number ahead: those between are asked for, and come in order before it."""
+    """A live sample skips numbers: the missing samples are queried, and are delivered in order before it."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         heard = Heard(b, "/map", replace(LATCHED, depth=10))
@@ -222,7 +222,7 @@ def test_a_gap_is_filled_from_the_cache(network: HubNetwork):
 
 
 def test_an_answer_on_another_key_is_left_out(network: HubNetwork) -> None:
-    """Whoever may write any one key could otherwise put words on the topics of latched subscriptions."""
+    """Otherwise a client that may write one key could inject messages into latched topics."""
     key = topic_key(network.domain, "/goal", TYPE, HASH)
     other = topic_key(network.domain, "/harmless", TYPE, HASH)
     with Hub.open(network.settings("a")) as a, network.program() as forger:
@@ -241,7 +241,7 @@ def test_an_answer_on_another_key_is_left_out(network: HubNetwork) -> None:
 
 
 def test_a_peer_that_does_not_read_keeps_no_latched_publisher_from_leaving(network: HubNetwork):
-    """A heartbeat waits for that peer; zenoh's own would have every publisher wait that leaves meanwhile."""
+    """A heartbeat waits for that peer; with zenoh's own, every publisher that closes meanwhile would wait too."""
     queue = {"congestion_control": {"block": {"wait_before_close": 60_000_000}}}
     patient = {"transport": {"link": {"tx": {"queue": queue}}}}
     blocking = Qos(history=History.KEEP_ALL)
@@ -269,7 +269,7 @@ def test_a_peer_that_does_not_read_keeps_no_latched_publisher_from_leaving(netwo
             looks = [-1]
 
             def stands() -> bool:
-                """Whether nothing could be sent for three heartbeats, by looks: time goes on while we stand still."""
+                """Return whether nothing was sent during three heartbeats, counted in polls: this process may be paused."""
                 looks[:] = [*looks, sent["MB"]] if looks[-1] == sent["MB"] else [sent["MB"]]
                 return len(looks) * 0.02 > 3 * HEARTBEAT
 
