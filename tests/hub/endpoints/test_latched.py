@@ -269,7 +269,7 @@ def test_a_peer_that_does_not_read_keeps_no_latched_publisher_from_leaving(netwo
             looks = [-1]
 
             def stands() -> bool:
-                """Return whether nothing was sent during three heartbeats, counted in polls: this process may be paused."""
+                """Return whether nothing was sent during three heartbeats, counted in polls, as we may be paused."""
                 looks[:] = [*looks, sent["MB"]] if looks[-1] == sent["MB"] else [sent["MB"]]
                 return len(looks) * 0.02 > 3 * HEARTBEAT
 
