@@ -21,6 +21,7 @@ it, as ``TCP_USER_TIMEOUT``), see `LinkLimits`.
 from __future__ import annotations
 
 import contextlib
+import functools
 import ipaddress
 import json
 import logging
@@ -92,7 +93,6 @@ class Mesh:
         self._unlinked: set[str] = set()  # by the last comparison
         self._unreachable: frozenset[str] = frozenset()
         self._compare_at = time.monotonic() + _COMPARE_SECONDS
-        self._is_client = json.loads(config().get_json("mode")) == "client"
         self._adrift = float("-inf")
         self._closed = Event()
         self.mended = 0
@@ -134,6 +134,7 @@ class Mesh:
         while self._lost and not self._closed.wait(pause):
             try:
                 self._take_all()
+                self._compare()
                 self._mend()
             except (zenoh.ZError, HubError) as err:  # the session is being closed, or another cannot be opened
                 _log.debug("lost links are not mended: %s", zenoh_reason(err))
@@ -146,14 +147,19 @@ class Mesh:
         self._lost = {zid: at for zid, at in self._lost.items() if zid not in over}
         self._unreachable |= over
 
+    @functools.cached_property
+    def _is_client(self) -> bool:
+        return bool(json.loads(self._config().get_json("mode")) == "client")
+
     def _compare(self) -> None:
         """Count the router's peers without a link as lost; a client needs no links."""
         now = time.monotonic()
-        if now < self._compare_at or self._is_client:
+        if now < self._compare_at:
             return
         self._compare_at = now + _COMPARE_SECONDS
-        peers = self._peers()
+        peers = None if self._is_client else self._peers()
         if peers is None:
+            self._unlinked, self._unreachable = set(), frozenset()
             return
         self._unreachable &= peers  # one that has left may return
         here = self._here() | self._unreachable | {str(self._session.zid())}

@@ -60,6 +60,21 @@ def test_a_link_that_was_never_made_is_made(hubs: QuickHub, monkeypatch: pytest.
         until(lambda: two.zid in one.neighbours() and one.zid in two.neighbours(), "they are linked again")
 
 
+def test_links_are_compared_while_a_session_that_left_is_looked_for(
+    hubs: QuickHub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise commands that come and go would keep a session from noticing a missing link."""
+    monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
+    with Hub.open(hubs.settings("one")) as one:
+        with Hub.open(hubs.settings("two", "two")) as two:
+            until(lambda: two.zid in one.neighbours(), "they are linked")
+            left = two.zid
+        until(lambda: left in one.mesh.lost, "it is looked for")
+        hubs.also_has("abcd")
+        until(lambda: "abcd" in one.mesh.lost, "the links are compared", 30)
+        assert left in one.mesh.lost
+
+
 def test_one_that_no_link_reaches_is_given_up(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
     monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 0.5)
