@@ -1,4 +1,4 @@
-"""The system clock is set, back and forward, while the robot drives: it drives on after a moment."""
+"""The robot continues to drive within seconds after the system clock was set, back or forward."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from tests.support.shifted_clock import ShiftedClock
 from tests.support.wait import until
 
 SECONDS = 12.0
-"""For the first meter after a jump; without people in the way it takes 4 s."""
+"""Time for the first meter after a jump; it takes 4 s if no people block the robot."""
 
 
 class ShiftedChain(Chain):
-    """The deployment, whose daemon and workers have a clock that the test sets."""
+    """A deployment whose daemon and workers use a clock that the test sets."""
 
     def __init__(self, folder: Path, **options: Any) -> None:
         super().__init__(folder, **options)
@@ -34,7 +34,7 @@ class ShiftedChain(Chain):
         self.listen(self.client, self.client)
 
     def until_it_drives(self, meters: float, seconds: float) -> None:
-        """Wait until the robot has moved so far from where it is now."""
+        """Wait until the robot has moved this far from its current pose."""
         begin = self.truth
         assert begin is not None
         moved = lambda: math.dist((self.truth.x, self.truth.y), (begin.x, begin.y)) > meters  # type: ignore[union-attr]  # noqa: E731
@@ -63,6 +63,6 @@ def test_the_robot_drives_on(tmp_path: Path, shifts: tuple[int, ...]) -> None:
             chain.until_it_drives(1.0, SECONDS)
             assert time.monotonic() - set_at < SECONDS + 10
             assert asked.ended is None, asked.reason
-        if len(shifts) == 1 and shifts[0]:  # once: the way takes 20 s
+        if len(shifts) == 1 and shifts[0]:  # only once: the drive takes 20 s
             until(lambda: asked.ended, "the goal ends", 90)
             assert chain.off("kitchen") < 0.3, asked.reason

@@ -1,4 +1,4 @@
-"""A hub whose router is in the test's own process: it is there at once, where no test is about the router itself."""
+"""A hub whose router runs in the test's process and is available at once, for tests of something else."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from tests.support.hub import HubNetwork
 
 
 class QuickHub(HubNetwork):
-    """See `tests.support.hub.HubNetwork`. Its router tells who is there, as Midspan's does.
+    """See `tests.support.hub.HubNetwork`. Its router lists its sessions, as Midspan's does.
 
     Attributes:
-        unanswered: so often it does not tell next.
-        told: how often it has told.
+        unanswered: number of further requests for the list that get no answer.
+        answered: number of requests that got one.
     """
 
-    unanswered = told = 0
+    unanswered = answered = 0
     _others: tuple[str, ...] = ()
     _session: zenoh.Session | None = None
     _control: Control
@@ -35,19 +35,19 @@ class QuickHub(HubNetwork):
         if self.unanswered:
             self.unanswered -= 1
             return {}
-        self.told += 1
+        self.answered += 1
         members = [*(str(t.zid) for t in session.info.transports()), *self._others]
         peers = [*(str(zid) for zid in session.info.peers_zid()), *self._others]
         return {"zid": str(session.zid()), "members": members, "peers": peers}
 
     def also_say(self, members: Any) -> None:
-        """Have another answer in the router's name to who asks for its members."""
+        """Answer requests for the list of sessions a second time, in the router's name."""
         assert self._session is not None
         router = str(self._session.info.zid())
         self._control.serve(MEMBERS, lambda _: {"zid": router, "members": members})
 
     def also_has(self, *zids: str) -> None:
-        """Report peers that nobody reaches."""
+        """Also list peers that do not exist."""
         self._others = zids
 
     def stop_router(self) -> None:
