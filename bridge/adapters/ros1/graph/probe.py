@@ -242,7 +242,8 @@ class Prober:
                 self._timer.after(HOLD_SECONDS, lambda: self._expire(link, sock))
             else:
                 sock.close()
-        if known and facts.native and self._holds and not facts.latching:
+        # a YARP port does not announce it, and its program may count the second probe as a listener
+        if known and facts.native and self._holds and not facts.latching and "latching" in header:
             self._timer.after(LATCH_SECONDS, lambda: self._pool.submit(link.uri, lambda: self._check_latching(link)))
         if known:
             self._changed(link)
