@@ -196,7 +196,8 @@ preserves comments, turns obsolete keys into comments and saves the former file 
 be made by hand, it lists them and exits with code 3. Midspan rejects files in a newer format, so give the `version`
 in files that an older Midspan may read.
 
-`midspan config check FILE` reports every problem with its line and column, including unknown and duplicate keys.
+`midspan config check FILE` reports every problem with its line and column, including unknown and duplicate keys,
+and addresses to listen at that have one port.
 A list of texts can also be written as one text (`trusted: operator1`), and the address of a `listen` as a list of one.
 `midspan config schema` prints a JSON schema; with
 

@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from bridge.config.document import ConfigError, Document, KeyPath, Problem, parse, read
+from bridge.config.listeners import listener_problems
 from bridge.config.migrate import too_new
 from bridge.config.model import Config
 from bridge.config.problems import key_name, model_of, problems
@@ -61,6 +62,8 @@ def _config(document: Document) -> Config:
         raise ConfigError([document.problem(("routing", "rules", rule.index), rule.text) for rule in vague])
     if unguarded := config.metrics.unguarded(config.web):
         raise ConfigError([document.problem(("metrics", "listen"), unguarded)])
+    if twice := listener_problems(document, config):
+        raise ConfigError(twice)
     missing: list[Problem] = []
     placed: Config = _placed(config, (), document, missing)
     if missing:

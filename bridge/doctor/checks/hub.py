@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ssl
 import stat
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
+from itertools import combinations, product
 
 import psutil
 
 from bridge.config.document import ConfigError
+from bridge.config.listeners import listeners
 from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.daemon.query import Phase
@@ -25,6 +27,7 @@ from bridge.hub.security.door import has_tls, key_files
 from bridge.hub.security.key_files import KeyFiles
 from bridge.state_file import named
 
+_HUB = "hub.listen"
 _COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}
 """What the daemon says of a worker that does not answer on the hub yet."""
 
@@ -47,7 +50,7 @@ def look_at_services(context: CheckContext) -> Findings:
     if len(units) < 2:
         return skip("not more than one daemon is a service here")
     findings: list[Finding] = []
-    claims: dict[str, list[str]] = {}
+    configs: dict[str, Config] = {}
     for unit, file in units.items():
         try:
             config = named(load(file), {"STATE_DIRECTORY": str(context.root / STATE.relative_to("/"))})
@@ -55,25 +58,31 @@ def look_at_services(context: CheckContext) -> Findings:
             findings += [fail(f"{unit}: {line}", f"midspan config check {file}") for line in str(err).splitlines()]
             continue
         findings.append(ok(f"{unit} is the daemon {config.name} ({file})"))
-        for claim in _claims(config):
+        configs[unit] = config
+    return [*findings, *_shared_settings(configs), *_shared_ports(configs)]
+
+
+def _shared_settings(configs: Mapping[str, Config]) -> Iterator[Finding]:
+    """Yield a finding for each name and address that several daemons have, except a hub that they share."""
+    claims: dict[tuple[str, str], list[str]] = {}
+    for unit, config in configs.items():
+        places = [(each.key, each.text) for each in listeners(config) if each.port and each.key != _HUB]
+        for claim in dict.fromkeys([("name", config.name), *places]):
             claims.setdefault(claim, []).append(unit)
-    for claim, owners in claims.items():
+    for (key, value), owners in claims.items():
         if len(owners) > 1:
-            key = claim.partition(":")[0]
-            findings.append(fail(f"{' and '.join(owners)} have the same {claim}", f"give each of them its own {key}"))
-    return findings
+            seen = f"{' and '.join(owners)} have the same {key}: {value}"
+            yield fail(seen, f"give each of them its own {key}")
 
 
-def _claims(config: Config) -> list[str]:
-    """Return the settings of a daemon that no other one on the machine may have: its name and its ports."""
-    listeners = [
-        ("web", config.web.enabled, config.web.listen),
-        ("metrics", config.metrics.enabled, config.metrics.listen),
-        ("foxglove", config.foxglove.enabled, config.foxglove.listen),
-        *(("hub.open", True, place) for place in config.hub.open.listen),
-    ]
-    places = [f"{section}.listen: {place}" for section, enabled, place in listeners if enabled]
-    return [f"name: {config.name}", *places]
+def _shared_ports(configs: Mapping[str, Config]) -> Iterator[Finding]:
+    """Yield a finding for each two addresses of two daemons that have one port, except the same setting twice."""
+    for (one, first), (other, second) in combinations(configs.items(), 2):
+        for place, taken in product(listeners(second), listeners(first)):
+            alike = place.key == taken.key and (place.text == taken.text or place.key == _HUB)
+            if place.excludes(taken) and not alike:
+                seen = f"{place.key} of {other} ({place.text}) has the port of {taken.key} of {one} ({taken.text})"
+                yield fail(seen, "set another port in one of them")
 
 
 def look_at_workers(context: CheckContext) -> Findings:

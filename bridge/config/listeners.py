@@ -1,0 +1,88 @@
+"""The addresses at which the programs of one configuration listen, and those that exclude each other."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+from bridge.config.document import Document, KeyPath, Problem, key_text
+from bridge.config.model import Config
+from bridge.config.sections.web import split
+
+_ANY_IPV4 = str(ipaddress.IPv4Address(0))
+_TRANSPORTS = {"tcp": "tcp", "tls": "tcp", "ws": "tcp", "quic": "udp", "udp": "udp"}
+
+
+@dataclass(frozen=True, slots=True)
+class Listener:
+    """An address, and the key that sets it; ``transport`` is ``tcp`` or ``udp``."""
+
+    path: KeyPath
+    text: str
+    host: str
+    port: int
+    transport: str = "tcp"
+
+    @property
+    def key(self) -> str:
+        """The key without the number of an item in a list."""
+        return key_text(tuple(part for part in self.path if isinstance(part, str)))
+
+    def excludes(self, other: Listener) -> bool:
+        """Whether only one of two listeners can open its port on a machine; port 0 is any free one."""
+        if (self.transport, self.port) != (other.transport, other.port) or self.port == 0:
+            return False
+        hosts = {self.host, other.host}
+        if len(hosts) == 1 or "::" in hosts:  # also takes IPv4
+            return True
+        return _ANY_IPV4 in hosts and not any(":" in host for host in hosts)
+
+
+def listeners(config: Config) -> Iterator[Listener]:
+    """Yield the addresses that the configuration opens."""
+    yield from _zenoh(("hub", "listen"), config.hub.listen)
+    for index, place in enumerate(config.hub.open.listen):
+        yield from _zenoh(("hub", "open", "listen", index), place)
+    for name, section in (("web", config.web), ("foxglove", config.foxglove), ("metrics", config.metrics)):
+        if section.enabled:
+            host, port = split(section.listen)
+            yield Listener((name, "listen"), section.listen, _host(host), port)
+    yarp = config.yarp
+    if yarp.enabled is not False and yarp.nameserver == "embedded" and yarp.place is not None:
+        host, port = yarp.place
+        yield Listener(("yarp", "address"), str(yarp.address), _host(host), port)
+
+
+def listener_problems(document: Document, config: Config) -> list[Problem]:
+    """Return a problem for each address whose port an earlier listener of the configuration has."""
+    problems: dict[KeyPath, Problem] = {}
+    for one, other in combinations(listeners(config), 2):
+        # the default of a key that the file lacks has no line there
+        if other.path[:2] in document.values or one.path[:2] not in document.values:
+            first, second = one, other
+        else:
+            first, second = other, one
+        text = f"{second.text} has the port of {key_text(first.path)} ({first.text}); set another port in one of them"
+        if one.excludes(other):
+            problems.setdefault(second.path, document.problem(second.path, text))
+    return list(problems.values())
+
+
+def _zenoh(path: KeyPath, endpoint: str) -> Iterator[Listener]:
+    protocol, _, address = endpoint.partition("/")
+    if transport := _TRANSPORTS.get(protocol):
+        host, _, port = re.split(r"[?#]", address)[0].rpartition(":")
+        yield Listener(path, endpoint, _host(host.strip("[]")), int(port), transport)
+
+
+def _host(name: str) -> str:
+    """Return an address in one spelling."""
+    if name == "localhost":
+        return "127.0.0.1"
+    try:
+        return str(ipaddress.ip_address(name))
+    except ValueError:
+        return name.lower()
