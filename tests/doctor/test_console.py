@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 
 from bridge.doctor.check import Result
 from bridge.doctor.checks.console import look_at_certificate
+from bridge.hub.security import certificates
 from bridge.hub.security.certificates import Authority
 from tests.doctor.parts import around, only
 
@@ -50,3 +52,13 @@ def test_files_that_are_there(tmp_path: Path, days: int, mode: int, names: list[
     authority.issue("robot1", days=days)
     (tmp_path / "robot1.key").chmod(mode)
     assert seen in only(look_at_certificate(place(tmp_path, names=names))).seen
+
+
+def test_a_certificate_that_is_not_valid_yet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Authority(tmp_path).make()
+    monkeypatch.setattr(certificates, "_EARLIER", timedelta(hours=-6))
+    Authority(tmp_path).issue("robot1")
+    found = only(look_at_certificate(place(tmp_path)))
+    assert found.result is Result.FAIL
+    assert "is not valid before" in found.seen
+    assert "clock" in found.cure

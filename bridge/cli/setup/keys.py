@@ -51,7 +51,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     show = add_verb(
         actions, "show", run, "show certificates: names, and when they expire",
         "Shows certificates: their machines, names and addresses, and when they expire. Exit code 1 if one has"
-        " expired.", hub=False,
+        " expired, or is not valid yet.", hub=False,
     )  # fmt: skip
     show.add_argument("files", type=Path, nargs="*", metavar="FILE", help="certificates, or folders (default: DIR)")
     show.add_argument("--json", action="store_true", help="print JSON")
@@ -143,25 +143,26 @@ def _endpoint(certificate: Certificate) -> str:
 
 def _show(places: list[Path], *, as_json: bool) -> int:
     found = [certificate for place in places for certificate in _certificates(place)]
-    expired = any(certificate.days_left() < 0 for certificate in found)
+    invalid = any(certificate.days_left() < 0 or certificate.begins_later() for certificate in found)
     if as_json:
         print(json.dumps([_document(certificate) for certificate in found], indent=2))
-        return int(expired)
+        return int(invalid)
     if not found:
         raise CliError(f"no certificates in {', '.join(map(str, places))}; 'midspan keys make NAME' makes them")
     rows = [("NAME", "VALID UNTIL", "LEFT", "CONNECT BY", "FILE"), *(_row(each) for each in found)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     for row in rows:
         print("  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip())
-    return int(expired)
+    return int(invalid)
 
 
 def _row(certificate: Certificate) -> tuple[str, ...]:
     left = certificate.days_left()
+    remaining = "expired" if left < 0 else f"{left} days"
     return (
         "(authority)" if certificate.authority else certificate.name,
         f"{certificate.until:%Y-%m-%d}",
-        "expired" if left < 0 else f"{left} days",
+        f"not before {certificate.since:%Y-%m-%d %H:%M} UTC" if certificate.begins_later() else remaining,
         ", ".join(certificate.names) or "-",
         str(certificate.file),
     )
@@ -182,6 +183,7 @@ def _document(certificate: Certificate) -> dict[str, Any]:
         "authority": certificate.authority,
         "issuer": certificate.issuer,
         "names": list(certificate.names),
+        "since": certificate.since.isoformat(),
         "until": certificate.until.isoformat(),
         "days_left": certificate.days_left(),
     }

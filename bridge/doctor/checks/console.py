@@ -5,6 +5,7 @@ from __future__ import annotations
 import stat
 
 from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
+from bridge.doctor.checks.hub import early_cure
 from bridge.doctor.context import CheckContext
 from bridge.hub.security.certificates import read_certificate, trouble
 from bridge.hub.security.door import key_files
@@ -24,7 +25,10 @@ def look_at_certificate(context: CheckContext) -> Findings:
         return fail(f"{'the console' if web.enabled else 'the worker metrics'} cannot start: {why}", _MAKE)
     own = read_certificate(files.certificate)
     findings: list[Finding] = []
-    if own.days_left() < SOON_DAYS:
+    if own.begins_later():
+        seen = f"{own.file} is not valid before {own.since:%Y-%m-%d %H:%M} UTC: browsers refuse it"
+        findings.append(fail(seen, early_cure()))
+    elif own.days_left() < SOON_DAYS:
         cure = "'midspan keys make NAME --replace', and copy the files; the console takes them up by itself"
         findings.append(warn(f"{own.file} expires in {own.days_left()} days, and browsers refuse it then", cure))
     if files.key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ssl
 import stat
 from collections.abc import Container, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from itertools import combinations, product
 
 import psutil
@@ -206,7 +207,7 @@ def look_at_keys(context: CheckContext) -> Findings:
         signed = signed_by(files.certificate, files.ca)
     except (HubConfigError, CertificateError) as err:
         return fail(str(err), "'midspan keys make' makes the files; see docs/operate/security.md")
-    findings = [*_expiry(own), *_expiry(authority), *_fit(files), *_mode(files), *_distrust(own.name, context)]
+    findings = [*_validity(own), *_validity(authority), *_fit(files), *_mode(files), *_distrust(own.name, context)]
     if not signed:
         cure = "copy both from the same folder of 'midspan keys'"
         findings.append(fail(f"{files.certificate} was not signed by {files.ca}", cure))
@@ -228,13 +229,25 @@ def _distrust(name: str, context: CheckContext) -> list[Finding]:
     ]
 
 
-def _expiry(certificate: Certificate) -> list[Finding]:
+def _validity(certificate: Certificate) -> list[Finding]:
+    """A certificate that is not valid yet, has expired, or soon will be."""
+    if certificate.begins_later():
+        seen = f"{certificate.file} is not valid before {certificate.since:%Y-%m-%d %H:%M} UTC: no machine accepts it"
+        return [fail(seen, early_cure())]
     left = certificate.days_left()
     if left < 0:
         return [fail(f"{certificate.file} expired on {certificate.until:%Y-%m-%d}: no machine accepts it", _RENEW)]
     if left < SOON_DAYS:
         return [warn(f"{certificate.file} expires in {left} days", _RENEW)]
     return []
+
+
+def early_cure() -> str:
+    """Return the cure for a certificate that is not valid yet."""
+    return (
+        f"set this machine's clock unless it is {datetime.now(UTC):%Y-%m-%d %H:%M} UTC; if it is right, 'midspan keys"
+        " make NAME --replace' on a machine with the right time, and copy the files"
+    )
 
 
 def _fit(files: KeyFiles) -> list[Finding]:

@@ -54,12 +54,17 @@ class Certificate:
     name: str
     issuer: str
     names: tuple[str, ...]
+    since: datetime
     until: datetime
     authority: bool
 
     def days_left(self) -> int:
         """Return the days until it expires; negative if it has expired."""
         return (self.until - datetime.now(UTC)).days
+
+    def begins_later(self) -> bool:
+        """Whether it is not valid yet by this machine's clock."""
+        return self.since > datetime.now(UTC)
 
 
 class Authority:
@@ -167,9 +172,8 @@ def read_certificate(file: Path) -> Certificate:
         authority = found.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
     except x509.ExtensionNotFound:
         authority = False
-    return Certificate(
-        file, _common_name(found.subject), _common_name(found.issuer), names, found.not_valid_after_utc, authority
-    )
+    since, until = found.not_valid_before_utc, found.not_valid_after_utc
+    return Certificate(file, _common_name(found.subject), _common_name(found.issuer), names, since, until, authority)
 
 
 def signed_by(file: Path, authority: Path) -> bool:

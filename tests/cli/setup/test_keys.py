@@ -15,6 +15,7 @@ from bridge.cli.main import main
 from bridge.config.model import Config
 from bridge.doctor.check import Result
 from bridge.doctor.checks import hub as hub_checks
+from bridge.hub.security import certificates
 from bridge.hub.security.certificates import Authority, CertificateError, read_certificate, signed_by
 from tests.doctor.parts import around, every, hub, only, results
 
@@ -221,3 +222,30 @@ def test_an_expired_one_is_told(folder: Path, capsys: pytest.CaptureFixture[str]
     assert looked_at(folder)[0][0] is Result.FAIL
     assert run(folder, "show") == 1
     assert "expired" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("which", ["robot1", "ca"])
+def test_one_that_is_not_valid_yet(
+    folder: Path, which: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for file in folder.glob("ca.*" if which == "ca" else "robot1.*"):
+        file.unlink()
+    with monkeypatch.context() as patch:
+        patch.setattr(certificates, "_EARLIER", timedelta(hours=-6))  # made on a machine whose clock was ahead
+        if which == "ca":
+            Authority(folder).make()
+        else:
+            Authority(folder).issue(which)
+    if which == "ca":
+        Authority(folder).issue("robot1", replace=True)
+    since = read_certificate(folder / f"{which}.pem").since
+    text = f"not before {since:%Y-%m-%d %H:%M} UTC"
+    ((result, seen),) = looked_at(folder)
+    assert result is Result.FAIL
+    assert seen.startswith(f"{folder / which}.pem is not valid before {since:%Y-%m-%d %H:%M} UTC")
+    assert run(folder, "show") == 1
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.endswith(f"{which}.pem")]
+    assert text in line
+    assert run(folder, "show", "--json") == 1
+    (shown,) = [each for each in json.loads(capsys.readouterr().out) if each["file"].endswith(f"{which}.pem")]
+    assert shown["since"] == since.isoformat()
