@@ -42,7 +42,7 @@ test-all: setup ## all there is; the last part is a first run in a bare clone, b
 	$(pytest) -n 3 -m '$(if $(CI),long,long or beside)' $(or $(ARGS),$(call marked,long)) || $(go_on); \
 	$(again)
 
-lint: setup ## ruff (rules and format), import circles and sizes
+lint: setup ## ruff (rules and format), import cycles and sizes
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/python scripts/house.py --check

@@ -1,14 +1,14 @@
-"""Measures the code: files, lines, import cycles, classes that share a name, the number of files on a message's path.
+"""Measure the code: files, lines, import cycles, classes with the same name, files on the path of a message, language.
 
     python scripts/house.py            prints the figures
-    python scripts/house.py --check    also prints what must not be, and fails if there is any: circles, large files,
-                                       tests that assert nothing
+    python scripts/house.py --check    also prints the violations and fails if there are any: import cycles, large
+                                       files, tests without an assertion
 
-Of the tests it counts how often they reach into an object's privates, and finds those that assert nothing themselves
-and call no helper that is named for it.
+In tests, it counts accesses to private attributes, and lists the tests that neither assert nor call a helper whose
+name implies an assertion.
 
-Counted: the files of the product (`bridge`, `yarp_compat`, `navigation`, `sim`). An import counts wherever it stands,
-in a function or under ``TYPE_CHECKING`` too: a circle that is only hidden is a circle.
+The figures cover the product (`bridge`, `yarp_compat`, `navigation`, `sim`), the language all folders and the docs.
+Imports inside functions and under ``TYPE_CHECKING`` count too, because they hide a cycle without removing it.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from collections.abc import Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
+
+from scripts import language
 
 ROOT = Path(__file__).resolve().parents[1]
 PRODUCT = ("bridge", "yarp_compat", "navigation", "sim")
@@ -50,12 +52,12 @@ class File:
 @functools.cache
 def read(root: Path) -> dict[str, File]:
     """The product's modules by dotted name; a package has its folder's."""
-    found = {}
+    files = {}
     for path in sorted(path for part in PRODUCT for path in (root / part).rglob("*.py")):
         text = path.read_text(encoding="utf-8")
         name = ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
-        found[name] = File(name, path, text.count("\n"), ast.parse(text))
-    return found
+        files[name] = File(name, path, text.count("\n"), ast.parse(text))
+    return files
 
 
 def imports(files: Mapping[str, File]) -> Graph:
@@ -85,12 +87,12 @@ def _defines(module: str, name: str, files: Mapping[str, File]) -> str:
     return module
 
 
-def circles(graph: Graph) -> list[list[str]]:
+def cycles(graph: Graph) -> list[list[str]]:
     """The groups of nodes that reach each other (Tarjan's strongly connected components of two and more)."""
     index: dict[str, int] = {}
     low: dict[str, int] = {}
     stack: list[str] = []
-    found: list[list[str]] = []
+    groups: list[list[str]] = []
 
     def visit(node: str) -> None:
         index[node] = low[node] = len(index)
@@ -105,13 +107,13 @@ def circles(graph: Graph) -> list[list[str]]:
             group = stack[stack.index(node) :]
             del stack[stack.index(node) :]
             if len(group) > 1:
-                found.append(sorted(group))
+                groups.append(sorted(group))
 
     sys.setrecursionlimit(max(sys.getrecursionlimit(), 10_000))
     for node in graph:
         if node not in index:
             visit(node)
-    return sorted(found)
+    return sorted(groups)
 
 
 def packages(files: Mapping[str, File], graph: Graph) -> Graph:
@@ -121,33 +123,33 @@ def packages(files: Mapping[str, File], graph: Graph) -> Graph:
         short = ".".join(name.split(".")[:2])
         return short if files[short].path.name == "__init__.py" else name
 
-    found = defaultdict[str, set[str]](set)
+    graph_of_packages = defaultdict[str, set[str]](set)
     for name, others in graph.items():
-        found[package(name)] |= {package(to) for to in others} - {package(name)}
-    return found
+        graph_of_packages[package(name)] |= {package(to) for to in others} - {package(name)}
+    return graph_of_packages
 
 
-def package_circles(files: Mapping[str, File], graph: Graph) -> list[list[str]]:
-    """Return the cycles through a package; `circles` reports those among files."""
+def package_cycles(files: Mapping[str, File], graph: Graph) -> list[list[str]]:
+    """Return the cycles through a package; `cycles` reports those among files."""
     return [
         group
-        for group in circles(packages(files, graph))
+        for group in cycles(packages(files, graph))
         if any(len(n.split(".")) == 2 and files[n].path.name == "__init__.py" for n in group)
     ]
 
 
 def shared_classes(files: Mapping[str, File]) -> dict[str, list[str]]:
     """Public classes at the top of several files, by their name."""
-    found = defaultdict[str, list[str]](list)
+    modules = defaultdict[str, list[str]](list)
     for name, file in files.items():
         for node in file.tree.body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                found[node.name].append(name)
-    return {name: places for name, places in sorted(found.items()) if len(places) > 1}
+                modules[node.name].append(name)
+    return {name: places for name, places in sorted(modules.items()) if len(places) > 1}
 
 
 def private_accesses(root: Path) -> int:
-    """How often tests name an attribute or a module's name that begins with an underscore, of others than ``self``."""
+    """Count the tests' accesses to names with a leading underscore, except on ``self``."""
     return sum(_is_private(node) for _, tree in _tests(root) for node in ast.walk(tree))
 
 
@@ -165,11 +167,15 @@ def assertless(root: Path) -> list[str]:
         f"{path.relative_to(root)}:{test.lineno} {test.name}"
         for path, tree in _tests(root)
         for test in [*tree.body, *(node for part in tree.body if isinstance(part, ast.ClassDef) for node in part.body)]
-        if isinstance(test, ast.FunctionDef) and test.name.startswith("test_") and not any(map(_tells, ast.walk(test)))
+        if isinstance(test, ast.FunctionDef) and test.name.startswith("test_") and not _can_fail(test)
     ]
 
 
-def _tells(node: ast.AST) -> bool:
+def _can_fail(test: ast.FunctionDef) -> bool:
+    return any(map(_asserts, ast.walk(test)))
+
+
+def _asserts(node: ast.AST) -> bool:
     if isinstance(node, ast.Call):
         called = node.func
         name = called.attr if isinstance(called, ast.Attribute) else called.id if isinstance(called, ast.Name) else ""
@@ -182,13 +188,13 @@ def _tests(root: Path) -> list[tuple[Path, ast.Module]]:
     return [(path, ast.parse(path.read_text(encoding="utf-8"))) for path in sorted((root / "tests").rglob("*.py"))]
 
 
-def ways(root: Path) -> dict[str, int]:
+def described_paths(root: Path) -> dict[str, int]:
     """Return the paths that ARCHITECTURE.md describes, each with its number of files."""
-    found = dict[str, int]()
+    paths = dict[str, int]()
     page = root / "ARCHITECTURE.md"
     for title, text in re.findall(r"^## (The path of [^\n]*)\n((?:(?!^## ).*\n?)*)", page.read_text(), re.MULTILINE):
-        found[title] = len(set(re.findall(r"^\| *\d+ *\| *`([\w/]+\.py)`", text, re.MULTILINE)))
-    return found
+        paths[title] = len(set(re.findall(r"^\| *\d+ *\| *`([\w/]+\.py)`", text, re.MULTILINE)))
+    return paths
 
 
 def report(files: Mapping[str, File]) -> None:
@@ -201,40 +207,44 @@ def report(files: Mapping[str, File]) -> None:
     print(f"median lines             {statistics.median(lines):.0f}")
     print(f"files under {SMALL} lines     {sum(count < SMALL for count in lines)}")
     print(f"files over {LARGE} lines     {sum(count > LARGE for count in lines)}")
-    print(f"circles among files      {len(circles(graph))}")
-    print(f"circles among packages   {len(package_circles(files, graph))}")
+    print(f"cycles among files      {len(cycles(graph))}")
+    print(f"cycles among packages   {len(package_cycles(files, graph))}")
     print(f"classes that share names {len(shared)}")
     for name, places in sorted(shared.items(), key=lambda item: -len(item[1]))[:20]:
         print(f"    {name}: {', '.join(places)}")
-    for title, count in ways(ROOT).items():
+    for title, count in described_paths(ROOT).items():
         print(f"{title}: {count} files")
     print(f"tests: private accesses  {private_accesses(ROOT)}")
-    print(f"tests: that assert nothing {len(assertless(ROOT))}")
+    print(f"tests without an assert  {len(assertless(ROOT))}")
+    for folder, counts in language.measure(ROOT).items():
+        print(f"{folder:24} {language.total(counts.values())}")
 
 
 def wrong(files: Mapping[str, File], known_large: AbstractSet[str] = KNOWN_LARGE) -> list[str]:
     """Return all violations of the limits."""
     graph = imports(files)
-    found = [f"circle among files: {' '.join(group)}" for group in circles(graph)]
-    found += [f"circle among packages: {' '.join(group)}" for group in package_circles(files, graph)]
+    violations = [f"cycle among files: {' '.join(group)}" for group in cycles(graph)]
+    violations += [f"cycle among packages: {' '.join(group)}" for group in package_cycles(files, graph)]
     large = {file.name: file for file in files.values() if file.lines > LARGE}
-    found += [f"{f.path}: {f.lines} lines, at most {LARGE}" for f in large.values() if f.name not in known_large]
-    found += [f"{name} is not a large file; remove it from KNOWN_LARGE" for name in sorted(known_large - large.keys())]
-    return found
+    violations += [f"{f.path}: {f.lines} lines, at most {LARGE}" for f in large.values() if f.name not in known_large]
+    violations += [
+        f"{name} is not a large file; remove it from KNOWN_LARGE" for name in sorted(known_large - large.keys())
+    ]
+    return violations
 
 
 def main() -> int:
     """Print the figures; with ``--check``, also the violations."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
-    parser.add_argument("--check", action="store_true", help="fail for circles, large files, idle tests")
+    parser.add_argument("--check", action="store_true", help="fail if there is a violation")
     check = parser.parse_args().check
     files = read(ROOT)
     report(files)
     if not check:
         return 0
-    found = wrong(files) + [f"{test} asserts nothing" for test in assertless(ROOT)]
-    print("\n".join(found), end="\n" if found else "")
-    return 1 if found else 0
+    violations = wrong(files) + [f"{test} asserts nothing" for test in assertless(ROOT)]
+    print("\n".join(violations), end="\n" if violations else "")
+    return 1 if violations else 0
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What scripts/house.py finds: circles, names of classes, large files. `make lint` looks at the tree itself."""
+"""What scripts/house.py finds: cycles, names of classes, large files. `make lint` looks at the tree itself."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def write(folder: Path, files: dict[str, str]) -> dict[str, house.File]:
     return house.read(folder)
 
 
-def test_a_circle_that_is_hidden_in_a_function_is_found(tmp_path: Path) -> None:
+def test_a_cycle_that_is_hidden_in_a_function_is_found(tmp_path: Path) -> None:
     files = write(
         tmp_path,
         {
@@ -27,7 +27,7 @@ def test_a_circle_that_is_hidden_in_a_function_is_found(tmp_path: Path) -> None:
             "sim/d.py": "from sim.a import f\n",
         },
     )
-    assert house.circles(house.imports(files)) == [["sim.a", "sim.b", "sim.c"]]
+    assert house.cycles(house.imports(files)) == [["sim.a", "sim.b", "sim.c"]]
 
 
 def test_a_name_that_a_package_hands_on_is_its_files(tmp_path: Path) -> None:
@@ -42,8 +42,8 @@ def test_a_name_that_a_package_hands_on_is_its_files(tmp_path: Path) -> None:
     )
     graph = house.imports(files)
     assert graph["bridge.routing.loop"] == {"bridge.hub.session"}
-    assert house.circles(graph) == [["bridge.hub.session", "bridge.routing.loop"]]
-    assert house.package_circles(files, graph) == [["bridge.hub", "bridge.routing"]]
+    assert house.cycles(graph) == [["bridge.hub.session", "bridge.routing.loop"]]
+    assert house.package_cycles(files, graph) == [["bridge.hub", "bridge.routing"]]
 
 
 def test_classes_of_one_name_are_found(tmp_path: Path) -> None:

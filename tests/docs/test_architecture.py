@@ -60,11 +60,11 @@ def test_there_are_paths_and_names() -> None:
 
 
 def test_the_path_of_a_scan_is_short() -> None:
-    assert 0 < house.ways(ROOT)["The path of a message"] <= 9
+    assert 0 < house.described_paths(ROOT)["The path of a message"] <= 9
 
 
 def test_the_path_of_a_goal_is_short() -> None:
-    assert 0 < house.ways(ROOT)["The path of a goal"] <= 15
+    assert 0 < house.described_paths(ROOT)["The path of a goal"] <= 15
 
 
 def diagram(table: Mapping[Any, Mapping[Any, Any]], first: Enum, without: frozenset[str] = frozenset()) -> str:

@@ -1,0 +1,188 @@
+"""Measure the language of code and docs: phrases that read as translated, and names that name nothing.
+
+A phrase counts in docstrings, comments, messages and Markdown. It hints at a sentence to read again; some are
+good English, so a limit leaves room for them. A function or an assignment counts if its name is on a list of words
+that do not say what they stand for. `scripts/house.py --check` holds each top-level folder to the limits.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import tokenize
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Self
+
+FOLDERS = ("bridge", "yarp_compat", "navigation", "sim", "tests", "benchmarks", "examples", "scripts")
+PAGES = "docs"
+"""The label of all Markdown: the pages of this folder, and those next to it."""
+
+PHRASES_PER_1000, VAGUE_PERCENT = 4.0, 1.0
+FEW_WORDS, FEW_NAMES = 1000, 300
+"""A smaller folder is measured, but one phrase or name in it decides nothing."""
+
+_AFTER_WHERE = "it|there|that|they|none|no|the|one|an?|this|what|nobody|another|its|such|not|any|both|some|need be"
+_SUBJECTS = "who|whoever|what|whatever"
+_THEIR_VERBS = "is|are|was|were|comes?|came|has|have|had|waits?|asks?|asked|calls?|hears?|listens?|holds?|publishes"
+_PHRASES = {
+    "where, for if": rf"where ({_AFTER_WHERE})",
+    "tell": "(tell|tells|telling|told)",
+    "hear": "(hear|hears|hearing|heard|unheard)",
+    "say": "(say|says|saying|said|speak|speaks|spoke)",
+    "is no": r"(is|are|was|were) no (?!longer|more)\w+",
+    "there is no": "there (is|are) (none|no)",
+    "of its own": "of (its|their|our|one's) own",
+    "of somebody's": r"of \w+'s",
+    "alone, for only": r"\w+ alone",
+    "so many": "so (many|much|long)",
+    "behind, beside": "(behind|besides?|anew|lately|likewise|thereby|hereby|at hand)",
+    "no more, for no longer": "no more",
+    "take up": "(take|takes|taken|taking|took) (up|for|it for)",
+    "nobody": "(nobody|somebody)",
+    "way, for path or method": "(the|its|their|a|each|by the|on its) way",
+}
+_WITHOUT_A_NOUN = rf"(^|[.;:,(]\s*)({_SUBJECTS}) ({_THEIR_VERBS}|it|they|the|a)\b"
+PHRASES = {
+    name: re.compile(pattern, re.MULTILINE | re.IGNORECASE)
+    for name, pattern in [
+        *((name, rf"\b{pattern}\b") for name, pattern in _PHRASES.items()),
+        ("who, without a noun", _WITHOUT_A_NOUN),
+    ]
+}
+
+VAGUE_FUNCTION = re.compile(
+    "_*(at|came|come|forget|found|go_on|gone|hear|heard|leave|let_go|look|made|of|own|put|rest|said|say|stands|take|tell|told)"
+)
+VAGUE_VARIABLE = re.compile(
+    "_*(asked|came|each|found|gone|heard|here|made|one|own|rest|said|there|told|two|ways?|what|who|why|wish|words?)"
+)
+
+_CODE = re.compile(r"```.*?```|`[^`]*`", re.DOTALL)
+_DIRECTIVE = re.compile(r"#\s*(noqa|type:|fmt:|ruff|mypy|pragma)")
+_WORD = re.compile(r"[A-Za-z']+")
+
+
+@dataclass
+class Count:
+    """The words and names of some files, and how many of them count."""
+
+    words: int = 0
+    phrases: Counter[str] = field(default_factory=Counter)
+    functions: int = 0
+    vague_functions: int = 0
+    variables: int = 0
+    vague_variables: int = 0
+
+    def __iadd__(self, other: Count) -> Self:
+        self.words += other.words
+        self.phrases += other.phrases
+        self.functions += other.functions
+        self.vague_functions += other.vague_functions
+        self.variables += other.variables
+        self.vague_variables += other.vague_variables
+        return self
+
+    @property
+    def per_1000(self) -> float:
+        """Phrases per 1,000 words."""
+        return 1000 * self.phrases.total() / max(self.words, 1)
+
+    def over(self) -> list[str]:
+        """Return the limits that are exceeded, each with its figure."""
+        exceeded = []
+        if self.words >= FEW_WORDS and self.per_1000 > PHRASES_PER_1000:
+            exceeded.append(f"{self.per_1000:.1f} phrases per 1,000 words, at most {PHRASES_PER_1000:.0f}")
+        for kind, vague, count in (
+            ("functions", self.vague_functions, self.functions),
+            ("assignments", self.vague_variables, self.variables),
+        ):
+            if count >= FEW_NAMES and 100 * vague / count > VAGUE_PERCENT:
+                exceeded.append(f"{100 * vague / count:.1f} % of {kind} with a vague name, at most {VAGUE_PERCENT:.0f}")
+        return exceeded
+
+    def __str__(self) -> str:
+        functions = 100 * self.vague_functions / max(self.functions, 1)
+        variables = 100 * self.vague_variables / max(self.variables, 1)
+        names = f"functions {functions:.1f} %, assignments {variables:.1f} %"
+        return f"{self.per_1000:4.1f} phrases per 1,000 words; vague names: {names}"
+
+
+def of_texts(texts: Iterable[str]) -> Count:
+    """Count the words and phrases of texts."""
+    count = Count()
+    for text in texts:
+        count.words += len(_WORD.findall(text))
+        for name, pattern in PHRASES.items():
+            count.phrases[name] += len(pattern.findall(text))
+    return count
+
+
+def of_source(source: str) -> Count:
+    """Count the prose and the names of a Python file."""
+    tree = ast.parse(source)
+    count = of_texts([*_strings(tree), *_comments(source)])
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            count.functions += 1
+            count.vague_functions += VAGUE_FUNCTION.fullmatch(node.name) is not None
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            count.variables += 1
+            count.vague_variables += VAGUE_VARIABLE.fullmatch(node.id) is not None
+    return count
+
+
+def _strings(tree: ast.Module) -> Iterator[str]:
+    """Yield docstrings, and strings of several words."""
+    alone = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Constant) or not isinstance(node.value, str):
+            continue
+        if id(node) in alone or (" " in node.value and len(node.value) > 15):
+            yield node.value
+
+
+def _comments(source: str) -> Iterator[str]:
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT and not _DIRECTIVE.match(token.string):
+            yield token.string
+
+
+def _files(root: Path, folder: str) -> dict[Path, Count]:
+    """Count each file of a folder, except this one, which lists the phrases."""
+    if folder == PAGES:
+        pages = [*sorted((root / PAGES).rglob("*.md")), *sorted(root.glob("*.md"))]
+        return {page: of_texts([_CODE.sub(" ", page.read_text(encoding="utf-8"))]) for page in pages}
+    sources = sorted(path for path in (root / folder).rglob("*.py") if path.name != Path(__file__).name)
+    return {source: of_source(source.read_text(encoding="utf-8")) for source in sources}
+
+
+def measure(root: Path) -> dict[str, dict[Path, Count]]:
+    """Count each file of each top-level folder, and the Markdown pages under `PAGES`."""
+    return {folder: _files(root, folder) for folder in (*FOLDERS, PAGES)}
+
+
+def total(counts: Iterable[Count]) -> Count:
+    """Return the sum."""
+    result = Count()
+    for count in counts:
+        result += count
+    return result
+
+
+def wrong(measured: dict[str, dict[Path, Count]], root: Path) -> list[str]:
+    """Return the folders above a limit, each with the files that have the most phrases and vague names."""
+    lines = []
+    for folder, files in measured.items():
+        for excess in total(files.values()).over():
+            worst = sorted(files, key=lambda path: -_weight(files[path]))[:5]
+            names = ", ".join(str(path.relative_to(root)) for path in worst)
+            lines.append(f"{folder}: {excess}; edit the sentences or names, first in {names}")
+    return lines
+
+
+def _weight(count: Count) -> int:
+    return count.phrases.total() + count.vague_functions + count.vague_variables
