@@ -28,6 +28,7 @@ NESTS = [
     {"Outer": "Inner a\n", "Inner": "int32 Value\nbyte low=-1\n"},
     {"Outer": "Inner a\n", "Inner": "bool ON=true\n"},
     {"Outer": "an_inner a\n", "an_inner": "int32 a\n"},
+    {"Outer": "Inner[] a\nInner A\n", "Inner": "float64 T\nfloat64 t\nint32 N=1\nint32 n=2\n"},
 ]
 
 

@@ -309,6 +309,42 @@ def test_fields_on_one_side_get_defaults(
     assert len(back(convert(message))) > 0
 
 
+@pytest.mark.parametrize(
+    ("ros1", "expected"),
+    [
+        ("float32 T\nfloat32 t\n", {"t_2": 1.0, "t": 2.0}),
+        ("float32 t\nfloat32 T\n", {"t": 1.0, "t_2": 2.0}),
+        ("float32 Ab\nfloat32 aB\n", {"ab": 1.0, "ab_2": 2.0}),
+        ("float32 t_2\nfloat32 T\nfloat32 t\n", {"t_2": 1.0, "t_3": 2.0, "t": 3.0}),
+        ("float32 a_\nfloat32 A\nfloat32 a__\n", {"a": 1.0, "a_2": 2.0, "a_3": 3.0}),
+    ],
+)
+def test_fields_that_differ_only_in_case(ros1: str, expected: dict[str, float]):
+    registry = Registry()
+    message = struct.pack(f"<{len(expected)}f", *expected.values())
+    there = registry.ros1_to_hub("my_msgs/Thing", definition=ros1)
+    assert there.convert is not None
+    assert there.left_out == ()
+    assert to_json(registry, "my_msgs/msg/Thing", there.convert(message)) == expected
+    back = registry.hub_to_ros1("my_msgs/msg/Thing").convert
+    assert back is not None
+    assert back(there.convert(message)) == message
+
+
+@pytest.mark.parametrize(
+    ("ros2", "expected"),
+    [
+        ("float32 t\n", {"t": 2.0}),  # T is only in ROS 1
+        ("float32 t_2\nfloat32 t\n", {"t_2": 1.0, "t": 2.0}),
+    ],
+)
+def test_fields_that_differ_only_in_case_and_a_type_of_ros2(tmp_path: Path, ros2: str, expected: dict[str, float]):
+    registry = with_ros2(tmp_path, ros2)
+    convert = registry.ros1_to_hub("my_msgs/Thing", definition="float32 T\nfloat32 t\n").convert
+    assert convert is not None
+    assert to_json(registry, "my_msgs/msg/Thing", convert(struct.pack("<2f", 1.0, 2.0))) == expected
+
+
 def test_fields_of_ros1_that_get_lost_are_named(tmp_path: Path):
     registry = with_ros2(tmp_path, "std_msgs/Header header\nuint8 b\n")
     header = SEPARATOR + "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"

@@ -101,7 +101,11 @@ def is_legal_message(name: str) -> bool:
 
 
 def legal_fields(names: Iterable[str]) -> dict[str, str]:
-    """ROS 2's field name for each ROS 1 field of one message; names that meet get ``_2``, ``_3`` and so on."""
+    """Return ROS 2's name of each ROS 1 field of one message.
+
+    Legal names stay as they are. Others become legal, with ``_2``, ``_3`` and so on if that name is in use:
+    ``T`` is ``t_2`` beside ``t``.
+    """
     return _distinct(names, lambda name: _snake(name.lower()))
 
 
@@ -111,10 +115,14 @@ def legal_constants(names: Iterable[str]) -> dict[str, str]:
 
 
 def _distinct(names: Iterable[str], change: Callable[[str], str]) -> dict[str, str]:
-    taken: set[str] = set()
+    names = list(names)
+    taken = {name for name in names if change(name) == name}
     result: dict[str, str] = {}
     for name in names:
         wanted = legal = change(name)
+        if legal == name:
+            result[name] = name
+            continue
         number = 2
         while legal in taken:
             legal = f"{wanted}_{number}"

@@ -1,6 +1,7 @@
 """The fields of a ROS 1 type that correspond to fields of a ROS 2 type.
 
-Fields correspond by a mapping rule that lists them, otherwise by name ignoring case (``CameraInfo.D`` is ``d``).
+Fields correspond by a mapping rule that lists them, otherwise by name: first equal names, then the name that ROS 2
+gives a ROS 1 field (`legal_fields`), then names that differ only in case (``CameraInfo.D`` is ``d``).
 ``Header.seq`` needs no counterpart. Fields of only one type get default values; if both types have such fields, the
 types do not match, since a field may have been renamed. actionlib's status text (`parts.STATUS_TEXT`) corresponds to
 the ``error_msg`` of a ROS 2 action's result unless a field of the ROS 1 result does; otherwise it needs no counterpart.
@@ -138,10 +139,11 @@ def _by_name(ros1: Definition, ros2: Definition) -> Fields:
     legal = legal_fields(field.name for field in ros1.fields)
     pairs: list[tuple[FieldPath, FieldPath]] = []
     only1: list[str] = []
-    taken: set[str] = set()
+    taken = {field.name for field in ros1.fields if field.name in exact}
     for field in ros1.fields:
-        name = exact.get(field.name) or lower.get(field.name.lower()) or exact.get(legal[field.name])
-        if name is None or name in taken:
+        candidates = exact.get(legal[field.name]), lower.get(field.name.lower())
+        name = exact.get(field.name) or next((name for name in candidates if name and name not in taken), None)
+        if name is None:
             only1.append(field.name)
         else:
             taken.add(name)

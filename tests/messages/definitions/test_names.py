@@ -21,15 +21,17 @@ def test_types(ros1: str, ros2: str):
 
 
 def test_fields_stay_distinct():
-    given = ["D", "d", "two__parts", "_lead", "trail_", "CamelCase", "ok"]
-    assert list(names.legal_fields(given).values()) == ["d", "d_2", "two_parts", "lead", "trail", "camelcase", "ok"]
+    given = ["D", "d", "two__parts", "_lead", "trail_", "CamelCase", "ok", "OK", "Ok", "ok_2"]
+    expected = ["d_2", "d", "two_parts", "lead", "trail", "camelcase", "ok", "ok_3", "ok_4", "ok_2"]
+    assert list(names.legal_fields(given).values()) == expected
 
 
 def test_constants_are_upper_case():
-    assert names.legal_constants(["debug", "WARN_1", "aB__c"]) == {
+    assert names.legal_constants(["debug", "WARN_1", "aB__c", "warn_1"]) == {
         "debug": "DEBUG",
         "WARN_1": "WARN_1",
         "aB__c": "AB_C",
+        "warn_1": "WARN_1_2",
     }
 
 
