@@ -1,1 +1,1 @@
-"""The edges: one package per side, the only one that uses that side's middleware; and the client of ROS 1 peers."""
+"""Edges: one package per side, the only one that imports the side's middleware; also the XML-RPC client for ROS 1."""

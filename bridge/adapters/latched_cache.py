@@ -1,4 +1,4 @@
-"""The cache from which late joiners get the messages of a latched topic."""
+"""A cache of latched messages for late joiners."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ class LatchedCache:
         self._sources: dict[str, deque[bytes]] = {}
 
     def add(self, payload: bytes, source: str) -> None:
-        """A source's newest message."""
+        """Append a source's newest message."""
         messages = self._sources.pop(source, None) or deque(maxlen=self._depth)
         messages.append(payload)
-        self._sources[source] = messages  # the source that spoke last comes last
+        self._sources[source] = messages  # the source that published last moves to the end
 
     def forget(self, source: str) -> None:
-        """Drop what a source said."""
+        """Drop a source's messages."""
         self._sources.pop(source, None)
 
     def all(self) -> list[bytes]:
-        """Every source's messages, those of the source that spoke last at the end."""
+        """Return the messages of all sources; those of the source that published last are at the end."""
         return [payload for messages in self._sources.values() for payload in messages]

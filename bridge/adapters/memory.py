@@ -1,4 +1,4 @@
-"""How a worker's process keeps memory: in few heaps, that of large messages, and the objects that stay."""
+"""Settings of malloc and of the garbage collector for worker processes."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -2, -3, -8  # glibc
 _KEPT = 128 * 1024 * 1024
 _PAD = 64 * 1024 * 1024
 _ARENAS = 2
-"""By default each thread has a heap of its own, and what one frees of another's helps nobody."""
+"""By default each thread has its own heap, and memory freed by one thread is not reused by the others."""
 _LARGEST = 32 * 1024 * 1024
-"""The largest that glibc takes on 64 bits (DEFAULT_MMAP_THRESHOLD_MAX)."""
+"""The largest value that glibc accepts on 64 bits (DEFAULT_MMAP_THRESHOLD_MAX)."""
 
 
 def few_heaps() -> None:
-    """Have glibc make two heaps, which saves 2 to 5 MB in each worker; call it before the process's threads start."""
+    """Limit glibc to two heaps, which saves 2 to 5 MB per worker; call it before the process starts threads."""
     _mallopt((_ARENA_MAX, _ARENAS))
 
 
 def keep_memory() -> None:
-    """Have glibc use the memory of large messages again; to be called before the process's threads start.
+    """Let glibc reuse the memory of large messages; call it before the process starts threads.
 
-    By default it gives each block of 128 kB and more back to the system, and every message pays for page faults anew:
-    an image of 6 MB took up to 9.6 ms from ROS 1 to ROS 2 instead of 5.2 (benchmarks/topic_latency.py). Without the
-    pad the heaps of threads are still given back.
+    By default it returns each block of 128 kB or more to the system, so every large message causes page faults: an
+    image of 6 MB took up to 9.6 ms from ROS 1 to ROS 2 instead of 5.2 (benchmarks/topic_latency.py). Without the pad,
+    the heaps of threads would still be returned.
     """
     _mallopt((_MMAP_THRESHOLD, _LARGEST), (_TRIM_THRESHOLD, _KEPT), (_TOP_PAD, _PAD))
 
 
 def _mallopt(*options: tuple[int, int]) -> None:
-    """Other C libraries than glibc have no ``mallopt``; there nothing is done."""
+    """Set options of glibc's malloc; does nothing if the C library has no ``mallopt``."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is not None:
         for option, value in options:
@@ -40,9 +40,9 @@ def _mallopt(*options: tuple[int, int]) -> None:
 
 
 def keep_objects() -> None:
-    """Have the garbage collector look once at each object that stays, rather than again and again.
+    """Exempt long-lived objects from garbage collection after the first scan.
 
-    With 500 routes a full collection stops the threads for 60 to 100 ms; one of what is new since the last takes a few.
+    With 500 routes a full collection stops the threads for 60 to 100 ms; one that scans only newer objects takes a few.
     """
     gc.collect()
     gc.freeze()
@@ -50,7 +50,7 @@ def keep_objects() -> None:
 
 
 class _Frozen:
-    """Takes what a full collection left out of the next ones, and gives all back once it has grown by half."""
+    """Freezes the survivors of each full collection, and unfreezes all once they have grown by half."""
 
     def __init__(self) -> None:
         self._limit = self._least_limit()

@@ -1,6 +1,6 @@
-"""Asks a ROS 1 master or node: XML-RPC with a deadline and a size limit for each answer, and the errors.
+"""An XML-RPC client for ROS 1 masters and nodes, with a deadline and a size limit for each response.
 
-The ROS 1 side uses it, and others that ask a master. Each call is answered with ``[code, status message, value]``; code
+Used by the ROS 1 side and by other parts that query a master. Each call returns ``[code, status message, value]``; code
 1 is success (https://wiki.ros.org/ROS/Master_API, https://wiki.ros.org/ROS/Slave_API).
 """
 
@@ -21,11 +21,11 @@ from bridge import resources
 
 
 class Ros1Error(Exception):
-    """Base of these errors."""
+    """Base class of the errors of this module."""
 
 
 class UnreachableError(Ros1Error):
-    """A master or node does not answer (in time); ``refused``: its machine says that nobody listens there."""
+    """A master or node does not respond in time; ``refused``: its machine refused the connection."""
 
     def __init__(self, message: str, *, refused: bool = False) -> None:
         super().__init__(message)
@@ -33,20 +33,20 @@ class UnreachableError(Ros1Error):
 
 
 class Ros1ProtocolError(Ros1Error):
-    """A peer's answer is not what ROS 1's protocols say."""
+    """A peer's response violates the ROS 1 protocols."""
 
 
 class RefusedError(Ros1Error):
-    """A peer says no: it is not a publisher of that topic, or it wants another type."""
+    """A peer rejects the call, for example because it does not publish the topic or uses another type."""
 
 
 class ExhaustedError(Ros1Error):
-    """A peer was not asked, since this process has no file descriptor left: that says nothing of the peer."""
+    """The process has no file descriptor left to connect with; the peer itself may be fine."""
 
 
 def unanswered(what: str, err: OSError) -> Ros1Error:
-    """What a failed connection means; ``what`` says what went wrong where it is the peer's fault."""
-    # without a descriptor a host's name cannot be looked up either, and the resolver tells any number that it finds
+    """Return the error for a failed connection; ``message`` is its text if the peer is at fault."""
+    # without a descriptor the resolver cannot resolve host names either, and reports an arbitrary errno
     peers = isinstance(err, ConnectionError | TimeoutError)
     own = err.errno in resources.OUT or (not peers and not resources.has_descriptor())
     if own:
@@ -56,9 +56,9 @@ def unanswered(what: str, err: OSError) -> Ros1Error:
 
 
 class DeadlineSocket(socket.socket):
-    """A TCP socket with one deadline for all that is sent and received.
+    """A TCP socket with one deadline for all operations.
 
-    A plain time-out counts for each operation anew: a peer that sends a byte now and then would hold a thread for ever.
+    A plain time-out restarts with each operation: a peer that sends a byte now and then would block a thread forever.
     """
 
     deadline = math.inf
@@ -86,33 +86,33 @@ class DeadlineSocket(socket.socket):
         self.settimeout(left)
 
     def recv(self, *args: Any) -> bytes:
-        """As `socket.socket.recv`, until the deadline."""
+        """Receive like `socket.socket.recv`; raises `TimeoutError` at the deadline."""
         self._arm()
         return super().recv(*args)
 
     def recv_into(self, *args: Any) -> int:
-        """As `socket.socket.recv_into`, until the deadline."""
+        """Receive like `socket.socket.recv_into`; raises `TimeoutError` at the deadline."""
         self._arm()
         return super().recv_into(*args)
 
     def sendall(self, *args: Any) -> None:
-        """As `socket.socket.sendall`, until the deadline."""
+        """Send like `socket.socket.sendall`; raises `TimeoutError` at the deadline."""
         self._arm()
         super().sendall(*args)
 
 
 MAX_ANSWER = 64 * 2**20
-"""Bytes of the longest answer of a master that is read: its state with 100,000 registrations is about 20 MB."""
+"""Size limit in bytes for a master's response; its state with 100,000 registrations is about 20 MB."""
 
 MAX_NODE_ANSWER = 2**16
-"""The same for a node, which anybody may register: its answers are a few words."""
+"""The same for a node, which any program may register; valid responses are short."""
 
 _PIECE = 64 * 1024
 
 _NO_XMLRPC = (
     ExpatError, xmlrpc.client.Error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError,
 )  # fmt: skip
-"""What Python's reader of XML-RPC raises for what is none."""
+"""Exceptions that Python's XML-RPC parser raises for invalid documents."""
 
 Call = tuple[str, tuple[Any, ...]]
 
@@ -127,7 +127,7 @@ class _Connection(http.client.HTTPConnection):
 
 
 class XmlRpcClient:
-    """A client of one XML-RPC server that keeps its connection. One thread at a time."""
+    """A client of one XML-RPC server, with a persistent connection. Not thread-safe."""
 
     def __init__(self, uri: str, timeout: float, limit: int = MAX_ANSWER) -> None:
         try:
@@ -147,20 +147,20 @@ class XmlRpcClient:
 
     @property
     def size(self) -> int:
-        """Bytes of the last answer."""
+        """Size of the last response in bytes."""
         return len(self._last[1]) if self._last is not None else 0
 
     def call(self, method: str, *params: Any) -> Any:
-        """Call one method; the value of its answer. Raises `RefusedError` where the code is not 1."""
+        """Call one method and return its value; raises `RefusedError` if the code is not 1."""
         code, message, value = _triple(self._post(xmlrpc.client.dumps(params, method, allow_none=False)))
         if code != 1:
             raise RefusedError(message)
         return value
 
     def calls(self, calls: Sequence[Call]) -> list[Any]:
-        """Make many calls in one exchange; each one's value, None where it did not succeed.
+        """Make many calls in one request; return the value of each, None for a failed one.
 
-        Where request and answer are the same as the last time the very same list is returned, without being parsed.
+        If request and response equal the previous ones, the same list object is returned without parsing.
         """
         if self._asked[0] != calls:
             batch = [{"methodName": name, "params": list(params)} for name, params in calls]
@@ -193,7 +193,7 @@ class XmlRpcClient:
             try:
                 answer = self._exchange(body, deadline)
             except (http.client.HTTPException, ConnectionError):
-                # A kept connection that the server has closed meanwhile.
+                # the server has closed the persistent connection meanwhile
                 if not kept:
                     raise
                 self._http.close()
@@ -217,7 +217,7 @@ class XmlRpcClient:
         self._http.request("POST", self._path, body, {"Content-Type": "text/xml"})
         response = self._http.getresponse()
         answer = bytearray()
-        # In pieces: a server that only claims a long answer costs no memory.
+        # in pieces: a server that only announces a long response costs no memory
         while piece := response.read(_PIECE):
             answer += piece
             if len(answer) > self._limit:
@@ -234,16 +234,16 @@ class XmlRpcClient:
         except xmlrpc.client.Fault as err:
             raise RefusedError(err.faultString) from None
         except _NO_XMLRPC as err:
-            raise Ros1ProtocolError(f"{self.uri} answers something else than XML-RPC: {err}") from None
+            raise Ros1ProtocolError(f"{self.uri} does not respond with XML-RPC: {err}") from None
         return values[0] if values else None
 
 
 class _Answers(list[Any]):
-    """Answers of `XmlRpcClient.calls`, already taken apart."""
+    """Parsed results of `XmlRpcClient.calls`."""
 
 
 def ask(uri: str, timeout: float, method: str, *params: Any) -> Any:
-    """Call one method of a node on a connection of its own; see `XmlRpcClient.call`."""
+    """Call one method of a node on a new connection; see `XmlRpcClient.call`."""
     client = XmlRpcClient(uri, timeout, MAX_NODE_ANSWER)
     with contextlib.closing(client):
         return client.call(method, *params)

@@ -1,4 +1,4 @@
-"""What the edges of Midspan's own sides share: types, the listener, and the other Midspan workers on the network."""
+"""The common base of the built-in edges: types, the listener, and other Midspan workers on the network."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class Presence(Protocol):
     """The Midspan workers on one network."""
 
     def announce(self, record: bytes) -> None:
-        """Tell all others."""
+        """Send a record to all others."""
 
     def sightings(self) -> Sequence[Sighting]:
-        """The others that are there."""
+        """Return the others that are on the network now."""
 
 
 class SideEdge(Edge):
@@ -31,17 +31,17 @@ class SideEdge(Edge):
         self._presence: Presence | None = None
 
     def learn(self, type_name: str, definition: str) -> None:
-        """See `Edge.learn`."""
+        """Learn a ROS 2 type's definition from another worker, for a later `from_hub`."""
         self._registry.learn_ros2(type_name, definition)
 
     def announce(self, record: bytes) -> None:
-        """See `Edge.announce`."""
+        """Send a record to all Midspan workers on this network; dropped before the edge has joined it."""
         presence = self._presence
         if presence is not None:
             presence.announce(record)
 
     def sightings(self) -> Sequence[Sighting]:
-        """See `Edge.sightings`."""
+        """Return the other Midspan workers on this network; none before the edge has joined it."""
         presence = self._presence
         return () if presence is None else presence.sightings()
 
@@ -58,7 +58,7 @@ class SideEdge(Edge):
             self._listener.message_refused(topic, reason, why)
 
     def _own_type(self, type_name: str, type_hash: str) -> SideType:
-        """This machine's definition of a hub type; raises `MessageTypeError` where the publisher has another."""
+        """Return this machine's definition of a hub type; raises `MessageTypeError` if the publisher's differs."""
         known = self._registry.ros2(type_name)
         if type_hash and type_hash != known.type_id:
             raise MessageTypeError(
@@ -68,20 +68,20 @@ class SideEdge(Edge):
         return known
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """The same bytes, checked, where the side has no others: its programs may say anything."""
+        """Return a conversion that keeps the bytes and validates them, as programs on the side may send anything."""
         return self.from_hub(endpoint.type, endpoint.type_id)
 
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """The same bytes, checked: DDS drops malformed ones without a word."""
+        """Return a conversion that keeps the bytes and validates them, as DDS drops malformed ones silently."""
         known = self._own_type(type_name, type_hash)
         return Conversion(known, known, self._registry.hub_check(type_name))
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """As `service_from_hub`; the hash of a service's type is not told."""
+        """Return the conversion of `service_from_hub`; the side does not report the hash of a service's type."""
         return self.service_from_hub(endpoint.type, "")
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """The same bytes, checked, as those of topics."""
+        """Return a conversion that keeps the bytes and validates them, as for topics."""
         known = self._registry.service_ros2(type_name, type_hash)
         request, response = self._registry.hub_service_check(type_name, type_hash)
         return ServiceConversion(known, known, request, request, response, response)

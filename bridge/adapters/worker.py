@@ -54,7 +54,7 @@ _LAST_SECONDS = 0.1
 
 
 def make_edges(name: str, config: Config, registry: Registry, folder: Path) -> dict[str, Edge]:
-    """Import and construct a side's edges, by their names on the control plane."""
+    """Import and construct a side's edges; the keys are their names on the control plane."""
     side = all_networks()[name]
     edges: Any = imported(side.edges)(config, registry, folder)
     return dict(edges) if side.networks else {side.name: edges}
@@ -107,7 +107,7 @@ class BridgeWorker(Worker):
         return True
 
     def health(self) -> Health:
-        """The combined health of the engines: running if any of them is."""
+        """Return the combined health of the engines: running if any of them is."""
         if self._failure:
             raise WorkerFailedError(self._failure)
         reports = {crossing.name: crossing.health() for crossing in self.crossings}
@@ -119,7 +119,7 @@ class BridgeWorker(Worker):
         return Health(best.state, "; ".join(f"{name}: {health.text}" for name, health in reports.items()))
 
     def hears_diagnostics(self) -> bool:
-        """See `Worker`; all crossings see the same hub."""
+        """Return whether `/diagnostics` has a subscriber; all crossings see the same hub."""
         return bool(self.crossings) and self.crossings[0].hears_diagnostics()
 
     def stop(self) -> None:
@@ -155,7 +155,7 @@ def _with_memory(config: Config) -> Config:
 
 
 def _navigates(route: Route) -> bool:
-    """Whether a route has a pending result of a goal of the gateway or a planner."""
+    """Return whether the route has a pending result of a goal of the gateway or a planner."""
     if not isinstance(route, ServiceRoute) or not route.counters.pending:
         return False
     action, part = split(route.hub_topic)
@@ -165,7 +165,7 @@ def _navigates(route: Route) -> bool:
 class Crossing:
     """Connects one network to the hub, and responds on the hub's control plane under its ``name``.
 
-    ``edge`` is not started yet; ``failed`` receives the reason when the edge or the engine fails for good; with
+    ``edge`` is not started yet; ``failed`` receives the reason when the edge or the engine fails permanently; with
     ``diagnostics`` the counters are published on the side.
     """
 
@@ -225,16 +225,16 @@ class Crossing:
         self._unshare = carry(routing.parameters, self._hub, lambda: engine.summary().state == "running")
 
     def health(self) -> Health:
-        """The engine's health; raises `TimeoutError` if the engine hangs."""
+        """Return the engine's health; raises `TimeoutError` if the engine hangs."""
         engine = self._running()
         computes = engine.alive()
         summary = engine.summary()
         self._diagnostics.publish()
-        text = summary.text or engine.edge.away or f"{self.name} is away"
+        text = summary.text or engine.edge.away or f"{self.name} is unavailable"
         return Health(summary.state, f"{text}; it {computes}" if computes else text)
 
     def hears_diagnostics(self) -> bool:
-        """Whether `/diagnostics` has a subscriber on the hub or on any side."""
+        """Return whether `/diagnostics` has a subscriber on the hub or on any side."""
         return heard(self._hub.graph)
 
     def drain(self, deadline: float) -> None:

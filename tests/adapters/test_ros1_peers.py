@@ -111,7 +111,7 @@ def test_answers_that_are_no_xmlrpc_are_refused(body):
         sock.recv(65536)
         sock.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n" % len(body) + body)
 
-    with tcp_server(serve) as (host, port), pytest.raises(Ros1ProtocolError, match="something else than XML-RPC"):
+    with tcp_server(serve) as (host, port), pytest.raises(Ros1ProtocolError, match="does not respond with XML-RPC"):
         ros1_peers.ask(f"http://{host}:{port}/", 2.0, "getPid", "/me")
 
 

@@ -1,1 +1,1 @@
-"""The zenoh side: the other key dialects in use on zenoh networks, each a network of its own beside the hub."""
+"""The zenoh side: key dialects of other zenoh bridges and programs, each a network separate from the hub."""

@@ -10,7 +10,7 @@ from bridge.routing.edge import Edge
 
 
 def make_edges(config: Config, registry: Registry, state: Path) -> dict[str, Edge]:
-    """The edges by name: the side's, with a number behind it from the second of a dialect on."""
+    """Return the edges by name: the side's name, with a number appended from the second edge of a dialect on."""
     dialects = config.zenoh.dialects
     json_keys = frozenset(str(key.key) for dialect in dialects if dialect.dialect == "json" for key in dialect.keys)
     edges: dict[str, Edge] = {}

@@ -1,4 +1,4 @@
-"""The base of the key dialects' edges: their session, other Midspans on its network, and endpoints."""
+"""The base of the key dialects' edges: session, other Midspans on the network, and endpoints."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ class OwnEndpoint(Protocol):
     announcement: Announcement
 
     def close(self) -> None:
-        """Close it."""
+        """Undeclare the endpoint and withdraw its announcement. Safe to call twice."""
 
 
 AnyEndpoint = TypeVar("AnyEndpoint", bound=OwnEndpoint)
 
 
 class KeyEdge(SideEdge):
-    """Joins one dialect on one zenoh network; ``scope`` distinguishes it from others of the dialect there.
+    """Joins one dialect on one zenoh network; ``scope`` distinguishes several edges of the same dialect.
 
     Subclasses read the graph and create endpoints.
     """
@@ -80,7 +80,7 @@ class KeyEdge(SideEdge):
         self._ticker = threading.Thread(target=self._tick_on, name=f"midspan-{self.side}-tick", daemon=True)
 
     def start(self, listener: EdgeListener) -> None:
-        """Open the session; it joins the network as soon as it can, also after a cut.
+        """Open the session; it joins the network as soon as it can, also after a disconnection.
 
         In client mode zenoh opens no session before the router responds, so the edge's thread opens it.
         """
@@ -102,7 +102,7 @@ class KeyEdge(SideEdge):
         return ", ".join(str(place) for one in lists for place in one or ()) or "an unknown address"
 
     def _open_client(self) -> bool:
-        """Open the session of a client; whether its router responded."""
+        """Open the session of a client; return whether its router responded."""
         try:
             session = zenoh.open(self._settings)
         except zenoh.ZError as err:
@@ -139,7 +139,7 @@ class KeyEdge(SideEdge):
         self.away = ""
 
     def stop(self) -> None:
-        """Close everything; see `Edge.stop`."""
+        """Close all endpoints and the session, within two seconds. Safe to call twice."""
         self._stopping.set()
         if self._ticker.is_alive():  # a client's attempt to connect is not awaited; its thread closes the session
             self._ticker.join(2.0 if self._context is not None else 0.1)
@@ -202,12 +202,12 @@ class KeyEdge(SideEdge):
         return str(context.session.zid()) if context is not None and self._linked_since is not None else None
 
     def is_own_network(self, origin: Origin) -> bool:
-        """Whether the origin's session is this one or another on this network."""
+        """Return whether the origin's session is this one or another on this network."""
         neighbours = self._presence
         return origin.side == self.side and (neighbours is None or neighbours.is_own(origin.network))
 
     def settled(self, since: float) -> bool:
-        """See `Edge.settled`: the network's routers and peers have answered with all tokens."""
+        """Return whether the network's routers and peers have replied with all tokens that existed at ``since``."""
         linked, neighbours = self._linked_since, self._presence
         if linked is None or neighbours is None or time.monotonic() - linked < LINK_SECONDS:
             return False

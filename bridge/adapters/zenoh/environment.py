@@ -1,4 +1,4 @@
-"""Whether a zenoh worker has anything to do, and the environment of its process."""
+"""Whether the zenoh worker starts, and the environment of its process."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from bridge.config.sections.section import Enabled
 
 
 def available(config: Config) -> str:
-    """Why the worker has nothing to do; "" where a dialect is configured."""
+    """Return why the worker cannot start; "" if a dialect is configured."""
     return "" if config.zenoh.dialects else "no dialect is configured (zenoh.dialects)"
 
 
 def enabled(config: Config) -> Enabled:
-    """Off where no dialect is configured, whatever the key says."""
+    """Return the key's value, or False if no dialect is configured."""
     return config.zenoh.enabled if config.zenoh.dialects else False
 
 
-def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:  # noqa: ARG001 - as every side's
-    """The environment for a zenoh worker, made from that of its parent."""
-    return {**environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}  # spares the wheels' second start of Python
+def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:  # noqa: ARG001 - same signature for every side
+    """Return the environment of a zenoh worker, derived from its parent's."""
+    return {**environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}  # prevents the ROS wheels from restarting Python

@@ -1,9 +1,8 @@
-"""The edge of the JSON dialect: the keys that the configuration names, for programs that have no ROS.
+"""The edge of the JSON dialect: configured keys, for programs without ROS.
 
-A sample is a JSON object with the message's fields, encoding ``application/json``. Nobody announces anything here: a
-configured key is a topic with one publisher. What comes from the hub latched is kept, and a plain ``get`` on its key
-is answered with the newest message. A key whose type is a service's is called by a ``get`` with the request as its
-payload.
+A sample is a JSON object with the message's fields, encoding ``application/json``. Endpoints are not announced: a
+configured key is a topic with one publisher. Latched messages from the hub are cached, and a plain ``get`` on the key
+returns the newest one. A key with a service type is called by a ``get`` whose payload is the request.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _JSON = zenoh.Encoding.APPLICATION_JSON
 
 
 class JsonKeysEdge(KeyEdge):
-    """Joins the programs that speak JSON on configured keys."""
+    """Joins programs that exchange JSON on configured keys."""
 
     side: ClassVar[str] = "zenoh_json"
     services: ClassVar[bool] = True
@@ -47,10 +46,10 @@ class JsonKeysEdge(KeyEdge):
         super().__init__(config, dialect, registry, state, hashlib.sha256(keys.encode()).hexdigest()[:16])
 
     def opened(self, session: zenoh.Session) -> None:
-        """Nothing is announced; the keys are those of the configuration."""
+        """Do nothing: programs do not announce keys, the configuration lists them."""
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """The configured keys."""
+        """Return one endpoint for each configured key and direction."""
         ways = ((self._in, Kind.PUBLISHER, Kind.SERVER), (self._out, Kind.SUBSCRIPTION, Kind.CLIENT))
         return [
             self._endpoint(service if key.is_service else topic, key)
@@ -63,26 +62,26 @@ class JsonKeysEdge(KeyEdge):
         return Endpoint(str(key.key), kind, key.hub_topic, key.type, qos, MadeBy.NATIVE, f"zenoh key {key.key}")
 
     def why_not(self, topic: str, type_name: str) -> str:
-        """Only configured keys are published on."""
+        """Return why a topic has no JSON key; "" if it has one of its type."""
         key = self._out.get(topic)
         if key is None:
-            return "zenoh.dialects names no JSON key that takes it"
+            return "zenoh.dialects lists no JSON key for it"
         if key.type != type_name:
-            return f"the JSON key {key.key} takes {key.type}, not {type_name}"
+            return f"the JSON key {key.key} carries {key.type}, not {type_name}"
         return ""
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """From JSON."""
+        """Return the conversion from JSON to CDR."""
         known = self._registry.ros2(endpoint.type)
         return Conversion(known, known, text_to_cdr(self._registry, endpoint.type))
 
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """To JSON; JSON names the fields, so that the definition must be the publisher's own."""
+        """Return the conversion to JSON; as JSON has field names, the definition must equal the publisher's."""
         known = self._own_type(type_name, type_hash)
         return Conversion(known, known, cdr_to_text(self._registry, type_name))
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """To JSON and back; JSON names the fields, so that the definition must be the server's own."""
+        """Return the conversion to JSON and back; as JSON has field names, the definition must equal the server's."""
         known = self._registry.service_ros2(type_name, type_hash)
         request, response = f"{known.name}_Request", f"{known.name}_Response"
         to_side, to_hub = partial(cdr_to_text, self._registry), partial(text_to_cdr, self._registry)
@@ -92,7 +91,7 @@ class JsonKeysEdge(KeyEdge):
         )  # fmt: skip
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:  # noqa: ARG002
-        """Subscribe to a key; of a latched one, a program or zenoh storage that answers a ``get`` is asked first."""
+        """Subscribe to a key; for a latched one, first query programs and zenoh storages with a ``get``."""
         key = self._in[topic]
         name = str(key.key)
         part = self.register(KeySubscription(self.context, name, qos, deliver, lambda _: name, Announcement()))
@@ -111,16 +110,16 @@ class JsonKeysEdge(KeyEdge):
         self.context.session.get(key, handler, timeout=_ASK_SECONDS, allowed_destination=remote)
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> KeyPublisher:  # noqa: ARG002
-        """Publish on a key."""
+        """Publish JSON on a key; a ``get`` on a latched key returns the newest message."""
         key = str(self._out[topic].key)
         return self.register(KeyPublisher(self.context, key, qos, Announcement(), encoding=_JSON, newest=True))
 
     def caller(self, name: str, side_type: SideType) -> KeyCaller:  # noqa: ARG002
-        """Call a key by a ``get``."""
+        """Return a client that calls a key with a ``get``."""
         return self.register(KeyCaller(self.context, str(self._in[name].key), name, Announcement(), encoding=_JSON))
 
     def serve(self, name: str, side_type: SideType, call: Call) -> KeyServer:
-        """Answer each ``get`` on a key."""
+        """Reply to each ``get`` on a key."""
         request, _ = self._registry.service_schemas(side_type.name, side_type.type_id)
         nothing = None if request.root.fields else b"{}"
         key = str(self._out[name].key)
@@ -128,22 +127,22 @@ class JsonKeysEdge(KeyEdge):
 
 
 def text_to_cdr(registry: Registry, type_name: str) -> Callable[[bytes], bytes]:
-    """The converter of JSON texts to CDR."""
+    """Return a function that converts JSON text to CDR; it raises `ConversionError`."""
 
     def convert(text: bytes) -> bytes:
         try:
             value = json.loads(text)
         except (ValueError, RecursionError) as err:
-            raise ConversionError(f"no JSON: {err}") from None
+            raise ConversionError(f"invalid JSON: {err}") from None
         if not isinstance(value, dict):
-            raise ConversionError(f"a {type_name} is a JSON object with its fields, not {type(value).__name__}")
+            raise ConversionError(f"{type_name} has to be a JSON object with its fields, not {type(value).__name__}")
         return from_json(registry, type_name, value)
 
     return convert
 
 
 def cdr_to_text(registry: Registry, type_name: str) -> Callable[[bytes], bytes]:
-    """The converter of CDR to JSON texts in UTF-8."""
+    """Return a function that converts CDR to JSON text in UTF-8."""
 
     def convert(cdr: bytes) -> bytes:
         value = to_json(registry, type_name, cdr)

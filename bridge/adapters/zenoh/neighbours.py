@@ -1,10 +1,11 @@
-"""Midspan's own sessions on a network of keys: their mark, who they are, and what they announce.
+"""Midspan's sessions on a dialect's zenoh network: their mark, their ids, and their announcements.
 
-Each of our sessions declares the liveliness token ``@midspan/keys/<zid>/<side>/<scope>`` and publishes its records on
-the same key. The scope tells networks of one dialect apart that share a zenoh network: another namespace, other keys.
+Each Midspan session declares the liveliness token ``@midspan/keys/<zid>/<side>/<scope>`` and publishes its records on
+the same key. The scope distinguishes networks of one dialect on the same zenoh network, which differ in namespace or
+keys.
 
-The mark is the end of a session's id, which stands in the liveliness tokens of its endpoints, in the source info of
-each sample that Midspan sends, and in the time stamps that the session gives. Native sessions have random ids.
+The mark is the suffix of a session's id. The id is part of the liveliness tokens of its endpoints, of the source info
+of each sample that Midspan sends, and of the time stamps that the session sets. Native sessions have random ids.
 """
 
 from __future__ import annotations
@@ -30,17 +31,17 @@ _DIGITS = 32
 
 
 def new_zid() -> str:
-    """A random session id that carries the mark; zenoh takes up to 32 hex digits, the first not 0."""
+    """Return a random session id with the mark; zenoh accepts up to 32 hex digits, the first not 0."""
     return secrets.choice("123456789abcdef") + secrets.token_hex(_DIGITS // 2)[: _DIGITS - 1 - len(MARK)] + MARK
 
 
 def is_marked(zid: str) -> bool:
-    """Whether a session is Midspan's."""
+    """Return whether a session is Midspan's."""
     return len(zid) == _DIGITS and zid.endswith(MARK)
 
 
 def sender(sample: zenoh.Sample) -> str:
-    """The session that sent a sample, or only gave its time stamp (a router may); "" where the sample names none."""
+    """Return the session that sent or time-stamped a sample (a router may do the latter); "" if it has neither."""
     info = sample.source_info
     if info is not None:
         return str(info.source_id.zid)
@@ -49,14 +50,14 @@ def sender(sample: zenoh.Sample) -> str:
 
 
 def time_ns(sample: zenoh.Sample) -> int | None:
-    """A sample's time stamp in nanoseconds of system time; set by its source, or by the first router on its way."""
+    """Return a sample's time stamp in nanoseconds of system time, set by its source or by the first router."""
     stamp = sample.timestamp
     return None if stamp is None else int(stamp.get_time_as_ntp64().as_nanos())
 
 
 SPACE = "@midspan/keys"
 DISCOVERY_SECONDS = 1.5
-"""How long a session that was never seen here counts as being on our network: its token may be on its way."""
+"""How long an unknown session counts as being on this network: its token may be delayed."""
 
 _KEPT = 64
 _MAX_RECORD = 1 << 20
@@ -65,13 +66,13 @@ _LOOK_SECONDS = 5.0
 
 
 class KeyNeighbours:
-    """Follows Midspan's other sessions of our side and scope.
+    """Follows the other Midspan sessions of the same side and scope.
 
     Args:
-        scope: what tells this network from others of the side on the same zenoh network.
-        past: ids of this daemon's own past sessions.
-        graph_changed: called when what `is_own` says may have changed.
-        presence_changed: called when a neighbour came, left or announced something.
+        scope: distinguishes this network from others of the side on the same zenoh network.
+        past: ids of this daemon's past sessions.
+        graph_changed: called when the result of `is_own` may have changed.
+        presence_changed: called when a neighbour joined, left or sent a record.
     """
 
     def __init__(
@@ -97,7 +98,7 @@ class KeyNeighbours:
         self._token = session.liveliness().declare_token(f"{SPACE}/{self._own}/{self._place}")
 
     def is_own(self, zid: str) -> bool:
-        """Whether the session of a hub origin is on this very network."""
+        """Return whether the session of a hub origin is on this network."""
         if zid == self._own or zid in self._past or zid in self._seen:
             return True
         now = time.monotonic()
@@ -108,7 +109,7 @@ class KeyNeighbours:
             return now - self._unsure.setdefault(zid, now) < DISCOVERY_SECONDS
 
     def tick(self, now: float) -> None:
-        """Report that an unknown session has had its time to appear."""
+        """Report unknown sessions whose time to appear is over."""
         with self._lock:
             over = {z for z, since in self._unsure.items() if now - since >= DISCOVERY_SECONDS} - self._settled
             self._settled |= over
@@ -121,12 +122,12 @@ class KeyNeighbours:
             self._publisher.put(record)
 
     def sightings(self) -> list[Sighting]:
-        """The neighbours on the network."""
+        """Return the neighbours on the network, without this daemon's past sessions."""
         with self._lock:
             return [sighting for zid, sighting in self._seen.items() if zid not in self._past]
 
     def settled(self, since: float) -> bool:
-        """Whether all that were there at ``since`` are seen; asks the network where that is not known yet."""
+        """Return whether all sessions that existed at ``since`` are known; queries the network if unsure."""
         with self._lock:
             if self._looked_since >= since:
                 return True
@@ -178,17 +179,17 @@ class KeyNeighbours:
         self._presence_changed()
 
     def close(self) -> None:
-        """Leave."""
+        """Withdraw the token, and stop receiving."""
         undeclare(self._token, self._publisher, *self._subscribers)
 
 
 def remember(own: str, file: Path) -> frozenset[str]:
-    """Add our session's id to those kept in a file; returns those that were there."""
+    """Add this session's id to the ids in a file; return the previous ones."""
     try:
         past = file.read_text().split()[-_KEPT:]
     except OSError:
         past = []
-    keep(file, "\n".join([*past, own]) + "\n", "for some seconds after a crash, topics of its own may come back")
+    keep(file, "\n".join([*past, own]) + "\n", "for some seconds after a crash, its own topics may loop back")
     return frozenset(past)
 
 

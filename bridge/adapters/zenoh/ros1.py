@@ -1,8 +1,8 @@
-"""The edge of the ros1 dialect: keys as zenoh-plugin-ros1 makes them; see `ros1_discovery`.
+"""The edge of the ros1 dialect: the keys of zenoh-plugin-ros1; see `ros1_discovery`.
 
-Samples tell nothing of who put them there, so all native bridges of one key are one publisher. Whether a ROS 1
-publisher latches is not told: for topics that usually are latched, the configuration's ``latched`` has the hub keep
-the last message. Actions of ROS 1 are topics, and cross as such.
+Samples do not identify their publisher, so all native bridges of one key count as one publisher. Latching is not
+announced: for the topics in the configuration's ``latched``, the hub retains the last message. ROS 1 actions cross as
+topics.
 """
 
 from __future__ import annotations
@@ -52,16 +52,16 @@ class Ros1KeysEdge(KeyEdge):
         self._aloha: Aloha | None = None
 
     def opened(self, session: zenoh.Session) -> None:
-        """See `KeyEdge`."""
+        """Start to send and receive beacons."""
         self._aloha = Aloha(session, self._namespace, self._graph_changed, self._newcomer)
 
     def closing(self) -> None:
-        """See `KeyEdge`."""
+        """Withdraw all beacons."""
         if self._aloha is not None:
             self._aloha.close()
 
     def tick(self, now: float) -> None:
-        """See `KeyEdge`."""
+        """Send due beacons and latched messages."""
         if self._aloha is not None:
             self._aloha.tick(now)
         for publisher in self._publishers():
@@ -77,7 +77,7 @@ class Ros1KeysEdge(KeyEdge):
                 publisher.newcomer(first=first)
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """The endpoints that bridges announce, and the publishers that the configuration names."""
+        """Return the endpoints that bridges announce, and the configured publishers."""
         announced = [] if self._aloha is None else self._aloha.topics()
 
         def plain(topic: str, known: SideType) -> Endpoint:
@@ -90,7 +90,7 @@ class Ros1KeysEdge(KeyEdge):
         return list({(e.kind, e.id): e for e in found}.values())
 
     def _endpoint(self, kind: Kind, topic: AnnouncedTopic) -> Endpoint:
-        if topic.md5 == "*":  # told by who takes any definition: ours stands for it
+        if topic.md5 == "*":  # the bridge accepts any definition: use this machine's
             with contextlib.suppress(MessageTypeError):
                 topic = replace(topic, md5=self._md5(kind, topic.type))
         latched = kind is Kind.PUBLISHER and any(glob.fullmatch(topic.name) for glob in self._latched)
@@ -104,41 +104,41 @@ class Ros1KeysEdge(KeyEdge):
         return self._registry.ros1(type_name).type_id
 
     def why_not(self, topic: str, type_name: str) -> str:
-        """Leaves out the services and topics of ROS 2 actions, which ROS 1 has not."""
+        """Return why a part of a ROS 2 action does not cross: ROS 1 has no such services and topics."""
         action = split(topic)[1] and ("/action/" in type_name or type_name.startswith("action_msgs/"))
         return "actions of ROS 2 do not cross to the ros1 dialect" if action else ""
 
     def warnings(self) -> list[str]:
-        """Beacons that could not be read."""
+        """Return a warning with the number of invalid beacons."""
         return [] if self._aloha is None else self._aloha.warnings()
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """See `Edge.to_hub`; no definition comes with the key, so that the type must be known here."""
+        """Return the conversion to the hub; the type must be known here, as keys carry no definition."""
         return self._registry.ros1_to_hub(endpoint.type, endpoint.type_id)
 
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """See `KeyEdge`."""
+        """Return the conversion from CDR to ROS 1's bytes."""
         return self._registry.hub_to_ros1(type_name, type_hash)
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """See `Edge.service_to_hub`; a reply that is the text of an error becomes an error."""
+        """Return a server's conversion; a reply with an error text becomes an error."""
         known = self._registry.service_ros1_to_hub(endpoint.type, endpoint.type_id)
         return replace(known, response_to_hub=_or_failed(known.response_to_hub))
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """See `KeyEdge`."""
+        """Return the conversion between CDR and ROS 1's bytes."""
         return self._registry.service_hub_to_ros1(type_name, type_hash)
 
     def side_name(self, hub_name: str) -> str:
-        """The ROS 1 spelling of a hub topic name; see `bridge.adapters.ros1.names`."""
+        """Return the ROS 1 spelling of a hub topic name; see `bridge.adapters.ros1.names`."""
         return self._names.side_name(hub_name)
 
     def hub_name(self, side_name: str) -> str:
-        """The hub's spelling of a ROS 1 topic name; see `bridge.adapters.ros1.names`."""
+        """Return the hub's spelling of a ROS 1 topic name; see `bridge.adapters.ros1.names`."""
         return names.hub_name(side_name)
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:
-        """Subscribe to a topic's key, whatever the bridges' namespaces where ours is ``*``."""
+        """Subscribe to a topic's key; the namespace ``*`` matches all bridges."""
         key, announcement = self._announcement(Kind.SUBSCRIPTION, topic, side_type)
         return self.register(KeySubscription(self.context, key, qos, deliver, lambda _sample: key, announcement))
 
@@ -148,12 +148,12 @@ class Ros1KeysEdge(KeyEdge):
         return self.register(Ros1KeyPublisher(self.context, topic, key, qos, announcement))
 
     def caller(self, name: str, side_type: SideType) -> KeyCaller:
-        """Call a service's key, and announce that to the bridges."""
+        """Return a client of a service's key, and announce it to the bridges."""
         key, announcement = self._announcement(Kind.CLIENT, name, side_type)
         return self.register(KeyCaller(self.context, key, name, announcement))
 
     def serve(self, name: str, side_type: SideType, call: Call) -> KeyServer:
-        """Serve a service's key, whatever the asking bridge's namespace, and announce it to the bridges."""
+        """Serve a service's key for clients of any namespace, and announce it to the bridges."""
         key, announcement = self._announcement(Kind.SERVER, name, side_type)
         any_namespace = data_key(AnnouncedTopic(name, side_type.name, side_type.type_id), "*")
         return self.register(KeyServer(self.context, key, name, call, announcement, nothing=b"", asked=any_namespace))
@@ -181,19 +181,18 @@ def _or_failed(convert: Callable[[bytes], bytes] | None) -> Callable[[bytes], by
 
 
 AGAIN = 3.0
-"""Seconds between two times that what is kept is put again for further bridges."""
+"""Least seconds between two republications of latched messages for further bridges."""
 
 SETTLE = 0.5
-"""Seconds that a bridge which tells that it subscribes is given to do so, or that subscribes to tell."""
+"""Seconds within which a bridge both subscribes and announces the subscription, in either order."""
 
 
 class Ros1KeyPublisher(KeyPublisher):
-    """A topic of ours in the ros1 dialect.
+    """A publisher of a hub topic in the ros1 dialect.
 
-    The dialect has no latching: its subscribers are zenoh's plain ones, and nobody asks for what was said before. What
-    a latched publisher keeps is put again when somebody subscribes who did not hear it, as far as the wire tells: when
-    the key gets its first subscriber, and when another bridge begins to tell that it subscribes. Whoever heard it
-    before hears it again then. A plain ``get`` on the key is answered with it too.
+    The dialect has no latching: bridges use plain zenoh subscribers and do not query earlier messages. So latched
+    messages are published again when the key gets its first subscriber, and when another bridge announces a
+    subscription. Earlier subscribers receive them once more. A plain ``get`` on the key returns them, too.
     """
 
     def __init__(self, context: KeyContext, topic: str, key: str, qos: Qos, announcement: Announcement) -> None:
@@ -208,12 +207,12 @@ class Ros1KeyPublisher(KeyPublisher):
         self._due = self._since = time.monotonic()
 
     def newcomer(self, *, first: bool) -> None:
-        """A bridge begins to announce a subscription, the topic's first one or another."""
+        """Schedule the latched messages for a bridge that announces a subscription, the topic's first or another."""
         now = time.monotonic()
         if not self._qos.latched or self._due is not None:
             return
         if first and now - self._since < SETTLE:
-            return  # it is the key's first subscriber and has had it; one that tells later may be another
+            return  # the key's first subscriber has received them; a later announcement may be another bridge's
         self._due = max(now + SETTLE, self._last + AGAIN)
 
     def tick(self, now: float) -> None:

@@ -1,18 +1,18 @@
 """Keys of zenoh-plugin-ros1, and the beacons with which its bridges announce their topics and services.
 
-A topic's samples travel on ``<type in hex>/<md5>/<bridge namespace>/<topic>``, the payload is the ROS 1 message as it
-is on TCPROS, without an attachment. The bridge namespace is ``*`` by default. A service is a queryable on the same kind
+A topic's samples travel on ``<type in hex>/<md5>/<bridge namespace>/<topic>``, the payload is the ROS 1 message as sent
+over TCPROS, without an attachment. The bridge namespace is ``*`` by default. A service is a queryable on the same kind
 of key, with the service's type and md5; a bridge whose server failed replies with the error's text instead of a
-response. Bridges announce their endpoints on
-``ros1_discovery_info/<discovery namespace>/{pub|sub|srv|cl}/<type in hex>/<md5>/<bridge namespace>/<topic>``, the
-discovery namespace being ``*``. Read in zenoh-plugin-ros1, ``topic_utilities.rs``, ``discovery.rs`` and
-``abstract_bridge.rs``, of May 2025; free_fleet's clients use the same data keys (its ``utils.py``).
+response. Bridges announce their endpoints on ``ros1_discovery_info/<discovery namespace>/{pub|sub|srv|cl}/<type in
+hex>/<md5>/<bridge namespace>/<topic>``, the discovery namespace being ``*``. Read in zenoh-plugin-ros1,
+``topic_utilities.rs``, ``discovery.rs`` and ``abstract_bridge.rs``, of May 2025; free_fleet's clients use the same data
+keys (its ``utils.py``).
 
 The beacons work like ALOHA. A bridge that has a topic puts an empty sample on its discovery key each second; after
-three seconds without one the topic counts as gone. A bridge that receives another bridge's beacon on the same key may
-stop its own, and resumes after a second without any (``aloha_declaration.rs``, ``aloha_subscription.rs``). A native
-bridge that stopped because of Midspan would look as if it were gone, so Midspan's beacons always give way. A bridge
-that receives Midspan's beacon first may still stop: the beacons of all Midspans on a key leave it time to resume.
+three seconds without one the topic counts as withdrawn. A bridge that receives another bridge's beacon on the same key
+may stop its own, and resumes after a second without any (``aloha_declaration.rs``, ``aloha_subscription.rs``). A native
+bridge that stopped because of Midspan would appear to be offline, so Midspan's beacons always yield. A bridge that
+receives Midspan's beacon first may still stop: the beacons of all Midspans on a key leave it time to resume.
 """
 
 from __future__ import annotations
@@ -49,17 +49,17 @@ class AnnouncedTopic:
 
 
 def data_key(topic: AnnouncedTopic, namespace: str) -> str:
-    """The key of a topic's samples, or of a service's calls."""
+    """Return the key of a topic's samples, or of a service's calls."""
     return f"{topic.type.encode().hex()}/{topic.md5}/{namespace}/{topic.name.strip('/')}"
 
 
 def discovery_key(kind: Kind, topic: AnnouncedTopic, namespace: str) -> str:
-    """The key on which a topic or a service is announced."""
+    """Return the key on which a topic or a service is announced."""
     return f"{_SPACE}/*/{_CLASSES[kind]}/{data_key(topic, namespace)}"
 
 
 def all_discovery(namespace: str) -> str:
-    """The expression of all keys on which bridges of a namespace announce."""
+    """Return the expression for all discovery keys of bridges in a namespace."""
     return f"{_SPACE}/*/*/*/*/{namespace}/*/**"
 
 
@@ -67,14 +67,14 @@ def parse(key: str) -> tuple[Kind, AnnouncedTopic]:
     """Read a discovery key; raises `HubWireError` if it is invalid, or has no type, md5 or topic."""
     parts = key.split("/", 6)
     if len(key) > _MAX_KEY or len(parts) != 7 or parts[0] != _SPACE or not all(parts):
-        raise HubWireError("no discovery key of the ros1 plugin")
+        raise HubWireError("not a discovery key of the ros1 plugin")
     kind = _KINDS.get(parts[2])
     try:
         type_name = bytes.fromhex(parts[3]).decode("ascii")
     except (ValueError, UnicodeDecodeError):
         type_name = ""
     if kind is None or not is_ros1_name(type_name):
-        raise HubWireError(f"class {parts[2][:20]!r}, type {parts[3][:80]!r}: no ROS 1 topic or service")
+        raise HubWireError(f"class {parts[2][:20]!r}, type {parts[3][:80]!r}: not a ROS 1 topic or service")
     if not _MD5.fullmatch(parts[4]):
         raise HubWireError(f"md5 {parts[4][:80]!r} is not an md5 sum")
     if any(char in parts[6] for char in "*$?#@"):
@@ -92,13 +92,14 @@ _PAUSE = 2.25
 it resumes; both fit in between, and it is still less than the plugin's three."""
 
 _LOST = 4
-"""Periods without a beacon after which a topic is gone: one more than the plugin's, as two beacons may have met."""
+"""Periods without a beacon after which a topic is dropped: one more than the plugin's, as two beacons may have met."""
 
 _SOON = 0.5
 """Periods within which a second beacon on one key comes from another bridge."""
 
 _FORGOTTEN = 60
-"""Periods without a beacon after which a bridge counts as new: it pauses for long while another one beacons."""
+"""Periods without a beacon after which a bridge counts as new: it may pause for long while another bridge sends
+beacons."""
 
 _MAX_TOPICS = 20_000
 _MAX_SPEAKERS = 100
@@ -119,7 +120,7 @@ class _Beacon:
         self._publisher.put(b"", source_info=next(self._infos))
 
     def rest(self, now: float) -> None:
-        """Postpone the next beacon, since this or another Midspan just sent one on the key."""
+        """Postpone the next beacon, as this or another Midspan has just sent one on the key."""
         self.due = now + _PAUSE * PERIOD
 
     def close(self) -> None:
@@ -171,7 +172,7 @@ class Aloha:
         return withdraw
 
     def tick(self, now: float) -> None:
-        """Send due beacons, and drop bridges without beacons; a pause of this process does not count against them."""
+        """Send due beacons, and drop bridges without beacons; pauses of this process are not counted."""
         with self._lock:
             stood_still, self._ticked = now - self._ticked, now
             if stood_still > PERIOD:
@@ -188,7 +189,7 @@ class Aloha:
 
     def warnings(self) -> list[str]:
         """Return a warning with the number of invalid beacons."""
-        return [f"{self._refused} beacons of ros1 bridges are left out: see the log"] if self._refused else []
+        return [f"{self._refused} beacons of ros1 bridges are ignored: see the log"] if self._refused else []
 
     def close(self) -> None:
         """Stop all beacons."""
@@ -207,7 +208,7 @@ class Aloha:
         except HubWireError as err:
             level = logging.DEBUG if self._refused else logging.WARNING
             self._refused += 1
-            _log.log(level, "beacon left out, %s: %.200s", err, key)
+            _log.log(level, "beacon ignored, %s: %.200s", err, key)
             return
         now = time.monotonic()
         if is_marked(sender(sample)):
@@ -227,7 +228,7 @@ class Aloha:
             self._newcomer(place[1].name, before is None)
 
     def _is_new(self, place: tuple[Kind, AnnouncedTopic], speaker: str, before: float | None, now: float) -> bool:
-        """Return whether a beacon comes from a bridge that did not beacon before.
+        """Return whether a beacon comes from a new bridge.
 
         A time stamp that the bridge set identifies it; otherwise two beacons in quick succession come from two bridges.
         """

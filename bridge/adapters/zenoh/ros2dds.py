@@ -1,8 +1,8 @@
-"""The edge of the ros2dds dialect: keys as zenoh-plugin-ros2dds makes them.
+"""The edge of the ros2dds dialect: the keys of zenoh-plugin-ros2dds.
 
-A topic's or service's key is its ROS 2 name without the leading slash, behind the namespace of its bridge; the payload
-is CDR, on topics without an attachment. Transient-local publishers are zenoh's advanced publishers, servers are
-queryables. All are told by liveliness tokens (`bridge.adapters.zenoh.ros2dds_tokens`), an action as a whole
+A topic's or service's key is the namespace of its bridge and its ROS 2 name without the leading slash. The payload is
+CDR; topics have no attachment. Transient-local publishers are zenoh's advanced publishers, servers are queryables.
+Liveliness tokens announce all of them (`bridge.adapters.zenoh.ros2dds_tokens`), an action as a whole
 (zenoh-plugin-ros2dds of August 2026: ``src/ros2_utils.rs``, ``route_publisher.rs``, ``route_subscriber.rs``,
 ``route_service_srv.rs``, ``route_service_cli.rs``).
 """
@@ -35,11 +35,11 @@ from bridge.routing.limits import combined_qos
 from bridge.routing.rewrites import TF_TYPE
 
 _EMPTY = b"\0\1\0\0\0"
-"""A message without fields in CDR; it has one byte, as every structure of ROS 2 has."""
+"""An empty message in CDR; like every empty ROS 2 structure it has one byte."""
 
 _REQUEST_ID = b"rqh"
 PLAIN = "plain program"
-"""Who publishes on a key that the configuration names and no bridge announces."""
+"""The publisher's name for a configured key that no bridge announces."""
 
 
 class Ros2ddsEdge(KeyEdge):
@@ -61,12 +61,12 @@ class Ros2ddsEdge(KeyEdge):
         self._announcer: TokenAnnouncer | None = None
 
     def opened(self, session: zenoh.Session) -> None:
-        """See `KeyEdge`."""
+        """Start to publish and to follow tokens."""
         self._announcer = TokenAnnouncer(session)
         self._graph = Ros2ddsGraph(session, self._prefix, self._tokens_changed)
 
     def closing(self) -> None:
-        """See `KeyEdge`."""
+        """Stop heartbeats, and withdraw all tokens."""
         self._heartbeats.close(1.0)
         if self._graph is not None and self._announcer is not None:
             self._graph.close()
@@ -82,7 +82,7 @@ class Ros2ddsEdge(KeyEdge):
         self._graph_changed()
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """The endpoints that bridges announce, and the publishers that the configuration names."""
+        """Return the endpoints that bridges announce, and the configured publishers."""
         announced = [] if self._graph is None else self._graph.endpoints()
         return [e for e in announced if self._key(e.topic) not in self._json_keys] + self._plain_endpoints()
 
@@ -94,12 +94,12 @@ class Ros2ddsEdge(KeyEdge):
         return configured(self.dialect, self._registry.ros2, endpoint)
 
     def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002
-        """A key cannot carry CDR and JSON at once."""
+        """Return why a key is not available: it cannot carry both CDR and JSON."""
         key = self._key(topic)
         return f"the key {key} carries JSON by zenoh.dialects" if key in self._json_keys else ""
 
     def warnings(self) -> list[str]:
-        """Tokens left out, and topics of bridges on keys that carry JSON here."""
+        """Return warnings about invalid tokens, and about bridges' topics on JSON keys."""
         if self._graph is None:
             return []
         taken = {self._key(e.topic) for e in self._graph.endpoints()} & self._json_keys
@@ -112,7 +112,7 @@ class Ros2ddsEdge(KeyEdge):
         return self._prefix + topic[1:]
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> KeySubscription:
-        """Subscribe to a key; our token has the QoS of its publishers."""
+        """Subscribe to a key; the announced QoS is that of its publishers."""
         graph, announcer = self._graph, self._announcer
         assert graph is not None
         assert announcer is not None
@@ -133,15 +133,15 @@ class Ros2ddsEdge(KeyEdge):
 
             wanted = qos.depth if static else _announced_depth(graph, key)
             part = LatchedSubscription(self.context, key, qos, deliver, source_of, announcement, depth, wanted)
-            # whoever was told since it was made has passed it by
+            # publishers announced since its creation did not reach it
             return self.register(part, lambda: part.ask_for(_announced_depth(graph, key)))
         return self.register(KeySubscription(self.context, key, qos, deliver, source_of, announcement))
 
     def _source_of(self, graph: Ros2ddsGraph, key: str, side_type: SideType, sample: zenoh.Sample) -> str:
-        """The endpoint that a sample is from.
+        """Return the endpoint that published a sample.
 
-        A bridge's time stamp tells its session; a plain program's tells its own or a router's. What is nobody's that is
-        announced or configured counts as the key's first publisher of this type.
+        A bridge's time stamp has the id of its session; a plain program's has its own or a router's. A sample of an
+        unknown publisher is attributed to the key's first publisher of this type.
         """
         bridge, token = graph.who(key, sample)
         if token is not None:
@@ -149,7 +149,7 @@ class Ros2ddsEdge(KeyEdge):
         if key in self._plain:
             return endpoint_id(PLAIN, key)
         if bridge:
-            return endpoint_id(bridge, key)  # its token for this key is on the way
+            return endpoint_id(bridge, key)  # its token for this key has not arrived yet
         return next((endpoint_id(t.zid, key) for t in graph.publishers(key) if t.type == side_type.name), "")
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> Ros2ddsPublisher:
@@ -163,7 +163,7 @@ class Ros2ddsEdge(KeyEdge):
         return Announcement(partial(self._announcer.announce, kind, key, side_type, qos))
 
     def caller(self, name: str, side_type: SideType) -> KeyCaller:
-        """Call a key; each request has an id, as those of the plugin's clients."""
+        """Return a client of a key; each request has an id, like those of the plugin's clients."""
         key = self._key(name)
         client = secrets.token_bytes(8)
 
@@ -176,8 +176,8 @@ class Ros2ddsEdge(KeyEdge):
     def serve(self, name: str, side_type: SideType, call: Call) -> KeyServer:
         """Serve a key, and announce it to the bridges.
 
-        A bridge passes over zenoh's error reply, since DDS has none: its client waits. An action's clients get the
-        reply that says no, where there is one.
+        A bridge ignores zenoh's error reply, as DDS has none, and its client keeps waiting. Clients of an action get a
+        rejecting response instead, if its type has one.
         """
         key = self._key(name)
         request, _ = self._registry.service_schemas(side_type.name, side_type.type_id)

@@ -1,4 +1,4 @@
-"""The topics, services and actions that bridges of the ros2dds dialect announce, and the tokens of our own."""
+"""The endpoints that bridges of the ros2dds dialect announce, and Midspan's own tokens."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _MAX_TOKENS = 50_000
 
 
 class Ros2ddsGraph:
-    """Follows all bridges' tokens; for any thread. Keys without ``prefix`` ("" or as ``robot1/``) are not ours."""
+    """Follows the tokens of all bridges; thread-safe. Keys without ``prefix`` ("" or like ``robot1/``) are ignored."""
 
     def __init__(self, session: zenoh.Session, prefix: str, changed: Callable[[], None]) -> None:
         self._own = str(session.zid())
@@ -44,7 +44,7 @@ class Ros2ddsGraph:
         self._subscriber = follow_tokens(session, tokens.ALL, self._on_token)
 
     def endpoints(self) -> list[Endpoint]:
-        """Every topic and service of every other bridge; of one that is announced twice the newest counts."""
+        """Return the topics and services of all other bridges; of duplicates, the newest."""
         with self._lock:
             known = [token for tokens_ in self._tokens.values() for token in tokens_]
         found: dict[tuple[str, Kind], Endpoint] = {}
@@ -58,20 +58,20 @@ class Ros2ddsGraph:
         return list(found.values())
 
     def publishers(self, key: str) -> list[Token]:
-        """The native publishers that are announced for a key."""
+        """Return the native publishers that are announced for a key."""
         with self._lock:
             return list(self._publishers.get(key, {}).values())
 
     def who(self, key: str, sample: zenoh.Sample) -> tuple[str, Token | None]:
-        """The bridge that a sample on a key is from ("" where it is not a bridge's), and what it announced for it."""
+        """Return the bridge that sent a sample ("" if no bridge did), and its token for the key."""
         zid = sender(sample)
         with self._lock:
             token = self._publishers.get(key, {}).get(zid)
             return (zid if zid in self._bridges else ""), token
 
     def warnings(self) -> list[str]:
-        """How many tokens could not be read."""
-        return [f"{self._refused} tokens of ros2dds bridges are left out: see the log"] if self._refused else []
+        """Return a warning with the number of invalid tokens."""
+        return [f"{self._refused} tokens of ros2dds bridges are ignored: see the log"] if self._refused else []
 
     def close(self) -> None:
         """Stop following the tokens."""
@@ -89,7 +89,7 @@ class Ros2ddsGraph:
             if put:
                 level = logging.DEBUG if self._refused else logging.WARNING
                 self._refused += 1
-                _log.log(level, "token left out, %s: %.200s", err, text)
+                _log.log(level, "token ignored, %s: %.200s", err, text)
             return
         with self._lock:
             self._count(zid, text, put=put)
@@ -100,7 +100,7 @@ class Ros2ddsGraph:
             self._changed()
 
     def _count(self, zid: str, text: str, *, put: bool) -> None:
-        """A bridge is one as long as its own token lives."""
+        """Track which sessions are bridges: those whose own token is alive."""
         if text == tokens.alive_key(zid):
             if put and len(self._bridges) < _MAX_TOKENS:
                 self._bridges.add(zid)
@@ -128,23 +128,23 @@ class Ros2ddsGraph:
 
 
 def endpoint_id(zid: str, key: str) -> str:
-    """The id of a bridge's endpoint for a key."""
+    """Return the id of a bridge's endpoint for a key."""
     return f"{zid} {key}"
 
 
 _NAMING = "_SendGoal", "_GetResult"
-"""The types of parts that tell the action's."""
+"""Suffixes of the part types from which the action's type follows."""
 
 
 class TokenAnnouncer:
-    """Our own tokens: one for each key and kind, with the QoS of the most that we offer or ask for there.
+    """Midspan's tokens: one for each key and kind, with the strongest QoS offered or requested there.
 
-    An action has one token for the whole, as long as its goals or its results are served or called by us. A server's
-    comes once all five of its parts are there, as the plugin's does (``src/node_info.rs``): who sends a goal
-    then hears its first feedback.
+    An action has a single token while Midspan serves or calls its goals or results. A server's token is declared once
+    all five parts exist, like the plugin's (``src/node_info.rs``), so that a client that sends a goal receives its
+    first feedback.
 
-    The plugin takes up a route when the first token of a session for a key comes, and drops it when any of them goes;
-    so the old token goes before one with another QoS comes (its ``src/routes_mgr.rs``).
+    The plugin creates a route on a session's first token for a key, and drops it when any of them is withdrawn; so the
+    old token is withdrawn before one with another QoS is declared (its ``src/routes_mgr.rs``).
     """
 
     def __init__(self, session: zenoh.Session) -> None:
@@ -185,13 +185,13 @@ class TokenAnnouncer:
             del self._wanted[place]
 
     def close(self) -> None:
-        """Leave."""
+        """Withdraw the token of this bridge."""
         with self._lock:
             undeclare(self._alive)
 
 
 def _text(wanted: list[Token], *, begun: bool) -> str:
-    """The key of the token that announces all of these, "" while it is too early for one and none has ``begun``."""
+    """Return the key of the token for these; "" while an action is incomplete and not ``announced``."""
     if not wanted:
         return ""
     if not action_of(wanted[0].key):

@@ -1,11 +1,11 @@
 """Liveliness tokens of zenoh-plugin-ros2dds, by which its bridges announce topics, services and actions.
 
-``@/<zid>/@ros2_lv`` says that a bridge lives. ``@/<zid>/@ros2_lv/MP/<key>/<type>/<qos>`` is a topic that its ROS 2
-nodes publish, ``MS`` one that they subscribe to; in key and type a slash is written ``§``. The QoS is ``<K where
-keyed>:<reliability>:<durability>:<history>,<depth>[:<user data>]`` with DDS's numbers, an empty field is DDS's
-default, and the user data is ROS 2's own ``typehash=RIHS01_<hex>;`` (since Iron). ``SS/<key>/<type>`` is a service that
-its nodes serve, ``SC`` one that they call; neither tells a hash. ``AS`` and ``AC`` are a whole action, whose services
-and topics have no tokens of their own. Read in zenoh-plugin-ros2dds, ``src/liveliness_mgt.rs``, ``ros2_utils.rs``,
+``@/<zid>/@ros2_lv`` means that a bridge is alive. ``@/<zid>/@ros2_lv/MP/<key>/<type>/<qos>`` is a topic that its ROS 2
+nodes publish, ``MS`` one that they subscribe to; in key and type a slash is written ``§``. The QoS is ``<K if
+keyed>:<reliability>:<durability>:<history>,<depth>[:<user data>]`` with DDS's numbers; an empty field is DDS's default,
+and the user data is ROS 2's ``typehash=RIHS01_<hex>;`` (since Iron). ``SS/<key>/<type>`` is a service that its nodes
+serve, ``SC`` one that they call; both without a hash. ``AS`` and ``AC`` are a whole action, whose services and topics
+have no separate tokens. Source: zenoh-plugin-ros2dds, ``src/liveliness_mgt.rs``, ``ros2_utils.rs``,
 ``route_action_srv.rs`` and ``route_action_cli.rs``, of August 2026.
 """
 
@@ -45,7 +45,7 @@ _STATUS = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=1)
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """A topic or service of a bridge; ``key`` is its zenoh key, ``type_hash`` "" where it is not announced."""
+    """A topic or service of a bridge; ``key`` is its zenoh key, ``type_hash`` is "" if not announced."""
 
     zid: str
     kind: Kind
@@ -56,47 +56,47 @@ class Token:
 
 
 def alive_key(zid: str) -> str:
-    """The token of a living bridge."""
+    """Return the key of the token by which a bridge is alive."""
     return f"@/{zid}/@ros2_lv"
 
 
 def token_key(token: Token) -> str:
-    """The key of the token of a topic or a service."""
+    """Return the key of the token of a topic or a service."""
     head = f"{alive_key(token.zid)}/{_LETTERS[token.kind]}/{_escape(token.key)}/{_escape(token.type)}"
     return head if token.kind in _SERVICES.values() else f"{head}/{_qos_text(token.qos, token.type_hash)}"
 
 
 def action_key(part: Token) -> str:
-    """The key of the token of the action that a service is the goals' or the results' of."""
+    """Return the key of an action's token, given the token of its send_goal or get_result service."""
     action, type_name = action_of(part.key), part.type.rpartition("_")[0]
     return f"{alive_key(part.zid)}/{_ACTION_LETTERS[part.kind]}/{_escape(action)}/{_escape(type_name)}"
 
 
 def action_end(kind: Kind) -> Kind:
-    """The end of an action that a part of this kind is of: its server's or its client's."""
+    """Return the end of an action that has parts of this kind: server or client."""
     return next(ends[0] for ends in _ACTIONS.values() if kind in ends)
 
 
 def action_of(key: str) -> str:
-    """The key of the action that a topic or a service belongs to, "" if it belongs to none."""
+    """Return the key of the action that a topic or service belongs to; "" if it belongs to none."""
     return split(key)[0]
 
 
 def zid_of(key: str) -> str:
-    """The bridge that a token is of."""
+    """Return the id of the bridge that declared a token."""
     return key.split("/", 2)[1]
 
 
 def parse(key: str) -> tuple[Token, ...]:
-    """What a token announces: one, all five of an action, none for the bridge's own; raises `WireError`."""
+    """Return the endpoints in a token: one, an action's five, or none for a bridge; raises `HubWireError`."""
     parts = key.split("/", 7)
     if len(key) > _MAX_TOKEN or parts[0] != "@" or len(parts) < 3 or parts[2] != "@ros2_lv":
-        raise HubWireError("no token of the ros2dds plugin")
+        raise HubWireError("not a token of the ros2dds plugin")
     if len(parts) == 3:
         return ()
     letters = parts[3]
     if letters not in (_TOPICS | _SERVICES | _ACTIONS) or len(parts) != (7 if letters in _TOPICS else 6):
-        raise HubWireError(f"token of {len(parts)} parts of the kind {letters[:20]!r}")
+        raise HubWireError(f"token of kind {letters[:20]!r} with {len(parts)} parts")
     zid, name, type_name = parts[1], _unescape(parts[4]), _unescape(parts[5])
     if not _KEY.fullmatch(name):
         raise HubWireError(f"{name[:80]!r} is not a ROS 2 name")
@@ -112,7 +112,7 @@ def parse(key: str) -> tuple[Token, ...]:
 
 
 def _endpoints(zid: str, service: Kind, topic: Kind, name: str, type_name: str) -> tuple[Token, ...]:
-    """The services and topics of an action, with the QoS that the plugin gives them."""
+    """Return the services and topics of an action, with the plugin's QoS."""
     return tuple(
         Token(zid, kind, f"{name}/_action/{part}", of_type, "", qos)
         for kind, part, of_type, qos in (
@@ -144,7 +144,7 @@ def _qos_text(qos: Qos, type_hash: str) -> str:
 def _read_qos(text: str, kind: Kind) -> tuple[Qos, str]:
     fields = text.split(":", 4)
     if len(fields) < 4:
-        raise HubWireError(f"quality of service {text[:80]!r} has {len(fields)} fields instead of 4 or 5")
+        raise HubWireError(f"QoS {text[:80]!r} has {len(fields)} fields instead of 4 or 5")
     history, comma, depth = fields[3].partition(",")
     if fields[3] and not comma:
         raise HubWireError(f"history {fields[3][:40]!r} is not of the form kind,depth")
@@ -169,5 +169,5 @@ def _number(text: str, default: int) -> int:
     except ValueError:
         value = -2
     if not (-1 <= value < 2**31) or len(text) > 11:
-        raise HubWireError(f"quality of service has {text[:40]!r} where a number belongs")
+        raise HubWireError(f"QoS has {text[:40]!r} instead of a number")
     return value

@@ -1,7 +1,7 @@
 """Publishers and latched subscriptions of the ros2dds dialect.
 
-The plugin's transient-local publishers are zenoh's advanced publishers, numbered by time stamps (its
-``src/route_publisher.rs``); other programs' may number their samples instead.
+The plugin's transient-local publishers are zenoh's advanced publishers, whose samples are ordered by time stamp
+(``src/route_publisher.rs``); other programs may number their samples instead.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bridge.routing.edge import Deliver
 
 
 class Ros2ddsPublisher:
-    """Publishes messages of the hub; latched ones with an advanced publisher per source, which ends with the source."""
+    """Publishes messages of the hub; latched ones through one advanced publisher per source."""
 
     dropped = 0  #: zenoh does not report drops on a congested link
     heard = True  #: subscriptions are not counted
@@ -37,7 +37,7 @@ class Ros2ddsPublisher:
         self._sinks: dict[str, PlainSink | LatchedPublisher] = {}
 
     def send(self, payload: bytes, source: str) -> None:
-        """See `EdgePublisher`."""
+        """Publish a message; a latched one through its source's publisher."""
         name = source if self._qos.latched else ""
         with self._lock:
             if not self._open:
@@ -56,7 +56,7 @@ class Ros2ddsPublisher:
         return LatchedPublisher(session, key, depth, self._heartbeats, congestion=drop, priority=priority(qos))
 
     def forget(self, source: str) -> None:
-        """See `EdgePublisher`."""
+        """Close a source's publisher, with its latched messages."""
         with self._lock:
             sink = self._sinks.pop(source, None) if self._qos.latched else None
         if sink is not None:
@@ -81,7 +81,7 @@ _MAX_PUBLISHERS = 4096
 class LatchedSubscription(KeySubscription):
     """Receives live samples, and requests ``wanted`` cached ones of each publisher once.
 
-    ``depth`` returns how many cached samples count for the source with an id.
+    ``depth`` returns how many cached samples of a source are delivered.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class LatchedSubscription(KeySubscription):
         self._history.open()
 
     def ask_for(self, wanted: int) -> None:
-        """Request at least ``wanted`` samples of publishers that appear from now on."""
+        """Request at least ``wanted`` samples from publishers that appear from now on."""
         self._history.depth = max(self._history.depth, wanted)
 
     def close(self) -> None:
@@ -120,19 +120,19 @@ class LatchedSubscription(KeySubscription):
                 self._deliver(sample, source)
 
     def asked(self, zid: str) -> None:
-        """A session's publishers are being queried."""
+        """Hold back a session's live samples while its publishers are queried."""
         with self._asking:
             self._asked[zid] += 1
 
     def came(self, sample: zenoh.Sample) -> None:
-        """A cached sample arrived."""
+        """Store a cached sample until its session's reply is complete."""
         source = self.native(sample)
         if source:
             with self._asking:
                 self._kept.setdefault(sender(sample), []).append((sample, source))
 
     def done(self, zid: str) -> None:
-        """A session's answer is complete."""
+        """Deliver a session's cached samples in order, then its live ones that were held back."""
         with self._asking:
             self._asked[zid] -= 1
             if self._asked[zid] > 0:

@@ -11,7 +11,7 @@ from bridge.hub.endpoints.calls import Call, CallClient, CallError, CallServer
 
 
 class KeyCaller(CallClient):
-    """Calls a key's servers as the plugins do: all, and the first reply counts; ``attached(number)`` is attached."""
+    """Calls all servers of a key and uses the first reply, like the plugins; ``attached`` returns the attachment."""
 
     where = "this zenoh network"
 
@@ -29,11 +29,11 @@ class KeyCaller(CallClient):
 
 
 class KeyServer(CallServer):
-    """Serves one key. zenoh does not report that a caller left: the call goes on, and its reply is lost.
+    """Serves one key. zenoh does not report a client's exit: its call continues, and the reply is lost.
 
     Args:
-        nothing: the request that a query without payload stands for, None where the service's has fields.
-        asked: expression of the keys whose queries are calls, ``key`` itself where it is "".
+        nothing: the request for a query without payload; None if the service's request has fields.
+        asked: expression of the keys whose queries are calls; "" means ``key``.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class KeyServer(CallServer):
         super().__init__(context.session, key, name, context.limit, call, context.closed)
 
     def _takes(self, query: zenoh.Query) -> bool:
-        """Whether a query is a call; one of many keys at once only looks around."""
+        """Return whether a query is a call; one with a wildcard only explores."""
         return self._expression.includes(query.key_expr)
 
     def _request(self, payload: bytes) -> bytes:

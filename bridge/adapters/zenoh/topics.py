@@ -26,11 +26,11 @@ Withdraw = Callable[[], None]
 
 @dataclass(frozen=True, slots=True)
 class KeyContext:
-    """What the endpoints of one edge share.
+    """The shared state of one edge's endpoints.
 
     ``limit`` is the largest request or reply in bytes; ``executor`` runs calls that may wait for zenoh, ``delays``
-    those that are due later; ``small`` and ``bulk`` convert received messages, urgent ones first; ``closed`` is called
-    with each endpoint that has closed.
+    delayed calls; ``small`` and ``bulk`` convert received messages, urgent ones first; ``closed`` is called with each
+    endpoint that has closed.
     """
 
     session: zenoh.Session
@@ -45,8 +45,8 @@ class KeyContext:
 class Announcement:
     """Announces an endpoint, and withdraws the announcement when the endpoint closes.
 
-    It is published once the endpoint exists, since others call, publish or query as soon as they receive it. An
-    endpoint that is closed before is not announced. ``announce`` returns the function that withdraws; the default does
+    It is published once the endpoint exists, as others call, publish or query as soon as they receive it. An endpoint
+    that is closed before is not announced. ``announce`` returns the function that withdraws it; the default does
     nothing.
     """
 
@@ -84,7 +84,7 @@ def priority(qos: Qos) -> zenoh.Priority:
 
 
 class PlainSink:
-    """Puts on a key, with the marked id of the session. Commands (volatile, depth 1) have priority."""
+    """Publishes on a key, with the marked id of the session. Commands (volatile, depth 1) have priority."""
 
     def __init__(self, session: zenoh.Session, key: str, qos: Qos, encoding: zenoh.Encoding | None = None) -> None:
         self._encoding = encoding
@@ -95,7 +95,7 @@ class PlainSink:
         self._infos = source_infos(self.publisher)
 
     def put(self, payload: bytes) -> None:
-        """Publish; one thread at a time."""
+        """Publish; not thread-safe."""
         with contextlib.suppress(zenoh.ZError):  # the session is being closed
             self.publisher.put(payload, source_info=next(self._infos), encoding=self._encoding)
 
@@ -105,7 +105,7 @@ class PlainSink:
 
 
 class KeyPublisher:
-    """Puts messages of the hub on a plain key, and answers a ``get`` there with the latched ones.
+    """Publishes messages of the hub on a plain key, and replies to a ``get`` with the latched ones.
 
     ``qos`` determines whether messages are cached, and how many per source; with ``newest`` a ``get`` returns only the
     newest message.
@@ -128,7 +128,7 @@ class KeyPublisher:
         self._queryable = answer(context.session, key, self._on_query) if qos.latched else None
 
     def send(self, payload: bytes, source: str) -> None:
-        """See `EdgePublisher`."""
+        """Publish a message; a latched one is also cached."""
         with self._lock:
             if self._sink is None:
                 return
@@ -137,19 +137,19 @@ class KeyPublisher:
             self._sink.put(payload)
 
     def forget(self, source: str) -> None:
-        """See `EdgePublisher`."""
+        """Drop a source's latched messages."""
         with self._lock:
             self._cache.forget(source)
 
     def put_again(self) -> None:
-        """Put the latched messages once more."""
+        """Publish the latched messages once more."""
         with self._lock:
             for payload in self._cache.all():
                 if self._sink is not None:
                     self._sink.put(payload)
 
     def close(self) -> None:
-        """Leave the key. Safe to call twice."""
+        """Undeclare the publisher. Safe to call twice."""
         with self._lock:
             sink, self._sink = self._sink, None
         if sink is not None:
@@ -179,7 +179,7 @@ class KeyPublisher:
 
 
 class SampleQueue:
-    """A bounded queue that drops its oldest messages; of commands (depth 1, volatile) it holds the newest only."""
+    """A bounded queue that drops its oldest messages; for commands (depth 1, volatile) it holds only the newest."""
 
     def __init__(self, deliver: Deliver, qos: Qos, context: KeyContext) -> None:
         self.lost = 0
@@ -193,7 +193,7 @@ class SampleQueue:
         self._closed = False
 
     def add(self, payload: zenoh.ZBytes, source: str, time_ns: int | None) -> None:
-        """Append a message and wake a thread."""
+        """Append a message and schedule its delivery."""
         size = len(payload)
         with self._lock:
             if self._closed:
@@ -217,7 +217,7 @@ class SampleQueue:
         self._deliver(payload.to_bytes(), source, time_ns)
 
     def close(self) -> None:
-        """Deliver nothing more."""
+        """Stop delivering, and drop queued messages."""
         with self._lock:
             self._closed = True
             self._queue.clear()
@@ -239,7 +239,7 @@ class KeySubscription:
 
     @property
     def lost(self) -> int:
-        """Messages that found the queue full."""
+        """Number of messages dropped because the queue was full."""
         return self._queue.lost
 
     def close(self) -> None:

@@ -39,11 +39,11 @@ def test_what_json_cannot_say_itself() -> None:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        (b'{"data": "hi"', "no JSON"),
-        (b"\xff\xfe\x00", "no JSON"),
-        (b"[" * 100_000, "no JSON"),
-        (b"[1]", "is a JSON object"),
-        (b"null", "is a JSON object"),
+        (b'{"data": "hi"', "invalid JSON"),
+        (b"\xff\xfe\x00", "invalid JSON"),
+        (b"[" * 100_000, "invalid JSON"),
+        (b"[1]", "has to be a JSON object"),
+        (b"null", "has to be a JSON object"),
         (b'{"dat": "hi"}', "did you mean 'data'"),
         (b'{"data": 3}', "data is text"),
         (b'{"data": "\\ud800"}', "cannot be encoded"),

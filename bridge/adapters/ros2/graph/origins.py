@@ -84,7 +84,7 @@ def _remember(own: bytes, folder: Path) -> list[bytes]:
     """Add our prefix to those kept, and return them all, ours last."""
     prefixes = [*(p for p in kept_prefixes(folder) if p != own), own][-_KEPT:]
     text = "".join(f"{prefix.hex()}\n" for prefix in prefixes)
-    keep(folder / _FILE, text, "for some seconds after a crash, topics of its own may come back")
+    keep(folder / _FILE, text, "for some seconds after a crash, its own topics may loop back")
     return prefixes
 
 
