@@ -44,15 +44,15 @@ class ExhaustedError(Ros1Error):
     """The process has no file descriptor left to connect with; the peer itself may be fine."""
 
 
-def unanswered(what: str, err: OSError) -> Ros1Error:
+def unanswered(message: str, err: OSError) -> Ros1Error:
     """Return the error for a failed connection; ``message`` is its text if the peer is at fault."""
     # without a descriptor the resolver cannot resolve host names either, and reports an arbitrary errno
     peers = isinstance(err, ConnectionError | TimeoutError)
-    own = err.errno in resources.OUT or (not peers and not resources.has_descriptor())
-    if own:
+    exhausted = err.errno in resources.OUT or (not peers and not resources.has_descriptor())
+    if exhausted:
         return ExhaustedError(f"this process has no file descriptor left to connect to it with; {resources.RAISE}")
     refused = isinstance(err, ConnectionRefusedError)
-    return UnreachableError(f"{what}: {str(err) or type(err).__name__}", refused=refused)
+    return UnreachableError(f"{message}: {str(err) or type(err).__name__}", refused=refused)
 
 
 class DeadlineSocket(socket.socket):
@@ -200,10 +200,10 @@ class XmlRpcClient:
                 answer = self._exchange(body, deadline)
         except (OSError, ValueError, http.client.HTTPException) as err:  # ValueError: a chunk of negative length
             self._http.close()
-            what = f"{self.uri} does not answer"
+            message = f"{self.uri} does not answer"
             if isinstance(err, OSError) and not isinstance(err, http.client.HTTPException):
-                raise unanswered(what, err) from None
-            raise Ros1ProtocolError(f"{what}: {str(err) or type(err).__name__}") from None
+                raise unanswered(message, err) from None
+            raise Ros1ProtocolError(f"{message}: {str(err) or type(err).__name__}") from None
         if self._last is not None and self._last[0] == body and self._last[1] == answer:
             return self._last[2]
         value = self._parse(answer)

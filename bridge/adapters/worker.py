@@ -65,13 +65,13 @@ class BridgeWorker(Worker):
 
     Attributes:
         config: the active configuration, None before the start.
-        crossings: one for each network of the side.
+        bridges: one for each network of the side.
     """
 
     def __init__(self, side: str) -> None:
         self.side = all_networks()[side]
         self.config: Config | None = None
-        self.crossings: list[Crossing] = []
+        self.bridges: list[NetworkBridge] = []
         self._failure = ""
 
     def start(self, config: Config) -> None:
@@ -86,13 +86,13 @@ class BridgeWorker(Worker):
         for name, edge in make_edges(self.side.name, config, registry, worker_folder(config)).items():
             working.at("opening the hub")
             diagnostics = not self.side.networks  # programs on foreign keys do not expect diagnostics
-            self.crossings.append(Crossing(name, edge, config, registry, self._failed, diagnostics=diagnostics))
+            self.bridges.append(NetworkBridge(name, edge, config, registry, self._failed, diagnostics=diagnostics))
         keep_objects()
 
     def reload(self, config: Config) -> bool:
         """Apply new rules; other changes need a restart."""
         old = self.config
-        if old is None or not self.crossings:
+        if old is None or not self.bridges:
             return False
         if any(getattr(config, part) != getattr(old, part) for part in _FIXED):
             return False
@@ -102,15 +102,15 @@ class BridgeWorker(Worker):
         self.config = config
         logging.getLogger().setLevel(config.log.level.upper())
         if config.rules != old.rules:
-            for crossing in self.crossings:
-                crossing.reload(config)
+            for bridge in self.bridges:
+                bridge.reload(config)
         return True
 
     def health(self) -> Health:
         """Return the combined health of the engines: running if any of them is."""
         if self._failure:
             raise WorkerFailedError(self._failure)
-        reports = {crossing.name: crossing.health() for crossing in self.crossings}
+        reports = {bridge.name: bridge.health() for bridge in self.bridges}
         if not reports:
             return Health("waiting", "starting")
         if len(reports) == 1:
@@ -119,17 +119,17 @@ class BridgeWorker(Worker):
         return Health(best.state, "; ".join(f"{name}: {health.text}" for name, health in reports.items()))
 
     def hears_diagnostics(self) -> bool:
-        """Return whether `/diagnostics` has a subscriber; all crossings see the same hub."""
-        return bool(self.crossings) and self.crossings[0].hears_diagnostics()
+        """Return whether `/diagnostics` has a subscriber; all bridges see the same hub."""
+        return bool(self.bridges) and self.bridges[0].hears_diagnostics()
 
     def stop(self) -> None:
         """Close all endpoints and sessions, once the goals of the gateway have ended."""
-        crossings, self.crossings = self.crossings, []
+        bridges, self.bridges = self.bridges, []
         deadline = time.monotonic() + DRAIN_SECONDS
-        for crossing in crossings:
-            crossing.drain(deadline)
-        for crossing in crossings:
-            crossing.stop()
+        for bridge in bridges:
+            bridge.drain(deadline)
+        for bridge in bridges:
+            bridge.stop()
 
     def _failed(self, reason: str) -> None:
         _log.error("%s: %s", self.side.name, reason)
@@ -162,7 +162,7 @@ def _navigates(route: Route) -> bool:
     return part == GET_RESULT and (action == ACTION or action.startswith(PLANNERS))
 
 
-class Crossing:
+class NetworkBridge:
     """Connects one network to the hub, and responds on the hub's control plane under its ``name``.
 
     ``edge`` is not started yet; ``failed`` receives the reason when the edge or the engine fails permanently; with

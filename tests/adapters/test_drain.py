@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from bridge.adapters import worker as bridge_worker
-from bridge.adapters.worker import BridgeWorker, Crossing
+from bridge.adapters.worker import BridgeWorker, NetworkBridge
 from bridge.config.model import Config
 from bridge.hub.endpoints.services import HubServer
 from bridge.hub.session import Hub
@@ -37,9 +37,9 @@ class Side:
         self.hub = Hub.open(hubs.settings("programs"))
         config = Config.model_validate({"name": "here", "state": folder, "hub": {"listen": hubs.endpoint}})
         edge = FakeEdge(self.network, REGISTRY)
-        self.crossing = Crossing("fake", edge, config, REGISTRY, self._failed, diagnostics=False)
+        self.bridge = NetworkBridge("fake", edge, config, REGISTRY, self._failed, diagnostics=False)
         self.worker = BridgeWorker("ros2")
-        self.worker.crossings = [self.crossing]
+        self.worker.bridges = [self.bridge]
         self.servers: list[HubServer] = []
         self._began = 0.0
         self.seconds = 0.0
@@ -89,7 +89,7 @@ class Side:
     @property
     def stopping(self) -> bool:
         """Whether the worker has begun to stop, and has not ended."""
-        return not self.worker.crossings and self._thread is not None and self._thread.is_alive()
+        return not self.worker.bridges and self._thread is not None and self._thread.is_alive()
 
     def join(self) -> None:
         assert self._thread is not None

@@ -53,9 +53,9 @@ def test_a_release_restarts_nothing_and_what_leads_elsewhere_does() -> None:
     topics = Config.model_validate({"yarp": {"address": "robot:10000", "topics": [{"topic": "/x", "as": "natural"}]}})
     moved = Config.model_validate({"yarp": {"address": "other:10000"}})
     joined = BridgeWorker("yarp")
-    joined.config, joined.crossings = old, [Mock()]
+    joined.config, joined.bridges = old, [Mock()]
     other = BridgeWorker("ros1")
-    other.config, other.crossings = old, [Mock()]
+    other.config, other.bridges = old, [Mock()]
     for new, stays_joined, stays_open in ((said, True, True), (topics, False, True), (moved, False, False)):
         joined.config = other.config = old
         assert joined.reload(new) is stays_joined

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from bridge.adapters.worker import Crossing, make_edges
+from bridge.adapters.worker import NetworkBridge, make_edges
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
 from tests.contract.side import PEER_FOLDERS, Side
@@ -16,23 +16,23 @@ from tests.support.yarp_programs import Definitions, Names, YarpProgram
 
 
 class YarpBridge:
-    """The YARP worker's crossing, in this process."""
+    """The YARP worker's network bridge, in this process."""
 
     def __init__(self, config: Config) -> None:
         registry = Registry(folders=list(config.types.folders))
         self._folder = tempfile.TemporaryDirectory()
         edges = make_edges("yarp", config, registry, Path(self._folder.name))
-        self.crossing = Crossing("yarp", edges["yarp"], config, registry, self._failed, diagnostics=False)
-        until(lambda: self.crossing.health().state != "waiting", "the YARP network is joined", 20)
+        self.bridge = NetworkBridge("yarp", edges["yarp"], config, registry, self._failed, diagnostics=False)
+        until(lambda: self.bridge.health().state != "waiting", "the YARP network is joined", 20)
 
     def _failed(self, reason: str) -> None:
         raise AssertionError(reason)
 
     def reload(self, config: Config) -> None:
-        self.crossing.reload(config)
+        self.bridge.reload(config)
 
     def stop(self) -> None:
-        self.crossing.stop()
+        self.bridge.stop()
         self._folder.cleanup()
 
     def kill(self) -> None:

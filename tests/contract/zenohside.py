@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.worker import Crossing, make_edges
+from bridge.adapters.worker import NetworkBridge, make_edges
 from bridge.adapters.zenoh import edge, ros1_discovery
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
@@ -26,27 +26,27 @@ PERIOD = 0.25
 
 
 class ZenohBridge:
-    """The zenoh worker's crossings, in this process."""
+    """The zenoh worker's bridges, in this process."""
 
     def __init__(self, config: Config) -> None:
         registry = Registry(folders=list(config.types.folders))
         self._folder = tempfile.TemporaryDirectory()
         edges = self.edges = make_edges("zenoh", config, registry, Path(self._folder.name))
-        self.crossings = [
-            Crossing(name, edge, config, registry, self._failed, diagnostics=False) for name, edge in edges.items()
+        self.bridges = [
+            NetworkBridge(name, edge, config, registry, self._failed, diagnostics=False) for name, edge in edges.items()
         ]
-        until(lambda: not any(c.health().state == "waiting" for c in self.crossings), "the dialects are joined", 20)
+        until(lambda: not any(c.health().state == "waiting" for c in self.bridges), "the dialects are joined", 20)
 
     def _failed(self, reason: str) -> None:
         raise AssertionError(reason)
 
     def reload(self, config: Config) -> None:
-        for crossing in self.crossings:
-            crossing.reload(config)
+        for bridge in self.bridges:
+            bridge.reload(config)
 
     def stop(self) -> None:
-        for crossing in self.crossings:
-            crossing.stop()
+        for bridge in self.bridges:
+            bridge.stop()
         self._folder.cleanup()
 
     def kill(self) -> None:

@@ -99,7 +99,7 @@ class KeyEdge(SideEdge):
     def _places(self) -> str:
         places = json.loads(self._settings.get_json("connect/endpoints"))
         lists = places.values() if isinstance(places, dict) else [places]
-        return ", ".join(str(place) for one in lists for place in one or ()) or "an unknown address"
+        return ", ".join(str(place) for addresses in lists for place in addresses or ()) or "an unknown address"
 
     def _open_client(self) -> bool:
         """Open the session of a client; return whether its router responded."""
@@ -247,9 +247,9 @@ def configured(
 def _settings(config: Config) -> zenoh.Config:
     """Return the session's configuration; raises `HubConfigError`."""
     section = config.zenoh
-    own = section.router is not None or section.zenoh is not None
-    router, over = (section.router, section.zenoh) if own else (config.hub.listen, config.hub.zenoh)
-    tree = session_tree(router, shared_memory=config.hub.shared_memory and not own, max_payload=MAX_PAYLOAD)
+    separate = section.router is not None or section.zenoh is not None
+    router, over = (section.router, section.zenoh) if separate else (config.hub.listen, config.hub.zenoh)
+    tree = session_tree(router, shared_memory=config.hub.shared_memory and not separate, max_payload=MAX_PAYLOAD)
     tree["connect"]["timeout_ms"]["client"] = _CLIENT_WAIT_MS
     settings = make_config(tree, over)
     settings.insert_json5("id", json.dumps(new_zid()))

@@ -50,10 +50,10 @@ class JsonKeysEdge(KeyEdge):
 
     def endpoints(self) -> Sequence[Endpoint]:
         """Return one endpoint for each configured key and direction."""
-        ways = ((self._in, Kind.PUBLISHER, Kind.SERVER), (self._out, Kind.SUBSCRIPTION, Kind.CLIENT))
+        directions = ((self._in, Kind.PUBLISHER, Kind.SERVER), (self._out, Kind.SUBSCRIPTION, Kind.CLIENT))
         return [
             self._endpoint(service if key.is_service else topic, key)
-            for keys, topic, service in ways
+            for keys, topic, service in directions
             for key in keys.values()
         ]
 
@@ -100,13 +100,13 @@ class JsonKeysEdge(KeyEdge):
         return part
 
     def _ask(self, key: str, part: KeySubscription) -> None:
-        def came(reply: zenoh.Reply) -> None:
+        def on_reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
                 source = part.native(reply.ok)
                 if source:
-                    part.take(reply.ok, source)
+                    part.accept(reply.ok, source)
 
-        handler, remote = zenoh.handlers.Callback(came, indirect=False), zenoh.Locality.REMOTE
+        handler, remote = zenoh.handlers.Callback(on_reply, indirect=False), zenoh.Locality.REMOTE
         self.context.session.get(key, handler, timeout=_ASK_SECONDS, allowed_destination=remote)
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> KeyPublisher:  # noqa: ARG002

@@ -157,8 +157,8 @@ class KeyNeighbours:
             self._see(zid, None)
             return
         with self._lock:
-            gone = self._seen.pop(zid, None)
-        if gone is not None:
+            lost = self._seen.pop(zid, None)
+        if lost is not None:
             self._graph_changed()
             self._presence_changed()
 

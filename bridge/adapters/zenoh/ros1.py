@@ -83,11 +83,11 @@ class Ros1KeysEdge(KeyEdge):
         def plain(topic: str, known: SideType) -> Endpoint:
             return self._endpoint(Kind.PUBLISHER, AnnouncedTopic(topic, known.name, known.type_id))
 
-        found = [self._endpoint(kind, topic) for kind, topic in announced]
-        found += configured(self.dialect, lambda ros2_name: self._registry.hub_to_ros1(ros2_name).target, plain)
+        endpoints = [self._endpoint(kind, topic) for kind, topic in announced]
+        endpoints += configured(self.dialect, lambda ros2_name: self._registry.hub_to_ros1(ros2_name).target, plain)
         with self._lock:
-            self._names.learn(e.topic for e in found)
-        return list({(e.kind, e.id): e for e in found}.values())
+            self._names.learn(e.topic for e in endpoints)
+        return list({(e.kind, e.id): e for e in endpoints}.values())
 
     def _endpoint(self, kind: Kind, topic: AnnouncedTopic) -> Endpoint:
         if topic.md5 == "*":  # the bridge accepts any definition: use this machine's
@@ -220,4 +220,4 @@ class Ros1KeyPublisher(KeyPublisher):
         due = self._due
         if due is not None and now >= due:
             self._due, self._last = None, now
-            self.put_again()
+            self.republish()

@@ -102,7 +102,7 @@ _FORGOTTEN = 60
 beacons."""
 
 _MAX_TOPICS = 20_000
-_MAX_SPEAKERS = 100
+_MAX_BRIDGES = 100
 
 
 class _Beacon:
@@ -116,10 +116,10 @@ class _Beacon:
         self._infos = source_infos(self._publisher)
 
     def send(self, now: float) -> None:
-        self.rest(now)
+        self.postpone(now)
         self._publisher.put(b"", source_info=next(self._infos))
 
-    def rest(self, now: float) -> None:
+    def postpone(self, now: float) -> None:
         """Postpone the next beacon, as this or another Midspan has just sent one on the key."""
         self.due = now + _PAUSE * PERIOD
 
@@ -140,8 +140,8 @@ class Aloha:
         self._session, self._namespace = session, namespace
         self._changed, self._newcomer = changed, newcomer
         self._lock = threading.Lock()
-        self._heard: dict[tuple[Kind, AnnouncedTopic], float] = {}
-        self._speakers: dict[tuple[Kind, AnnouncedTopic], dict[str, float]] = {}
+        self._last_beacons: dict[tuple[Kind, AnnouncedTopic], float] = {}
+        self._bridges: dict[tuple[Kind, AnnouncedTopic], dict[str, float]] = {}
         self._own: dict[tuple[Kind, AnnouncedTopic], _Beacon] = {}
         self._ticked = time.monotonic()
         self._refused = 0
@@ -150,7 +150,7 @@ class Aloha:
     def topics(self) -> list[tuple[Kind, AnnouncedTopic]]:
         """Return the topics and services that native bridges currently announce."""
         with self._lock:
-            return list(self._heard)
+            return list(self._last_beacons)
 
     def announce(self, kind: Kind, topic: AnnouncedTopic) -> Callable[[], None]:
         """Announce a topic of Midspan until the returned function is called."""
@@ -160,7 +160,7 @@ class Aloha:
                 beacon = _Beacon(self._session, discovery_key(kind, topic, self._namespace))
                 self._own[kind, topic] = beacon
             beacon.users += 1
-            if (kind, topic) not in self._heard and beacon.due == 0.0:
+            if (kind, topic) not in self._last_beacons and beacon.due == 0.0:
                 beacon.send(time.monotonic())
 
         def withdraw() -> None:
@@ -174,17 +174,17 @@ class Aloha:
     def tick(self, now: float) -> None:
         """Send due beacons, and drop bridges without beacons; pauses of this process are not counted."""
         with self._lock:
-            stood_still, self._ticked = now - self._ticked, now
-            if stood_still > PERIOD:
-                self._heard = {place: min(heard + stood_still, now) for place, heard in self._heard.items()}
-            gone = [place for place, heard in self._heard.items() if now - heard > _LOST * PERIOD]
-            for place in gone:
-                del self._heard[place]
-                self._speakers.pop(place, None)
+            suspended, self._ticked = now - self._ticked, now
+            if suspended > PERIOD:
+                self._last_beacons = {place: min(last + suspended, now) for place, last in self._last_beacons.items()}
+            lost = [place for place, last in self._last_beacons.items() if now - last > _LOST * PERIOD]
+            for place in lost:
+                del self._last_beacons[place]
+                self._bridges.pop(place, None)
             for place, beacon in self._own.items():
-                if now >= beacon.due and place not in self._heard:
+                if now >= beacon.due and place not in self._last_beacons:
                     beacon.send(now)
-        if gone:
+        if lost:
             self._changed()
 
     def warnings(self) -> list[str]:
@@ -214,27 +214,27 @@ class Aloha:
         if is_marked(sender(sample)):
             with self._lock:
                 if place in self._own:
-                    self._own[place].rest(now)
+                    self._own[place].postpone(now)
             return
         with self._lock:
-            before = self._heard.get(place)
-            if before is None and len(self._heard) >= _MAX_TOPICS:
+            before = self._last_beacons.get(place)
+            if before is None and len(self._last_beacons) >= _MAX_TOPICS:
                 return
-            self._heard[place] = now
+            self._last_beacons[place] = now
             new = place[0] is Kind.SUBSCRIPTION and self._is_new(place, sender(sample), before, now)
         if before is None:
             self._changed()
         if new:
             self._newcomer(place[1].name, before is None)
 
-    def _is_new(self, place: tuple[Kind, AnnouncedTopic], speaker: str, before: float | None, now: float) -> bool:
+    def _is_new(self, place: tuple[Kind, AnnouncedTopic], bridge: str, before: float | None, now: float) -> bool:
         """Return whether a beacon comes from a new bridge.
 
         A time stamp that the bridge set identifies it; otherwise two beacons in quick succession come from two bridges.
         """
-        speakers = self._speakers.setdefault(place, {})
-        last = speakers.get(speaker, 0.0)
-        speakers[speaker] = now
-        if len(speakers) > _MAX_SPEAKERS:
-            del speakers[next(iter(speakers))]
+        bridges = self._bridges.setdefault(place, {})
+        last = bridges.get(bridge, 0.0)
+        bridges[bridge] = now
+        if len(bridges) > _MAX_BRIDGES:
+            del bridges[next(iter(bridges))]
         return before is None or now - last > _FORGOTTEN * PERIOD or now - before < _SOON * PERIOD

@@ -47,15 +47,15 @@ class Ros2ddsGraph:
         """Return the topics and services of all other bridges; of duplicates, the newest."""
         with self._lock:
             known = [token for tokens_ in self._tokens.values() for token in tokens_]
-        found: dict[tuple[str, Kind], Endpoint] = {}
+        endpoints: dict[tuple[str, Kind], Endpoint] = {}
         for token in known:
             made_by = MadeBy.MIDSPAN if is_marked(token.zid) else MadeBy.NATIVE
             node = f"{'zenoh-bridge-ros2dds' if made_by is MadeBy.NATIVE else 'midspan'} {token.zid}"
             id_, topic = endpoint_id(token.zid, token.key), "/" + token.key.removeprefix(self._prefix)
-            found[id_, token.kind] = Endpoint(
+            endpoints[id_, token.kind] = Endpoint(
                 id_, token.kind, topic, token.type, token.qos, made_by, node, token.type_hash
             )
-        return list(found.values())
+        return list(endpoints.values())
 
     def publishers(self, key: str) -> list[Token]:
         """Return the native publishers that are announced for a key."""
@@ -95,7 +95,7 @@ class Ros2ddsGraph:
             self._count(zid, text, put=put)
             if not announced or not all(token.key.startswith(self._prefix) for token in announced):
                 return
-            changed = self._put(text, announced) if put else self._delete(text)
+            changed = self._add(text, announced) if put else self._remove(text)
         if changed:
             self._changed()
 
@@ -107,7 +107,7 @@ class Ros2ddsGraph:
             else:
                 self._bridges.discard(zid)
 
-    def _put(self, text: str, announced: tuple[Token, ...]) -> bool:
+    def _add(self, text: str, announced: tuple[Token, ...]) -> bool:
         if len(self._tokens) >= _MAX_TOKENS:
             return False
         self._tokens[text] = announced
@@ -116,7 +116,7 @@ class Ros2ddsGraph:
                 self._publishers.setdefault(token.key, {})[token.zid] = token
         return True
 
-    def _delete(self, text: str) -> bool:
+    def _remove(self, text: str) -> bool:
         announced = self._tokens.pop(text, ())
         for token in announced:
             at_key = self._publishers.get(token.key, {})
@@ -173,7 +173,7 @@ class TokenAnnouncer:
 
     def _settle(self, place: tuple[Kind, str]) -> None:
         wanted, announced = self._wanted[place], self._announced.get(place)
-        text = _text(wanted, begun=announced is not None)
+        text = _text(wanted, declared=announced is not None)
         if announced is not None and announced[0] == text:
             return
         if announced is not None:
@@ -190,8 +190,8 @@ class TokenAnnouncer:
             undeclare(self._alive)
 
 
-def _text(wanted: list[Token], *, begun: bool) -> str:
-    """Return the key of the token for these; "" while an action is incomplete and not ``announced``."""
+def _text(wanted: list[Token], *, declared: bool) -> str:
+    """Return the key of the token for these; "" while an action is incomplete and not ``declared``."""
     if not wanted:
         return ""
     if not action_of(wanted[0].key):
@@ -199,4 +199,4 @@ def _text(wanted: list[Token], *, begun: bool) -> str:
     named = [token for token in wanted if token.type.endswith(_NAMING)]
     served = any(token.kind is Kind.SERVER for token in named)
     whole = len({token.key for token in wanted}) == ACTION_PARTS
-    return action_key(named[-1]) if named and (begun or whole or not served) else ""
+    return action_key(named[-1]) if named and (declared or whole or not served) else ""

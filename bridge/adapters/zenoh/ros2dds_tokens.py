@@ -100,8 +100,8 @@ def parse(key: str) -> tuple[Token, ...]:
     zid, name, type_name = parts[1], _unescape(parts[4]), _unescape(parts[5])
     if not _KEY.fullmatch(name):
         raise HubWireError(f"{name[:80]!r} is not a ROS 2 name")
-    found = _TYPE.fullmatch(type_name)
-    if found is None or found.group(1) != _MIDDLES[letters[0]]:
+    match = _TYPE.fullmatch(type_name)
+    if match is None or match.group(1) != _MIDDLES[letters[0]]:
         raise HubWireError(f"{type_name[:80]!r} is not a ROS 2 {_MIDDLES[letters[0]]} type")
     if letters in _ACTIONS:
         return _endpoints(zid, *_ACTIONS[letters], name, type_name)
@@ -157,8 +157,8 @@ def _read_qos(text: str, kind: Kind) -> tuple[Qos, str]:
         History.KEEP_ALL if _number(history, 0) == _KEEP_ALL else History.KEEP_LAST,
         max(_number(depth, 1), 1),
     )
-    found = _HASH.search(fields[4]) if len(fields) > 4 else None
-    return qos, found.group(1) if found else ""
+    match = _HASH.search(fields[4]) if len(fields) > 4 else None
+    return qos, match.group(1) if match else ""
 
 
 def _number(text: str, default: int) -> int:

@@ -110,7 +110,7 @@ class LatchedSubscription(KeySubscription):
             self._history.close()
         super().close()
 
-    def take(self, sample: zenoh.Sample, source: str) -> None:
+    def accept(self, sample: zenoh.Sample, source: str) -> None:
         """Accept a live sample; hold it back while its session is queried."""
         zid = sender(sample)
         with self._asking:
@@ -157,7 +157,7 @@ class LatchedSubscription(KeySubscription):
         if len(self._last) >= _MAX_PUBLISHERS:
             del self._last[next(iter(self._last))]
         self._last[publisher] = number, stamp
-        super().take(sample, source)
+        super().accept(sample, source)
 
 
 def is_later(number: int | None, stamp: int, last_number: int | None, last_stamp: int) -> bool:

@@ -141,7 +141,7 @@ class KeyPublisher:
         with self._lock:
             self._cache.forget(source)
 
-    def put_again(self) -> None:
+    def republish(self) -> None:
         """Publish the latched messages once more."""
         with self._lock:
             for payload in self._cache.all():
@@ -254,7 +254,7 @@ class KeySubscription:
     def _on_sample(self, sample: zenoh.Sample) -> None:
         source = self.native(sample)
         if source:
-            self.take(sample, source)
+            self.accept(sample, source)
 
     def native(self, sample: zenoh.Sample) -> str:
         """Return the endpoint that published a sample; "" if the sample is to be ignored."""
@@ -262,6 +262,6 @@ class KeySubscription:
             return ""
         return self._source_of(sample)
 
-    def take(self, sample: zenoh.Sample, source: str) -> None:
+    def accept(self, sample: zenoh.Sample, source: str) -> None:
         """Queue a native message."""
         self._queue.add(sample.payload, source, time_ns(sample))

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from bridge.adapters.worker import Crossing, make_edges
+from bridge.adapters.worker import NetworkBridge, make_edges
 from bridge.adapters.zenoh import edge
 from bridge.messages.registry import Registry
 from tests.adapters.zenoh.conftest import Place, cross
@@ -33,25 +33,25 @@ def test_a_client_waits_for_its_router(
     config = place.config(zenoh={"zenoh": client, "dialects": [DIALECTS[dialect]]})
     monkeypatch.setattr("tests.contract.zenohside.until", lambda *_: None)  # it returns before the dialect has joined
     bridge = ZenohBridge(config)
-    (crossing,) = bridge.crossings
+    (joined,) = bridge.bridges
     try:
-        until(lambda: "Unable to connect" in crossing.health().text, "the reason")
-        health = crossing.health()
+        until(lambda: "Unable to connect" in joined.health().text, "the reason")
+        health = joined.health()
         assert health.state == "waiting"
         assert health.text.startswith(f"waiting for the zenoh router at {place.router.endpoint}: ")
-        assert health.text in place.status(crossing.name)["warnings"]
+        assert health.text in place.status(joined.name)["warnings"]
         place.router.start()
-        until(lambda: crossing.health().state == "running", "it joins")
+        until(lambda: joined.health().state == "running", "it joins")
         topic = "/json/both" if dialect == "json" else "/both"
         program = {"ros2dds": place.ros2dds, "ros1": place.ros1, "json": place.json}[dialect]()
         out, received = program.advertise(topic, STRING), place.far.subscribe("/both", STRING)
         assert cross(program, out, place.far, received, {"data": "hi"}) == {"data": "hi"}
-        assert not [w for w in place.status(crossing.name)["warnings"] if "waiting" in w]
+        assert not [w for w in place.status(joined.name)["warnings"] if "waiting" in w]
         assert sum("waiting for the zenoh router" in record.message for record in caplog.records) <= 1
         place.router.stop()
-        until(lambda: crossing.health().state == "waiting", "the router has gone")
+        until(lambda: joined.health().state == "waiting", "the router has gone")
         place.router.start()
-        until(lambda: crossing.health().state == "running", "it joins again")
+        until(lambda: joined.health().state == "running", "it joins again")
     finally:
         bridge.stop()
 
@@ -62,9 +62,9 @@ def test_a_client_that_waits_stops_at_once(place: Place) -> None:
     config = place.config(zenoh={"zenoh": client, "dialects": [DIALECTS["ros2dds"]]})
     registry = Registry()
     (made,) = make_edges("zenoh", config, registry, place.folder).values()
-    crossing = Crossing("zenoh_ros2dds", made, config, registry, pytest.fail, diagnostics=False)
-    assert crossing.health().state == "waiting"
-    crossing.stop()
+    joined = NetworkBridge("zenoh_ros2dds", made, config, registry, pytest.fail, diagnostics=False)
+    assert joined.health().state == "waiting"
+    joined.stop()
     place.router.start()
     until(lambda: f"midspan-{made.side}-tick" not in {t.name for t in threading.enumerate()}, "its attempt ends")
     assert made.network() is None

@@ -236,7 +236,7 @@ def test_nothing_is_heard_of_keys_that_nobody_announced(place: Place) -> None:
     out = place.far.advertise("/chatter", STRING)
     place.far.publish(out, {"data": "on the hub"})
     place.until_route(SIDE, "/chatter", "out")
-    assert bridge.crossings[0].health().state == "running"
+    assert bridge.bridges[0].health().state == "running"
     status = place.status(SIDE)
     assert [r["direction"] for r in status["routes"] if r["topic"] == "/chatter"] == ["out"]
     assert not [w for w in status["warnings"] if "left out" in w]

@@ -32,7 +32,7 @@ def test_nothing_loops_and_nothing_comes_twice(place: Place, dialect: str, hubs:
         try:
             from_far = exchange(program, out, heard, far)
             if hubs == "one hub":  # whoever stands by takes over
-                active = min((first, second), key=lambda bridge: bridge.crossings[0].health().state != "running")
+                active = min((first, second), key=lambda bridge: bridge.bridges[0].health().state != "running")
                 active.stop()
                 until_all_hear(program, out, heard, [(far[0], from_far[0], far[0].subscribe("/both", STRING))])
             second.stop()
