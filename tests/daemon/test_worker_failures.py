@@ -43,7 +43,7 @@ def run(worker: Worker, reports: list[Report]) -> RunEnd:
         (HubError("cannot join the hub: Unable to connect"), True, RunEnd.FAILED),
         (HubConfigError("unknown key 'mod'"), True, RunEnd.FAILED),
         (RuntimeError("no ROS 2 here"), True, RunEnd.CANNOT_WORK),
-        (WorkerFailedError("there is a new address: starting again"), False, RunEnd.FAILED),
+        (WorkerFailedError("there is a new address: restarting"), False, RunEnd.FAILED),
     ],
 )
 def test_a_plain_reason_is_reported(

@@ -60,11 +60,11 @@ _log = logging.getLogger(__name__)
 _End = TypeVar("_End", Ros2Subscription, Ros2Publisher, Ros2Caller, Ros2Server)
 
 _FORGOTTEN = 15.0
-"""Seconds after which others may have given us up: Fast DDS's default lease is 20."""
+"""Seconds after which others may have dropped this participant: Fast DDS's default lease is 20."""
 
 
 class Ros2Edge(SideEdge):
-    """One participant on a ROS 2 (DDS) network. A process has one at a time: the mark is the process's."""
+    """One participant on a ROS 2 (DDS) network. A process can have only one, as the mark is set per process."""
 
     side: ClassVar[str] = "ros2"
     services: ClassVar[bool] = True
@@ -116,7 +116,7 @@ class Ros2Edge(SideEdge):
         self._presence = PresenceTopic(participant, loop, string, seen, past, changed)
 
     def _greet(self, dead: Sequence[bytes]) -> None:
-        """Dispose our dead predecessors, and prompt all participants to announce themselves."""
+        """Dispose this daemon's dead predecessors, and prompt all participants to announce themselves."""
         number, caller = domain(self._config, os.environ), new_prefix(rcl.host_prefix())
         call = [spdp.hello(caller, number, participant_number(self._prefix)), spdp.farewell(caller)]
         spdp.say([*map(spdp.farewell, dead), *call], number, localhost_only=self._localhost_only)
@@ -129,10 +129,10 @@ class Ros2Edge(SideEdge):
         if self._config.ros2.profile is not None:  # it may exclude the new ones
             _log.warning("%s; restart the worker if it should, or restrict it in ros2.profile", text)
         elif self._listener is not None:
-            self._listener.edge_failed(f"{text}: starting again")
+            self._listener.edge_failed(f"{text}: restarting")
 
     def _clean_ports(self, past: Iterable[bytes]) -> None:
-        """Remove the shared memory of our dead predecessors, except under our own participant number."""
+        """Remove the shared-memory ports of dead predecessors, except those of this participant's number."""
         numbers = {participant_number(prefix) for prefix in past} - {participant_number(self._prefix)}
         of_domain = domain(self._config, os.environ)
         neighbours.clean_ports(port for number in numbers for port in spdp.unicast_ports(of_domain, number))
@@ -162,7 +162,7 @@ class Ros2Edge(SideEdge):
         return leave
 
     def settled(self, since: float) -> bool:
-        """See `Edge.settled`."""
+        """Return whether all participants that existed at ``since`` are discovered."""
         presence = self._presence
         return presence is not None and presence.settled(since)
 
@@ -170,12 +170,11 @@ class Ros2Edge(SideEdge):
         neighbours.note(self._state / "ros2")
         if self._listener is not None:
             self._listener.edge_failed(
-                "there are ROS 2 nodes of another user or container, to which shared memory delivers nothing:"
-                " starting again with UDP only"
+                "shared memory cannot reach ROS 2 nodes of another user or container: restarting with UDP only"
             )
 
     def stop(self) -> None:
-        """Leave the network."""
+        """Close all endpoints, and leave the network."""
         context, self._context = self._context, None
         if context is None:
             return
@@ -195,20 +194,20 @@ class Ros2Edge(SideEdge):
         context.participant.close()
 
     def network(self) -> str | None:
-        """The participant's GUID prefix in hex."""
+        """Return the participant's GUID prefix in hex; None before `start` and after `stop`."""
         return self._prefix.hex() if self._context is not None else None
 
     def is_own_network(self, origin: Origin) -> bool:
-        """Whether a ROS 2 origin is ours, or its participant is seen on our DDS network."""
+        """Return whether a ROS 2 origin is this daemon's, or its participant is on this DDS network."""
         return origin.side == self.side and self._origins is not None and self._origins.is_own(origin.network)
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """Publishers, subscriptions, servers and clients of all other participants."""
+        """Return the publishers, subscriptions, servers and clients of all other participants."""
         context = self._context
         return context.graph.snapshot.endpoints if context is not None else ()
 
     def is_heard(self, topic: str) -> bool:
-        """See `Edge.is_heard`."""
+        """Return whether a topic has subscribers; True for hidden topics and before the start."""
         context = self._context
         return context is None or is_hidden(topic) or topic in context.graph.snapshot.heard
 
@@ -218,7 +217,7 @@ class Ros2Edge(SideEdge):
         self._check_one_type(topic, side_type.name)
         message_class = self._types.message_class(side_type.name, side_type.type_id)
         subscription = self._kept(Ros2Subscription(topic, message_class, qos, deliver, context, self._closed))
-        subscription.refit()  # a change of the graph since it was made has passed it by
+        subscription.refit()  # the graph may have changed since the constructor read it
         return subscription
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
@@ -229,18 +228,18 @@ class Ros2Edge(SideEdge):
         return self._kept(Ros2Publisher(topic, message_class, qos, participant, self._closed, self.is_heard))
 
     def _check_one_type(self, topic: str, type_name: str) -> None:
-        """Reject a second type for a topic: a DDS participant has one, and Fast DDS's own error does not mention it."""
+        """Reject a second type for a topic: a DDS participant has only one, and Fast DDS's error omits the reason."""
         with self._lock:
             here = [end for end in self._ends if isinstance(end, Ros2Subscription | Ros2Publisher)]
         other = next((e.type_name for e in here if e.topic == topic and e.type_name != type_name), None)
         if other is not None:
             raise MessageTypeError(
-                f"{topic} crosses on ROS 2 as {other} already, it cannot also be {type_name}",
+                f"{topic} is already bridged to ROS 2 as {other}, it cannot also be {type_name}",
                 f"rename one of the two by a rule with 'type: {type_name}': a ROS 2 program has one type per topic",
             )
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """Return a conversion that checks the bytes and leaves them as they are."""
+        """Return a conversion that keeps the bytes and validates them."""
         conversion = self.service_from_hub(endpoint.type, "")
         request, _ = self._part_hashes(conversion.side)
         if endpoint.type_id not in ("", request):
@@ -251,7 +250,7 @@ class Ros2Edge(SideEdge):
         return conversion
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """The bytes are the same once they are checked, as those of topics are."""
+        """Return a conversion that keeps the bytes and validates them, as for topics."""
         self._types.prepare_services()
         return super().service_from_hub(type_name, type_hash)
 
@@ -263,11 +262,11 @@ class Ros2Edge(SideEdge):
         return self._types.service_class(service.name, service.type_id, self._part_hashes(service))
 
     def caller(self, name: str, side_type: SideType) -> EdgeCaller:
-        """A client of the native servers of a name."""
+        """Return a client of the native servers of a name."""
         return self._kept(Ros2Caller(name, self._service_class(side_type), self._started(), self._closed))
 
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
-        """A server; a DDS client gets no errors, and waits on as after a lost reply."""
+        """Serve a name; a DDS client receives no errors and keeps waiting, as after a lost reply."""
         service_class = self._service_class(side_type)
         refuse = refusal(self._registry, side_type.name, side_type.type_id)
         if split(name)[1] == GET_RESULT:
@@ -289,18 +288,18 @@ class Ros2Edge(SideEdge):
             self._ends.discard(end)
 
     def went_on(self, seconds: float) -> None:
-        """See `Edge.went_on`: others that dropped this participant never rediscover it."""
-        why = f"stood still for {seconds:.0f} s, so that ROS 2 nodes may have given this one up: starting again"
+        """Restart after a long suspension: others that dropped this participant never rediscover it."""
+        why = f"suspended for {seconds:.0f} s, ROS 2 nodes may have dropped this participant: restarting"
         if seconds > _FORGOTTEN and self._listener is not None:
             self._listener.edge_failed(why)
 
     def details(self) -> dict[str, Any]:
-        """The nodes on Cyclone DDS, as `bridge.doctor.checks.cyclone` reads them."""
+        """Return the nodes on Cyclone DDS, for `bridge.doctor.checks.cyclone`."""
         cyclone = vendors.report(self.endpoints())
         return {"cyclone": cyclone} if cyclone else {}
 
     def warnings(self) -> list[str]:
-        """Native subscriptions that do not receive what we publish, with the reason, and nodes on Cyclone DDS."""
+        """Return native subscriptions with incompatible QoS, nodes on Cyclone DDS, and new addresses."""
         offers: dict[str, set[Qos]] = {}
         with self._lock:
             for end in self._ends:

@@ -1,4 +1,4 @@
-"""The environment of a ros2 worker, and whether rclpy can be had. The daemon asks, so nothing of ROS is loaded here."""
+"""The environment of a ros2 worker, and whether rclpy is available; loads no ROS code, as the daemon imports it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bridge.config.model import Config
 _SYSTEM = Path("/opt/ros/jazzy")
 SWITCHES = {
     "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-    # The profile says how far to look; ROS 2's own range would add transports of its own.
+    # the profile sets the range; ROS 2's setting would add transports
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
     "SKIP_DEFAULT_XML": "1",
 }
@@ -24,19 +24,19 @@ _CURE = (
 )
 
 
-def available(config: Config) -> str:  # noqa: ARG001 - every side's function has the same form
-    """Why rclpy is not available, and the cure; "" where it is."""
+def available(config: Config) -> str:  # noqa: ARG001 - same signature for every side
+    """Return why rclpy is not available, and the cure; "" if it is."""
     if find_spec("rclpy") is None and _unsourced() is None:
         return f"rclpy is not installed for {sys.executable}; {_CURE}"
     if find_spec("rclpy") is not None and find_spec("rmw_fastrtps_cpp") is None and not _sourced(os.environ):
-        return f"rclpy is there without Fast DDS (rmw_fastrtps_cpp); {_CURE}"
+        return f"rclpy is installed without Fast DDS (rmw_fastrtps_cpp); {_CURE}"
     return ""
 
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:
-    """The environment for a ros2 worker, made from that of its parent.
+    """Return the environment of a ros2 worker, derived from its parent's.
 
-    rclpy is that of a sourced ROS 2, else of the wheels in Midspan's own environment, else of ``/opt/ros/jazzy``.
+    rclpy comes from a sourced ROS 2, else from the wheels in Midspan's environment, else from ``/opt/ros/jazzy``.
     """
     result = dict(environ)
     _without_ros1(result)
@@ -44,7 +44,7 @@ def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, 
     if _sourced(environ):
         pass
     elif (Path(sys.prefix) / "lib/librcl.so").exists():
-        # Set here, the wheels' start-up hook does not run the interpreter a second time.
+        # prevents the wheels' start-up hook from restarting the interpreter
         result["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
         _prepend(result, "LD_LIBRARY_PATH", [Path(sys.prefix) / "lib", *sorted(_site(sys.prefix).glob("ros_*.libs"))])
         _prepend(result, "AMENT_PREFIX_PATH", [Path(sys.prefix)])
@@ -64,7 +64,7 @@ def _site(prefix: str | Path) -> Path:
 
 
 def _sourced(environ: Mapping[str, str]) -> bool:
-    """Whether the parent's shell has sourced a ROS 2 for this very Python."""
+    """Return whether the parent's shell has sourced a ROS 2 for this Python version."""
     prefixes = [p for p in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p and Path(p) != Path(sys.prefix)]
     return any((_site(p) / "rclpy").is_dir() for p in prefixes)
 
@@ -74,7 +74,7 @@ def _unsourced() -> Path | None:
 
 
 def _without_ros1(environ: dict[str, str]) -> None:
-    """Take ROS 1's packages off the path: theirs have the names of ROS 2's, and would be imported instead."""
+    """Remove ROS 1's packages from the path: they have the names of ROS 2's, and would be imported instead."""
     folders = [p for p in environ.get("PYTHONPATH", "").split(os.pathsep) if p and not (Path(p) / "rospy").is_dir()]
     environ.pop("PYTHONPATH", None)
     if folders:
@@ -88,7 +88,7 @@ def _prepend(environ: dict[str, str], name: str, folders: list[Path]) -> None:
 
 
 def domain(config: Config, environ: Mapping[str, str]) -> int:
-    """The ROS domain: the configuration's, else the environment's, else 0."""
+    """Return the ROS domain: the configuration's, else the environment's, else 0."""
     if config.ros2.domain is not None:
         return config.ros2.domain
     try:

@@ -1,8 +1,8 @@
-"""One thread that takes the messages of all subscriptions, and all requests and replies.
+"""One thread that receives the messages of all subscriptions, and all requests and replies.
 
-rcl counts new messages in an eventfd for each, from the middleware's thread and without Python; the thread here
-sleeps in epoll. So a message costs the same beside one subscription as beside five hundred, where a wait set and
-rclpy's executors look at every one for each message.
+rcl counts new messages in an eventfd per endpoint, on the middleware's thread and without Python; the thread here waits
+in epoll. So the cost of a message does not depend on the number of subscriptions, whereas a wait set and rclpy's
+executors check all of them for each message.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.participant import Participant
 
 TAKES_PER_TURN = 32
-"""Messages taken of one subscription before the others get their turn."""
+"""Messages taken from one subscription before the loop serves the others."""
 
 _log = logging.getLogger(__name__)
 
 
 class EndpointReader(ABC):
-    """What the loop serves: a subscription, a client or a server, which is its ``kind``.
+    """An endpoint that the loop serves; its ``kind`` is subscription, client or service.
 
-    It holds rclpy's inner object (``handle``) until `destroy`, so that its ``pointer`` (``rcl_subscription_t *``, or of
-    its kind) stays good whatever thread closes it.
+    It holds rclpy's inner object (``handle``) until `destroy`, so that its ``pointer`` (``rcl_subscription_t *``, or
+    that of its kind) stays valid whichever thread closes it.
     """
 
     kind: ClassVar[str] = "subscription"
@@ -39,7 +39,7 @@ class EndpointReader(ABC):
         self.pointer = int(handle.pointer)
 
     def wake(self, descriptor: int | None) -> None:
-        """Have each new message counted in an eventfd; None ends it."""
+        """Count each new message in an eventfd; None stops counting."""
         rcl.wake_by_eventfd(self.kind, self.pointer, descriptor)
 
     @abstractmethod
@@ -47,13 +47,13 @@ class EndpointReader(ABC):
         """Take and deliver up to ``limit`` messages."""
 
     def destroy(self) -> None:
-        """Give the reader back to the middleware; nothing refers to it any more."""
+        """Return the reader to the middleware; nothing may refer to it afterwards."""
         self.handle.__exit__(None, None, None)
         self._participant.destroy(self.handle)
 
 
 class ReadLoop(ABC):
-    """The thread, and the readers that it serves."""
+    """A thread, and the readers that it serves."""
 
     def __init__(self) -> None:
         self._readers: dict[int, EndpointReader] = {}
@@ -61,16 +61,16 @@ class ReadLoop(ABC):
         self._thread = threading.Thread(target=self._run, name="midspan-ros2-take", daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread; readers may be added before."""
         self._thread.start()
 
     @abstractmethod
     def add(self, reader: EndpointReader) -> None:
-        """Serve a reader from now on, what it already holds included."""
+        """Serve a reader from now on, including messages that it already holds."""
 
     @abstractmethod
     def remove(self, reader: EndpointReader) -> None:
-        """Stop serving a reader and destroy it, on the loop's thread and soon."""
+        """Stop serving a reader, and destroy it soon on the loop's thread."""
 
     def stop(self) -> None:
         """End the thread and destroy all readers."""
@@ -93,7 +93,7 @@ class ReadLoop(ABC):
 
     @abstractmethod
     def _wake_up(self) -> None:
-        """Have the thread look what changed."""
+        """Wake the thread to apply changes."""
 
     @abstractmethod
     def _close(self) -> None:
@@ -101,7 +101,7 @@ class ReadLoop(ABC):
 
 
 class EpollReadLoop(ReadLoop):
-    """Sleeps in epoll, on an eventfd of each reader."""
+    """Waits in epoll, with an eventfd for each reader."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -111,14 +111,14 @@ class EpollReadLoop(ReadLoop):
         self._leaving: deque[EndpointReader] = deque()
 
     def add(self, reader: EndpointReader) -> None:
-        """See `ReadLoop`."""
+        """Serve a reader, with a new eventfd."""
         descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._readers[descriptor] = reader
         self._epoll.register(descriptor, select.EPOLLIN)
         reader.wake(descriptor)
 
     def remove(self, reader: EndpointReader) -> None:
-        """See `ReadLoop`."""
+        """Let the loop's thread destroy a reader."""
         self._leaving.append(reader)
         self._wake_up()
 
@@ -149,7 +149,7 @@ class EpollReadLoop(ReadLoop):
             count = os.eventfd_read(descriptor)
         except BlockingIOError:
             return
-        # As many as were told, and not until there is none: a take in vain costs as much as one that brings a message.
+        # take the counted number rather than until the queue is empty: a failed take costs as much as a successful one
         limit = min(count, TAKES_PER_TURN)
         try:
             reader.drain(taker, limit)
@@ -174,7 +174,7 @@ _KINDS = ("subscription", "client", "service")
 
 
 class WaitSetReadLoop(ReadLoop):
-    """Waits by rcl's wait set, by the readers' pointers."""
+    """Waits in rcl's wait set; readers are keyed by their pointers."""
 
     def __init__(self, participant: Participant) -> None:
         super().__init__()
@@ -183,12 +183,12 @@ class WaitSetReadLoop(ReadLoop):
         self._changes: deque[tuple[EndpointReader, bool]] = deque()
 
     def add(self, reader: EndpointReader) -> None:
-        """See `ReadLoop`."""
+        """Serve a reader from the next cycle of the loop on."""
         self._changes.append((reader, True))
         self._wake_up()
 
     def remove(self, reader: EndpointReader) -> None:
-        """See `ReadLoop`."""
+        """Destroy a reader in the next cycle of the loop."""
         self._changes.append((reader, False))
         self._wake_up()
 

@@ -1,7 +1,7 @@
-"""Our one DDS participant and node, and the endpoints that are made on it.
+"""The worker's DDS participant and node, and factories for its endpoints.
 
-rclpy's own ``Node`` puts a parameter-event publisher and more on the graph and needs an executor; only its inner
-module is used here, the one that rclpy's classes stand on (``rclpy.impl.implementation_singleton``, Jazzy).
+rclpy's ``Node`` adds a parameter-event publisher and more to the graph and needs an executor; only the inner module is
+used here, on which rclpy's classes are built (``rclpy.impl.implementation_singleton``, Jazzy).
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from bridge.messages.errors import MessageTypeError
 _rclpy: Any = rclpy_implementation
 
 _DISCOVERY = "ros_discovery_info"
-"""The DDS topic on which every ROS participant tells its nodes: its writers are the participants."""
+"""The DDS topic on which every ROS participant announces its nodes: its writers are the participants."""
 
 
 @contextlib.contextmanager
 def _explained(topic: str, message_class: Any) -> Iterator[None]:
-    """Name what was refused: rcl's error mentions types and allocators only."""
+    """Add the topic and type to rcl's error, which mentions only types and allocators."""
     try:
         yield
     except (_rclpy.RCLError, ValueError) as err:
         raise MessageTypeError(
-            f"ROS 2 does not take {topic} as {message_class.type_name}: {err}",
-            "rename it by a rule, if it does not come right by itself in a moment",
+            f"ROS 2 does not accept {topic} as {message_class.type_name}: {err}",
+            "rename it by a rule, unless it recovers by itself within seconds",
         ) from err
 
 
 class Participant:
-    """A node with nothing of its own on the graph; making and destroying endpoints is safe from any thread."""
+    """A node without default endpoints; endpoints can be created and destroyed from any thread."""
 
     def __init__(self, name: str, domain: int) -> None:
         self._lock = threading.Lock()
@@ -48,73 +48,73 @@ class Participant:
 
     @property
     def pointer(self) -> int:
-        """``rcl_node_t *``."""
+        """The address of the ``rcl_node_t``."""
         return int(self._node.pointer)
 
     def topics(self) -> list[str]:
-        """Names of all ROS topics on the graph."""
+        """Return the names of all ROS topics on the graph."""
         return [name for name, _types in _rclpy.rclpy_get_topic_names_and_types(self._node, False)]
 
     def writers(self, topic: str, *, dds: bool = False) -> Sequence[Mapping[str, Any]]:
-        """The publishers of a ROS topic, or the writers of a DDS topic, in rclpy's words."""
+        """Return the publishers of a ROS topic, or the writers of a DDS topic, as rclpy's dictionaries."""
         found: list[Mapping[str, Any]] = _rclpy.rclpy_get_publishers_info_by_topic(self._node, topic, dds)
         return found
 
     def readers(self, topic: str, *, dds: bool = False) -> Sequence[Mapping[str, Any]]:
-        """The subscriptions of a ROS topic, or the readers of a DDS topic, in rclpy's words."""
+        """Return the subscriptions of a ROS topic, or the readers of a DDS topic, as rclpy's dictionaries."""
         found: list[Mapping[str, Any]] = _rclpy.rclpy_get_subscriptions_info_by_topic(self._node, topic, dds)
         return found
 
     def participants(self) -> list[bytes]:
-        """GIDs of one endpoint of each ROS participant, ours included."""
+        """Return the GID of one endpoint of each ROS participant, including this one."""
         return [bytes(info["endpoint_gid"]) for info in self.writers(_DISCOVERY, dds=True)]
 
     def make_node(self, name: str) -> Any:
-        """Another node of this participant, with nothing of its own; ``name`` is the full one."""
+        """Create another node of this participant, without default endpoints; ``name`` is fully qualified."""
         namespace, _, base = name.rpartition("/")
         with self._lock:
             return _rclpy.Node(base, namespace, self._context.handle, [], False, False)
 
     def make_writer(self, message_class: Any, topic: str, qos: Qos) -> Any:
-        """A DDS writer; it has ``pointer``, ``rcl_publisher_t *``."""
+        """Create a DDS writer; its ``pointer`` is ``rcl_publisher_t *``."""
         with self._lock, _explained(topic, message_class):
             return _rclpy.Publisher(self._node, message_class, topic, to_rclpy(qos))
 
     def make_reader(self, message_class: Any, topic: str, qos: Qos) -> Any:
-        """A DDS reader; it has ``pointer``, ``rcl_subscription_t *``."""
+        """Create a DDS reader; its ``pointer`` is ``rcl_subscription_t *``."""
         with self._lock, _explained(topic, message_class):
             return _rclpy.Subscription(self._node, message_class, topic, to_rclpy(qos))
 
     def service_topics(self) -> list[tuple[str, str]]:
-        """All services on the graph: each one's name and its requests' DDS topic."""
+        """Return the name and the DDS request topic of each service on the graph."""
         raw = _rclpy.rclpy_get_topic_names_and_types(self._node, True)
         return [(service, topic) for topic, _types in raw if (service := service_of(topic))]
 
     def make_client(self, service_class: Any, service: str, qos: Qos) -> Any:
-        """A client; it has ``pointer``, ``rcl_client_t *``."""
+        """Create a client; its ``pointer`` is ``rcl_client_t *``."""
         with self._lock, _explained(service, service_class):
             return _rclpy.Client(self._node, service_class, service, to_rclpy(qos))
 
     def make_server(self, service_class: Any, service: str, qos: Qos) -> Any:
-        """A server; it has ``pointer``, ``rcl_service_t *``."""
+        """Create a server; its ``pointer`` is ``rcl_service_t *``."""
         with self._lock, _explained(service, service_class):
             return _rclpy.Service(self._node, service_class, service, to_rclpy(qos))
 
     def make_guard_condition(self) -> Any:
-        """A guard condition of ours."""
+        """Create a guard condition in this participant's context."""
         return _rclpy.GuardCondition(self._context.handle)
 
     def make_wait_set(self, guard_conditions: int, subscriptions: int = 0, clients: int = 0, services: int = 0) -> Any:
-        """A wait set with room for so many."""
+        """Create a wait set with these capacities."""
         return _rclpy.WaitSet(subscriptions, guard_conditions, 0, clients, services, 0, self._context.handle)
 
     def destroy(self, entity: Any) -> None:
-        """Give an endpoint or a guard condition back."""
+        """Destroy an endpoint or a guard condition once it is no longer in use."""
         with self._lock:
             entity.destroy_when_not_in_use()
 
     def close(self) -> None:
-        """Leave the network."""
+        """Leave the network, and release the context."""
         self.destroy(self._node)
         self._context.try_shutdown()
         self._context.destroy()
@@ -122,17 +122,17 @@ class Participant:
 
 # -- quality of service ------------------------------------------------------------------------------------------------
 # DDS announces no history, so the depth of a remote writer is unknown (Fast DDS reports history ``UNKNOWN``, depth 0).
-# Our enumerations carry rmw's numbers, as rclpy's inner module does.
+# Midspan's enumerations have rmw's numbers, like rclpy's inner module.
 
 UNKNOWN_DEPTH = 10
-"""Depth taken for a volatile remote endpoint; a latched one counts as 1, its last message."""
+"""Assumed depth of a volatile remote endpoint; a latched one counts as 1, its last message."""
 
 _LONGEST_NS = 2**62
-"""DDS's infinite durations come as the largest number; no finite one comes near."""
+"""Durations from here on count as infinite: DDS reports the largest number, and no finite one is near it."""
 
 
 def from_rclpy(profile: Mapping[str, Any]) -> Qos:
-    """A remote endpoint's QoS from discovery."""
+    """Return a remote endpoint's QoS from discovery."""
     latched = int(profile["durability"]) == Durability.TRANSIENT_LOCAL
     return Qos(
         Reliability.BEST_EFFORT if int(profile["reliability"]) == Reliability.BEST_EFFORT else Reliability.RELIABLE,
@@ -149,7 +149,7 @@ def _finite(nanoseconds: int) -> int | None:
 
 
 def to_rclpy(qos: Qos) -> Any:
-    """The inner profile of an endpoint of our own: always a bounded history, never a deadline that misses a peer."""
+    """Return the inner profile for an endpoint of Midspan: a bounded history, and no deadline that prevents a match."""
     profile: Any = QoSProfile
     return profile(
         reliability=int(qos.reliability),
@@ -160,20 +160,20 @@ def to_rclpy(qos: Qos) -> Any:
 
 
 def mismatch(offered: Qos, requested: Qos) -> str:
-    """Why a reader and a writer do not match, "" where they do (DDS 1.4, section 2.2.3, request against offer)."""
+    """Return why a reader and a writer do not match, "" if they do (DDS 1.4, section 2.2.3, request against offer)."""
     reasons = []
     if offered.reliability is Reliability.BEST_EFFORT and requested.reliability is Reliability.RELIABLE:
-        reasons.append("best effort is offered, reliable is asked for")
+        reasons.append("best effort is offered, reliable is requested")
     if offered.durability is Durability.VOLATILE and requested.durability is Durability.TRANSIENT_LOCAL:
-        reasons.append("volatile is offered, transient local is asked for")
+        reasons.append("volatile is offered, transient local is requested")
     if requested.deadline_ns is not None and (offered.deadline_ns or _LONGEST_NS) > requested.deadline_ns:
-        reasons.append("a longer deadline is offered than is asked for")
+        reasons.append("the offered deadline is longer than the requested one")
     return " and ".join(reasons)
 
 
 SERVICE = Qos(depth=20_000)
-"""Of our clients and servers: a peer sees ROS 2's own profile for services, and we have room for more calls than
-may be under way. It costs no memory before it is used."""
+"""QoS of Midspan's clients and servers: peers see ROS 2's profile for services, and the depth exceeds the number of
+concurrent calls. It costs no memory before it is used."""
 
 
 # -- names of services in DDS ------------------------------------------------------------------------------------------
@@ -185,22 +185,22 @@ _TYPE = re.compile(r"^(\w+)::(srv|action)::dds_::(\w+)_Request_$")
 
 
 def request_topic(service: str) -> str:
-    """The topic that servers read and clients write."""
+    """Return the DDS topic that servers read and clients write."""
     return f"rq{service}Request"
 
 
 def reply_topic(service: str) -> str:
-    """The topic that servers write and clients read."""
+    """Return the DDS topic that servers write and clients read."""
     return f"rr{service}Reply"
 
 
 def service_of(topic: str) -> str:
-    """The service of a request topic, "" for any other topic."""
+    """Return the service of a request topic, "" for any other topic."""
     match = _REQUEST.match(topic)
     return match[1] if match else ""
 
 
 def service_type(dds_type: str) -> str:
-    """``package/srv/Name`` of a request's type in DDS; any other type unchanged."""
+    """Return ``package/srv/Name`` for a request's DDS type; any other type unchanged."""
     match = _TYPE.match(dds_type)
     return f"{match[1]}/{match[2]}/{match[3]}" if match else dds_type

@@ -2,13 +2,13 @@
 
 Measurements with Fast DDS 2.14.5, and the defaults in the side's nodes:
 
-- Shared memory between users delivers nothing, as its files belong to their creator, while the graph is complete. With
-  UDP only on this end data crosses both ways, and the other end needs no change.
+- Shared memory between users delivers nothing, as its files belong to their creator, while the graph is complete. If
+this end uses only UDP, data crosses in both directions, and the other end needs no change.
 - The discovery range LOCALHOST makes rmw_fastrtps add shared memory again. So this profile sets the range: loopback
   only by the white list. It discovers the machine's nodes by multicast on loopback, and those that do not listen to
   multicast (their range is LOCALHOST) by unicast to the ports of the first 32 participants.
-- The default queue of a participant's shared memory (512) overflows in a burst; the rest is sent again after the
-  writer's next heartbeat, each 3 s.
+- The default queue of a participant's shared memory (512) overflows in a burst; the rest is resent after the writer's
+next heartbeat, every 3 s.
 - The default shared-memory segment (512 kB) makes a message of 1 MB five times slower than a large one does.
 - Other participants notice a killed one after its lease, 20 s by default; see `bridge.adapters.ros2.graph.spdp` for
   the reason why it is not shorter here.
@@ -135,7 +135,7 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
     text = profile.xml() if own is None else stamped(own, profile.prefix)
     path = state / "ros2" / "fastdds.xml"
     if not keep(path, text, "Fast DDS reads its profile from memory"):
-        file = os.memfd_create("midspan-fastdds")  # not on the disk, until this process exits
+        file = os.memfd_create("midspan-fastdds")  # in memory, until this process exits
         os.write(file, text.encode())
         path = Path(f"/proc/self/fd/{file}")
     os.environ.update(SWITCHES | dict.fromkeys(_PROFILE_VARIABLES, str(path)))
@@ -146,7 +146,7 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
 
 
 _used: list[FastDdsProfile] = []
-"""The profile that Fast DDS has read in this process."""
+"""The profile that Fast DDS has loaded in this process."""
 
 
 def _segment(config: Config, state: Path) -> int:

@@ -1,8 +1,8 @@
-"""The calls of rcl that rclpy does not offer, by ctypes.
+"""Calls of rcl that rclpy does not offer, through ctypes.
 
-Structures as in Jazzy's headers (rcutils/types/uint8_array.h, rmw/types.h). A call through `_held` keeps the GIL: it is
-for calls of a few microseconds, as releasing the GIL costs more than the call. No Python code runs on a thread of the
-middleware: its only callback is libc's ``eventfd_write``.
+Structures as in Jazzy's headers (rcutils/types/uint8_array.h, rmw/types.h). A call through `_rcl_held` keeps the GIL:
+it is for calls of a few microseconds, for which releasing the GIL would cost more than the call. No Python code runs on
+a thread of the middleware: its only callback is libc's ``eventfd_write``.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class _Bytes(Structure):
 
 
 class _Content(Structure):
-    """The same for a Python object that outlives the call."""
+    """The same structure over a Python object that outlives the call."""
 
     _fields_ = [("buffer", c_char_p), ("length", c_size_t), ("capacity", c_size_t), ("allocator", _Allocator)]
 
@@ -105,10 +105,10 @@ class RclError(RuntimeError):
 
 
 class Taken(NamedTuple):
-    """One message as it came off the wire: CDR with its encapsulation header, exactly as long as it was sent.
+    """One message as received: CDR with its encapsulation header, exactly as long as it was sent.
 
     ``gid`` is 16 bytes, the first 12 its participant's GUID prefix; ``source_ns`` is the publisher's time on the system
-    clock, ``sequence`` its number of the message.
+    clock, ``sequence`` the publisher's number of the message.
     """
 
     payload: bytes
@@ -118,7 +118,7 @@ class Taken(NamedTuple):
 
 
 class Taker:
-    """Takes serialized messages into a buffer that it reuses, for one thread."""
+    """Takes serialized messages into a reused buffer; not thread-safe."""
 
     def __init__(self) -> None:
         self._bytes = _Bytes(None, 0, 0, _rcutils.rcutils_get_default_allocator())
@@ -145,7 +145,7 @@ class Taker:
 
 
 def publish(publisher: int, payload: bytes) -> None:
-    """Publish CDR bytes by ``rcl_publisher_t *``."""
+    """Publish CDR bytes through ``rcl_publisher_t *``."""
     size = len(payload)
     content = _Content(payload, size, size)
     library = _rcl if size >= LARGE else _rcl_held
@@ -159,16 +159,17 @@ def _check(call: str, code: int) -> None:
 
 
 def wake_by_eventfd(kind: str, pointer: int, descriptor: int | None) -> None:
-    """Have each new message, reply or request of an endpoint counted in an eventfd; None ends it, for good on return.
+    """Count each new message, reply or request of an endpoint in an eventfd; None stops that before returning.
 
-    ``kind`` is ``subscription``, ``client`` or ``service``; ``pointer`` is ``rcl_subscription_t *``, or of its kind.
+    ``kind`` is ``subscription``, ``client`` or ``service``; ``pointer`` is ``rcl_subscription_t *``, or that of its
+    kind.
     """
     callback = None if descriptor is None else cast(_libc.eventfd_write, c_void_p)
     _check(f"waking by the {kind}", _NEW_CALLBACK[kind](pointer, callback, descriptor))
 
 
 def graph_guard_condition(node: int) -> int:
-    """``rcl_guard_condition_t *`` of ``rcl_node_t *`` that triggers when the graph changes."""
+    """Return the ``rcl_guard_condition_t *`` of ``rcl_node_t *`` that triggers when the graph changes."""
     pointer = _rcl.rcl_node_get_graph_guard_condition(node)
     if not pointer:
         raise RclError("rcl_node_get_graph_guard_condition", -1)
@@ -182,7 +183,7 @@ def wait_set_add_guard_condition(wait_set: int, guard_condition: int) -> None:
 
 
 def host_prefix() -> bytes:
-    """The four bytes with which Fast DDS begins the GUID prefix of every participant of this host.
+    """Return the four bytes with which Fast DDS begins the GUID prefix of every participant of this host.
 
     Fast DDS recognizes neighbors (for shared memory) by them: vendor 01.0f and two bytes made of the host's addresses.
     A function of Fast DDS 2.14 returns them. Other versions lack it; then they are the vendor's two bytes and zeros,
@@ -201,18 +202,18 @@ def host_prefix() -> bytes:
 
 
 def has_eventfd() -> bool:
-    """Whether the system has eventfd (Linux)."""
+    """Return whether the system has eventfd (Linux)."""
     return hasattr(os, "eventfd")
 
 
 # -- requests and replies as bytes -------------------------------------------------------------------------------------
-# rmw has raw topics but no raw services: it hands a C structure to the type support's serializer, and has one filled by
-# its deserializer. Here the structure is a `Wire`, a place in memory, and the two functions copy bytes from there or to
-# there. They are C (service_callbacks.c) without Python: the serializer runs while Fast DDS holds a
-# writer's lock, and if it waited for Python's lock there, a thread that creates an endpoint could wait for it forever.
+# rmw has raw topics but no raw services: it passes a C structure to the type support's serializer, and lets its
+# deserializer fill one. Here the structure is a `Wire`, a buffer in memory, and the two functions copy bytes from or to
+# it. They are C (service_callbacks.c) without Python: the serializer runs while Fast DDS holds a writer's lock, and if
+# it waited for the GIL there, a thread that creates an endpoint could deadlock.
 #
-# The functions' forms are those of rosidl_typesupport_fastrtps_cpp/message_type_support.h (Jazzy); of Fast CDR 2.2's
-# ``Cdr`` they use the public members, and the offset of its iterators, which `end_of` searches for.
+# The functions' signatures are those of rosidl_typesupport_fastrtps_cpp/message_type_support.h (Jazzy). They use the
+# public members of Fast CDR 2.2's ``Cdr``, and the offset of its iterators, which `end_of` searches for.
 
 try:
     from bridge.adapters.ros2 import service_callbacks
@@ -220,9 +221,11 @@ except ImportError:  # set up without a compiler
     service_callbacks = None  # type: ignore[assignment]
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
-"""What rmw itself writes before a message: plain CDR, little-endian."""
+"""The header that rmw writes before a message: plain CDR, little-endian."""
 
-NOT_COMPILED = "ROS 2 services and actions do not cross: what hands their bytes to rmw is not compiled"
+NOT_COMPILED = (
+    "ROS 2 services and actions do not cross: the extension for their bytes (service_callbacks) is not compiled"
+)
 
 _KEPT = 64 * 1024
 """Bytes of a reused buffer; a larger one is freed after each message."""
@@ -232,25 +235,25 @@ _BEGIN = "_ZN8eprosima7fastcdr3Cdr18get_buffer_pointerEv"
 
 
 class Wire(Structure):
-    """A whole message in memory; that of a taken one is libc's, ``capacity`` bytes, and grows as needed."""
+    """A whole message in memory; for a taken one libc allocates ``capacity`` bytes, which grow as needed."""
 
     _fields_ = [("start", c_void_p), ("length", c_size_t), ("capacity", c_size_t)]
 
 
 def outgoing(payload: bytes) -> Wire:
-    """The message for rmw to send; ``payload`` must outlive the call."""
+    """Return a message for rmw to send; ``payload`` must outlive the call."""
     return Wire(cast(c_char_p(payload), c_void_p), len(payload), 0)
 
 
 class Incoming:
-    """A reused buffer for the messages that rmw takes, for one thread."""
+    """A reused buffer for the messages that rmw takes; not thread-safe."""
 
     def __init__(self) -> None:
         self._wire = Wire(None, 0, 0)
         self.pointer = ctypes.addressof(self._wire)
 
     def payload(self) -> bytes:
-        """Return the last message."""
+        """Return a copy of the last message."""
         payload = ctypes.string_at(self._wire.start or 0, self._wire.length)
         if self._wire.capacity > _KEPT:
             self.close()
@@ -263,7 +266,7 @@ class Incoming:
 
 
 class Callbacks:
-    """Return the addresses of the compiled functions for all services; raises `MessageTypeError` without a compiler."""
+    """The addresses of the compiled functions for all services; raises `MessageTypeError` if not compiled."""
 
     def __init__(self) -> None:
         if service_callbacks is None:
@@ -291,14 +294,14 @@ _declare(_rcl.rcl_service_server_is_available, c_int32, c_void_p, c_void_p, POIN
 
 
 class RequestId(NamedTuple):
-    """Return the client of a request: its GID, by which the reply is routed, and its number."""
+    """The id of a request: its client's GID, by which the reply is routed, and its number."""
 
     gid: bytes
     number: int
 
 
 class CallTaker:
-    """Takes requests and replies. For one thread."""
+    """Takes requests and replies; not thread-safe."""
 
     def __init__(self) -> None:
         self._incoming = Incoming()
@@ -328,14 +331,14 @@ class CallTaker:
 
 
 def send_request(client: int, payload: bytes) -> int:
-    """Send CDR bytes by ``rcl_client_t *``; returns the request's number."""
+    """Send CDR bytes through ``rcl_client_t *``; return the request's number."""
     number = c_int64()
     _check("rcl_send_request", _rcl.rcl_send_request(client, byref(outgoing(payload)), byref(number)))
     return number.value
 
 
 def send_response(service: int, request: RequestId, payload: bytes) -> bool:
-    """Send CDR bytes by ``rcl_service_t *``; returns False if the client is unreachable."""
+    """Send CDR bytes through ``rcl_service_t *``; return False if the client is unreachable."""
     name = create_string_buffer(_REQUEST_ID.pack(*request), _REQUEST_ID.size)
     code = _rcl.rcl_send_response(service, name, byref(outgoing(payload)))
     if code == _TIMEOUT:
@@ -346,7 +349,7 @@ def send_response(service: int, request: RequestId, payload: bytes) -> bool:
 
 
 def has_server(node: int, client: int) -> bool:
-    """Whether ``rcl_client_t *`` and a server have discovered each other."""
+    """Return whether ``rcl_client_t *`` and a server have discovered each other."""
     there = c_bool()
     code = _rcl.rcl_service_server_is_available(node, client, byref(there))
     _check("rcl_service_server_is_available", code)

@@ -1,7 +1,7 @@
-/* What rmw calls in place of a service's own serializers; service_bytes.py says how and why.
+/* Functions that rmw calls in place of a service's own serializers; see rcl.py.
  *
- * The three functions know nothing of Python. Fast CDR is C++: its exceptions pass through them to rmw, which expects
- * such. It is not linked: its addresses are given once, so that this is compiled without ROS.
+ * The three functions do not use Python. Fast CDR is C++: its exceptions pass through them to rmw, which expects
+ * them. It is not linked: its addresses are passed in once, so that this file compiles without ROS.
  */
 
 #include <Python.h>
@@ -12,7 +12,7 @@
 
 enum { HEADER = 4, SEARCHED = 32 };
 
-/* service_bytes.Wire: a whole message, with its encapsulation header */
+/* rcl.Wire: a whole message, with its encapsulation header */
 typedef struct {
     char *start;
     size_t length;
@@ -22,7 +22,7 @@ typedef struct {
 static void *(*append)(void *cdr, const char *bytes, size_t count); /* Cdr::serialize_array */
 static char *(*begin)(const void *cdr);                             /* Cdr::get_buffer_pointer */
 
-/* bool cdr_serialize(const void *, Cdr &); the header is written already */
+/* bool cdr_serialize(const void *, Cdr &); the header has been written already */
 static bool serialize(const void *message, void *cdr)
 {
     const Wire *wire = message;
@@ -40,7 +40,7 @@ static uint32_t serialized_size(const void *message)
     return wire->length < HEADER ? 0 : (uint32_t)(wire->length - HEADER);
 }
 
-/* Cdr ends with three iterators, each the buffer's begin and a position: here, the message's begin, and its end. */
+/* Cdr ends with three iterators, each with the buffer's begin and a position: current, the message's begin, its end. */
 static char *end_of(const void *cdr, const char *first)
 {
     char *words[6];
@@ -89,7 +89,7 @@ static PyObject *addresses(PyObject *Py_UNUSED(module), PyObject *args)
         return NULL;
     }
     if (found[0] == NULL || found[1] == NULL) {
-        PyErr_SetString(PyExc_ValueError, "Fast CDR's functions have addresses other than 0");
+        PyErr_SetString(PyExc_ValueError, "the addresses of Fast CDR's functions must not be 0");
         return NULL;
     }
     append = (void *(*)(void *, const char *, size_t))found[0];
@@ -100,7 +100,7 @@ static PyObject *addresses(PyObject *Py_UNUSED(module), PyObject *args)
 
 static PyMethodDef methods[] = {
     {"addresses", addresses, METH_VARARGS,
-     "Take the addresses of Fast CDR's serialize_array and get_buffer_pointer; those of serialize, deserialize, size."},
+     "Set the addresses of Fast CDR's serialize_array and get_buffer_pointer; return those of serialize, deserialize, size."},
     {NULL, NULL, 0, NULL},
 };
 

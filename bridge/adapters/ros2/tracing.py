@@ -54,7 +54,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _replace(file: Path) -> None:
-    """Put a link in the place of a file, unless it has its page."""
+    """Replace a file by a link, unless its page is allocated."""
     if _is_link(file):
         return
     try:

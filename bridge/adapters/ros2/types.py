@@ -1,10 +1,10 @@
-"""Type support made at run time, from a type's name and hash alone.
+"""Type support created at run time, from only a type's name and hash.
 
-Raw bytes pass through rcl without a look at their fields: of a type it needs the name that DDS endpoints are matched
-by, the RIHS01 hash that is announced, and the promise that messages may be of any size. So no message package has to
-be installed, built or imported: a known type support of an unbounded type (``rcl_interfaces/msg/Log``, which rclpy
-itself needs) lends its functions, and its structures are copied with the new name and hash. Fast DDS's TypeObject is
-made of the lender's fields; rmw_fastrtps_cpp does not announce it, endpoints are matched by name.
+Raw bytes pass through rcl without being parsed. rcl needs only the type's name, by which DDS endpoints are matched, its
+RIHS01 hash, which is announced, and the flag that messages may have any size. So no message package has to be
+installed, built or imported: a known type support of an unbounded type (``rcl_interfaces/msg/Log``, which rclpy itself
+needs) lends its functions, and its structures are copied with the new name and hash. Fast DDS's TypeObject has the
+lender's fields; rmw_fastrtps_cpp does not announce it, endpoints are matched by name.
 
 Structures: rosidl_runtime_c/message_type_support_struct.h, rosidl_typesupport_fastrtps_cpp/message_type_support.h,
 rosidl_typesupport_introspection_c/message_introspection.h.
@@ -70,12 +70,12 @@ _python.PyCapsule_New.restype = ctypes.py_object
 
 
 def make_capsule(pointer: int) -> Any:
-    """A pointer as rclpy's classes hold theirs."""
+    """Return a pointer in the capsule that rclpy's classes expect."""
     return _python.PyCapsule_New(pointer, None, None)
 
 
 def lent(kind: str, name: str) -> int:
-    """Pointer to rclpy's own type support of a ``message`` or ``service`` of rcl_interfaces: ``msg__Log``."""
+    """Return a pointer to rclpy's type support of an rcl_interfaces ``message`` (``msg__Log``) or ``service``."""
     library = ctypes.CDLL("librcl_interfaces__rosidl_typesupport_c.so")
     lend = getattr(library, f"rosidl_typesupport_c__get_{kind}_type_support_handle__rcl_interfaces__{name}")
     lend.argtypes, lend.restype = [], c_void_p
@@ -83,7 +83,7 @@ def lent(kind: str, name: str) -> int:
 
 
 class Lender:
-    """The type support whose functions the made ones borrow."""
+    """The type support whose functions the created ones borrow."""
 
     def __init__(self) -> None:
         pointer = lent("message", "msg__Log")
@@ -108,7 +108,7 @@ class TypeName(NamedTuple):
 
     @classmethod
     def parse(cls, type_name: str, type_hash: str) -> TypeName:
-        """Take both apart; raises `MessageTypeError`."""
+        """Parse a type's name and hash; raises `MessageTypeError`."""
         name, digest = _NAME.match(type_name), _HASH.match(type_hash)
         if name is None:
             raise MessageTypeError(f"{type_name!r} is not the name of a ROS 2 type (package/msg/Name)")
@@ -118,7 +118,7 @@ class TypeName(NamedTuple):
 
 
 class TypeStructures:
-    """One type's structures, by implementation; they must live as long as any endpoint of the type."""
+    """One type's structures, by implementation; they must outlive all endpoints of the type."""
 
     def __init__(self, of: TypeName) -> None:
         self._hash = TypeHash(1, (c_uint8 * 32)(*of.digest))
@@ -139,11 +139,11 @@ class TypeStructures:
 
     @property
     def pointer(self) -> int:
-        """``rosidl_message_type_support_t *``, or a service's, that dispatches to the others."""
+        """The address of the message's or service's type support that dispatches to the others."""
         return self.handle(DISPATCH)
 
     def handle(self, identifier: bytes) -> int:
-        """The same of one implementation."""
+        """Return the address of one implementation's type support."""
         return addressof(self._handles[identifier])
 
 
@@ -192,7 +192,7 @@ class _ServiceSupport(Structure):
 
 
 class _ServiceMembers(Structure):
-    """Of either implementation; Fast DDS's ends before ``event``."""
+    """Members of either implementation; Fast DDS's ends before ``event``."""
 
     _fields_ = [("namespace", c_char_p), ("name", c_char_p), *_pointers("request", "response", "event")]
 
@@ -228,7 +228,7 @@ class ServiceStructures(TypeStructures):
 
 
 class TypeSupports:
-    """Classes for raw use with rclpy, one per type's name and hash, kept for the life of the process."""
+    """Classes for raw use with rclpy, one per type name and hash, cached for the life of the process."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -237,26 +237,27 @@ class TypeSupports:
         self._structures: list[TypeStructures] = []
 
     def message_class(self, type_name: str, type_hash: str) -> Any:
-        """A class for publishers and raw subscriptions; raises `MessageTypeError`. The hash is ``RIHS01_<64 hex>``."""
+        """Return a class for publishers and raw subscriptions; raises `MessageTypeError`."""
         with self._lock:
             found = self._classes.get((type_name, type_hash))
             if found is None:
                 name = TypeName.parse(type_name, type_hash)
-                # rclpy looks at the class's class; the four functions convert message objects, which raw use never has.
+                # rclpy reads these from the metaclass; the four functions convert message objects, which raw use never
+                # has.
                 converters = ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE")
                 structures = MessageStructures(self._lender, name)
                 found = self._make(name, type_hash, structures, **dict.fromkeys(converters, True))
             return found
 
     def prepare_services(self) -> None:
-        """Make what all services share; raises `MessageTypeError` where no service can cross."""
+        """Load the structures that all services share; raises `MessageTypeError` if services cannot cross."""
         with self._lock:
             if self._for_services is None:
                 support = _ServiceSupport.from_address(lent("service", "srv__GetParameters"))
                 self._for_services = support, Callbacks()
 
     def service_class(self, type_name: str, type_hash: str, part_hashes: Hashes) -> Any:
-        """A class that the inner ``Client`` and ``Service`` accept; raises `MessageTypeError`.
+        """Return a class that the inner ``Client`` and ``Service`` accept; raises `MessageTypeError`.
 
         The type is ``package/srv/Name`` or ``package/action/Name_SendGoal``; DDS endpoints announce the
         ``part_hashes``, those of its request and its response.

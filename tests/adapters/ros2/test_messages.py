@@ -206,7 +206,7 @@ def test_closed_subscription_delivers_no_more(edge: RunningEdge, peer: Callable[
 
 
 def test_a_name_that_ros2_forbids_is_refused_in_plain_words(edge: RunningEdge) -> None:
-    with pytest.raises(MessageTypeError, match="ROS 2 does not take /m/1x as std_msgs/msg/String"):
+    with pytest.raises(MessageTypeError, match="ROS 2 does not accept /m/1x as std_msgs/msg/String"):
         edge.edge.advertise("/m/1x", edge.type("std_msgs/msg/String"), Qos())
 
 
@@ -216,7 +216,9 @@ def test_a_second_type_of_one_topic_is_refused_in_plain_words(edge: RunningEdge)
         lambda: edge.subscribe("/m/two", "std_msgs/msg/Int32"),
         lambda: edge.edge.advertise("/m/two", edge.type("std_msgs/msg/Int32"), Qos()),
     ):
-        with pytest.raises(MessageTypeError, match="/m/two crosses on ROS 2 as std_msgs/msg/String already") as refused:
+        with pytest.raises(
+            MessageTypeError, match="/m/two is already bridged to ROS 2 as std_msgs/msg/String"
+        ) as refused:
             second()
         assert "type: std_msgs/msg/Int32" in refused.value.cure
     edge.edge.advertise("/m/two", edge.type("std_msgs/msg/String"), Qos()).close()

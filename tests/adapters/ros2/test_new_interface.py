@@ -56,7 +56,7 @@ def test_an_edge_ends_when_a_network_comes_and_the_next_one_uses_it(
         assert first.ask("status")["failed"] == []
         Cable(robot, other)
         (reason,) = until(lambda: first.ask("status")["failed"], "the edge asks to be started again", 20)
-        assert "a new address that the ROS 2 side does not use: 10.77.0.1 on eth77: starting again" in reason
+        assert "a new address that the ROS 2 side does not use: 10.77.0.1 on eth77: restarting" in reason
     until(lambda: "state UP" in other.run("ip", "link", "show", "eth77"), "Fast DDS will use the other end, too")
     env = ros2_environment(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
     with program(other, env, str(ROS2_PEER), "remote") as remote, edge(robot, tmp_path) as second:
@@ -78,5 +78,5 @@ def test_only_without_a_profile_the_edge_starts_again(
     ros2 = Ros2Edge(config, Registry(), tmp_path)
     ros2._listener = Listener()  # type: ignore[assignment]
     ros2._use_new_addresses("a new address")
-    assert failures == ([] if profile else ["a new address: starting again"])
+    assert failures == ([] if profile else ["a new address: restarting"])
     assert ("restart the worker" in caplog.text) == bool(profile)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.worker import Crossing, make_edges
+from bridge.adapters.worker import NetworkBridge, make_edges
 from bridge.adapters.yarp.network import DAEMON, OWNER, PRESENCE, YarpNetwork
 from bridge.config.model import Config
 from bridge.hub.session import Hub
@@ -85,7 +85,7 @@ def test_the_sites_name_server_is_waited_for(place: Place) -> None:
     place.names.stop()
     config, registry = place.config(), Registry()
     edge = make_edges("yarp", config, registry, place.folder)["yarp"]
-    crossing = place.keep(Crossing("yarp", edge, config, registry, print, diagnostics=False))
+    crossing = place.keep(NetworkBridge("yarp", edge, config, registry, print, diagnostics=False))
     assert crossing.health().state == "waiting"
     place.names.start()
     until(lambda: crossing.health().state == "running", "it is joined", 10)

@@ -159,7 +159,7 @@ def test_the_traffic_of_a_route_is_shown(midspan: Midspan, network: HubNetwork, 
         "decision": "bridged",
         "why": "w",
     }
-    odd = "/scan: /viewer does not receive it: volatile is offered, transient local is asked for"
+    odd = "/scan: /viewer does not receive it: volatile is offered, transient local is requested"
     document = status("ros2", routes=[route("/scan", "out", error="too short")], warnings=[odd, "/other: x"])
     closing.append(FakeWorker(network, "ros2", status=document, explain=[decision]))
     closing.append(FakeWorker(network, "ros1", status=status("ros1", state="waiting", network=None), explain=[]))

@@ -1,4 +1,4 @@
-"""The ROS 2 graph as our participant sees it, followed by a thread.
+"""The ROS 2 graph as Midspan's participant discovers it, followed by a thread.
 
 The middleware's graph guard condition wakes the thread; it then reads the whole graph, which takes about 20 ms for 500
 topics with two endpoints each, and pauses ten times as long.
@@ -28,12 +28,12 @@ from bridge.messages.actions import TOPICS, part_name
 from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
 _UNKNOWN_NODES = ("_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_")
-"""rmw's names for the node of an endpoint whose participant has not announced its nodes, or is no ROS program."""
+"""rmw's names for the node of an endpoint whose participant has not announced its nodes, or is not a ROS program."""
 
 _SETTLE = 0.02
 _POLL, _LONGEST_POLL = 5.0, 60.0
 _SHARE = 1000
-"""The interval of reads without a change, in multiples of what the last one cost: 0.1 % of a core."""
+"""The interval of reads without a change, in multiples of the last one's CPU time: 0.1 % of a core."""
 
 _REST = 10
 
@@ -42,12 +42,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class GraphSnapshot:
-    """The graph at one moment, without our own endpoints.
+    """The graph at one moment, without Midspan's own endpoints.
 
     ``endpoints`` omits hidden topics except those of actions; ``publishers`` are by topic and GID; ``servers`` are the
-    GIDs of native servers by service; ``participants`` are the GUID prefixes of all ROS participants but ours;
-    ``heard`` has the topics that another participant subscribes to; ``obstacles`` are the reasons why native servers
-    of a service cannot be called, by service.
+    GIDs of native servers by service; ``participants`` are the GUID prefixes of all other ROS participants;
+    ``subscribed`` has the topics that another participant subscribes to; ``obstacles`` are the reasons why native
+    servers of a service cannot be called, by service.
     """
 
     endpoints: tuple[Endpoint, ...] = ()
@@ -59,7 +59,7 @@ class GraphSnapshot:
 
 
 class Ros2Graph:
-    """Follows the graph; `snapshot` is the latest look."""
+    """Follows the graph; `snapshot` is its latest state."""
 
     def __init__(self, participant: Participant, own_prefix: bytes, changed: Callable[[GraphSnapshot], None]) -> None:
         self._participant, self._own, self._changed = participant, own_prefix, changed
@@ -83,7 +83,7 @@ class Ros2Graph:
         self._participant.destroy(self._guard)
 
     def publishers(self, topic: str) -> Mapping[bytes, Endpoint]:
-        """A topic's publishers by GID, as last seen."""
+        """Return a topic's publishers by GID, from the last snapshot."""
         return self.snapshot.publishers.get(topic, {})
 
     def find(self, topic: str, gid: bytes) -> Endpoint | None:
@@ -120,11 +120,11 @@ class Ros2Graph:
         return GraphSnapshot(tuple(endpoints), publishers, servers, frozenset(prefixes - {self._own}), heard, obstacles)
 
     def obstacle(self, service: str) -> Obstacle | None:
-        """Why the servers that a service has at this moment cannot be called, None if they can."""
+        """Return why a service's current servers cannot be called, None if they can; reads the graph."""
         return vendors.of_servers(service, (e for _, e in self._servers(service, request_topic(service))))
 
     def clients(self, service: str) -> set[bytes]:
-        """GIDs by which requests of a service's clients may be known, looked up now."""
+        """Return the GIDs that a service's clients may use in requests; reads the graph."""
         asking = self._participant.writers(request_topic(service), dds=True)
         waiting = self._participant.readers(reply_topic(service), dds=True)
         return {bytes(info["endpoint_gid"]) for info in (*asking, *waiting)}
@@ -151,11 +151,11 @@ class Ros2Graph:
         wait_set = self._participant.make_wait_set(2)
         with self._guard, wait_set:
             while not self._stopping.is_set():
-                started = time.thread_time()  # what it costs, which on a busy machine is less than what it takes
+                started = time.thread_time()  # CPU time, which on a busy machine is less than the elapsed time
                 try:
                     self._update()
                 except Exception:
-                    _log.exception("looking at the ROS 2 graph failed")
+                    _log.exception("reading the ROS 2 graph failed")
                 took = time.thread_time() - started
                 self._stopping.wait(max(_SETTLE, _REST * took))
                 if self._stopping.is_set():
@@ -177,7 +177,7 @@ _ACTION_TOPICS = tuple(part_name("", part) for part in TOPICS)
 
 
 def is_hidden(topic: str) -> bool:
-    """Whether a name has a part that begins with an underscore, hidden by ROS 2's rule, and is not an action's."""
+    """Return whether ROS 2 hides a name (a part begins with an underscore), except an action's topics."""
     action = next((topic.removesuffix(end) for end in _ACTION_TOPICS if topic.endswith(end)), topic)
     return "/_" in action
 
@@ -197,17 +197,17 @@ def _endpoint(topic: str, kind: Kind, gid: bytes, info: Mapping[str, Any]) -> En
     )
 
 
-# -- one look, for programs that must not load rclpy -------------------------------------------------------------------
+# -- one snapshot, for programs that must not load rclpy ---------------------------------------------------------------
 # Run as ``python -m bridge.adapters.ros2.graph.graph`` in a ros2 worker's environment, with the configuration as JSON
 # on standard input. It joins with a marked participant, so that a running bridge ignores it.
 
 SECONDS = 4.0
-"""How long it listens. Most participants answer our first announcement at once, but a stock one may be found only at
-its next own, and those come every 3 s (seen with Fast DDS 2.14.5)."""
+"""Seconds of discovery. Most participants respond to the first announcement at once, but a stock one may be discovered
+only by its next periodic announcement, up to 3 s later (observed with Fast DDS 2.14.5)."""
 
 
 def look(config: Config, state: Path, seconds: float) -> dict[str, Any]:
-    """The ``participants`` (GUID prefixes in hex, not ours) and ``nodes`` with endpoints, hidden ones left out."""
+    """Return the other ``participants`` (GUID prefixes in hex), and the ``nodes`` with visible endpoints."""
     from bridge.adapters.ros2.environment import domain
     from bridge.adapters.ros2.participant import Participant
     from bridge.adapters.ros2.profile import use_profile
@@ -229,4 +229,4 @@ def look(config: Config, state: Path, seconds: float) -> dict[str, Any]:
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory(prefix="midspan-look-") as folder:
         found = look(Config.model_validate_json(sys.stdin.read()), Path(folder), SECONDS)
-    print(json.dumps(found))  # noqa: T201  its answer
+    print(json.dumps(found))  # noqa: T201  the result

@@ -1,7 +1,7 @@
-"""Network addresses that come after the participant, such as those of Wi-Fi, a cable or a VPN.
+"""Detects network addresses that appear after the participant's start, such as those of Wi-Fi, a cable or a VPN.
 
-Fast DDS (2.14) uses the addresses of the interfaces that are up when a participant is created, and discovers nothing
-by later ones; rclpy cannot make it search again.
+Fast DDS (2.14) uses the addresses of the interfaces that are up when a participant is created, and never discovers
+anything through later ones; rclpy cannot make it rescan.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import psutil
 from bridge.concurrency import DelayedCalls
 
 PERIOD = 2.0
-"""Seconds between two checks. An address counts once two of them have the same new ones."""
+"""Seconds between two checks. An address counts once two checks in a row find the same new ones."""
 
 Addresses = frozenset[tuple[str, str]]
 
@@ -34,9 +34,9 @@ def ipv4_addresses() -> Addresses:
 
 
 class InterfaceWatch:
-    """Calls ``appeared`` once, with a text, when there are addresses that were not there when it was made.
+    """Calls ``appeared`` once, with a text, when the machine gets addresses that it did not have at construction.
 
-    An address that goes and returns is not new: the participant's sockets still have it.
+    An address that disappears and returns is not new: the participant's sockets still use it.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class InterfaceWatch:
 
     @property
     def text(self) -> str:
-        """The new addresses as a sentence, "" if there are none."""
+        """Return the new addresses as a sentence; "" without any."""
         new = ", ".join(f"{address} on {name}" for name, address in sorted(self._new))
         return f"this machine has a new address that the ROS 2 side does not use: {new}" if new else ""
 

@@ -1,14 +1,14 @@
-"""Which of the network's participants could never be reached through our shared memory.
+"""Detects participants on the network that this participant's shared memory cannot reach.
 
 Fast DDS offers shared memory to every participant whose GUID prefix begins with the same four bytes: those of this
-host. It does not see that one belongs to another user, or to a container with a /dev/shm of its own, and then delivers
-nothing without a word. The prefix's bytes 4 and 5 are the low half of the process id (seen with Fast DDS 2.14.5), so a
-participant that can share memory with us has a process here with such an id, of our user, with Fast DDS loaded, and
-with the same /dev/shm.
+host. It does not notice that one belongs to another user, or to a container with a separate /dev/shm, and then silently
+delivers nothing. The prefix's bytes 4 and 5 are the low half of the process id (observed with Fast DDS 2.14.5). So a
+participant that can share memory has a process on this host with such an id, of the same user, with Fast DDS loaded,
+and with the same /dev/shm.
 
-One that was killed just after it came has no process either, and stays on the graph until its lease ends. While fewer
-of the domain's ports are bound than participants of this host are known, somebody of them has died (a container that
-has a network of its own has another host's prefix).
+A participant that was killed just after its start has no process either, and stays on the graph until its lease ends.
+While fewer of the domain's ports are bound than participants of this host are known, one of them has died (a container
+with a separate network has another host's prefix).
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from bridge.hub.shared_memory import FOLDER, YOUNG_SECONDS, is_locked
 from bridge.state_file import keep
 
 CONFIRM_SECONDS = 1.0
-"""A program that has just ended may still be on the graph, and has no process any more."""
+"""A program that has just ended may still be on the graph without a process."""
 
 LEASE_SECONDS = 25.0
-"""A dead participant is gone by then, if it had Fast DDS's lease of 20 s."""
+"""By then a dead participant has left the graph, if it had Fast DDS's lease of 20 s."""
 
 _HOST = slice(0, 4)
 _PID = slice(4, 6)
@@ -40,7 +40,7 @@ _NOTE = "udp-alone"
 
 
 class MemoryNeighbours:
-    """Watches for a participant that shared memory cannot reach: then calls ``stranger``. ``own``: our GUID prefix."""
+    """Calls ``stranger`` for a participant that shared memory cannot reach. ``own``: this participant's GUID prefix."""
 
     def __init__(
         self, own: bytes, domain: int, stranger: Callable[[], None], later: DelayedCalls, proc: Path = Path("/proc")
@@ -53,7 +53,7 @@ class MemoryNeighbours:
         self._confirming = self._done = False
 
     def follow(self, participants: Collection[bytes]) -> None:
-        """Look at the participants that are there now."""
+        """Check the participants that are on the network now."""
         with self._lock:
             self._present = frozenset(participants)
             self._ours &= self._present
@@ -98,7 +98,7 @@ class MemoryNeighbours:
 
 
 def with_low_half(proc: Path, low: int) -> list[Path]:
-    """Where the processes would be in the process table whose ids have this low half."""
+    """Return the candidate paths in the process table for ids with this low half."""
     try:
         largest = int((proc / "sys/kernel/pid_max").read_text())
     except (OSError, ValueError):
@@ -107,7 +107,7 @@ def with_low_half(proc: Path, low: int) -> list[Path]:
 
 
 def shares_memory(process: Path) -> bool:
-    """Whether a process is our user's, has Fast DDS loaded, and has the same /dev/shm."""
+    """Return whether a process has the same user and /dev/shm, and has Fast DDS loaded."""
     try:
         if process.stat().st_uid != os.geteuid():
             return False
@@ -121,7 +121,7 @@ def shares_memory(process: Path) -> bool:
 
 
 def bound_ports(proc: Path) -> set[int] | None:
-    """The UDP ports that sockets of this network namespace have (proc_net(5)); None where that is not to be known."""
+    """Return the UDP ports that are bound in this network namespace (proc_net(5)); None if unknown."""
     try:
         lines = (proc / "net/udp").read_text().splitlines()[1:]
         return {int(line.split()[1].rpartition(":")[2], 16) for line in lines}
@@ -130,12 +130,12 @@ def bound_ports(proc: Path) -> set[int] | None:
 
 
 def note(folder: Path) -> None:
-    """Have the next starts use UDP alone, until the machine is booted anew."""
+    """Make later starts use only UDP, until the machine reboots."""
     keep(folder / _NOTE, _boot(), "the next start tries shared memory again")
 
 
 def noted(folder: Path) -> bool:
-    """Whether `note` was called since the machine was booted."""
+    """Return whether `note` was called since the machine booted."""
     try:
         return (folder / _NOTE).read_text() == _boot()
     except OSError:
@@ -150,21 +150,21 @@ def _boot() -> str:
 
 
 # -- ended processes ---------------------------------------------------------------------------------------------------
-# DDS itself notices a kill after 20 s. A participant whose process is not found here, or is another user's, is left to
-# DDS.
+# DDS itself notices a kill after 20 s. For a participant whose process is not found here, or is another user's, DDS
+# decides.
 
 _MOST = 1000
 
 
 class ProcessWatch:
-    """Remembers participants' processes, and knows which have ended; for any thread. ``own``: our GUID prefix."""
+    """Tracks whether participants' processes have ended; thread-safe. ``own``: this participant's GUID prefix."""
 
     def __init__(self, own: bytes, proc: Path = Path("/proc")) -> None:
         self._own, self._proc = own, proc
         self._processes: dict[bytes, dict[Path, str]] = {}
 
     def is_gone(self, prefix: bytes) -> bool:
-        """Whether a participant's process was here when it was first asked for, and has ended since."""
+        """Return whether a participant's process ran here at the first call for it, and has ended since."""
         known = self._processes.get(prefix)
         if known is None:
             if len(self._processes) >= _MOST:
@@ -181,7 +181,7 @@ class ProcessWatch:
 
 
 def _start(process: Path) -> str:
-    """When a process was started, "" where it has ended (proc(5): fields 3 and 22 of stat)."""
+    """Return a process's start time, "" if it has ended (proc(5): fields 3 and 22 of stat)."""
     try:
         fields = (process / "stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -191,18 +191,18 @@ def _start(process: Path) -> str:
 
 # -- files in shared memory --------------------------------------------------------------------------------------------
 # Fast DDS 2.14 makes ``fastrtps_<hex>`` (a segment) and ``fastrtps_port<n>`` (a port), each with a lock file
-# ``<name>_el`` that every living user holds locked (flock), and a semaphore ``sem.<port>_mutex``.
+# ``<name>_el`` that every live user holds locked (flock), and a semaphore ``sem.<port>_mutex``.
 
 LARGEST_SEGMENT = 32 * 1024 * 1024
-"""Room for a burst of large messages. Fast DDS writes all of it when it is made, so that it is taken for good."""
+"""Room for a burst of large messages. Fast DDS writes all of it at creation, so the memory stays allocated."""
 SMALLEST_SEGMENT = 8 * 1024 * 1024
-"""Below it shared memory is not worth having: large messages would go in pieces again."""
+"""Below it shared memory has no benefit: large messages would be fragmented again."""
 
 _LOCK = re.compile(r"^(fastrtps_(?:[0-9a-f]{16}|port\d+))_el$")
 
 
 def segment_size(folder: Path = FOLDER) -> int:
-    """Bytes for our segment: an eighth of what is free, at most 32 MiB; 0 where that is too little."""
+    """Return the bytes for this participant's segment: an eighth of the free space, at most 32 MiB; 0 if too little."""
     try:
         stat = os.statvfs(folder)
     except OSError:
@@ -212,7 +212,7 @@ def segment_size(folder: Path = FOLDER) -> int:
 
 
 def other_users(folder: Path = FOLDER) -> bool:
-    """Whether living Fast DDS participants of other users share the folder."""
+    """Return whether live Fast DDS participants of other users share the folder."""
     mine = os.getuid()
     for lock in _locks(folder):
         with contextlib.suppress(OSError):
@@ -222,10 +222,10 @@ def other_users(folder: Path = FOLDER) -> bool:
 
 
 def clean(folder: Path = FOLDER) -> int:
-    """Remove the segments of dead participants, and only those; how many.
+    """Remove the segments of dead participants, and only those; return their number.
 
-    Ports stay: Fast DDS itself replaces a dead one when its number comes up again, and would meet us at it; but for
-    those of our own dead, see `clean_ports`. A segment's name is never used again.
+    Ports stay: Fast DDS itself replaces a dead one when its number is used again, and might do so at the same time. For
+    those of dead predecessors, see `clean_ports`. A segment's name is never reused.
     """
     removed = 0
     for lock in _locks(folder):
@@ -240,12 +240,12 @@ def clean(folder: Path = FOLDER) -> int:
 
 
 def clean_ports(numbers: Iterable[int], folder: Path = FOLDER) -> None:
-    """Remove our dead participants' ports, but for those in use: others have them open until they learn of it."""
+    """Remove dead predecessors' ports, except those in use: others keep them open until they notice the death."""
     import fcntl
 
     for number in numbers:
         port = f"fastrtps_port{number}"
-        with contextlib.suppress(OSError):  # there is none, or it is in use
+        with contextlib.suppress(OSError):  # it does not exist, or is in use
             descriptor = os.open(folder / f"{port}_el", os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

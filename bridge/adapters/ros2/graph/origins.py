@@ -1,8 +1,8 @@
-"""Which ROS 2 origins on the hub are the very DDS network that this worker is on.
+"""Decides which ROS 2 origins on the hub are on this worker's DDS network.
 
-DDS networks have no identity: two of "domain 0" are one only if their participants see each other. So a Midspan
-participant that is seen here is on our network. One that is not seen yet may still come: for a moment its origin
-counts as ours, since nothing may cross while it is unknown where it comes from.
+DDS networks have no identity: two networks with "domain 0" are one only if their participants discover each other. So a
+Midspan participant that is discovered here is on this network. An undiscovered one may still appear: its origin counts
+as own for `DISCOVERY_SECONDS`, as nothing may cross while its origin is unknown.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from bridge.concurrency import DelayedCalls
 from bridge.state_file import keep
 
 DISCOVERY_SECONDS = 1.5
-"""A participant announces itself each half second; see `bridge.adapters.ros2.profile`."""
+"""A participant announces itself every half second; see `bridge.adapters.ros2.profile`."""
 
 _KEPT = 64
 _PREDECESSORS = 4
-"""Each one that started has told of those before it, unless it died at once."""
+"""Each one disposed those before it when it started, unless it died at once."""
 _MAX_SEEN = 1000
-"""Origins whose moment is remembered; the oldest is forgotten, and would have its moment again."""
+"""Number of origins whose first sight is remembered; the oldest is dropped, and would count as own again."""
 _FILE = "prefixes"
 
 
 class Origins:
-    """Tells own origins from foreign ones.
+    """Distinguishes own origins from foreign ones.
 
-    ``own`` is our participant's GUID prefix. ``folder`` keeps those of this daemon's participants: ``past`` are all,
-    ours last, ``predecessors`` the newest of the dead; a hub session may outlive its dead worker for some seconds, and
-    its origin is ours. ``participants`` gives the GUID prefixes on our DDS network now; ``settled`` is called, by
-    ``later``, when an origin's moment is over.
+    ``own`` is this participant's GUID prefix. ``folder`` stores the prefixes of this daemon's participants: ``past``
+    has all of them, ``predecessors`` the newest dead ones. A hub session may outlive its dead worker for some seconds,
+    and its origin is own. ``participants`` returns the GUID prefixes on this DDS network now; ``settled`` is called,
+    through ``later``, when an origin's `DISCOVERY_SECONDS` are over.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Origins:
         self._first_seen: dict[bytes, float] = {}
 
     def is_own(self, network: str) -> bool:
-        """Whether the origin with this network identity (24 hex digits) is ours."""
+        """Return whether the origin with this network identity (24 hex digits) is own."""
         try:
             prefix = bytes.fromhex(network)
         except ValueError:
@@ -68,7 +68,7 @@ class Origins:
 
 
 def kept_prefixes(folder: Path) -> list[bytes]:
-    """The prefixes of this daemon's past participants, the newest last."""
+    """Return the stored prefixes of this daemon's past participants, the newest last."""
     found = []
     try:
         lines = (folder / _FILE).read_text(errors="replace").split()
@@ -81,7 +81,7 @@ def kept_prefixes(folder: Path) -> list[bytes]:
 
 
 def _remember(own: bytes, folder: Path) -> list[bytes]:
-    """Add our prefix to those kept, and return them all, ours last."""
+    """Store this participant's prefix, and return all stored ones, the new one last."""
     prefixes = [*(p for p in kept_prefixes(folder) if p != own), own][-_KEPT:]
     text = "".join(f"{prefix.hex()}\n" for prefix in prefixes)
     keep(folder / _FILE, text, "for some seconds after a crash, its own topics may loop back")
@@ -89,26 +89,26 @@ def _remember(own: bytes, folder: Path) -> list[bytes]:
 
 
 # -- the mark ----------------------------------------------------------------------------------------------------------
-# A GUID prefix has 12 bytes (DDSI-RTPS 2.5, 9.3.1.5). Fast DDS makes bytes 0 to 3 of vendor and host; ours keep them,
-# so that neighbours are still taken for neighbours. Bytes 4 to 7 are random, 8 to 11 are the mark. Each message and
-# each endpoint carries its GUID, so who made it is known at once, whatever the nodes are called.
+# A GUID prefix has 12 bytes (DDSI-RTPS 2.5, 9.3.1.5). Fast DDS derives bytes 0 to 3 from vendor and host; Midspan keeps
+# them, so that participants still recognize neighbors. Bytes 4 to 7 are random, 8 to 11 are the mark. Each message and
+# each endpoint carries its GUID, so its creator is known at once, independently of node names.
 
 PREFIX_BYTES = 12
 _MARK = b"MSPN"
 
 
 _FIRST_NUMBER, _NUMBERS = 32, 30
-"""Above those that participants have which count up from 0; the last one's ports fit below 65536 in domain 232 too, the
-highest: Fast DDS ends the process where they do not."""
+"""Above the numbers of participants that count up from 0. The last one's ports are below 65536 even in domain 232, the
+highest; Fast DDS ends the process if they are not."""
 _LATELY = 8
 
 
 def new_prefix(host: bytes, past: Sequence[bytes] = ()) -> bytes:
-    """A fresh marked prefix; ``host`` is the four bytes that Fast DDS gives to participants of this host.
+    """Return a new marked prefix; ``host`` is the four bytes that Fast DDS gives to participants of this host.
 
-    A participant's ports follow from its number. If it took those of a predecessor, others would go on writing into the
-    dead one's shared memory: what they say first would be lost, and come again with their heartbeats, up to 3 s later.
-    So its number is none that the last of the ``past`` ones had.
+    A participant's ports follow from its number. If it reused those of a predecessor, others would continue to write
+    into the dead one's shared memory: their first messages would be lost until their heartbeats, up to 3 s later. So
+    the numbers of the newest ``past`` participants are excluded.
     """
     taken = {participant_number(prefix) for prefix in past[-_LATELY:]}
     while participant_number(prefix := host + os.urandom(4) + _MARK) in taken:
@@ -117,10 +117,10 @@ def new_prefix(host: bytes, past: Sequence[bytes] = ()) -> bytes:
 
 
 def participant_number(prefix: bytes) -> int:
-    """The participant's number on its host that goes with a prefix of ours."""
+    """Return the participant's number on its host for a marked prefix."""
     return _FIRST_NUMBER + prefix[4] % _NUMBERS
 
 
 def is_marked(gid: bytes) -> bool:
-    """Whether a GUID, or its prefix, is a Midspan participant's."""
+    """Return whether a GUID, or its prefix, is a Midspan participant's."""
     return gid[8:PREFIX_BYTES] == _MARK

@@ -1,9 +1,9 @@
-"""The topic on which the Midspan participants of one DDS network announce themselves: one writer each.
+"""The topic on which the Midspan participants of a DDS network announce themselves, with one writer each.
 
 The topic is hidden by ROS 2's rule (``/_midspan/presence``) and carries JSON in a ``std_msgs/msg/String``. It is
-latched, so that one who comes hears all others at once, and each record replaces the last. Who is there is known
-before anything is heard, by the mark in the GUID prefix; a participant that ended without a word stays until its
-successor tells of it or its lease is over (20 s), but is not heard any more.
+latched, so that a new participant receives the records of all others at once; each record replaces the last.
+Participants are known before their first record, by the mark in the GUID prefix. A crashed one stays listed, without
+new records, until its successor disposes it or its lease expires (20 s).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ TOPIC = "/_midspan/presence"
 TYPE = "std_msgs/msg/String"
 
 DISCOVERY_SECONDS = 0.8
-"""Seconds within which participants of one network have seen each other: one that starts announces itself five times
-in the first half second, and whoever hears it answers at once (measured: 20 ms)."""
+"""Seconds within which participants of one network discover each other: a new one announces itself five times in the
+first half second, and others respond at once (measured: 20 ms)."""
 
 _MAX_RECORD = 1 << 18
 _WRITERS = 64
@@ -35,10 +35,11 @@ _TEXT = 8
 
 
 class PresenceTopic(EndpointReader):
-    """Our writer and our reader of the topic.
+    """The writer and reader of this topic.
 
-    ``message_class`` is that of `TYPE`, for raw use; ``seen`` gives the GUID prefixes on the network now, without our
-    own; ``past`` are those of this daemon's dead participants; ``changed`` is called when another one said something.
+    ``message_class`` is that of `TYPE`, for raw use; ``seen`` returns the GUID prefixes of the other participants on
+    the network now; ``past`` are those of this daemon's dead participants; ``changed`` is called on a record of another
+    one.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class PresenceTopic(EndpointReader):
                 rcl.publish(int(self._writer.pointer), _HEADER + length.to_bytes(4, "little") + record + b"\0")
 
     def sightings(self) -> Sequence[Sighting]:
-        """The marked participants that are on the network, and those that spoke a moment ago."""
+        """Return the marked participants that are on the network, and those whose last record is recent."""
         now, seen = time.monotonic(), self._seen()
         with self._lock:
             for prefix, sighting in list(self._heard.items()):
@@ -74,11 +75,11 @@ class PresenceTopic(EndpointReader):
             return [*self._heard.values(), *(Sighting(p.hex(), None, self._first[p]) for p in silent)]
 
     def settled(self, since: float) -> bool:
-        """Whether all participants that were there at that time are seen by now."""
+        """Return whether all participants that existed at ``since`` are discovered by now."""
         return time.monotonic() > max(since, self._since) + DISCOVERY_SECONDS
 
     def drain(self, taker: rcl.Taker, limit: int) -> None:
-        """See `EndpointReader`."""
+        """Store the records of other participants."""
         for _ in range(limit):
             taken = taker.take(self.pointer, large=False)
             if taken is None:
@@ -93,7 +94,7 @@ class PresenceTopic(EndpointReader):
                 self._changed()
 
     def close(self) -> None:
-        """Give the writer and the reader back."""
+        """Destroy the writer and the reader."""
         with self._lock:
             writer, self._writer = self._writer, None
         if writer is not None:

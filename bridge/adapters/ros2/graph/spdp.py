@@ -1,15 +1,15 @@
-"""Words of our own in the discovery protocol of DDS: farewell for a dead participant, and a call to everybody.
+"""Hand-written DDS discovery messages: dispose a dead participant, and prompt all others to announce themselves.
 
-**Farewell.** Stock participants notice a death without a word after its lease, 20 s. A short lease is no way out: who
-only stood still or was cut off for longer is forgotten by the others and does not forget them, and two such
-participants match again without ever completing their discovery (seen with Fast DDS 2.14.5: nothing crosses, for good).
-So the lease is the default one, and the successor of a killed worker says what its own clean end would have said: a
+**Disposal.** Stock participants notice a crash only when the lease expires, after 20 s. A short lease does not help:
+after a longer suspension or disconnection, the others have dropped the participant, but it has not dropped them, and
+such participants match again without ever completing their discovery (observed with Fast DDS 2.14.5: data never crosses
+again). So the lease keeps its default, and the successor of a killed worker sends the message of a clean exit: a
 ``DATA`` submessage with the status "disposed and unregistered" (DDSI-RTPS 2.5, 8.5.5.1, 9.4.5.4, 9.6.4.9).
 
-**Call.** A new participant announces itself, and each other one answers at once, but once: Fast DDS listens only after
-its first announcement, so that answers that come within a millisecond are lost, and whoever gave one speaks again at
-his next turn, up to 3 s later (measured: every second start). So once ours listens, a participant that is none says
-hello and leaves: it tells our address as its own, and whoever hears of it answers there.
+**Prompt.** A new participant announces itself, and each other one responds immediately, once. Fast DDS receives only
+after its first announcement, so responses within a millisecond are lost, and their senders announce themselves again up
+to 3 s later (measured: at every second start). So once Midspan's participant receives, it announces and disposes a
+pseudo-participant with its own address, to which all others respond.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MULTICAST = "239.255.0.1"
 """The SPDP multicast address (DDSI-RTPS 2.5, 9.6.1.4.1)."""
 
 PARTICIPANTS = 32
-"""Participants of one machine and domain that are told by unicast; as rmw_fastrtps does it for LOCALHOST."""
+"""Number of participants per machine and domain that are addressed by unicast, as rmw_fastrtps does for LOCALHOST."""
 
 _log = logging.getLogger(__name__)
 
@@ -34,9 +34,9 @@ _PARTICIPANT = b"\x00\x00\x01\xc1"
 _SPDP_WRITER, _SPDP_READER = b"\x00\x01\x00\xc2", b"\x00\x01\x00\xc7"
 _DATA, _LITTLE_ENDIAN, _INLINE_QOS, _PAYLOAD, _KEY = 0x15, 0x01, 0x02, 0x04, 0x08
 _TO_INLINE_QOS = 16
-"""Bytes from after this very field to the inline QoS."""
+"""Bytes from the end of this field to the inline QoS."""
 _LAST = 0x7FFFFFFF
-"""A sequence number above all that the dead one used."""
+"""A sequence number above all that the dead participant used."""
 _PID_SENTINEL, _PID_LEASE, _PID_VERSION, _PID_VENDOR = 0x0001, 0x0002, 0x0015, 0x0016
 _PID_UNICAST, _PID_MULTICAST, _PID_GUID, _PID_ENDPOINTS = 0x0032, 0x0033, 0x0050, 0x0058
 _PID_KEY_HASH, _PID_STATUS_INFO = 0x0070, 0x0071
@@ -47,14 +47,14 @@ _PL_CDR_LE = b"\x00\x03\x00\x00"
 
 
 def farewell(prefix: bytes) -> bytes:
-    """The RTPS message by which the participant with this GUID prefix (12 bytes) leaves."""
+    """Return the RTPS message that disposes the participant with this GUID prefix (12 bytes)."""
     guid = prefix + _PARTICIPANT
     qos = _parameters((_PID_KEY_HASH, guid), (_PID_STATUS_INFO, _DISPOSED_AND_UNREGISTERED))
     return _message(prefix, _INLINE_QOS | _KEY, _LAST, qos + _PL_CDR_LE + _parameters((_PID_GUID, guid)))
 
 
 def hello(prefix: bytes, domain: int, number: int) -> bytes:
-    """The RTPS message by which ``prefix``, without endpoints, announces the address of participant ``number`` here."""
+    """Return the RTPS message that announces ``prefix``, without endpoints, at participant ``number``'s address."""
     payload = _PL_CDR_LE + _parameters(
         (_PID_VERSION, _VERSION + bytes(2)),
         (_PID_VENDOR, prefix[:2] + bytes(2)),
@@ -68,7 +68,7 @@ def hello(prefix: bytes, domain: int, number: int) -> bytes:
 
 
 def say(messages: Sequence[bytes], domain: int, *, localhost_only: bool) -> None:
-    """Say something to every participant in reach, on loopback alone or on all interfaces."""
+    """Send messages to all reachable participants, on loopback only or on all interfaces."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for interface, name in socket.if_nameindex():
             if name == "lo" or not localhost_only:
@@ -78,14 +78,14 @@ def say(messages: Sequence[bytes], domain: int, *, localhost_only: bool) -> None
 
 
 def _message(prefix: bytes, flags: int, number: int, content: bytes) -> bytes:
-    """A header and one ``DATA`` submessage from an SPDP writer to all SPDP readers."""
+    """Return a header and one ``DATA`` submessage from an SPDP writer to all SPDP readers."""
     body = struct.pack("<HH", 0, _TO_INLINE_QOS) + _SPDP_READER + _SPDP_WRITER + struct.pack("<iI", 0, number) + content
     header = b"RTPS" + _VERSION + prefix[:2] + prefix
     return header + struct.pack("<BBH", _DATA, _LITTLE_ENDIAN | flags, len(body)) + body
 
 
 def _parameters(*parameters: tuple[int, bytes]) -> bytes:
-    """A parameter list (DDSI-RTPS 2.5, 9.4.2.11)."""
+    """Return a parameter list (DDSI-RTPS 2.5, 9.4.2.11)."""
     listed = b"".join(struct.pack("<HH", pid, len(value)) + value for pid, value in parameters)
     return listed + struct.pack("<HH", _PID_SENTINEL, 0)
 
@@ -95,7 +95,7 @@ def _locator(address: str, port: int) -> bytes:
 
 
 def _multicast_port(domain: int) -> int:
-    """See DDSI-RTPS 2.5, 9.6.2.3."""
+    """Return the port of SPDP multicast (DDSI-RTPS 2.5, 9.6.2.3)."""
     return 7400 + 250 * domain
 
 
@@ -104,12 +104,12 @@ def _unicast_port(domain: int, number: int) -> int:
 
 
 def discovery_ports(domain: int) -> range:
-    """The well-known ports of which each participant of a domain has one (DDSI-RTPS 2.5, 9.6.2.3)."""
+    """Return the well-known ports of a domain; each participant has one of them (DDSI-RTPS 2.5, 9.6.2.3)."""
     return range(_unicast_port(domain, 0), _multicast_port(domain + 1), 2)
 
 
 def unicast_ports(domain: int, number: int) -> tuple[int, int]:
-    """A participant's well-known ports of its own, for discovery and for data (DDSI-RTPS 2.5, 9.6.2.3)."""
+    """Return a participant's well-known unicast ports, for discovery and for data (DDSI-RTPS 2.5, 9.6.2.3)."""
     port = _unicast_port(domain, number)
     return port, port + 1
 
@@ -118,8 +118,8 @@ def _send_by(sender: socket.socket, interface: int, messages: Iterable[bytes], d
     chosen = struct.pack("@4s4si", b"", b"", interface)  # struct ip_mreqn
     try:
         sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, chosen)
-    except OSError as err:  # one without an IPv4 address
-        _log.debug("nothing is said on interface %d: %s", interface, err)
+    except OSError as err:  # an interface without an IPv4 address
+        _log.debug("cannot send on interface %d: %s", interface, err)
         return
     _send(sender, messages, (MULTICAST, _multicast_port(domain)))
 
@@ -128,6 +128,6 @@ def _send(sender: socket.socket, messages: Iterable[bytes], address: tuple[str, 
     for message in messages:
         try:
             sender.sendto(message, address)
-        except OSError as err:  # nobody there, or no way there
-            _log.debug("nothing is said to %s:%d: %s", *address, err)
+        except OSError as err:  # no receiver, or no route
+            _log.debug("cannot send to %s:%d: %s", *address, err)
             return

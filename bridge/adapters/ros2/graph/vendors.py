@@ -1,9 +1,10 @@
 """Nodes on Cyclone DDS: their topics cross, their calls do not.
 
-The first two bytes of a GUID prefix are its vendor's (DDSI-RTPS 2.5, 9.3.1.5): 01 0f is eProsima, whose Fast DDS is
-ours, 01 10 is Eclipse Cyclone DDS. rmw_fastrtps sends the identity of a request as inline QoS, rmw_cyclonedds as the
-first 16 bytes of the payload (serdata.hpp). So a server on Cyclone DDS would execute our request shifted by 16 bytes,
-which for most types means all zeros, and a request of its client would reach ours shifted the other way.
+The first two bytes of a GUID prefix are its vendor's (DDSI-RTPS 2.5, 9.3.1.5): 01 0f is eProsima, whose Fast DDS
+Midspan uses, 01 10 is Eclipse Cyclone DDS. rmw_fastrtps sends the identity of a request as inline QoS, rmw_cyclonedds
+as the first 16 bytes of the payload (serdata.hpp). So a server on Cyclone DDS would execute Midspan's request shifted
+by 16 bytes, which for most types means all zeros, and a request of a client on Cyclone DDS would arrive shifted in the
+other direction.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
 _CYCLONE = b"\x01\x10"
 _CURE = "run that node on Fast DDS: RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
-_UNNAMED = "a node whose name is not known"
+_UNNAMED = "a node with an unknown name"
 
 _OF_EACH_NODE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
 """Types of services that every node has."""
 
 
 def is_cyclone(gid: bytes) -> bool:
-    """Whether a GUID, or its prefix, is of Cyclone DDS."""
+    """Return whether a GUID, or its prefix, is of Cyclone DDS."""
     return gid.startswith(_CYCLONE)
 
 
@@ -32,7 +33,7 @@ def _is_cyclone_endpoint(endpoint: Endpoint) -> bool:
 
 
 def of_servers(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
-    """Why a service with these servers cannot be called; None if it can.
+    """Return why a service with these servers cannot be called; None if it can.
 
     DDS delivers a request to all servers of a name, so one on Cyclone DDS is enough.
     """
@@ -49,13 +50,13 @@ def of_servers(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
 
 
 def of_clients(service: str, clients: Iterable[Endpoint]) -> Obstacle | None:
-    """Why requests of these clients are refused; None without a client on Cyclone DDS."""
+    """Return why requests of these clients are refused; None without a client on Cyclone DDS."""
     cyclone = [client for client in clients if _is_cyclone_endpoint(client)]
     return _of_requests(service, _nodes(cyclone)) if cyclone else None
 
 
 def of_unknown_client(service: str) -> Obstacle:
-    """The same for a request whose client is not on the graph."""
+    """Return the same obstacle for a request whose client is not on the graph."""
     return _of_requests(service, _UNNAMED)
 
 
@@ -68,9 +69,9 @@ def _of_requests(service: str, nodes: str) -> Obstacle:
 
 
 def report(endpoints: Iterable[Endpoint]) -> dict[str, list[str]]:
-    """The ``nodes`` on Cyclone DDS, and the services and actions that they serve (``served``) or call (``called``).
+    """Return the ``nodes`` on Cyclone DDS, and the services and actions that they serve and call.
 
-    Services that every node has, as those of its parameters, are left out.
+    Services that every node has, such as those of its parameters, are omitted.
     """
     cyclone = [endpoint for endpoint in endpoints if _is_cyclone_endpoint(endpoint)]
 
@@ -85,7 +86,7 @@ def report(endpoints: Iterable[Endpoint]) -> dict[str, list[str]]:
 
 
 def warning(found: dict[str, Any]) -> str:
-    """One line for people on what `report` returned."""
+    """Return a one-line warning for the result of `report`."""
     served = f" ({', '.join(found['served'])})" if found["served"] else ""
     return (
         f"{', '.join(found['nodes'])} on Cyclone DDS: topics cross; services, actions and parameters{served} cannot be"

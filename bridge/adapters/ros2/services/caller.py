@@ -1,4 +1,4 @@
-"""Calls of the servers of one name on the DDS network."""
+"""Clients of the native servers of one name on the DDS network."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
 from bridge.routing.edge import EdgeCaller, Obstacle
 
 _MOST = SERVICE.depth // 2
-"""Pending calls of one caller; the engine allows fewer."""
+"""Limit of pending calls; the engine allows fewer."""
 
 _MATCH = 0.01
 _MATCH_SECONDS = 5.0
-"""DDS endpoints on the graph match within milliseconds; on a busy machine, later."""
+"""Endpoints on the DDS graph match within milliseconds, on a busy machine later."""
 
 _log = logging.getLogger(__name__)
 
@@ -56,7 +56,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._loop.add(self)
 
     def call(self, request: bytes, done: Done) -> Abandon:
-        """See `EdgeCaller`."""
+        """Begin a call; never blocks. A request that cannot be sent ends with an error at once."""
         calling = _PendingCall(request, done)
         with self._lock:
             refused = self._refused(request)
@@ -79,11 +79,11 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         if not self._servers():
             return CallError(f"{self.name} has no server on ROS 2")
         if len(self._sent) + len(self._waiting) >= _MOST:
-            return CallError(f"{self.name} is busy: {_MOST} calls are under way")
+            return CallError(f"{self.name} is busy: {_MOST} calls are pending")
         return None
 
     def _obstacle(self) -> Obstacle | None:
-        """Why the servers that our writer has matched cannot be called; the graph is read after a new match only."""
+        """Return why the matched servers cannot be called; the graph is read only after a new match."""
         known = self._graph.snapshot.obstacles.get(self.name)
         if known is not None:
             return known
@@ -96,14 +96,14 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         return None
 
     def _servers(self) -> frozenset[bytes]:
-        """Return the GIDs of the native servers whose processes run."""
+        """Return the GIDs of the native servers whose processes are alive."""
         servers = self._graph.snapshot.servers.get(self.name, frozenset())
         if self._gone:
             servers = frozenset(gid for gid in servers if gid[:PREFIX_BYTES] not in self._gone)
         return servers
 
     def _advance(self) -> None:
-        """Send the requests that may go now, and schedule the rest."""
+        """Send the requests that may be sent now, and schedule the rest."""
         failed: list[tuple[_PendingCall, CallError]] = []
         with self._lock:
             wait = self._send_waiting(failed)
@@ -121,7 +121,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._advance()
 
     def _send_waiting(self, failed: list[tuple[_PendingCall, CallError]]) -> float:
-        """Send waiting requests; return the seconds until the next may go, 0 without one. The lock is held."""
+        """Send waiting requests; return the seconds until the next may be sent, 0 without one. The lock is held."""
         while self._waiting and not self._closed:
             servers = self._servers()
             if not servers:
@@ -157,7 +157,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._waiting.clear()
 
     def drain(self, _taker: rcl.Taker, limit: int) -> None:
-        """See `EndpointReader`."""
+        """End calls with their replies."""
         for _ in range(limit):
             taken = self._taker.response(self.pointer)
             if taken is None:
@@ -173,7 +173,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
                 self._advance()
 
     def refit(self) -> None:
-        """End the calls whose servers have left."""
+        """End the calls whose servers have left the graph."""
         self._find_gone()
         with self._lock:
             servers = self._servers()
@@ -195,7 +195,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             self.refit()
 
     def _find_gone(self) -> set[bytes]:
-        """Update and return the set of servers whose processes have ended; a new one is recorded as running."""
+        """Update and return the set of servers whose processes have ended; a new one is recorded as alive."""
         self._gone = self._ended_among(self._graph.snapshot.servers.get(self.name, frozenset()))
         return self._gone
 
@@ -207,7 +207,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
                 del self._sent[number]
 
     def close(self) -> None:
-        """See `EdgeCaller`."""
+        """End all pending calls with an error. Safe to call twice."""
         with self._lock:
             if self._closed:
                 return

@@ -1,4 +1,4 @@
-"""What clients and servers of the edge have in common: rclpy's object, and watching the processes at the other end."""
+"""The base of clients and servers: rclpy's object, and a watch on the peers' processes."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from bridge.adapters.ros2.participant import Participant
 from bridge.concurrency import DelayedCalls
 
 _LOOK_SECONDS = 0.5
-"""Between two looks whether a process that a call waits for has ended: DDS notices that only when its lease is over."""
+"""Seconds between two checks whether a peer's process has ended: DDS notices that only when its lease expires."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ros2Context:
-    """What the endpoints of the edge share; ``warned`` are the services for which a warning has been logged."""
+    """The shared state of the edge's endpoints; ``warned`` are the services for which a warning has been logged."""
 
     participant: Participant
     loop: ReadLoop
@@ -37,7 +37,7 @@ Closed = Callable[[Any], None]
 
 
 class ServiceEndpoint(EndpointReader):
-    """A client or a server. While calls are under way it looks whether the processes at their other end live."""
+    """A client or a server. While calls are pending it checks whether the peers' processes are alive."""
 
     def __init__(self, name: str, service_class: Any, handle: Any, context: Ros2Context) -> None:
         super().__init__(context.participant, handle)
@@ -49,20 +49,20 @@ class ServiceEndpoint(EndpointReader):
         self._looking = self._closed = False
 
     def destroy(self) -> None:
-        """See `EndpointReader`."""
+        """Free the buffer, and destroy rclpy's object."""
         self._taker.close()
         super().destroy()
 
     def _ended_among(self, gids: Collection[bytes]) -> set[bytes]:
-        """The GUID prefixes of participants whose processes were here, and have ended."""
+        """Return the GUID prefixes of participants whose processes ran on this host and have ended."""
         return {prefix for prefix in {gid[:PREFIX_BYTES] for gid in gids} if self._processes.is_gone(prefix)}
 
     def _look_soon(self) -> None:
-        """Have `_look` called, once; with the lock held."""
+        """Schedule one call of `_check_processes`; the lock is held."""
         if not self._looking:
             self._looking = True
             self._later.after(_LOOK_SECONDS, self._look)
 
     @abstractmethod
     def _look(self) -> None:
-        """Look whether processes have ended; first takes back ``_looking``."""
+        """Check whether processes have ended; resets ``_checking`` first."""

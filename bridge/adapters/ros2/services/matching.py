@@ -1,4 +1,4 @@
-"""How many servers a client's request writer has matched, asked of Fast DDS itself."""
+"""Queries Fast DDS for the number of servers that a client's request writer has matched."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _GET_WRITER = "_ZN16rmw_fastrtps_cpp22get_request_datawriterEP12rmw_client_s"
 _GET_STATUS = "_ZNK8eprosima7fastdds3dds10DataWriter30get_publication_matched_statusERNS1_24PublicationMatchedStatusE"
 
 _STATUS_BYTES = 128
-"""More than ``PublicationMatchedStatus`` has; its first field is ``total_count``, 32 bits."""
+"""More than the size of ``PublicationMatchedStatus``; its first field is ``total_count``, 32 bits."""
 
 
 def _functions() -> tuple[Any, Any, Any] | None:
@@ -31,8 +31,8 @@ _FUNCTIONS = _functions()
 class MatchCounter:
     """Counts the servers that ``rcl_client_t *`` has matched so far.
 
-    Discovery updates the graph first and the writer then, so while the count stays the same, no server has appeared
-    since the graph was last read. To read the count takes some microseconds, however many endpoints the graph has.
+    Discovery updates the graph before the writer. So while the count stays the same, no server has appeared since the
+    graph was last read. Reading the count takes some microseconds, regardless of the size of the graph.
     """
 
     def __init__(self, client: int) -> None:
@@ -43,7 +43,7 @@ class MatchCounter:
             self._buffer = ctypes.create_string_buffer(_STATUS_BYTES)
 
     def total(self) -> int | None:
-        """The count, which never falls; None if this middleware does not provide it. The client must exist."""
+        """Return the count, which never decreases; None if the middleware does not provide it."""
         if not self._writer or self._status(self._writer, self._buffer):
             return None
         return int.from_bytes(self._buffer.raw[:4], "little")

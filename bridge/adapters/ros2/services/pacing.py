@@ -1,9 +1,9 @@
-"""How many requests a server may have before it.
+"""Limits on the requests and replies that are in flight to one native program.
 
-A native program keeps the last 10 requests, and the last 10 replies, that it has not taken yet (rmw's default for
-services), and forgets older ones without a word: of 1,000 calls at once of one rclpy program to another, 52 were
-answered (measured). DDS does not tell what was taken. So what may be lying there is counted, here and in
-`bridge.adapters.ros2.services.pacing`, and what is more waits on our side.
+A native program queues the last 10 requests, and the last 10 replies, that it has not taken yet (rmw's default for
+services), and silently drops older ones: of 1,000 concurrent calls between two rclpy programs, 52 got replies
+(measured). DDS does not report which messages were taken. So Midspan counts those that may still be queued, and holds
+back the rest.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ from bridge.adapters.ros2.rcl import RequestId
 from bridge.concurrency import DelayedCalls
 
 ROOM = 8
-"""Of the 10, so that others find room beside us."""
+"""Of the 10, which leaves room for other clients and servers."""
 
 PATIENCE = 0.5
-"""Seconds after which a request counts as taken by a server that says nothing: it may work on all of them for hours.
-A server that does one after the other, and each takes longer than this, may lose some of more than `ROOM` at once."""
+"""Seconds after which a request counts as taken by a server that does not reply: it may execute all of them for hours.
+A sequential server that needs longer for each may lose some of more than `ROOM` concurrent requests."""
 
 
 class SentRequests:
-    """What was sent to a server and may not be taken yet, by the requests' rising numbers. A lock is the caller's."""
+    """Requests to a server that it may not have taken yet, by rising numbers. Not thread-safe."""
 
     def __init__(self) -> None:
         self._sent: deque[tuple[int, float]] = deque()
         self._answered = time.monotonic()
 
     def sent(self, number: int) -> None:
-        """A request has gone out."""
+        """Record a sent request."""
         self._sent.append((number, time.monotonic()))
 
     def answered(self, number: int) -> None:
-        """A reply has come: a server takes requests in their order, so all before have been taken too."""
+        """Record a reply: a server takes requests in order, so all earlier ones have been taken, too."""
         while self._sent and self._sent[0][0] <= number:
             self._sent.popleft()
             self._answered = time.monotonic()
 
     def wait(self) -> float:
-        """Seconds until the next may be sent, 0 for now; earlier when a reply comes."""
+        """Return the seconds until the next may be sent, 0 for now; a reply may shorten it."""
         if len(self._sent) < ROOM:
             return 0.0
         left = max(self._sent[0][1], self._answered) + PATIENCE - time.monotonic()
@@ -55,18 +55,18 @@ class SentRequests:
 
 
 _REPLY_SECONDS = 0.001
-"""Time that a client is given to take a reply, where it asked for many; rclpy's take some 0.15 ms."""
+"""Time for a client to take one of many replies; rclpy's clients need some 0.15 ms."""
 
 _TRY_SECONDS, _SELDOM = 0.1, 1.0
 _PATIENCE = 20.0
-"""Seconds for which a client that asked is looked for: on a busy machine what DDS tells of it may come after its
-heartbeats alone, each 3 s. rmw itself waits 0.1 s for it, and then gives up."""
+"""Seconds until a reply to an undiscovered client is dropped: on a busy machine, discovery may have to wait for the
+client's heartbeats, every 3 s. rmw itself gives up after 0.1 s."""
 
 _log = logging.getLogger(__name__)
 
 
 class ClientReplies:
-    """The replies to one client; ``write`` is False while it cannot be reached, ``later`` sends those that wait."""
+    """The replies to one client; ``write`` returns False while it is unreachable, ``later`` sends waiting ones."""
 
     def __init__(self, write: Callable[[RequestId, bytes], bool], later: DelayedCalls) -> None:
         self._write, self._later = write, later
@@ -80,23 +80,23 @@ class ClientReplies:
 
     @property
     def busy(self) -> bool:
-        """Whether calls of the client are under way."""
+        """Whether calls of the client are pending."""
         return bool(self._asked or self._outbox)
 
     def asked(self, backlog: int) -> None:
-        """A request came, with so many that wait to be taken."""
+        """Record a request; ``backlog`` requests are still to be taken."""
         with self._lock:
             self._asked += 1
             if max(backlog, self._asked + len(self._outbox)) <= ROOM:
                 self._credit = float(ROOM)
 
     def unanswered(self) -> None:
-        """A request has no reply."""
+        """Record that a request gets no reply."""
         with self._lock:
             self._asked -= 1
 
     def send(self, request: RequestId, payload: bytes) -> None:
-        """Send a reply, now or soon: the first may have to wait for its client, and not on the caller's thread."""
+        """Send a reply, now or soon: the first may have to wait for its client, on another thread."""
         with self._lock:
             self._asked -= 1
             self._outbox.append((request, payload))
@@ -109,7 +109,7 @@ class ClientReplies:
         self._go_on()
 
     def _go_on(self) -> None:
-        """Send what may be sent; one thread at a time."""
+        """Send waiting replies as far as allowed; one thread at a time."""
         while True:
             with self._lock:
                 if not self._outbox:
@@ -126,7 +126,7 @@ class ClientReplies:
                 return
 
     def _wait(self) -> float:
-        """Seconds until the next may be sent, 0 for now, and then it counts as sent."""
+        """Return the seconds until the next reply may be sent; 0 counts it as sent."""
         now = time.monotonic()
         self._credit = min(float(ROOM), self._credit + (now - self._last) / _REPLY_SECONDS)
         self._last = now
@@ -136,7 +136,7 @@ class ClientReplies:
         return 0.0
 
     def _waits(self, request: RequestId, payload: bytes) -> bool:
-        """Give a client that cannot be reached some time; False when it had enough."""
+        """Retry later for an unreachable client; return False if its time is over."""
         now = time.monotonic()
         with self._lock:
             if self._missed is None:
@@ -146,11 +146,11 @@ class ClientReplies:
                 self._outbox.appendleft((request, payload))
                 self._later.after(min(max(missed / 4, _TRY_SECONDS), _SELDOM), self._go_on)
                 return True
-        _log.warning("a ROS 2 client could not be reached with its reply")
+        _log.warning("a reply is dropped: its ROS 2 client is unreachable")
         return False
 
     def flush(self) -> None:
-        """Send at once what is there."""
+        """Send all waiting replies at once."""
         with self._lock:
             rest, self._outbox = list(self._outbox), deque()
         for request, payload in rest:

@@ -1,4 +1,4 @@
-"""A server on the DDS network that passes requests on and returns their replies."""
+"""Servers on the DDS network that forward requests and return the replies."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bridge.hub.endpoints.calls import Abandon, Call, CallError
 from bridge.routing.edge import EdgeServer, Kind
 
 _LINGER = 1.0
-"""Seconds that a server stays after its last reply: a client that learns of the server's end first drops the reply."""
+"""Seconds that a server stays after its last reply: a client that first notices the server's exit drops the reply."""
 
 _MOST_CLIENTS = 1000
 _LOG_SECONDS = 10.0
@@ -28,7 +28,7 @@ _LOG_SECONDS = 10.0
 _log = logging.getLogger(__name__)
 
 Refusal = Callable[[], bytes]
-"""Returns the reply by which a service of its type refuses."""
+"""Returns the rejecting response of a service type."""
 
 
 class _PendingRequest:
@@ -43,8 +43,8 @@ class _PendingRequest:
 class Ros2Server(ServiceEndpoint, EdgeServer):
     """An rcl service.
 
-    DDS has no error replies. A client whose call failed gets the reply by which the service's type refuses
-    (``refusal``), or none if it has no such reply; the reason is logged.
+    DDS has no error replies. A client whose call failed gets the rejecting response of the service's type
+    (``refusal``), or no reply if the type has none; the reason is logged.
     """
 
     kind: ClassVar[str] = "service"
@@ -63,10 +63,10 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         self._loop.add(self)
 
     def drain(self, _taker: rcl.Taker, limit: int) -> None:
-        """See `EndpointReader`."""
+        """Begin a call for each request of a native client on Fast DDS."""
         for _ in range(limit):
             taken = self._taker.request(self.pointer)
-            # A client that Midspan made calls the native server; DDS delivers its request to all servers of the name.
+            # Midspan's own clients call the native server; DDS delivers their requests to all servers of the name.
             if taken is None or is_marked(taken[0].gid):
                 continue
             if vendors.is_cyclone(taken[0].gid):
@@ -75,7 +75,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
                 self._begin(*taken, limit)
 
     def _warn_of_cyclone(self) -> None:
-        """Log once for each service that a request of Cyclone DDS was refused; it is not decoded at all."""
+        """Log once per service that a request from Cyclone DDS was refused; it is not decoded."""
         if self.name in self._warned:
             return
         self._warned.add(self.name)
@@ -132,12 +132,12 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         if time.monotonic() - self._complained > _LOG_SECONDS:
             self._complained = time.monotonic()
             nothing = "ROS 2 has no error replies, so its client keeps waiting"
-            how = nothing if told is None else "its client got a refusal"
+            how = nothing if told is None else "its client received a rejection"
             _log.warning("a call of %s failed: %s; %s", self.name, why, how)
         return told
 
     def _write(self, request: RequestId, payload: bytes) -> bool:
-        """Send a reply; return False if its client cannot be reached."""
+        """Send a reply; return False if its client is unreachable."""
         with self._alive:
             if self._destroyed:
                 return True
@@ -148,7 +148,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
                 return True
 
     def refit(self) -> None:
-        """Abandon the calls whose clients have left."""
+        """Abandon the calls whose clients have left the graph."""
         with self._lock:
             waiting = list(self._asked.values())
         if not waiting:
@@ -180,14 +180,14 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         self.refit()
 
     def close(self) -> None:
-        """See `EdgeServer`."""
+        """Abandon pending calls with an error, and stop serving. Safe to call twice."""
         with self._lock:
             if self._closed:
                 return
             self._closed = True
             waiting = [(asked, asked.abandon) for asked in self._asked.values()]
             for asked, _ in waiting:
-                asked.left = True  # `_begin` abandons a call that it is about to make
+                asked.left = True  # `_begin` abandons a call that it is just starting
         for asked, abandon in waiting:
             if abandon is not None:
                 abandon()
@@ -203,7 +203,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         self._on_closed(self)
 
     def destroy(self) -> None:
-        """See `EndpointReader`."""
+        """Destroy the service, also while a reply is being sent."""
         with self._alive:
             self._destroyed = True
             super().destroy()

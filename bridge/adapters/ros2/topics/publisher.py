@@ -14,7 +14,7 @@ from bridge.hub.wire.qos import Qos
 
 
 class _Writer:
-    """One DDS writer; `send` and `close` may meet."""
+    """One DDS writer; `send` and `close` are safe to call concurrently."""
 
     def __init__(self, participant: Participant, message_class: Any, topic: str, qos: Qos) -> None:
         self._participant = participant
@@ -39,11 +39,11 @@ Heard = Callable[[str], bool]
 
 
 class Ros2Publisher:
-    """Publishes what comes from the hub.
+    """Publishes messages of the hub on a ROS 2 topic.
 
-    Volatile: one writer for all sources. Latched: a writer per source, since DDS keeps the last messages of each
-    writer: so a late joiner gets every source's last message, and a source that goes takes its message along. The
-    writer made at first becomes the first source's.
+    Volatile: one writer for all sources. Latched: one writer per source, as DDS retains the last messages of each
+    writer. So a late joiner receives every source's last message, and the messages of a source disappear with it. The
+    initial writer becomes the first source's.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Ros2Publisher:
 
     @property
     def dropped(self) -> int:
-        """DDS does not tell what a slow reader missed."""
+        """Always 0: DDS does not report what a slow reader missed."""
         return 0
 
     @property
@@ -69,7 +69,7 @@ class Ros2Publisher:
         return self._heard(self.topic)
 
     def send(self, payload: bytes, source: str) -> None:
-        """Publish bytes of one source."""
+        """Publish a source's message."""
         writer = self._only or self._writers.get(source) or self._writer_for(source)
         if writer is not None:
             writer.send(payload)
@@ -94,7 +94,7 @@ class Ros2Publisher:
             writer.close()
 
     def close(self) -> None:
-        """Give the writers back. Safe to call twice."""
+        """Destroy the writers. Safe to call twice."""
         with self._lock:
             self._open = False
             writers = [*self._writers.values(), *([self._spare] if self._spare else [])]

@@ -1,9 +1,9 @@
 """A subscription on the ROS 2 side that receives from every native publisher of its topic.
 
-DDS matches a reader with the writers that offer at least what it asks for. So one reader does not do where publishers
-differ: asking for the history of a latched one excludes the volatile ones, and a best-effort reader is given no
-history. Publishers are therefore sorted into classes, each class has its own reader, and a message counts only from the
-reader of its publisher's class.
+DDS matches a reader with the writers that offer at least the QoS that it requests. So one reader does not suffice if
+publishers differ: requesting the history of a latched one excludes the volatile ones, and a best-effort reader receives
+no history. Publishers are therefore sorted into classes, each class has its own reader, and a message counts only from
+the reader of its publisher's class.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.routing.edge import Deliver, Endpoint, MadeBy
 
 LATCHED_DEPTH = 128
-"""Least depth of a reader of latched publishers: KEEP_LAST counts over all its writers, and they come at once."""
+"""Least depth of a reader of latched publishers: KEEP_LAST counts over all its writers, which send at once."""
 
 VOLATILE_DEPTH = 32
-"""Least depth of the other readers: room for what comes while the loop is kept from its turn for some milliseconds."""
+"""Least depth of the other readers: room for messages while the loop is delayed by some milliseconds."""
 
 _SEQUENCES = 32
-"""Publishers of one reader whose messages' numbers are remembered before it is looked which are still there."""
+"""Number of publishers per reader whose sequence numbers are tracked before those that left are removed."""
 
 _LOG_SECONDS = 10.0
 
@@ -37,7 +37,7 @@ _log = logging.getLogger(__name__)
 
 
 class ReaderClass(NamedTuple):
-    """What a reader asks for."""
+    """The QoS that a reader requests."""
 
     reliability: Reliability
     durability: Durability
@@ -49,7 +49,7 @@ class _Source(NamedTuple):
 
 
 class Ros2Subscription:
-    """See the module."""
+    """Receives from all native publishers of a topic, with one reader per QoS class."""
 
     def __init__(
         self, topic: str, message_class: Any, qos: Qos, deliver: Deliver, context: Ros2Context, closed: Closed
@@ -67,15 +67,15 @@ class Ros2Subscription:
         self.refit()
 
     def refit(self) -> None:
-        """Have a reader for each class of the native publishers that are there now."""
-        with self._lock:  # the look at the graph too: an older one must not come last
+        """Create a reader for each class of the current native publishers, and remove the others."""
+        with self._lock:  # includes reading the graph: an older snapshot must not be applied last
             if self.closed:
                 return
             publishers = {g: p for g, p in self._graph.publishers(self.topic).items() if p.made_by is MadeBy.NATIVE}
             wanted = {self._class_of(p, publishers.values()) for p in publishers.values()}
             if not wanted and not self._readers:
                 wanted = {ReaderClass(self.qos.reliability, self.qos.durability)}
-            # A publisher's class may change with its company; see `_class_of`.
+            # a publisher's class may depend on the other publishers; see `_class_of`
             self._sources = {
                 gid: _Source(publisher.id, self._class_of(publisher, publishers.values()))
                 for gid, publisher in publishers.items()
@@ -96,7 +96,7 @@ class Ros2Subscription:
 
     def _class_of(self, publisher: Endpoint, among: Any) -> ReaderClass:
         wish, offer = self.qos, publisher.qos
-        # The engine asks for best effort where any publisher is; only where none is, it is a rule that forces it.
+        # The engine requests best effort if any publisher offers only that; if none does, a rule forces it.
         forced = wish.reliability is Reliability.BEST_EFFORT and not any(
             p.qos.reliability is Reliability.BEST_EFFORT for p in among
         )
@@ -108,18 +108,18 @@ class Ros2Subscription:
         )
 
     def source(self, gid: bytes, reader_class: ReaderClass) -> str | None:
-        """Id of the publisher whose message came by a reader, None where the message is not to be delivered."""
+        """Return the id of the publisher of a message, None if this reader must not deliver it."""
         source = self._sources.get(gid) or self._resolve(gid, reader_class)
         if source is None:
             return None
         own = source.reader_class
-        # Its own reader delivers it, or will: a latched one is given the history when it comes.
+        # the reader of its class delivers it, or will: a latched one receives the history after its creation
         if own != reader_class and (own.durability is Durability.TRANSIENT_LOCAL or own in self._readers):
             return None
         return source.id
 
     def sources(self) -> set[str]:
-        """Ids of the publishers that are there now."""
+        """Return the ids of the current publishers."""
         return {source.id for source in self._sources.values()}
 
     def _resolve(self, gid: bytes, reader_class: ReaderClass) -> _Source | None:
@@ -135,13 +135,13 @@ class Ros2Subscription:
         return source
 
     def failed(self, source: str) -> None:
-        """Log the exception that one message met, at a limited rate; the next message is not its fault."""
+        """Log the exception of one message, at a limited rate; later messages are still delivered."""
         if time.monotonic() - self._complained > _LOG_SECONDS:
             self._complained = time.monotonic()
             _log.exception("%s: a message of %s is dropped", self.topic, source)
 
     def close(self) -> None:
-        """Stop delivering and give the readers back. Safe to call twice."""
+        """Stop delivering, and destroy the readers. Safe to call twice."""
         with self._lock:
             if self.closed:
                 return
@@ -163,7 +163,7 @@ class ClassReader(EndpointReader):
         self._room = _SEQUENCES
 
     def drain(self, taker: rcl.Taker, limit: int) -> None:
-        """See `EndpointReader`."""
+        """Deliver messages whose publisher belongs to this class."""
         owner = self._owner
         for _ in range(limit):
             taken = taker.take(self.pointer, large=self._large)
@@ -181,7 +181,7 @@ class ClassReader(EndpointReader):
             self._count(source, sequence)
 
     def _count(self, source: str, sequence: int) -> None:
-        """Count what is missing between two messages of a publisher: overwritten in a full history, or never here."""
+        """Count the messages missing between two of a publisher: overwritten in a full history, or never received."""
         if source not in self._sequences and len(self._sequences) >= self._room:
             self._sequences = {s: self._sequences[s] for s in self._sequences.keys() & self._owner.sources()}
             self._room = 2 * len(self._sequences) + _SEQUENCES

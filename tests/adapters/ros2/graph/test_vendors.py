@@ -58,6 +58,6 @@ def test_report_leaves_services_of_every_node_out() -> None:
             endpoint(FAST, topic="/fine"),
         ]
     )
-    assert found == {"nodes": ["/of_0110", "a node whose name is not known"], "served": ["/go", "/lamp"], "called": []}
+    assert found == {"nodes": ["/of_0110", "a node with an unknown name"], "served": ["/go", "/lamp"], "called": []}
     assert "(/go, /lamp) cannot be called" in vendors.warning(found)
     assert vendors.report([endpoint(FAST)]) == {}

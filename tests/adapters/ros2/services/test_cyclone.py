@@ -265,7 +265,7 @@ def test_status_names_the_nodes(
     seen(edge, "/c/called", Kind.CLIENT)
     seen(edge, "/c/go/_action/cancel_goal", Kind.SERVER)
     found = edge.edge.details()["cyclone"]
-    assert found["nodes"] == ["a node whose name is not known"]
+    assert found["nodes"] == ["a node with an unknown name"]
     assert (found["served"], found["called"]) == (["/c/go", "/c/named"], ["/c/called"])
     (warning,) = edge.edge.warnings()
     assert "topics cross" in warning
