@@ -47,6 +47,7 @@ class TopicForm:
         convert: converts a message's bytes; None if they stay the same. Raises `ConversionError` for invalid bytes.
         left_out: ROS 1 fields that have no counterpart.
         name: the topic's name, "" if it stays the same.
+        undefined: why no definition is known, with the cure; None if one is, and if the bag's own cannot be read.
     """
 
     type_name: str
@@ -55,6 +56,7 @@ class TopicForm:
     convert: Callable[[bytes], bytes] | None
     left_out: tuple[str, ...] = ()
     name: str = ""
+    undefined: BagError | None = None
 
 
 def to_hub(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> TopicForm:
@@ -72,8 +74,9 @@ def to_hub(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> Top
         return replace(_form(conversion), name=name)
     try:
         known = ros2_type(registry, topic)
-    except MessageTypeError:  # CDR is copied without knowing its type
-        return TopicForm(topic.type_name, topic.type_hash, topic.definition, None, name=name)
+    except MessageTypeError as err:  # CDR is copied without knowing its type
+        undefined = None if topic.definition else BagError(path, str(err), None, _cure(topic, err))
+        return TopicForm(topic.type_name, topic.type_hash, topic.definition, None, name=name, undefined=undefined)
     return TopicForm(topic.type_name, known.type_id, known.definition, None, name=name)
 
 
@@ -178,6 +181,10 @@ def _actionlib_name(name: str) -> str:
 
 
 def _refusal(path: Path, topic: BagTopic, err: MessageTypeError) -> BagError:
+    what = f"{topic.name} has type {topic.type_name}, which cannot be converted: {err}"
+    return BagError(path, what, None, _cure(topic, err))
+
+
+def _cure(topic: BagTopic, err: MessageTypeError) -> str:
     # without a definition, the version that was recorded is missing here, not on another machine
-    cure = err.cure if topic.definition or topic.type_hash in ANY_MD5 else FOLDERS
-    return BagError(path, f"{topic.name} has type {topic.type_name}, which cannot be converted: {err}", None, cure)
+    return err.cure if topic.definition or topic.type_hash in ANY_MD5 else FOLDERS

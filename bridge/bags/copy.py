@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
@@ -49,6 +49,16 @@ class BagSelection:
 
 
 @dataclass
+class Undefined:
+    """A topic of a type without a definition: number of its messages, the reason and the cure."""
+
+    type_name: str
+    reason: str
+    cure: str
+    messages: int = 0
+
+
+@dataclass
 class Copied:
     """The result of a copy.
 
@@ -60,6 +70,7 @@ class Copied:
         lost: fields of ROS 1 types without a counterpart in ROS 2, by type.
         damage: the damaged places that were skipped.
         renamed: new names of topics, by their names in the bag.
+        undefined: topics whose messages were copied without a definition, which readers need to decode them.
     """
 
     messages: int = 0
@@ -69,6 +80,7 @@ class Copied:
     lost: dict[str, tuple[str, ...]] = field(default_factory=dict)
     damage: list[BagError] = field(default_factory=list)
     renamed: dict[str, str] = field(default_factory=dict)
+    undefined: dict[str, Undefined] = field(default_factory=dict)
 
 
 Convert = Callable[[bytes], bytes]
@@ -114,6 +126,9 @@ def convert(
                 done.lost[topic.type_name] = form.left_out
             if form.name not in ("", topic.name):
                 done.renamed[topic.name] = form.name
+            if form.undefined is not None:
+                why = form.undefined
+                done.undefined.setdefault(topic.name, Undefined(topic.type_name, why.what, why.cure))
     check_compression(target, kind, compression or COMPRESSIONS[kind][0])
     with written_whole(target, kind) as making:
         usual = compression or COMPRESSIONS[kind][0]
@@ -235,6 +250,10 @@ def _copy(
             writer.write([places[topic] for topic in some.topics], some.times, some.publish_times, made)
             done.messages += len(made)
             done.data += sum(map(len, some.data))
+            if done.undefined:
+                for topic, count in Counter(some.topics).items():
+                    if topic.name in done.undefined:
+                        done.undefined[topic.name].messages += count
             told(done.messages, done.data)
         writer.finish()
     except BaseException:

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -291,6 +292,7 @@ def _report(args: argparse.Namespace, done: Copied, seconds: float, left_out: tu
         "unknown": done.unknown,
         "bad": done.refused,
         "renamed": done.renamed,
+        "undefined": {name: asdict(topic) for name, topic in done.undefined.items()},
         "fields_lost": {name: list(fields) for name, fields in done.lost.items()},
         "damage": [str(err) for err in done.damage],
         "not_read": list(left_out),
@@ -307,6 +309,10 @@ def _report(args: argparse.Namespace, done: Copied, seconds: float, left_out: tu
         print(f"left out: {clean(reason)}")
     for name, count in done.refused.items():
         print(f"left out: {plural(count, 'message')} of {clean(name)} that do not match their type")
+    for name, topic in done.undefined.items():
+        what = f"{plural(topic.messages, 'message')} of {clean(name)} ({clean(topic.type_name)})"
+        print(f"copied without a definition, so that readers cannot decode it: {what}: {clean(topic.reason)}")
+        print(f"    cure: {clean(topic.cure)}")
     for name, fields in done.lost.items():
         print(f"ROS 2 has no place for {clean(', '.join(fields))} of {clean(name)}")
     for err in done.damage:

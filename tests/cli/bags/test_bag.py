@@ -19,6 +19,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from bridge.bags.mcap_writer import ChannelInfo, McapWriter
 from bridge.cli.main import main
 from bridge.hub.graph.tokens import Origin
+from tests.bags.foreign import CDR, Recorded, foreign_mcap
 from tests.bags.written import START, long_mcap, mcap_bytes, mcap_file, nobody_knows, ros1_bag
 from tests.support.wait import until
 
@@ -117,6 +118,29 @@ def test_info_shows_which_types_have_no_definition(capsys: pytest.CaptureFixture
     mcap_file(Path("whole.mcap"))
     assert main(["bag", "info", "whole.mcap"]) == 0
     assert "no definition" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("target", ["new.db3", "new.mcap", "new"])
+def test_convert_names_the_topics_that_nobody_can_decode(target: str, capsys: pytest.CaptureFixture[str]) -> None:
+    odd, text = [CDR + bytes([number, 0, 0, 0]) for number in range(3)], [CDR + b"\3\0\0\0hi\0"]
+    old = Recorded("/old", "std_msgs/msg/Bool", None, [CDR + b"\1"], {"topic_type_hash": "RIHS01_" + "ab" * 32})
+    foreign_mcap(
+        Path("run.mcap"), Recorded("/odd", "none_msgs/msg/None", None, odd), old,
+        Recorded("/text", "std_msgs/msg/String", None, text),
+    )  # fmt: skip
+    assert main(["bag", "convert", "run.mcap", target]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"{target}: 5 messages")
+    names = [line for line in lines if line.startswith("copied without a definition, so that readers cannot decode")]
+    assert [name.partition("it: ")[2].partition(")")[0] for name in names] == [
+        "3 messages of /odd (none_msgs/msg/None", "1 message of /old (std_msgs/msg/Bool",
+    ]  # fmt: skip
+    assert sum("cure: " in line and "types.folders" in line for line in lines) == 2
+    assert main(["bag", "convert", "run.mcap", "again.mcap", "--json", "--topics", "/odd"]) == 0
+    undefined = json.loads(capsys.readouterr().out)["undefined"]
+    assert {name: topic["messages"] for name, topic in undefined.items()} == {"/odd": 3}
+    assert "none_msgs" in undefined["/odd"]["reason"]
+    assert "types.folders" in undefined["/odd"]["cure"]
 
 
 def test_types_of_the_configuration_count(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
