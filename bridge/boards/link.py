@@ -22,10 +22,10 @@ from yarp_compat.wire.errors import WireError
 
 _log = logging.getLogger(__name__)
 
-_AGAIN = 2.0  # seconds between two attempts to reach a board
-_SILENT = 1.0  # seconds without a state after which it is looked for anew
-_LOOK = 0.1
-_PATIENCE = 2.0  # seconds to wait for a halt
+_RETRY_SECONDS = 2.0  # seconds between two attempts to reach a board
+_SILENT_SECONDS = 1.0  # seconds without a state after which it is looked for anew
+_POLL_SECONDS = 0.1
+_HALT_SECONDS = 2.0  # seconds to wait for a halt
 _HALT = "stopAllRPC"
 
 
@@ -48,7 +48,7 @@ class JointCommand:
     until: float
 
 
-Told = Callable[[Joints, JointData, float], None]
+OnJoints = Callable[[Joints, JointData, float], None]
 
 
 class BoardLink:
@@ -60,8 +60,8 @@ class BoardLink:
         told: called with each state and its time in seconds, on the thread of the board's connection.
     """
 
-    def __init__(self, section: ControlBoardSection, local: str, naming: Naming, told: Told) -> None:
-        self._section, self._local, self._naming, self._told = section, local, naming, told
+    def __init__(self, section: ControlBoardSection, local: str, naming: Naming, on_joints: OnJoints) -> None:
+        self._section, self._local, self._naming, self._on_joints = section, local, naming, on_joints
         self.joints: Joints | None = None
         self.remote = section.remote
         self.trouble = "not reached yet"
@@ -69,7 +69,7 @@ class BoardLink:
         self._command: JointCommand | None = None
         self._driven: tuple[int, ...] = ()  # the joints whose velocity is not zero, as far as we know
         self._until = 0.0
-        self._heard = 0.0
+        self._last_state = 0.0
         self._lock = threading.Lock()
         self._halted = threading.Event()
         self._wake, self._stopping = threading.Event(), threading.Event()
@@ -88,21 +88,21 @@ class BoardLink:
 
     def give(self, velocities: Sequence[float], positions: Sequence[float], names: Sequence[str]) -> str:
         """Have named joints move, in radians and radians per second; returns what is wrong with it, "" for nothing."""
-        known = self.joints
-        if known is None:
+        board = self.joints
+        if board is None:
             return self.trouble
         values, method, mode = positions, "positionMoveGroupRPC", modes.VOCAB_CM_POSITION
         if len(velocities):
             values, method, mode = velocities, "velocityMoveGroupRPC", modes.VOCAB_CM_VELOCITY
         if len(values) != len(names) or not names:
             return f"a command has {len(names)} names and {len(values)} numbers"
-        unknown = next((name for name in names if name not in known.names), None)
+        unknown = next((name for name in names if name not in board.names), None)
         if unknown is not None:
-            return f"there is no joint {unknown!r}; there are {', '.join(known.names)}"
+            return f"there is no joint {unknown!r}; there are {', '.join(board.names)}"
         if not all(map(math.isfinite, values)):
             return "a number is not finite"
-        joints = tuple(known.names.index(name) for name in names)
-        scaled = tuple(float(value) / known.scales[joint] for joint, value in zip(joints, values, strict=True))
+        joints = tuple(board.names.index(name) for name in names)
+        scaled = tuple(float(value) / board.scales[joint] for joint, value in zip(joints, values, strict=True))
         with self._lock:
             if self._command is not None and self._command.method == _HALT:
                 return "the board is being halted"
@@ -121,7 +121,7 @@ class BoardLink:
             self._halted.clear()
             self._command = JointCommand(_HALT, 0, tuple(range(len(joints.names))), (), math.inf)
         self._wake.set()
-        if not self._halted.wait(_PATIENCE):
+        if not self._halted.wait(_HALT_SECONDS):
             raise TimeoutError(f"{self._section.remote} did not say that it stops: it may still be moving")
 
     def _run(self) -> None:
@@ -129,24 +129,24 @@ class BoardLink:
             client = ControlBoardClient(self._section.remote, self._local, naming=self._naming, on_state=self._take)
             try:
                 with client:
-                    self._meet(client)
+                    self._prepare(client)
                     self._follow(client)
             except (OSError, WireError) as error:
                 if str(error) != self.trouble:
                     _log.info("%s: %s", self._section.remote, error)
                 self.trouble = str(error) or type(error).__name__
             self.joints = None
-            self._stopping.wait(_AGAIN)
+            self._stopping.wait(_RETRY_SECONDS)
 
-    def _meet(self, client: ControlBoardClient) -> None:
+    def _prepare(self, client: ControlBoardClient) -> None:
         names = self._section.joints or tuple(self._name(client, axis) for axis in range(client.axes))
         if len(names) != client.axes:
             raise OSError(f"{self._section.remote} has {client.axes} joints, and the configuration names {len(names)}")
         kinds = [client.call("getJointTypeRPC", axis) for axis in range(client.axes)]
         metres = [bool(kind[0]) and kind[1] == modes.VOCAB_JOINTTYPE_PRISMATIC for kind in kinds]
-        self._heard = time.monotonic()
+        self._last_state = time.monotonic()
         self._driven = tuple(joint for joint in self._driven if joint < client.axes)  # when it was lost
-        self._stand(client)
+        self._stop_driven(client)
         self.joints = Joints(names, tuple(1.0 if flag else math.pi / 180.0 for flag in metres))
         self.trouble = ""
 
@@ -158,23 +158,23 @@ class BoardLink:
         """Obey commands until the board is silent, or the link is stopped."""
         while not self._stopping.is_set():
             now = time.monotonic()
-            if now - self._heard > _SILENT:
-                raise OSError(f"{self._section.remote} has said no state for {_SILENT:g} s")
+            if now - self._last_state > _SILENT_SECONDS:
+                raise OSError(f"{self._section.remote} has said no state for {_SILENT_SECONDS:g} s")
             with self._lock:
                 command, self._command = self._command, None
             if command is not None:
-                self._obey(client, command)
+                self._execute(client, command)
             elif self._driven and now >= self._until:
-                self._stand(client)
+                self._stop_driven(client)
             left = self._until - time.monotonic()
-            if self._wake.wait(left if self._driven and 0.0 < left < _LOOK else _LOOK):
+            if self._wake.wait(left if self._driven and 0.0 < left < _POLL_SECONDS else _POLL_SECONDS):
                 self._wake.clear()
-        self._stand(client)
+        self._stop_driven(client)
 
-    def _obey(self, client: ControlBoardClient, command: JointCommand) -> None:
+    def _execute(self, client: ControlBoardClient, command: JointCommand) -> None:
         if command.method == _HALT:
             self._driven = command.joints
-            self._stand(client)
+            self._stop_driven(client)
             if client.call(_HALT)[0]:
                 self._halted.set()
             return
@@ -189,29 +189,29 @@ class BoardLink:
             self.trouble = f"{self._section.remote} takes no commands"
             return
         self.trouble = ""
-        if drives and self._still(client, others):
+        if drives and self._stop_joints(client, others):
             self._driven = tuple(j for j, value in zip(command.joints, command.values, strict=True) if value)
 
     def _in_mode(self, client: ControlBoardClient, command: JointCommand) -> bool:
         """Have the joints in the mode that a command is of; whether they are."""
-        found = client.state("controlMode")
-        if found is not None and all(found[0][joint] == command.mode for joint in command.joints):
+        mode = client.state("controlMode")
+        if mode is not None and all(mode[0][joint] == command.mode for joint in command.joints):
             return True
         wanted = [command.mode] * len(command.joints)
         return bool(client.call("setControlModeGroupRPC", command.joints, wanted)[0])
 
-    def _stand(self, client: ControlBoardClient) -> None:
+    def _stop_driven(self, client: ControlBoardClient) -> None:
         """Say zero to the joints that move by us; they count as moving until the board was told."""
-        if self._still(client, self._driven):
+        if self._stop_joints(client, self._driven):
             self._driven = ()
 
     @staticmethod
-    def _still(client: ControlBoardClient, joints: tuple[int, ...]) -> bool:
+    def _stop_joints(client: ControlBoardClient, joints: tuple[int, ...]) -> bool:
         return not joints or bool(client.call("velocityMoveGroupRPC", joints, (0.0,) * len(joints))[0])
 
     def _take(self, data: JointData, seconds: float) -> None:
-        self._heard = time.monotonic()
+        self._last_state = time.monotonic()
         joints = self.joints
         if joints is not None and data.axes == len(joints.names):
             self.states += 1
-            self._told(joints, data, seconds)
+            self._on_joints(joints, data, seconds)

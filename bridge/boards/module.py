@@ -20,7 +20,7 @@ from yarp_compat.dev.controlboard.streams import JointData
 JOINTS = "sensor_msgs/msg/JointState"
 
 _NEWEST = Qos(Reliability.BEST_EFFORT, depth=1)
-_MOST = 32  # commanders whose clocks are followed
+_MOST_COMMANDERS = 32  # commanders whose clocks are followed
 
 
 class ControlBoards(Module):
@@ -37,9 +37,9 @@ class ControlBoards(Module):
         self._links: list[BoardLink] = []
         self.refused: dict[str, str] = {}
         for board in section.boards:
-            link = BoardLink(board, f"/{host.config.name}/boards{board.remote}", host.yarp.naming, self._teller(board))
+            link = BoardLink(board, f"/{host.config.name}/boards{board.remote}", host.yarp.naming, self._state_publisher(board))
             if board.command:
-                self._hear(board, link)
+                self._subscribe(board, link)
             self._links.append(link)
             link.start()
         host.answer("halt", lambda _params: self._halt())
@@ -76,52 +76,52 @@ class ControlBoards(Module):
             link.halt()
         return {"halted": True}
 
-    def _teller(self, board: ControlBoardSection) -> Callable[[Joints, JointData, float], None]:
+    def _state_publisher(self, board: ControlBoardSection) -> Callable[[Joints, JointData, float], None]:
         """Publishes the states of a board, on the threads on which they come."""
         publisher = self._host.node.publisher(board.joint_states, JOINTS, Qos(depth=10))
         clock = self._host.clock
 
-        def tell(joints: Joints, data: JointData, seconds: float) -> None:
+        def publish(joints: Joints, data: JointData, seconds: float) -> None:
             now = clock.stamp() if clock.simulated else _stamp(seconds)
             publisher.offer(lambda: publisher.encoded(joint_state(joints, data, now)))
 
-        return tell
+        return publish
 
-    def _hear(self, board: ControlBoardSection, link: BoardLink) -> None:
+    def _subscribe(self, board: ControlBoardSection, link: BoardLink) -> None:
         ages: dict[bytes, AgeGate] = {}
 
-        def hear(message: dict[str, Any]) -> None:
-            if len(ages) >= _MOST and subscription.sender not in ages:
+        def on_command(message: dict[str, Any]) -> None:
+            if len(ages) >= _MOST_COMMANDERS and subscription.sender not in ages:
                 del ages[next(iter(ages))]
             age = ages.setdefault(subscription.sender, AgeGate()).age(subscription.sent_ns)
             if age > board.timeout or self._stall.stood_still(board.timeout):
                 subscription.counters.dropped("stale")
                 return
-            wrong = link.give(message["velocity"], message["position"], message["name"])
-            if wrong:
+            problem = link.command(message["velocity"], message["position"], message["name"])
+            if problem:
                 subscription.counters.dropped("bad")
-                if self.refused.get(board.command) != wrong:
-                    self._host.log.warning("%s: a command is refused: %s", board.command, wrong)
-            self.refused[board.command] = wrong
+                if self.refused.get(board.command) != problem:
+                    self._host.log.warning("%s: a command is refused: %s", board.command, problem)
+            self.refused[board.command] = problem
 
-        subscription = self._host.node.subscription(board.command, JOINTS, hear, _NEWEST)
+        subscription = self._host.node.subscription(board.command, JOINTS, on_command, _NEWEST)
 
 
 def joint_state(joints: Joints, data: JointData, stamp: dict[str, int]) -> dict[str, Any]:
     """A board's state as the hub has it: radians and radians per second, or metres; what is not valid is left out."""
     scales = np.array(joints.scales)
-    said: dict[str, Any] = {"header": {"stamp": stamp, "frame_id": ""}, "name": list(joints.names)}
-    for field, name, by in (
+    message: dict[str, Any] = {"header": {"stamp": stamp, "frame_id": ""}, "name": list(joints.names)}
+    for field, name, scale in (
         ("position", "jointPosition", scales),
         ("velocity", "jointVelocity", scales),
         ("effort", "torque", 1.0),
     ):
-        found = data.values.get(name)
-        if found is not None:
-            said[field] = found * by
-    return said
+        values = data.values.get(name)
+        if values is not None:
+            message[field] = values * scale
+    return message
 
 
 def _stamp(seconds: float) -> dict[str, int]:
-    whole, rest = divmod(round(seconds * 1e9), 1_000_000_000)
-    return {"sec": whole, "nanosec": rest}
+    whole, nanoseconds = divmod(round(seconds * 1e9), 1_000_000_000)
+    return {"sec": whole, "nanosec": nanoseconds}

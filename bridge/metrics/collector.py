@@ -14,14 +14,14 @@ from bridge import __version__
 from bridge.daemon.query import Phase
 from bridge.hub.security.reasons import EndpointState
 from bridge.metrics.families import Families, Family, Kind
-from bridge.metrics.routes import RouteTeller
+from bridge.metrics.routes import RouteMetrics
 from bridge.metrics.source import AT_REST, Document, Snapshot, Source
 from bridge.sides import all_networks
 
-MOST_OWN = 50
+MOST_CUSTOM = 50
 """Largest number of figures that a worker may add."""
 
-_OWN_NAME = re.compile(r"[a-z][a-z0-9_]{0,60}")
+_CUSTOM_NAME = re.compile(r"[a-z][a-z0-9_]{0,60}")
 _PHASES = tuple(phase.value for phase in Phase if phase.value not in AT_REST)
 _STATES = ("running", "waiting", "standby")
 _ENDPOINT_STATES = frozenset(EndpointState)
@@ -38,7 +38,7 @@ class MidspanCollector(Collector):
 
     def __init__(self, source: Source, most_routes: int) -> None:
         self._source = source
-        self._routes = RouteTeller(most_routes)
+        self._routes = RouteMetrics(most_routes)
 
     def describe(self) -> Iterable[Metric]:
         """Return nothing: the library would query all workers for the names."""
@@ -48,48 +48,48 @@ class MidspanCollector(Collector):
         """Return all families that have samples."""
         return self.of(self._source.snapshot())
 
-    def of(self, picture: Snapshot) -> Families:
+    def of(self, snapshot: Snapshot) -> Families:
         """Return the families of one snapshot."""
         families = Families()
-        _daemon(families, picture)
-        _workers(families, picture)
+        _daemon(families, snapshot)
+        _workers(families, snapshot)
         sides = all_networks()
-        for document in picture.documents:
+        for document in snapshot.documents:
             if document.get("module") is True:
                 _module(families, document)
             elif document.get("side") in sides:
                 _side(families, document)
-                self._routes.tell(families, document)
+                self._routes.add(families, document)
             elif document["worker"] == "router":
                 _router(families, document)
-            _own(families, document)
+            _add_custom(families, document)
         return families
 
 
-def _daemon(families: Families, picture: Snapshot) -> None:
-    put = families.put
-    put("midspan_build_info", 1, __version__, picture.name)
-    put("midspan_daemon_up", bool(picture.daemon))
-    put("midspan_hub_up", picture.hub)
-    put("midspan_ask_duration_seconds", picture.seconds)
-    if picture.daemon:
-        put("midspan_daemon_uptime_seconds", picture.daemon.get("uptime"))
-        put("midspan_daemon_config_refused", bool(picture.daemon.get("refused")))
-        _process(families, "daemon", picture.daemon.get("pid"))
+def _daemon(families: Families, snapshot: Snapshot) -> None:
+    add = families.add
+    add("midspan_build_info", 1, __version__, snapshot.name)
+    add("midspan_daemon_up", bool(snapshot.daemon))
+    add("midspan_hub_up", snapshot.hub)
+    add("midspan_ask_duration_seconds", snapshot.seconds)
+    if snapshot.daemon:
+        add("midspan_daemon_uptime_seconds", snapshot.daemon.get("uptime"))
+        add("midspan_daemon_config_refused", bool(snapshot.daemon.get("refused")))
+        _process(families, "daemon", snapshot.daemon.get("pid"))
 
 
-def _workers(families: Families, picture: Snapshot) -> None:
-    put = families.put
-    answering = {document.get("pid") for document in picture.documents}
-    for one in picture.workers:
-        worker, phase = one["worker"], one["phase"]
-        put("midspan_worker_up", phase == Phase.UP.value, worker)
-        for each in _PHASES:
-            put("midspan_worker_phase", phase == each, worker, each)
-        put("midspan_worker_answering", bool(one["pid"]) and one["pid"] in answering, worker)
-        put("midspan_worker_restarts_total", one["restarts"], worker)
-        put("midspan_worker_heartbeat_age_seconds", one.get("beat"), worker)
-        _process(families, worker, one["pid"])
+def _workers(families: Families, snapshot: Snapshot) -> None:
+    add = families.add
+    answering = {document.get("pid") for document in snapshot.documents}
+    for status in snapshot.workers:
+        worker, phase = status["worker"], status["phase"]
+        add("midspan_worker_up", phase == Phase.UP.value, worker)
+        for name in _PHASES:
+            add("midspan_worker_phase", phase == name, worker, name)
+        add("midspan_worker_answering", bool(status["pid"]) and status["pid"] in answering, worker)
+        add("midspan_worker_restarts_total", status["restarts"], worker)
+        add("midspan_worker_heartbeat_age_seconds", status.get("beat"), worker)
+        _process(families, worker, status["pid"])
 
 
 def _process(families: Families, worker: str, pid: object) -> None:
@@ -100,73 +100,73 @@ def _process(families: Families, worker: str, pid: object) -> None:
         process = psutil.Process(pid)
         with process.oneshot():
             times = process.cpu_times()
-            families.put("midspan_worker_cpu_seconds_total", times.user + times.system, worker)
-            families.put("midspan_worker_resident_memory_bytes", process.memory_info().rss, worker)
-            families.put("midspan_worker_open_fds", process.num_fds(), worker)
+            families.add("midspan_worker_cpu_seconds_total", times.user + times.system, worker)
+            families.add("midspan_worker_resident_memory_bytes", process.memory_info().rss, worker)
+            families.add("midspan_worker_open_fds", process.num_fds(), worker)
 
 
 def _router(families: Families, document: Document) -> None:
-    families.put("midspan_router_sessions", document.get("sessions"))
+    families.add("midspan_router_sessions", document.get("sessions"))
     machines = document.get("machines")
     if isinstance(machines, list):
         for trusted in (True, False):
-            count = sum(isinstance(one, dict) and bool(one.get("trusted")) is trusted for one in machines)
-            families.put("midspan_router_machines", count, str(trusted).lower())
-    families.put("midspan_router_refused_connections_total", document.get("refused_connections"))
+            count = sum(isinstance(entry, dict) and bool(entry.get("trusted")) is trusted for entry in machines)
+            families.add("midspan_router_machines", count, str(trusted).lower())
+    families.add("midspan_router_refused_connections_total", document.get("refused_connections"))
     endpoints = document.get("endpoints")
-    for one in endpoints if isinstance(endpoints, list) else ():
-        if isinstance(one, dict) and one.get("state") in _ENDPOINT_STATES:
-            _endpoint(families, one)
+    for entry in endpoints if isinstance(endpoints, list) else ():
+        if isinstance(entry, dict) and entry.get("state") in _ENDPOINT_STATES:
+            _endpoint(families, entry)
 
 
-def _endpoint(families: Families, one: Document) -> None:
-    place, state = (str(one.get("way")), str(one.get("endpoint"))), EndpointState(one["state"])
-    families.put("midspan_router_endpoint_up", state.good and state is not EndpointState.CONNECTING, *place)
-    for each in EndpointState:
-        families.put("midspan_router_endpoint_state", each is state, *place, each)
-    families.put("midspan_router_endpoint_since_timestamp_seconds", one.get("since"), *place)
+def _endpoint(families: Families, endpoint: Document) -> None:
+    labels, state = (str(endpoint.get("way")), str(endpoint.get("endpoint"))), EndpointState(endpoint["state"])
+    families.add("midspan_router_endpoint_up", state.good and state is not EndpointState.CONNECTING, *labels)
+    for other in EndpointState:
+        families.add("midspan_router_endpoint_state", other is state, *labels, other)
+    families.add("midspan_router_endpoint_since_timestamp_seconds", endpoint.get("since"), *labels)
 
 
 def _module(families: Families, document: Document) -> None:
-    put = families.put
+    add = families.add
     for state in _MODULE_STATES:
-        put("midspan_module_state", document.get("state") == state, document["worker"], state)
+        add("midspan_module_state", document.get("state") == state, document["worker"], state)
     store, goals = document.get("store"), document.get("goals_ended")
     if isinstance(store, dict) and document["worker"] == "store":
         _store(families, store)
     if isinstance(goals, dict):
         for outcome, count in goals.items():
-            put("midspan_goals_total", count, outcome)
-        put("midspan_goal_active", document.get("goal") is not None)
+            add("midspan_goals_total", count, outcome)
+        add("midspan_goal_active", document.get("goal") is not None)
 
 
 def _store(families: Families, store: Document) -> None:
-    put = families.put
+    add = families.add
     for kind, count in _mapping(store.get("keys")).items():
-        put("midspan_store_values", count, kind)
-    put("midspan_store_bytes", store.get("bytes"))
-    put("midspan_store_limit_bytes", _mapping(store.get("limits")).get("bytes"))
-    put("midspan_store_deleted", store.get("deleted"))
-    put("midspan_store_conflicts_total", store.get("conflicts"))
-    put("midspan_store_refused_total", store.get("refused"))
-    put("midspan_store_last_change_timestamp_seconds", store.get("changed"))
+        add("midspan_store_values", count, kind)
+    add("midspan_store_bytes", store.get("bytes"))
+    add("midspan_store_limit_bytes", _mapping(store.get("limits")).get("bytes"))
+    add("midspan_store_deleted", store.get("deleted"))
+    add("midspan_store_conflicts_total", store.get("conflicts"))
+    add("midspan_store_refused_total", store.get("refused"))
+    add("midspan_store_last_change_timestamp_seconds", store.get("changed"))
     others = store.get("others")
-    put("midspan_store_replicas", len(others) if isinstance(others, list) else None)
+    add("midspan_store_replicas", len(others) if isinstance(others, list) else None)
 
 
 def _side(families: Families, document: Document) -> None:
-    put, side = families.put, document["worker"]
+    add, side = families.add, document["worker"]
     for state in _STATES:
-        put("midspan_side_state", document.get("state") == state, side, state)
+        add("midspan_side_state", document.get("state") == state, side, state)
     lease = _mapping(document.get("lease"))
-    put("midspan_side_lease", lease.get("active"), side)
-    put("midspan_side_lease_changes_total", lease.get("changes"), side)
-    put("midspan_side_members", lease.get("members"), side)
+    add("midspan_side_lease", lease.get("active"), side)
+    add("midspan_side_lease_changes_total", lease.get("changes"), side)
+    add("midspan_side_members", lease.get("members"), side)
     refused = document.get("refused")
-    put("midspan_side_refused", len(refused) if isinstance(refused, list) else None, side)
+    add("midspan_side_refused", len(refused) if isinstance(refused, list) else None, side)
 
 
-def _own(families: Families, document: Document) -> None:
+def _add_custom(families: Families, document: Document) -> None:
     """Add the figures under the key ``metrics`` of a worker's or a module's status document.
 
     ``{"metrics": {"written_bytes_total": 12, "disk_free_bytes": 3.5e9}}`` of the worker ``record`` becomes
@@ -175,15 +175,15 @@ def _own(families: Families, document: Document) -> None:
     other is a gauge. Values are numbers. Figures have no labels, and names come from a bounded set.
     """
     worker = re.sub(r"[^a-z0-9_]", "_", str(document["worker"]).lower())
-    told = [
+    samples = [
         (name, value)
         for name, value in _mapping(document.get("metrics")).items()
-        if _OWN_NAME.fullmatch(str(name)) and isinstance(value, int | float)
+        if _CUSTOM_NAME.fullmatch(str(name)) and isinstance(value, int | float)
     ]
-    for name, value in told[:MOST_OWN]:
+    for name, value in samples[:MOST_CUSTOM]:
         words = name.removesuffix("_total").replace("_", " ")
         kind: Kind = "counter" if name.endswith("_total") else "gauge"
-        families.put_own(Family(f"midspan_{worker}_{name}", kind, f"Told by {worker}: {words}."), float(value))
+        families.add_custom(Family(f"midspan_{worker}_{name}", kind, f"Told by {worker}: {words}."), float(value))
 
 
 def _mapping(value: object) -> Mapping[str, object]:

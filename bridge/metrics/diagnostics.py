@@ -2,7 +2,7 @@
 
 It is heard where a native program of the hub subscribes, or a side's worker says that one of its side does
 (`bridge.hub.diagnostics.HEARD`). Else nothing is asked and nothing is published. One process of the daemon tells
-(`whose_turn`): where that one ends, the next one goes on.
+(`publishing_worker`): where that one ends, the next one goes on.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ from bridge.sides import all_sides
 _log = logging.getLogger("midspan.metrics")
 
 PERIOD = 1.0
-LOOK_SECONDS = 0.2
+POLL_SECONDS = 0.2
 """So often the daemon is asked whose turn it is, and whether a worker's level has changed, which is told at once."""
 
 _DAEMON_SECONDS = 0.5
-_SILENCE = 60.0
+_RETRY_SECONDS = 60.0
 """After what cannot be told."""
 
 
-def whose_turn(said: Document) -> str:
+def publishing_worker(daemon_status: Document) -> str:
     """Which worker tells: the first that runs, by the daemon's word; "" where it gives none.
 
     First those that are to tell and carry no messages, then the sides.
     """
-    up = {one["worker"] for one in said.get("workers", ()) if one["phase"] == Phase.UP.value}
+    up = {worker["worker"] for worker in daemon_status.get("workers", ()) if worker["phase"] == Phase.UP.value}
     order = ("metrics", "web", "foxglove", *(side.name for side in all_sides()), "modules")
     return next((name for name in order if name in up), "")
 
 
-class Telling:
+class DiagnosticsPublisher:
     """Makes the message, and publishes it.
 
     Args:
@@ -65,47 +65,47 @@ class Telling:
         self._levels: dict[str, Level] = {}
         self._due = 0.0
 
-    def look(self, said: Document) -> None:
+    def look(self, daemon_status: Document) -> None:
         """Tell if it is time, or a worker's level is another one by the daemon's word; raises `HubError`."""
-        if time.monotonic() >= self._due or self._level_changed(said):
+        if time.monotonic() >= self._due or self._level_changed(daemon_status):
             self._due = time.monotonic() + PERIOD
-            self._tell(said)
+            self._publish(daemon_status)
 
-    def _level_changed(self, said: Document) -> bool:
-        found = [worker_status(one) for one in said.get("workers", ()) if one["phase"] not in AT_REST]
-        return any(self._levels.get(status.part) != status.level for status in found)
+    def _level_changed(self, daemon_status: Document) -> bool:
+        statuses = [worker_status(worker) for worker in daemon_status.get("workers", ()) if worker["phase"] not in AT_REST]
+        return any(self._levels.get(status.part) != status.level for status in statuses)
 
-    def _tell(self, said: Document) -> None:
-        found = parts(replace(self._source.snapshot(), daemon=said), self._config)
-        self._levels = {status.part: status.level for status in found}
+    def _publish(self, daemon_status: Document) -> None:
+        statuses = parts(replace(self._source.snapshot(), daemon=daemon_status), self._config)
+        self._levels = {status.part: status.level for status in statuses}
         message = {
             "header": {"stamp": self._clock.stamp()},
-            "status": [status.message_of(self._config.name) for status in found],
+            "status": [status.message_of(self._config.name) for status in statuses],
         }
         self._publisher.put(MessageWriter(self._schema).message(message))
 
 
-def tell_while(heard: Callable[[], bool], closing: threading.Event, config: Config, worker: str) -> None:
+def publish_while(wanted: Callable[[], bool], closing: threading.Event, config: Config, worker: str) -> None:
     """Tell while it is heard and this worker's turn, by a session that is open for so long.
 
     The worker's own would not do: what a side's session says comes from that side, and does not go back to it; and what
     one node says, it does not hear itself, as the console would.
     """
-    link, telling = HubLink(config, f"{worker}_diagnostics"), None
+    link, publisher = HubLink(config, f"{worker}_diagnostics"), None
     try:
-        while heard() and not closing.is_set():
-            said = ask_daemon(config, _DAEMON_SECONDS) or {}
-            mine = whose_turn(said) == worker
-            if telling is None and mine and (hub := link.join()) is not None:
-                telling = Telling(config, hub, Source(config, link.ask))
-            elif telling is not None and said and not mine:
+        while wanted() and not closing.is_set():
+            daemon_status = ask_daemon(config, _DAEMON_SECONDS) or {}
+            is_publisher = publishing_worker(daemon_status) == worker
+            if publisher is None and is_publisher and (hub := link.join()) is not None:
+                publisher = DiagnosticsPublisher(config, hub, Source(config, link.ask))
+            elif publisher is not None and daemon_status and not is_publisher:
                 link.close()
-                telling = None
-            if telling is not None:
-                telling.look(said)
-            closing.wait(LOOK_SECONDS)
+                publisher = None
+            if publisher is not None:
+                publisher.look(daemon_status)
+            closing.wait(POLL_SECONDS)
     except (HubError, MessageError) as err:
         _log.warning("no diagnostics: %s", err)
-        closing.wait(_SILENCE)
+        closing.wait(_RETRY_SECONDS)
     finally:
         link.close()

@@ -45,6 +45,6 @@ class MetricsRoutes:
         """503 with the reasons; who is not known hears that there are some, and not which."""
         reasons = self._readiness.reasons()
         known = request.scope["state"]["grant"] is not None
-        told = reasons if known or not reasons else ["not ready; who says who they are hears why"]
-        text = "\n".join(told or ["ready"])
+        shown = reasons if known or not reasons else ["not ready; who says who they are hears why"]
+        text = "\n".join(shown or ["ready"])
         return PlainTextResponse(f"{text}\n", 503 if reasons else 200, headers={"cache-control": "no-store"})

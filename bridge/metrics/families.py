@@ -27,10 +27,10 @@ class Family(NamedTuple):
 
     def metric(self) -> Metric:
         """An empty one of the library's."""
-        made: dict[Kind, type[Metric]] = {
+        types: dict[Kind, type[Metric]] = {
             "gauge": GaugeMetricFamily, "counter": CounterMetricFamily, "histogram": HistogramMetricFamily,
         }  # fmt: skip
-        return made[self.kind](self.name, self.help, labels=list(self.labels))  # type: ignore[call-arg]
+        return types[self.kind](self.name, self.help, labels=list(self.labels))  # type: ignore[call-arg]
 
 
 _ROUTE = ("side", "direction", "kind", "topic", "type")
@@ -91,18 +91,18 @@ FAMILIES = (
 
 
 class Families:
-    """The families of one scrape, as samples are put into them."""
+    """The families of one scrape, as samples are add into them."""
 
     def __init__(self) -> None:
         self._known = {family.name: family for family in FAMILIES}
-        self._made: dict[str, Metric] = {}
+        self._metrics: dict[str, Metric] = {}
 
-    def put(self, name: str, value: object, *labels: object) -> None:
+    def add(self, name: str, value: object, *labels: object) -> None:
         """Add a sample; values that are not numbers are left out."""
         if isinstance(value, int | float):
-            self._metric(name).add_metric([label(each) for each in labels], float(value))  # type: ignore[attr-defined]
+            self._metric(name).add_metric([label(text) for text in labels], float(value))  # type: ignore[attr-defined]
 
-    def put_histogram(
+    def add_histogram(
         self, name: str, bounds: Sequence[float], counts: Sequence[int], total: float, *labels: object
     ) -> None:
         """Add a histogram: its buckets' upper bounds but the last one's, which has none, and how many are in each."""
@@ -110,22 +110,22 @@ class Families:
         for bound, count in zip((*(f"{bound:g}" for bound in bounds), "+Inf"), counts, strict=True):
             below += count
             buckets.append((bound, below))
-        self._metric(name).add_metric([label(each) for each in labels], buckets, total)  # type: ignore[attr-defined]
+        self._metric(name).add_metric([label(text) for text in labels], buckets, total)  # type: ignore[attr-defined]
 
-    def put_own(self, family: Family, value: float) -> None:
+    def add_custom(self, family: Family, value: float) -> None:
         """Add a family that is not in `FAMILIES`, with its one sample; one whose name is taken is left out."""
-        if family.name not in self._known and family.name not in self._made:
-            metric = self._made[family.name] = family.metric()
+        if family.name not in self._known and family.name not in self._metrics:
+            metric = self._metrics[family.name] = family.metric()
             metric.add_metric([], value)  # type: ignore[attr-defined]
 
     def __iter__(self) -> Iterator[Metric]:
         """Those that have samples."""
-        return iter(self._made.values())
+        return iter(self._metrics.values())
 
     def _metric(self, name: str) -> Metric:
-        if name not in self._made:
-            self._made[name] = self._known[name].metric()
-        return self._made[name]
+        if name not in self._metrics:
+            self._metrics[name] = self._known[name].metric()
+        return self._metrics[name]
 
 
 def label(value: object) -> str:

@@ -33,12 +33,12 @@ class HubLink:
         self._lock = threading.Lock()
         self._hub: Hub | None = None
         self._session: zenoh.Session | None = None
-        self._why = ""
+        self._error = ""
 
     @property
     def trouble(self) -> str:
         """Why there is no node, "" where there is one."""
-        return self._why
+        return self._error
 
     def join(self) -> Hub | None:
         """The node, made where there is none yet, None where that fails; called by one thread, again and again."""
@@ -48,10 +48,10 @@ class HubLink:
         try:
             session = zenoh.open(client_session_config(hub.listen, hub.zenoh, _CONNECT_SECONDS))
         except zenoh.ZError as err:
-            self._why = f"no router at {hub.listen}: {zenoh_reason(err)}"
+            self._error = f"no router at {hub.listen}: {zenoh_reason(err)}"
             return None
         except HubError as err:
-            self._why = f"hub.zenoh: {err}"
+            self._error = f"hub.zenoh: {err}"
             return None
         settings = HubSettings(
             domain=hub.domain, node=f"midspan_{self._worker}", daemon=self._config.name, worker=self._worker
@@ -60,7 +60,7 @@ class HubLink:
         if (status := self._status) is not None:
             node.serve("status", lambda _params: status())
         with self._lock:
-            self._hub, self._session, self._why = node, session, ""
+            self._hub, self._session, self._error = node, session, ""
         return node
 
     def ask(self) -> list[WorkerAnswer]:
@@ -68,7 +68,7 @@ class HubLink:
         with self._lock:
             hub, session = self._hub, self._session
         if hub is None or session is None:
-            raise HubError(self._why or "the hub is not joined yet")
+            raise HubError(self._error or "the hub is not joined yet")
         try:
             if not session.info.routers_zid():  # zenoh goes on trying
                 raise HubError(f"the router at {self._config.hub.listen} is gone")

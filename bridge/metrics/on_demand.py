@@ -38,6 +38,6 @@ class DiagnosticsOnDemand:
             thread.join(2.0)
 
     def _run(self, config: Config) -> None:
-        from bridge.metrics.diagnostics import tell_while
+        from bridge.metrics.diagnostics import publish_while
 
-        tell_while(self._worker.hears_diagnostics, self._closing, config, self._name)
+        publish_while(self._worker.hears_diagnostics, self._closing, config, self._name)

@@ -52,33 +52,33 @@ _PHASES = {
 def parts(snapshot: Snapshot, config: Config) -> list[PartStatus]:
     """The status of the daemon, each worker, side, module and board."""
     documents = {str(document["worker"]): document for document in snapshot.documents}
-    workers = {one["worker"]: one for one in snapshot.workers}
+    workers = {status["worker"]: status for status in snapshot.workers}
     return [
         _daemon(snapshot),
-        *(worker_status(one, documents.get(name)) for name, one in workers.items()),
+        *(worker_status(status, documents.get(name)) for name, status in workers.items()),
         *_sides(documents, workers),
         *_modules(documents, workers, config),
     ]
 
 
-def worker_status(one: Document, document: Document | None = None) -> PartStatus:
+def worker_status(worker: Document, document: Document | None = None) -> PartStatus:
     """A worker, by the daemon's word on it and its own document."""
-    level, beat = _PHASES.get(one["phase"], Level.WARN), one.get("beat")
-    message = ": ".join(filter(None, (one["phase"], one["text"])))
+    level, beat = _PHASES.get(worker["phase"], Level.WARN), worker.get("beat")
+    message = ": ".join(filter(None, (worker["phase"], worker["text"])))
     if level is Level.OK and isinstance(beat, int | float) and beat > _LATE_BEAT:
         level, message = Level.STALE, f"no heartbeat for {beat:.0f} s"
-    values = {"phase": one["phase"], "pid": one["pid"], "restarts": one["restarts"], "heartbeat age (s)": beat}
-    own = {name: (document or {}).get(key) for name, key in (("cpu (cores)", "cpu"), ("memory (bytes)", "rss"))}
-    return PartStatus(f"worker {one['worker']}", level, message, {**values, **own})
+    values = {"phase": worker["phase"], "pid": worker["pid"], "restarts": worker["restarts"], "heartbeat age (s)": beat}
+    costs = {name: (document or {}).get(key) for name, key in (("cpu (cores)", "cpu"), ("memory (bytes)", "rss"))}
+    return PartStatus(f"worker {worker['worker']}", level, message, {**values, **costs})
 
 
 def _daemon(snapshot: Snapshot) -> PartStatus:
-    said = snapshot.daemon
-    if not said:
+    daemon = snapshot.daemon
+    if not daemon:
         return PartStatus("daemon", Level.STALE, "it does not answer", {})
-    refused = said.get("refused")
+    refused = daemon.get("refused")
     message = f"a reload was refused: {refused}" if refused else "running"
-    values = {"pid": said.get("pid"), "uptime (s)": said.get("uptime"), "configuration": said.get("config")}
+    values = {"pid": daemon.get("pid"), "uptime (s)": daemon.get("uptime"), "configuration": daemon.get("config")}
     return PartStatus("daemon", Level.WARN if refused else Level.OK, message, values)
 
 
@@ -97,8 +97,8 @@ def _side(name: str, document: Document) -> PartStatus:
     state, routes = str(document.get("state")), document.get("routes")
     routes = [route for route in routes if isinstance(route, dict)] if isinstance(routes, list) else []
     refused, lease = document.get("refused"), document.get("lease")
-    why = document.get("standby") or document.get("waiting") or document.get("network") or "its network is away"
-    drops = sum(sum(found.values()) for route in routes if isinstance(found := route.get("drops"), dict))
+    reason = document.get("standby") or document.get("waiting") or document.get("network") or "its network is away"
+    drops = sum(sum(counts.values()) for route in routes if isinstance(counts := route.get("drops"), dict))
     values = {
         "network": document.get("network"),
         "routes": len(routes),
@@ -107,7 +107,7 @@ def _side(name: str, document: Document) -> PartStatus:
         "refused": len(refused) if isinstance(refused, list) else 0,
         "lease": lease.get("active") if isinstance(lease, dict) else None,
     }
-    return PartStatus(f"side {name}", _STATES.get(state, Level.ERROR), f"{state}: {why}", values)
+    return PartStatus(f"side {name}", _STATES.get(state, Level.ERROR), f"{state}: {reason}", values)
 
 
 def _modules(documents: dict[str, Document], workers: dict[str, Document], config: Config) -> Iterator[PartStatus]:
@@ -121,9 +121,9 @@ def _modules(documents: dict[str, Document], workers: dict[str, Document], confi
     worker = workers.get("modules")
     if worker is not None:
         up = worker["phase"] == Phase.UP.value
-        level, why = (Level.ERROR, "it does not run") if up else (Level.STALE, "its worker does not run")
+        level, reason = (Level.ERROR, "it does not run") if up else (Level.STALE, "its worker does not run")
         for name in config.hosted.keys() - documents.keys():
-            yield PartStatus(f"module {name}", level, why, {})
+            yield PartStatus(f"module {name}", level, reason, {})
 
 
 def _boards(boards: object) -> Iterable[PartStatus]:

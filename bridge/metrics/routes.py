@@ -20,29 +20,29 @@ _KEY = ("direction", "kind", "hub_topic", "type")
 Key = tuple[str, ...]
 
 
-class RouteTeller:
+class RouteMetrics:
     """Tells of at most so many routes of each side; who is told of stays so while the route is there."""
 
     def __init__(self, most: int) -> None:
         self._most = most
         self._lock = threading.Lock()
-        self._told: dict[str, set[Key]] = {}
+        self._reported: dict[str, set[Key]] = {}
 
-    def tell(self, families: Families, document: Document) -> None:
+    def add(self, families: Families, document: Document) -> None:
         """Put in the figures of a side's routes."""
         side = str(document["worker"])
         routes = {_key(route): route for route in document.get("routes", ()) if isinstance(route, dict)}
         chosen = self._choose(side, routes)
-        families.put("midspan_side_routes", len(routes), side)
-        families.put("midspan_side_routes_untold", len(routes) - len(chosen), side)
+        families.add("midspan_side_routes", len(routes), side)
+        families.add("midspan_side_routes_untold", len(routes) - len(chosen), side)
         for key in chosen:
             _route(families, routes[key], (side, *key))
 
     def _choose(self, side: str, routes: dict[Key, Any]) -> list[Key]:
         with self._lock:
-            before = self._told.get(side, set()) & routes.keys()
+            before = self._reported.get(side, set()) & routes.keys()
             chosen = sorted(before) + sorted(routes.keys() - before)[: self._most - len(before)]
-            self._told[side] = set(chosen)
+            self._reported[side] = set(chosen)
         return sorted(chosen)
 
 
@@ -51,23 +51,23 @@ def _key(route: Document) -> Key:
 
 
 def _route(families: Families, route: Document, labels: Key) -> None:
-    put = families.put
-    put("midspan_route_messages_total", route.get("messages"), *labels)
-    put("midspan_route_bytes_total", route.get("bytes"), *labels)
-    drops, ways = route.get("drops"), route.get("ways")
-    if isinstance(ways, dict):
-        put("midspan_route_lane_messages_total", ways.get("lane"), *labels)
+    add = families.add
+    add("midspan_route_messages_total", route.get("messages"), *labels)
+    add("midspan_route_bytes_total", route.get("bytes"), *labels)
+    drops, transports = route.get("drops"), route.get("ways")
+    if isinstance(transports, dict):
+        add("midspan_route_lane_messages_total", transports.get("lane"), *labels)
     if isinstance(drops, dict):
         for reason in DROPS:
-            put("midspan_route_drops_total", drops.get(reason), *labels, reason)
+            add("midspan_route_drops_total", drops.get(reason), *labels, reason)
     part = "carry" if (route.get("direction"), route.get("kind")) == ("in", "topic") else "latency"
-    found, (name, bounds) = route.get(part), _HISTOGRAMS[part]
-    if isinstance(found, dict):
-        counts = found.get("buckets")
+    histogram, (name, bounds) = route.get(part), _HISTOGRAMS[part]
+    if isinstance(histogram, dict):
+        counts = histogram.get("buckets")
         if not isinstance(counts, list) or len(counts) != len(bounds) + 1:
             counts = [0] * (len(bounds) + 1)
-        families.put_histogram(name, bounds, counts, found.get("seconds", 0.0), *labels)
+        families.add_histogram(name, bounds, counts, histogram.get("seconds", 0.0), *labels)
     if route.get("kind") == "service":
         for result, name in _RESULTS.items():
-            put("midspan_route_calls_total", route.get(name), *labels, result)
-        put("midspan_route_calls_pending", route.get("pending"), *labels)
+            add("midspan_route_calls_total", route.get(name), *labels, result)
+        add("midspan_route_calls_pending", route.get("pending"), *labels)

@@ -57,7 +57,7 @@ class Snapshot:
     @property
     def workers(self) -> list[Document]:
         """The daemon's word on each worker that is to run."""
-        return [one for one in self.daemon.get("workers", ()) if one["phase"] not in AT_REST]
+        return [worker for worker in self.daemon.get("workers", ()) if worker["phase"] not in AT_REST]
 
 
 class Source:
@@ -73,11 +73,11 @@ class Source:
         """What is known now, or was a moment ago."""
         with self._lock:
             if self._snapshot is None or time.monotonic() >= self._until:
-                self._snapshot = self._look()
+                self._snapshot = self._query()
                 self._until = time.monotonic() + FRESH_SECONDS
             return self._snapshot
 
-    def _look(self) -> Snapshot:
+    def _query(self) -> Snapshot:
         began = time.monotonic()
         try:
             answers, hub = self._ask(), True
@@ -98,24 +98,24 @@ class Readiness:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._lock = threading.Lock()
-        self._found: list[str] = []
+        self._reasons: list[str] = []
         self._until = 0.0
 
     def reasons(self) -> list[str]:
         """Why it is not ready, one reason for each worker; none where it is."""
         with self._lock:
             if time.monotonic() >= self._until:
-                self._found = _reasons(ask_daemon(self._config, _DAEMON_SECONDS), self._config.name)
+                self._reasons = _reasons(ask_daemon(self._config, _DAEMON_SECONDS), self._config.name)
                 self._until = time.monotonic() + READY_SECONDS
-            return self._found
+            return self._reasons
 
 
-def _reasons(said: Document | None, name: str) -> list[str]:
-    if said is None:
+def _reasons(daemon_status: Document | None, name: str) -> list[str]:
+    if daemon_status is None:
         return [f"no daemon of the name '{name}' answers"]
     ready = {*AT_REST, Phase.UP.value}
     return [
-        f"{one['worker']}: {one['phase']}" + (f": {one['text']}" if one["text"] else "")
-        for one in said.get("workers", ())
-        if one["phase"] not in ready
+        f"{worker['worker']}: {worker['phase']}" + (f": {worker['text']}" if worker["text"] else "")
+        for worker in daemon_status.get("workers", ())
+        if worker["phase"] not in ready
     ]

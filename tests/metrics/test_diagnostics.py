@@ -23,7 +23,7 @@ from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.metrics import diagnostics
-from bridge.metrics.diagnostics import whose_turn
+from bridge.metrics.diagnostics import publishing_worker
 from bridge.metrics.on_demand import DiagnosticsOnDemand
 from bridge.metrics.parts import Level, PartStatus, parts
 from bridge.worker import Health, Worker
@@ -113,7 +113,7 @@ def test_the_daemon() -> None:
     ],
 )
 def test_one_of_them_tells(phases: dict[str, str], turn: str) -> None:
-    assert whose_turn({"workers": [word(name, phase) for name, phase in phases.items()]}) == turn
+    assert publishing_worker({"workers": [word(name, phase) for name, phase in phases.items()]}) == turn
 
 
 class Side(Worker):
@@ -239,7 +239,7 @@ def test_real_programs_of_both_sides_hear_of_all_parts_without_console_and_metri
                 "side ros1": 0, "worker ros2": 0, "module store": 0,
             }  # fmt: skip
             assert found["module gateway"] == 1, "it waits for its planner"
-        assert whose_turn(ask_daemon(load(made.file)) or {}) == "ros1"
+        assert publishing_worker(ask_daemon(load(made.file)) or {}) == "ros1"
         program, heard = hearers[1]
 
         def is_told() -> bool:
