@@ -34,10 +34,10 @@ class Robot(Place):
 
     def state(self) -> dict[str, Any]:
         """The joints' next state."""
-        said = self.far.wait(self.states, self.seen + 1, 40.0)
-        assert len(said) > self.seen
-        self.seen = len(said)
-        return said[-1]
+        states = self.far.wait(self.states, self.seen + 1, 40.0)
+        assert len(states) > self.seen
+        self.seen = len(states)
+        return states[-1]
 
     def command(self, **message: Any) -> None:
         self.far.publish(self.commands, message)
@@ -68,53 +68,53 @@ def robot(tmp_path: Path) -> Iterator[Robot]:
 def test_the_state_has_names_and_radians(robot: Robot) -> None:
     robot.board.of("position")[:] = [180.0, 90.0, 0.0]
     robot.board.of("torque")[:] = [1.0, 2.0, 3.0]
-    said = until(lambda: next((s for s in [robot.state()] if s["position"][0] and len(s["effort"])), None), "a state")
-    assert said is not None
-    assert list(said["name"]) == ["joint0", "joint1", "joint2"]
-    assert list(said["position"]) == pytest.approx([math.pi, math.pi / 2, 0.0])
-    assert list(said["effort"]) == [1.0, 2.0, 3.0]
-    assert said["header"]["stamp"]["sec"] > 1_700_000_000
+    state = until(lambda: next((s for s in [robot.state()] if s["position"][0] and len(s["effort"])), None), "a state")
+    assert state is not None
+    assert list(state["name"]) == ["joint0", "joint1", "joint2"]
+    assert list(state["position"]) == pytest.approx([math.pi, math.pi / 2, 0.0])
+    assert list(state["effort"]) == [1.0, 2.0, 3.0]
+    assert state["header"]["stamp"]["sec"] > 1_700_000_000
 
 
-def test_a_velocity_that_nobody_says_again_ends(robot: Robot) -> None:
-    def say() -> bool:
+def test_a_velocity_stops_if_it_is_not_repeated(robot: Robot) -> None:
+    def repeat_command() -> bool:
         robot.command(name=["joint2", "joint0"], velocity=[math.pi / 2, 0.1])
         return robot.speeds[2] != 0.0
 
-    until(say, "the joints move", every=0.05)
+    until(repeat_command, "the joints move", every=0.05)
     assert robot.speeds == pytest.approx([math.degrees(0.1), 0.0, 90.0])
     assert robot.board.modes == [modes.VOCAB_CM_VELOCITY, modes.VOCAB_CM_POSITION, modes.VOCAB_CM_VELOCITY]
     until(lambda: robot.speeds == [0.0, 0.0, 0.0], "the joints stand still", every=0.01)
     assert robot.board.control_mode(2) == modes.VOCAB_CM_VELOCITY
 
 
-def test_what_moved_when_the_board_was_lost_is_stopped_when_it_is_back(robot: Robot) -> None:
+def test_joints_moving_at_a_connection_loss_are_stopped_on_reconnect(robot: Robot) -> None:
     """A real board holds a velocity for ever."""
 
-    def say() -> bool:
+    def repeat_command() -> bool:
         robot.command(name=["joint0"], velocity=[1.0])
         return robot.speeds[0] != 0.0
 
-    until(say, "the joint moves", every=0.05)
+    until(repeat_command, "the joint moves", every=0.05)
     closing = threading.Thread(target=robot.server.close)
     closing.start()
-    until(lambda: say() and robot.answer("control_boards")["boards"][0]["trouble"], "the board is missed", every=0.05)
+    until(lambda: repeat_command() and robot.answer("control_boards")["boards"][0]["trouble"], "the board is missed", every=0.05)
     closing.join()
     assert robot.speeds[0] != 0.0
     with served(robot):
         until(lambda: robot.speeds[0] == 0.0, "the joint stands still")
 
 
-def test_a_position_is_moved_to(robot: Robot) -> None:
-    def say() -> bool:
+def test_a_position_command_moves_the_joint(robot: Robot) -> None:
+    def repeat_command() -> bool:
         robot.command(name=["joint1"], position=[math.pi / 4])
         return robot.board.of("target")[1] != 0.0
 
-    until(say, "the joint moves", every=0.05)
+    until(repeat_command, "the joint moves", every=0.05)
     assert robot.board.of("target") == pytest.approx([0.0, 45.0, 0.0])
 
 
-def test_nonsense_is_refused_and_halt_stops_all(robot: Robot) -> None:
+def test_invalid_commands_are_refused_and_halt_stops_all_joints(robot: Robot) -> None:
     robot.board.modes[:] = [modes.VOCAB_CM_VELOCITY] * 3
 
     def refused() -> bool:

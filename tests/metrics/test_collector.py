@@ -48,11 +48,11 @@ class Scrape:
         ]
 
     def value(self, name: str, **labels: str) -> float:
-        (found,) = self.values(name, **labels)
-        return found
+        (value,) = self.values(name, **labels)
+        return value
 
 
-def test_a_route() -> None:
+def test_a_route_exports_counts_drops_and_times() -> None:
     scrape = Scrape(side(route()))
     where = {"side": "ros1", "direction": "in", "topic": "/scan", "type": "sensor_msgs/msg/LaserScan"}
     assert scrape.value("midspan_route_messages_total", **where) == 3
@@ -73,7 +73,7 @@ def test_a_route() -> None:
     assert buckets == {"0.00025": 0, "0.0005": 1, "0.05": 2}
 
 
-def test_a_service() -> None:
+def test_a_service_exports_calls() -> None:
     scrape = Scrape(side(service()))
     calls = {r: scrape.value("midspan_route_calls_total", result=r) for r in ("reply", "error", "abandoned")}
     assert calls == {"reply": 1, "error": 0, "abandoned": 0}
@@ -81,7 +81,7 @@ def test_a_service() -> None:
     assert scrape.value("midspan_route_latency_seconds_count") == 0, "a histogram is there before the first call"
 
 
-def test_a_side_and_its_lease() -> None:
+def test_a_side_exports_its_state_and_lease() -> None:
     scrape = Scrape(side(worker="zenoh_ros2dds", state="standby", refused=[{}, {}]))
     states = {s: scrape.value("midspan_side_state", state=s) for s in ("running", "waiting", "standby")}
     assert states == {"running": 0, "waiting": 0, "standby": 1}
@@ -91,7 +91,7 @@ def test_a_side_and_its_lease() -> None:
     assert scrape.value("midspan_side_refused") == 2
 
 
-def test_workers_by_the_daemons_word() -> None:
+def test_workers_are_reported_from_the_daemons_status() -> None:
     def word(worker: str, phase: str, pid: int, beat: float | None) -> dict[str, Any]:
         return {"worker": worker, "phase": phase, "pid": pid, "restarts": 2, "beat": beat, "text": ""}
 
@@ -117,14 +117,14 @@ def test_workers_by_the_daemons_word() -> None:
         assert not scrape.values(f"midspan_worker_{name}", worker="ros2"), "no such process runs"
 
 
-def test_without_a_daemon_and_without_answers() -> None:
+def test_an_unreachable_daemon_is_reported_as_down() -> None:
     scrape = Scrape()
     assert scrape.value("midspan_daemon_up") == 0
     assert scrape.value("midspan_build_info", daemon="here") == 1
     assert not scrape.values("midspan_worker_up")
 
 
-def test_the_store_the_goals_the_modules_and_the_router() -> None:
+def test_store_goals_modules_and_router_are_exported() -> None:
     store = {
         "keys": {"map": 1, "location": 4}, "bytes": 77, "limits": {"bytes": 100}, "deleted": 1, "conflicts": 2,
         "refused": 3, "changed": 1.5e9, "others": ["r2"],
@@ -147,7 +147,7 @@ def test_the_store_the_goals_the_modules_and_the_router() -> None:
     assert scrape.value("midspan_router_machines", trusted="false") == 1
 
 
-def test_the_endpoints_of_the_router() -> None:
+def test_the_routers_endpoints_are_exported() -> None:
     endpoints = [
         {"way": "connect", "endpoint": "tls/r:7448", "state": "refused", "reason": "why", "since": 1.5e9},
         {"way": "listen", "endpoint": "tls/0.0.0.0:7448", "state": "listening", "reason": "", "since": 1.6e9},
@@ -166,20 +166,20 @@ def test_the_endpoints_of_the_router() -> None:
     assert scrape.value("midspan_router_refused_connections_total") == 3
 
 
-def test_more_routes_than_are_told_of_are_counted_and_who_is_told_of_stays_so() -> None:
+def test_routes_beyond_the_limit_are_counted_and_reported_ones_stay_reported() -> None:
     scrape = Scrape(side(*(route(f"/t{n}") for n in range(5, 9))), most=3)
-    told = lambda: {s.labels["topic"] for s in scrape.families()["midspan_route_bytes"].samples}  # noqa: E731
-    assert told() == {"/t5", "/t6", "/t7"}
+    topics = lambda: {s.labels["topic"] for s in scrape.families()["midspan_route_bytes"].samples}  # noqa: E731
+    assert topics() == {"/t5", "/t6", "/t7"}
     assert scrape.value("midspan_side_routes_untold") == 1
     scrape.source.known = snapshot(side(*(route(f"/t{n}") for n in (1, 2, 6, 7, 8))))
-    assert told() == {"/t1", "/t6", "/t7"}, "a counter does not end because another route came"
+    assert topics() == {"/t1", "/t6", "/t7"}, "a counter does not end because another route came"
     assert scrape.value("midspan_side_routes") == 5
     assert scrape.value("midspan_side_routes_untold") == 2
 
 
-def test_a_workers_own_figures() -> None:
-    own = {"written_bytes_total": 12, "disk_free_bytes": 3.5, "Bad name": 1, "text": "7", "none": None}
-    scrape = Scrape({"worker": "record", "side": "record", "metrics": own}, {"worker": "build", "metrics": {"info": 5}})
+def test_a_worker_may_add_metrics() -> None:
+    metrics = {"written_bytes_total": 12, "disk_free_bytes": 3.5, "Bad name": 1, "text": "7", "none": None}
+    scrape = Scrape({"worker": "record", "side": "record", "metrics": metrics}, {"worker": "build", "metrics": {"info": 5}})
     families = scrape.families()
     assert (families["midspan_record_written_bytes"].type, families["midspan_record_disk_free_bytes"].type) == (
         "counter",
@@ -195,11 +195,11 @@ def test_a_workers_own_figures() -> None:
 def test_openmetrics_is_parsed() -> None:
     scrape = Scrape(side(route(), service()), {"worker": "record", "metrics": {"a_total": 1}})
     text = openmetrics.generate_latest(scrape.registry).decode()
-    found = {family.name: family for family in parse_openmetrics(text)}
+    families = {family.name: family for family in parse_openmetrics(text)}
     assert text.endswith("# EOF\n")
-    assert found["midspan_route_messages"].type == "counter"
-    assert found["midspan_route_latency_seconds"].type == "histogram"
-    assert found["midspan_record_a"].samples[0].name == "midspan_record_a_total"
+    assert families["midspan_route_messages"].type == "counter"
+    assert families["midspan_route_latency_seconds"].type == "histogram"
+    assert families["midspan_record_a"].samples[0].name == "midspan_record_a_total"
 
 
 @pytest.mark.parametrize(
@@ -210,6 +210,6 @@ def test_openmetrics_is_parsed() -> None:
         {"routes": [], "lease": 5, "refused": 9, "metrics": [1], "state": 8},
     ],
 )
-def test_odd_documents_break_nothing(odd: dict[str, Any]) -> None:
+def test_malformed_documents_do_not_break_the_scrape(odd: dict[str, Any]) -> None:
     scrape = Scrape(side(**odd), {"worker": "store", "module": True, "store": {"keys": 1, "others": 2}})
     assert all(len(v) <= 200 for f in scrape.families().values() for s in f.samples for v in s.labels.values())

@@ -41,11 +41,11 @@ from tests.support.yarp_programs import Names
 ARRAY = "diagnostic_msgs/DiagnosticArray"
 
 
-def word(worker: str, phase: str = "running", beat: float | None = 0.2, text: str = "") -> dict[str, Any]:
+def worker_document(worker: str, phase: str = "running", beat: float | None = 0.2, text: str = "") -> dict[str, Any]:
     return {"worker": worker, "phase": phase, "pid": 7, "restarts": 1, "beat": beat, "text": text}
 
 
-def told(*documents: dict[str, Any], **daemon: Any) -> dict[str, PartStatus]:
+def statuses(*documents: dict[str, Any], **daemon: Any) -> dict[str, PartStatus]:
     config = Config.model_validate({"name": "here", "navigation": {"planner": "nav2"}})
     return {status.part: status for status in parts(snapshot(*documents, **daemon), config)}
 
@@ -55,51 +55,51 @@ def told(*documents: dict[str, Any], **daemon: Any) -> dict[str, PartStatus]:
     [("running", 0.2, Level.OK), ("running", 4.0, Level.STALE), ("starting", None, Level.WARN),
      ("restarting", None, Level.ERROR), ("cannot work", None, Level.ERROR), ("stopping", 0.2, Level.WARN)],
 )  # fmt: skip
-def test_a_worker(phase: str, beat: float | None, level: Level) -> None:
-    status = told(pid=1, workers=[word("ros1", phase, beat, "why")])["worker ros1"]
+def test_a_workers_level_follows_its_phase_and_heartbeat(phase: str, beat: float | None, level: Level) -> None:
+    status = statuses(pid=1, workers=[worker_document("ros1", phase, beat, "why")])["worker ros1"]
     assert status.level == level
     assert status.values["restarts"] == 1
     assert ("why" in status.message) == (level is not Level.STALE)
 
 
-def test_what_is_switched_off_is_no_part() -> None:
-    assert "worker sim" not in told(pid=1, workers=[word("sim", "off"), word("zenoh", "not available")])
+def test_disabled_workers_are_not_listed() -> None:
+    assert "worker sim" not in statuses(pid=1, workers=[worker_document("sim", "off"), worker_document("zenoh", "not available")])
 
 
 @pytest.mark.parametrize(("state", "level"), [("running", 0), ("standby", 0), ("waiting", 1), ("odd", 2)])
-def test_a_side(state: str, level: int) -> None:
-    found = told(side(route(), state=state, network="n1"), pid=1, workers=[word("ros1")])
-    status = found["side ros1"]
+def test_a_sides_level_follows_its_state(state: str, level: int) -> None:
+    sides = statuses(side(route(), state=state, network="n1"), pid=1, workers=[worker_document("ros1")])
+    status = sides["side ros1"]
     assert status.level == level
     assert (status.values["routes"], status.values["dropped"]) == (1, 1)
 
 
-def test_a_side_whose_worker_is_gone_is_stale() -> None:
-    found = told(pid=1, workers=[word("ros1", "restarting", None), word("router"), word("modules", "restarting", None)])
-    assert found["side ros1"].level is Level.STALE
-    assert "side router" not in found
-    assert found["module gateway"].level is Level.STALE
+def test_a_side_without_a_running_worker_is_stale() -> None:
+    named = statuses(pid=1, workers=[worker_document("ros1", "restarting", None), worker_document("router"), worker_document("modules", "restarting", None)])
+    assert named["side ros1"].level is Level.STALE
+    assert "side router" not in named
+    assert named["module gateway"].level is Level.STALE
 
 
-def test_modules_and_boards() -> None:
+def test_levels_of_modules_and_boards() -> None:
     boards = [{"board": "/r/base", "trouble": "not reached yet"}, {"board": "/r/arm", "trouble": "", "joints": ["a"]}]
     head = {"module": True, "routes": []}
-    found = told(
+    named = statuses(
         {"worker": "control_boards", "state": "waiting", "text": "no board", "boards": boards, **head},
         {"worker": "store", "state": "running", **head},
-        pid=1, workers=[word("modules")],
+        pid=1, workers=[worker_document("modules")],
     )  # fmt: skip
-    levels = {name: status.level.name for name, status in found.items()}
+    levels = {name: status.level.name for name, status in named.items()}
     assert levels == {
         "daemon": "OK", "worker modules": "OK", "module control_boards": "WARN", "module store": "OK",
         "board /r/base": "WARN", "board /r/arm": "OK", "module gateway": "ERROR",
     }  # fmt: skip
-    assert found["module gateway"].message == "it does not run"
+    assert named["module gateway"].message == "it does not run"
 
 
-def test_the_daemon() -> None:
-    assert told()["daemon"].level is Level.STALE
-    assert told(pid=1, refused="line 3")["daemon"].level is Level.WARN
+def test_level_of_the_daemon() -> None:
+    assert statuses()["daemon"].level is Level.STALE
+    assert statuses(pid=1, refused="line 3")["daemon"].level is Level.WARN
 
 
 @pytest.mark.parametrize(
@@ -112,8 +112,8 @@ def test_the_daemon() -> None:
         ({"router": "running"}, ""),
     ],
 )
-def test_one_of_them_tells(phases: dict[str, str], turn: str) -> None:
-    assert publishing_worker({"workers": [word(name, phase) for name, phase in phases.items()]}) == turn
+def test_one_worker_publishes_in_a_fixed_order(phases: dict[str, str], turn: str) -> None:
+    assert publishing_worker({"workers": [worker_document(name, phase) for name, phase in phases.items()]}) == turn
 
 
 class Side(Worker):
@@ -138,8 +138,8 @@ class Side(Worker):
         """Nothing."""
 
 
-class Told:
-    """The worker ``ros1`` on a hub, of a daemon whose word the test gives."""
+class PublishingSide:
+    """The worker ``ros1`` on a hub, of a daemon whose worker_document the test gives."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.hubs = QuickHub()
@@ -148,115 +148,115 @@ class Told:
         self.asked = 0
         self.hub.serve("status", self.status)
         self.far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
-        self.said: dict[str, Any] = {"pid": 1, "workers": [word("ros1")]}
-        monkeypatch.setattr(diagnostics, "ask_daemon", lambda *_: self.said)
+        self.daemon_document: dict[str, Any] = {"pid": 1, "workers": [worker_document("ros1")]}
+        monkeypatch.setattr(diagnostics, "ask_daemon", lambda *_: self.daemon_document)
         self.config = Config.model_validate(
             {"name": "here", "state": folder, "hub": {"listen": self.hubs.endpoint, "domain": self.hubs.domain}}
         )
-        self.teller = DiagnosticsOnDemand(Side(self.hub), "ros1")
+        self.publishing = DiagnosticsOnDemand(Side(self.hub), "ros1")
 
     def status(self, _params: dict[str, Any]) -> dict[str, Any]:
         self.asked += 1
         return side(state="running", network="n1")
 
-    def announced(self) -> bool:
+    def is_announced(self) -> bool:
         """Whether the topic is on the hub; a look at each call, as at a heartbeat."""
-        self.teller.look(self.config)
+        self.publishing.look(self.config)
         return bool(self.far.hub.graph.publishers(TOPIC))
 
     def close(self) -> None:
-        self.teller.close()
+        self.publishing.close()
         self.hub.close()
         self.far.hub.close()
         self.hubs.stop_router()
 
 
 @pytest.fixture
-def teller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Told]:
-    made = Told(tmp_path, monkeypatch)
-    yield made
-    made.close()
+def publishing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[PublishingSide]:
+    side_ = PublishingSide(tmp_path, monkeypatch)
+    yield side_
+    side_.close()
 
 
-def test_nothing_is_asked_while_nobody_hears_and_a_change_is_told_at_once(
-    teller: Told, monkeypatch: pytest.MonkeyPatch
+def test_publishes_only_with_subscribers_and_at_once_on_a_change(
+    publishing: PublishingSide, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    until(lambda: any(node.node == "far" for node in teller.hub.graph.nodes()), "the other node is seen")
+    until(lambda: any(node.node == "far" for node in publishing.hub.graph.nodes()), "the other node is seen")
     threads = threading.active_count()
-    assert not teller.announced()
-    assert (teller.asked, threading.active_count()) == (0, threads)
-    heard = teller.far.subscribe(TOPIC, ARRAY)
-    until(teller.announced, "the topic is there", 10)
-    first = until(lambda: teller.far.wait(heard, 1, 0.2), "it tells", 10)[0]
+    assert not publishing.is_announced()
+    assert (publishing.asked, threading.active_count()) == (0, threads)
+    subscription = publishing.far.subscribe(TOPIC, ARRAY)
+    until(publishing.is_announced, "the topic is there", 10)
+    first = until(lambda: publishing.far.wait(subscription, 1, 0.2), "it tells", 10)[0]
     named = {status["name"]: status for status in first["status"]}
     assert named["midspan here: side ros1"]["hardware_id"] == "here"
     assert {pair["key"]: pair["value"] for pair in named["midspan here: worker ros1"]["values"]}["restarts"] == "1"
     assert first["header"]["stamp"]["sec"] > 1e9
     monkeypatch.setattr(diagnostics, "PERIOD", 60.0)
-    count = len(teller.far.wait(heard, 1, 0.0))
-    assert len(teller.far.wait(heard, count + 1, 10.0)) == count + 1, "what was due already"
-    teller.said = {"pid": 1, "workers": [word("ros1"), word("ros2", "restarting", None, "signal 9")]}
-    last = teller.far.wait(heard, count + 2, 10.0)[-1]
+    count = len(publishing.far.wait(subscription, 1, 0.0))
+    assert len(publishing.far.wait(subscription, count + 1, 10.0)) == count + 1, "what was due already"
+    publishing.daemon_document = {"pid": 1, "workers": [worker_document("ros1"), worker_document("ros2", "restarting", None, "signal 9")]}
+    last = publishing.far.wait(subscription, count + 2, 10.0)[-1]
     assert {s["name"]: s["level"] for s in last["status"]}["midspan here: worker ros2"] == Level.ERROR
 
 
-def test_a_side_that_hears_is_told_and_another_one_tells_if_it_is_its_turn(teller: Told) -> None:
+def test_publishes_for_a_sides_subscriber_and_yields_to_the_metrics_worker(publishing: PublishingSide) -> None:
     kind = Registry().ros2(TYPE).type_id
-    asked = teller.far.hub.subscription(HEARD, TYPE, kind, Qos(), lambda _sample: None)
-    until(lambda: teller.announced() and teller.asked > 1, "it tells again and again", 10)
-    teller.said = {"pid": 1, "workers": [word("ros1"), word("metrics")]}
-    until(lambda: not teller.announced(), "the worker of metrics tells", 10)
-    teller.said = {"pid": 1, "workers": [word("ros1"), word("metrics", "restarting")]}
-    until(teller.announced, "that one ended", 10)
-    asked.close()
-    until(lambda: not teller.announced(), "nobody hears", 10)
+    wanted = publishing.far.hub.subscription(HEARD, TYPE, kind, Qos(), lambda _sample: None)
+    until(lambda: publishing.is_announced() and publishing.asked > 1, "it tells again and again", 10)
+    publishing.daemon_document = {"pid": 1, "workers": [worker_document("ros1"), worker_document("metrics")]}
+    until(lambda: not publishing.is_announced(), "the worker of metrics tells", 10)
+    publishing.daemon_document = {"pid": 1, "workers": [worker_document("ros1"), worker_document("metrics", "restarting")]}
+    until(publishing.is_announced, "that one ended", 10)
+    wanted.close()
+    until(lambda: not publishing.is_announced(), "nobody hears", 10)
 
 
-def test_it_can_be_switched_off(teller: Told) -> None:
-    teller.far.subscribe(TOPIC, ARRAY)
-    until(teller.announced, "the topic is there", 10)
-    teller.config = teller.config.model_copy(update={"metrics": MetricsSection(diagnostics=False)})
-    until(lambda: not teller.announced(), "nothing is told", 10)
+def test_diagnostics_can_be_disabled(publishing: PublishingSide) -> None:
+    publishing.far.subscribe(TOPIC, ARRAY)
+    until(publishing.is_announced, "the topic is there", 10)
+    publishing.config = publishing.config.model_copy(update={"metrics": MetricsSection(diagnostics=False)})
+    until(lambda: not publishing.is_announced(), "nothing is statuses", 10)
 
 
-def test_real_programs_of_both_sides_hear_of_all_parts_without_console_and_metrics(tmp_path: Path) -> None:
-    with Deployment(tmp_path) as made:
-        made.start(navigation={"planner": "nav2"}, store={"enabled": True}, yarp={"enabled": False})
-        hearers = [(program, program.subscribe(TOPIC, ARRAY)) for program in (made.ros1(), made.ros2())]
-        native = made.zenoh()
+def test_ros_subscribers_receive_all_parts_without_console_and_metrics(tmp_path: Path) -> None:
+    with Deployment(tmp_path) as deployment:
+        deployment.start(navigation={"planner": "nav2"}, store={"enabled": True}, yarp={"enabled": False})
+        subscribers = [(program, program.subscribe(TOPIC, ARRAY)) for program in (deployment.ros1(), deployment.ros2())]
+        native = deployment.zenoh()
         at_hub = native.subscribe(TOPIC, ARRAY)
 
-        def levels(program: Any, heard: int) -> dict[str, int]:
+        def levels(program: Any, subscription: int) -> dict[str, int]:
             """What the last message says of the parts; those of a side's routes say nothing of them."""
-            told = [m["status"] for m in program.wait(heard, 1, 1.0) if m["status"][0]["hardware_id"] == "interop"]
-            return {s["name"].removeprefix("midspan interop: "): s["level"] for s in (told or [[]])[-1]}
+            statuses = [m["status"] for m in program.wait(subscription, 1, 1.0) if m["status"][0]["hardware_id"] == "interop"]
+            return {s["name"].removeprefix("midspan interop: "): s["level"] for s in (statuses or [[]])[-1]}
 
         parts = {f"worker {name}" for name in ("router", "ros1", "ros2", "modules")}
         parts |= {"daemon", "side ros1", "side ros2", "module gateway", "module store"}
-        for program, heard in (*hearers, (native, at_hub)):
-            found = until(lambda p=program, h=heard: parts <= (now := levels(p, h)).keys() and now, "all parts", 30)
-            assert {part: found[part] for part in ("side ros1", "worker ros2", "module store")} == {
+        for program, subscription in (*subscribers, (native, at_hub)):
+            shown = until(lambda p=program, h=subscription: parts <= (now := levels(p, h)).keys() and now, "all parts", 30)
+            assert {part: shown[part] for part in ("side ros1", "worker ros2", "module store")} == {
                 "side ros1": 0, "worker ros2": 0, "module store": 0,
             }  # fmt: skip
-            assert found["module gateway"] == 1, "it waits for its planner"
-        assert publishing_worker(ask_daemon(load(made.file)) or {}) == "ros1"
-        program, heard = hearers[1]
+            assert shown["module gateway"] == 1, "it waits for its planner"
+        assert publishing_worker(ask_daemon(load(deployment.file)) or {}) == "ros1"
+        program, subscription = subscribers[1]
 
-        def is_told() -> bool:
-            """Whether the other side tells that the one that told is down; it may be up again before that."""
-            for one in (ask_daemon(load(made.file)) or {}).get("workers", ()):
-                if one["worker"] == "ros1" and one["phase"] == Phase.UP.value:
+        def is_reported_down() -> bool:
+            """Whether the other side tells that the one that statuses is down; it may be up again before that."""
+            for worker in (ask_daemon(load(deployment.file)) or {}).get("workers", ()):
+                if worker["worker"] == "ros1" and worker["phase"] == Phase.UP.value:
                     with suppress(ProcessLookupError):
-                        os.kill(one["pid"], signal.SIGKILL)
-            return levels(program, heard).get("worker ros1", 0) != 0
+                        os.kill(worker["pid"], signal.SIGKILL)
+            return levels(program, subscription).get("worker ros1", 0) != 0
 
-        until(is_told, "the other side tells that it starts anew", 20, every=0.05)
-        for program, heard in hearers:
-            program.wait(heard, 10_000, 0.1)
-            until(lambda p=program, h=heard: levels(p, h).get("worker ros1") == 0, "it is up again", 40)
+        until(is_reported_down, "the other side tells that it starts anew", 20, every=0.05)
+        for program, subscription in subscribers:
+            program.wait(subscription, 10_000, 0.1)
+            until(lambda p=program, h=subscription: levels(p, h).get("worker ros1") == 0, "it is up again", 40)
 
 
-def test_a_yarp_program_that_reads_the_port_hears_of_all_parts(tmp_path: Path) -> None:
+def test_a_yarp_reader_receives_all_parts(tmp_path: Path) -> None:
     names, number = Names(), free_port()
     off = {"enabled": False}
     sections = {

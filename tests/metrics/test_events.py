@@ -31,10 +31,10 @@ from yarp_compat.dev.locations import Map2DLocation
 OFF = {"enabled": False}
 
 
-class Counted:
+class MeteredDaemon:
     """A daemon ``name`` of YARP alone, with metrics; its hub joins that of ``join``."""
 
-    def __init__(self, folder: Path, name: str, names: Names, join: Counted | None = None, **sections: Any) -> None:
+    def __init__(self, folder: Path, name: str, names: Names, join: MeteredDaemon | None = None, **sections: Any) -> None:
         self.hub, self._metrics = free_port(), free_port()
         links = {"connect": {"endpoints": [f"tcp/127.0.0.1:{join.hub}"]}} if join else {}
         config = {
@@ -58,41 +58,41 @@ class Counted:
                 families = parse(answer.read().decode())
         except OSError:
             return {}
-        samples = [sample for each in families for sample in each.samples if sample.name == family]
+        samples = [sample for known in families for sample in known.samples if sample.name == family]
         return {sample.labels.get(label, ""): sample.value for sample in samples}
 
     def value(self, family: str) -> float:
         """That of a family with one sample."""
-        (found,) = self.values(family, "").values()
-        return found
+        (value,) = self.values(family, "").values()
+        return value
 
     def until(self, family: str, label: str = "", **wanted: float) -> None:
         """Wait until it tells these values by a label; without one of a family that has none, as ``value``."""
         want = wanted if label else {"": wanted["value"]}
-        found: dict[str, float] = {}
+        values: dict[str, float] = {}
 
-        def right() -> bool:
-            found.clear()
-            found.update(self.values(family, label))
-            return want.items() <= found.items()
+        def matches() -> bool:
+            values.clear()
+            values.update(self.values(family, label))
+            return want.items() <= values.items()
 
         try:
-            until(right, f"{family} is {want}", 40, every=0.2)
+            until(matches, f"{family} is {want}", 40, every=0.2)
         except AssertionError as err:
-            raise AssertionError(f"{err}: {found}; the daemon: {self.process.output()[-3000:]}") from None
+            raise AssertionError(f"{err}: {values}; the daemon: {self.process.output()[-3000:]}") from None
 
 
 @pytest.fixture
 def names() -> Iterator[Names]:
-    made = Names()
-    yield made
-    made.stop()
+    servers = Names()
+    yield servers
+    servers.stop()
 
 
 def test_goals_and_changes_of_the_store_are_counted(tmp_path: Path, names: Names) -> None:
     planner = {"name": "mine", "side": "zenoh", "action": "/planner/mine/navigate_to_pose"}
     navigation = {"planner": "mine", "planners": [planner]}
-    daemon = Counted(tmp_path, "here", names, navigation=navigation, store={"enabled": True})
+    daemon = MeteredDaemon(tmp_path, "here", names, navigation=navigation, store={"enabled": True})
     with ExitStack() as stack:
         stack.enter_context(daemon.process)
         daemon.until("midspan_goals_total", "outcome", reached=0, failed=0, canceled=0, replaced=0, refused=0)
@@ -146,18 +146,18 @@ def test_goals_and_changes_of_the_store_are_counted(tmp_path: Path, names: Names
 
 
 @pytest.mark.thorough
-def test_an_election_is_counted_by_who_wins_and_who_loses(tmp_path: Path, names: Names) -> None:
+def test_an_election_is_counted_by_winner_and_loser(tmp_path: Path, names: Names) -> None:
     with ExitStack() as stack:
-        first = Counted(tmp_path, "first", names)
+        first = MeteredDaemon(tmp_path, "first", names)
         stack.enter_context(first.process)
         first.until("midspan_side_lease", "side", yarp=1)
         first.until("midspan_side_members", "side", yarp=1)
-        second = Counted(tmp_path, "second", names, first)
+        second = MeteredDaemon(tmp_path, "second", names, first)
         stack.enter_context(second.process)
-        for each in (first, second):
-            each.until("midspan_side_members", "side", yarp=2)
+        for daemon_ in (first, second):
+            daemon_.until("midspan_side_members", "side", yarp=2)
         second.until("midspan_side_state", "state", standby=1, running=0)
-        changes = {each: each.value("midspan_side_lease_changes_total") for each in (first, second)}
+        changes = {daemon_: daemon_.value("midspan_side_lease_changes_total") for daemon_ in (first, second)}
         assert (changes, second.value("midspan_side_lease")) == ({first: 1, second: 0}, 0)
         daemon = psutil.Process(first.process.pid)
         processes = [daemon, *daemon.children(recursive=True)]

@@ -33,8 +33,8 @@ DASHBOARD = ROOT / "packaging" / "grafana" / "midspan.json"
 STRING = "std_msgs/String"
 
 
-class Watched(Deployment):
-    """A deployment with metrics at a separate address, a gateway, a store, a topic that crosses and an endpoint."""
+class ScrapedDeployment(Deployment):
+    """A deployment with metrics at a separate address, a gateway, a store, a topic that is_bridged and an endpoint."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -49,22 +49,22 @@ class Watched(Deployment):
             navigation={"planner": "nav2"}, store={"enabled": True}, yarp={"enabled": False},
         )  # fmt: skip
         talker, hearer = self.ros1(), self.ros2()
-        out, heard = talker.advertise("/chat", STRING), hearer.subscribe("/chat", STRING)
+        out, chat = talker.advertise("/chat", STRING), hearer.subscribe("/chat", STRING)
 
-        def crosses() -> bool:
+        def is_bridged() -> bool:
             talker.publish(out, {"data": "x"})
-            return bool(hearer.wait(heard, 1, 0.2))
+            return bool(hearer.wait(chat, 1, 0.2))
 
-        until(crosses, "a message crosses", 40)
+        until(is_bridged, "a message is_bridged", 40)
         added = self.command("location", "add", "--map", "hall", "dock", "1", "2", "90")
         assert added.returncode == 0, added.stderr
         until(lambda: self.get("/readyz")[0] == 200, "all is ready", 40, every=0.2)
 
     def pid_of(self, worker: str) -> int:
         """The process of a worker, as the daemon reports it."""
-        said = ask_daemon(load(self.file))
-        assert said is not None
-        return next(one["pid"] for one in said["workers"] if one["worker"] == worker)
+        daemon_status = ask_daemon(load(self.file))
+        assert daemon_status is not None
+        return next(status["pid"] for status in daemon_status["workers"] if status["worker"] == worker)
 
     def get(self, path: str, accept: str = "text/plain") -> tuple[int, str]:
         request = urllib.request.Request(f"http://{self.address}{path}", headers={"Accept": accept})
@@ -79,10 +79,10 @@ class Watched(Deployment):
 
 
 @pytest.fixture(scope="module")
-def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Watched]:
-    with Watched(tmp_path_factory.mktemp("watched")) as made:
-        made.begin()
-        yield made
+def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ScrapedDeployment]:
+    with ScrapedDeployment(tmp_path_factory.mktemp("watched")) as deployment:
+        deployment.begin()
+        yield deployment
 
 
 def promtool(*words: str, text: str = "") -> str:
@@ -93,51 +93,51 @@ def promtool(*words: str, text: str = "") -> str:
     return done.stdout + done.stderr
 
 
-def named(text: str) -> set[str]:
+def metric_names(text: str) -> set[str]:
     """The metric families that a text names."""
-    found = set(re.findall(r"\bmidspan_[a-z0-9_]+\b", text))
-    return {re.sub(r"_(bucket|sum|count)$", "", name) for name in found}
+    names = set(re.findall(r"\bmidspan_[a-z0-9_]+\b", text))
+    return {re.sub(r"_(bucket|sum|count)$", "", name) for name in names}
 
 
 @needs(PROMETHEUS)
-def test_promtool_likes_the_alerts() -> None:
+def test_promtool_accepts_the_alerts() -> None:
     assert "5 rules found" in promtool("check", "rules", str(RULES))
 
 
 @needs(PROMETHEUS)
-def test_the_alerts_fire_where_they_should() -> None:
+def test_the_alerts_fire_as_specified() -> None:
     assert "SUCCESS" in promtool("test", "rules", str(Path(__file__).with_name("alerts.test.yml")))
 
 
 @needs(PROMETHEUS)
-def test_promtool_likes_a_scrape(watched: Watched) -> None:
+def test_promtool_accepts_a_scrape(watched: ScrapedDeployment) -> None:
     assert promtool("check", "metrics", text=watched.get("/metrics")[1]) == ""
 
 
-def test_a_scrape_of_a_real_daemon_is_openmetrics(watched: Watched) -> None:
+def test_a_scrape_of_a_real_daemon_is_openmetrics(watched: ScrapedDeployment) -> None:
     text = watched.get("/metrics", "application/openmetrics-text; version=1.0.0")[1]
     families = {family.name: family for family in parse_openmetrics(text)}
 
-    def said(family: str) -> dict[tuple[str, str], float]:
+    def message_counts(family: str) -> dict[tuple[str, str], float]:
         counts = [s for s in families[family].samples if s.labels["topic"] == "/chat" and s.name.endswith("_count")]
         return {(s.labels["side"], s.labels["direction"]): s.value for s in counts}
 
-    delivered, carried = said("midspan_route_latency_seconds"), said("midspan_route_carry_seconds")
+    delivered, carried = message_counts("midspan_route_latency_seconds"), message_counts("midspan_route_carry_seconds")
     assert (delivered.keys(), carried.keys()) == ({("ros2", "out")}, {("ros1", "in")})
     assert min(*delivered.values(), *carried.values()) > 0
 
 
-def test_all_that_the_dashboard_and_the_alerts_name_is_told(watched: Watched) -> None:
-    told = set()
+def test_a_daemon_exports_every_metric_of_dashboard_and_alerts(watched: ScrapedDeployment) -> None:
+    exported = set()
     for family in parse(watched.get("/metrics")[1]):
-        told.add(family.name + ("_total" if family.type == "counter" else ""))
-    wanted = named(DASHBOARD.read_text()) | named(RULES.read_text())
+        exported.add(family.name + ("_total" if family.type == "counter" else ""))
+    wanted = metric_names(DASHBOARD.read_text()) | metric_names(RULES.read_text())
     assert len(wanted) > 30
-    assert not wanted - told
-    assert {family.name for family in FAMILIES} - told == set(), "a real daemon has each family"
+    assert not wanted - exported
+    assert {family.name for family in FAMILIES} - exported == set(), "a real daemon has each family"
 
 
-def test_the_dashboard_is_whole() -> None:
+def test_the_dashboard_is_complete() -> None:
     dashboard = json.loads(DASHBOARD.read_text())
     panels = [panel for panel in dashboard["panels"] if panel["type"] != "row"]
     assert len({panel["id"] for panel in dashboard["panels"]}) == len(dashboard["panels"])
@@ -159,7 +159,7 @@ def test_the_dashboard_is_whole() -> None:
         "side_state",
     }
     text = json.dumps(panels)
-    assert not {word for word in wanted if word not in text}
+    assert not {topic for topic in wanted if topic not in text}
 
 
 class Prometheus:
@@ -181,19 +181,19 @@ class Prometheus:
         ])  # fmt: skip
 
     def query(self, expression: str) -> list[dict[str, Any]]:
-        asked = urllib.parse.urlencode({"query": expression})
+        query = urllib.parse.urlencode({"query": expression})
         try:
-            with urllib.request.urlopen(f"http://127.0.0.1:{self.port}/api/v1/query?{asked}", timeout=10) as answer:
-                found: list[dict[str, Any]] = json.load(answer)["data"]["result"]
+            with urllib.request.urlopen(f"http://127.0.0.1:{self.port}/api/v1/query?{query}", timeout=10) as answer:
+                result: list[dict[str, Any]] = json.load(answer)["data"]["result"]
         except OSError:
             return []
-        return found
+        return result
 
     def close(self) -> None:
         self._process.stop()
 
 
-def test_a_worker_that_hangs_is_told_of_and_holds_nothing_up(watched: Watched) -> None:
+def test_a_hanging_worker_is_reported_and_delays_nothing(watched: ScrapedDeployment) -> None:
     answering = 'midspan_worker_answering{worker="modules"} '
     pid = watched.pid_of("modules")
     os.kill(pid, signal.SIGSTOP)
@@ -211,7 +211,7 @@ def test_a_worker_that_hangs_is_told_of_and_holds_nothing_up(watched: Watched) -
 
 @pytest.mark.thorough
 @needs(PROMETHEUS)
-def test_a_real_prometheus_scrapes_it(watched: Watched, tmp_path: Path) -> None:
+def test_a_real_prometheus_scrapes_it(watched: ScrapedDeployment, tmp_path: Path) -> None:
     prometheus = Prometheus(tmp_path, watched.address)
     try:
         until(lambda: prometheus.query('up{job="midspan"} == 1'), "it scrapes", 9, every=0.2)
@@ -220,10 +220,10 @@ def test_a_real_prometheus_scrapes_it(watched: Watched, tmp_path: Path) -> None:
         quantile = "histogram_quantile(0.5, sum by (le) (midspan_route_latency_seconds_bucket{topic='/chat'}))"
         assert 0.0 < float(prometheus.query(quantile)[0]["value"][1]) < 2.5
         assert prometheus.query("midspan_worker_up == 1 and midspan_worker_answering == 1")
-        anew = 'ALERTS{alertname="MidspanWorkerRestarts", worker="modules", alertstate="firing"}'
-        assert not prometheus.query(anew)
+        restart_alert = 'ALERTS{alertname="MidspanWorkerRestarts", worker="modules", alertstate="firing"}'
+        assert not prometheus.query(restart_alert)
         os.kill(watched.pid_of("modules"), signal.SIGKILL)
-        until(lambda: prometheus.query(anew), "the alert fires", 40, every=0.2)
+        until(lambda: prometheus.query(restart_alert), "the alert fires", 40, every=0.2)
     finally:
         prometheus.close()
     until(lambda: "midspan_goals_total" in watched.get("/metrics")[1], "the modules are back", 40, every=0.2)

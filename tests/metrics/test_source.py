@@ -54,36 +54,36 @@ def config(tmp_path: Path) -> Config:
 
 @pytest.fixture
 def daemon(config: Config) -> Iterator[Daemon]:
-    made = Daemon(config)
-    yield made
-    made.close()
+    server = Daemon(config)
+    yield server
+    server.close()
 
 
-def test_many_who_ask_at_once_cause_one_question(config: Config) -> None:
-    asked, go_on = [], threading.Event()
+def test_concurrent_callers_share_one_query(config: Config) -> None:
+    queries, proceed = [], threading.Event()
 
     def ask() -> list[WorkerAnswer]:
-        asked.append(1)
-        assert go_on.wait(10)
+        queries.append(1)
+        assert proceed.wait(10)
         return [WorkerAnswer("here", "ros1", {"pid": 1})]
 
-    known = Source(config, ask)
+    source_ = Source(config, ask)
     with ThreadPoolExecutor(8) as pool:
-        pictures = [pool.submit(known.snapshot) for _ in range(8)]
-        until(lambda: asked, "one asks")
-        go_on.set()
-        assert len({id(each.result(10)) for each in pictures}) == 1
-    assert len(asked) == 1
+        snapshots = [pool.submit(source_.snapshot) for _ in range(8)]
+        until(lambda: queries, "one asks")
+        proceed.set()
+        assert len({id(future.result(10)) for future in snapshots}) == 1
+    assert len(queries) == 1
 
 
-def test_it_is_asked_again_once_the_answer_is_old(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_expired_snapshot_is_queried_again(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(source, "FRESH_SECONDS", 0.0)
     answers = iter([[WorkerAnswer("here", "ros1", {"n": 1})], [WorkerAnswer("here", "ros1", {"n": 2})]])
-    known = Source(config, lambda: next(answers))
-    assert [known.snapshot().documents[0]["n"] for _ in range(2)] == [1, 2]
+    source_ = Source(config, lambda: next(answers))
+    assert [source_.snapshot().documents[0]["n"] for _ in range(2)] == [1, 2]
 
 
-def test_what_is_no_document_of_this_daemon_is_left_out(config: Config) -> None:
+def test_documents_of_other_daemons_are_skipped(config: Config) -> None:
     answers = [
         WorkerAnswer("here", "ros1", {"worker": "other"}), WorkerAnswer("there", "ros1", {}),
         WorkerAnswer("here", "ros2", None), WorkerAnswer("here", "yarp", {}, "it failed"),
@@ -91,16 +91,16 @@ def test_what_is_no_document_of_this_daemon_is_left_out(config: Config) -> None:
     assert Source(config, lambda: answers).snapshot().documents == ({"worker": "ros1"},)
 
 
-def test_without_a_hub_the_daemon_still_tells(config: Config, daemon: Daemon) -> None:
+def test_the_daemon_is_reported_without_a_hub(config: Config, daemon: Daemon) -> None:
     def ask() -> list[WorkerAnswer]:
         raise HubError("no router")
 
-    found = Source(config, ask).snapshot()
-    assert not found.hub
-    assert found.daemon["daemon"] == "here"
+    snapshot = Source(config, ask).snapshot()
+    assert not snapshot.hub
+    assert snapshot.daemon["daemon"] == "here"
 
 
-def test_readiness(config: Config, daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readiness_lists_workers_that_are_not_up(config: Config, daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(source, "READY_SECONDS", 0.0)
     ready = Readiness(config)
     assert ready.reasons() == []
@@ -114,5 +114,5 @@ def test_readiness(config: Config, daemon: Daemon, monkeypatch: pytest.MonkeyPat
     assert ready.reasons() == ["ros1: restarting: signal 9", "ros2: starting"]
 
 
-def test_without_a_daemon_it_is_not_ready(config: Config) -> None:
+def test_it_is_not_ready_without_a_daemon(config: Config) -> None:
     assert Readiness(config).reasons() == ["no daemon of the name 'here' answers"]
