@@ -1,7 +1,7 @@
-"""One board of a YARP robot: its states as they come, and the commands that it is given, on a thread of its own.
+"""The connection to one control board of a YARP robot: reads its states and sends commands, on its own thread.
 
-A command holds for so long and is then followed by zero velocity, once; the next one takes its place, and none waits:
-what was given while the board did not answer is too old by then, and dropped.
+A command is valid for a limited time, then zero velocity is sent once. A new command replaces the previous one,
+without a queue: commands that arrive while the board does not answer are stale by then, and dropped.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from yarp_compat.wire.errors import WireError
 
 _log = logging.getLogger(__name__)
 
-_RETRY_SECONDS = 2.0  # seconds between two attempts to reach a board
-_SILENT_SECONDS = 1.0  # seconds without a state after which it is looked for anew
+_RETRY_SECONDS = 2.0  # between two attempts to reach a board
+_SILENT_SECONDS = 1.0  # without a state; the link then reconnects
 _POLL_SECONDS = 0.1
-_HALT_SECONDS = 2.0  # seconds to wait for a halt
+_HALT_SECONDS = 2.0  # time limit of a halt
 _HALT = "stopAllRPC"
 
 
 @dataclass(frozen=True)
 class Joints:
-    """The joints of a board, as the hub has them; ``scales`` make its numbers of YARP's: radians, or metres as is."""
+    """The joints of a board on the hub; ``scales`` convert its values from YARP's degrees to radians (1 for meters)."""
 
     names: tuple[str, ...]
     scales: tuple[float, ...]
@@ -39,7 +39,7 @@ class Joints:
 
 @dataclass(frozen=True)
 class JointCommand:
-    """What joints are to do, by their numbers: velocities, or positions, in YARP's units; ``until``: monotonic."""
+    """A command for joints, by index: velocities or positions in YARP's units; ``until``: monotonic time."""
 
     method: str
     mode: int
@@ -52,12 +52,12 @@ OnJoints = Callable[[Joints, JointData, float], None]
 
 
 class BoardLink:
-    """Keeps to one board.
+    """The link to one board.
 
     Args:
-        section: which board.
-        local: what the own ports' names begin with.
-        told: called with each state and its time in seconds, on the thread of the board's connection.
+        section: the board's configuration.
+            local: prefix of the link's own port names.
+            on_joints: called with each state and its time in seconds, on the thread of the board's connection.
     """
 
     def __init__(self, section: ControlBoardSection, local: str, naming: Naming, on_joints: OnJoints) -> None:
@@ -67,7 +67,7 @@ class BoardLink:
         self.trouble = "not reached yet"
         self.states = self.dropped = 0
         self._command: JointCommand | None = None
-        self._driven: tuple[int, ...] = ()  # the joints whose velocity is not zero, as far as we know
+        self._driven: tuple[int, ...] = ()  # the joints whose velocity is not zero, as far as known
         self._until = 0.0
         self._last_state = 0.0
         self._lock = threading.Lock()
@@ -76,18 +76,18 @@ class BoardLink:
         self._thread = threading.Thread(target=self._run, name=f"midspan-board {section.remote}", daemon=True)
 
     def start(self) -> None:
-        """Begin to look for the board."""
+        """Start to connect."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Let the joints that move by us stand still, and leave the board."""
+        """Stop the joints that this link moves, and disconnect."""
         self._stopping.set()
         self._wake.set()
         if self._thread.is_alive():
             self._thread.join()
 
-    def give(self, velocities: Sequence[float], positions: Sequence[float], names: Sequence[str]) -> str:
-        """Have named joints move, in radians and radians per second; returns what is wrong with it, "" for nothing."""
+    def command(self, velocities: Sequence[float], positions: Sequence[float], names: Sequence[str]) -> str:
+        """Move the named joints (radians, radians per second); returns why it is invalid, "" if it is valid."""
         board = self.joints
         if board is None:
             return self.trouble
@@ -98,7 +98,7 @@ class BoardLink:
             return f"a command has {len(names)} names and {len(values)} numbers"
         unknown = next((name for name in names if name not in board.names), None)
         if unknown is not None:
-            return f"there is no joint {unknown!r}; there are {', '.join(board.names)}"
+            return f"unknown joint {unknown!r}; the board has {', '.join(board.names)}"
         if not all(map(math.isfinite, values)):
             return "a number is not finite"
         joints = tuple(board.names.index(name) for name in names)
@@ -113,20 +113,20 @@ class BoardLink:
         return ""
 
     def halt(self) -> None:
-        """Forget what was given, and stop all joints; raises `TimeoutError` if the board does not confirm it."""
+        """Discard the pending command and stop all joints; raises `TimeoutError` if the board does not confirm it."""
         joints = self.joints
         if joints is None:
-            raise TimeoutError(f"{self._section.remote} cannot be told to stop: {self.trouble}")
+            raise TimeoutError(f"{self._section.remote} cannot be stopped: {self.trouble}")
         with self._lock:
             self._halted.clear()
             self._command = JointCommand(_HALT, 0, tuple(range(len(joints.names))), (), math.inf)
         self._wake.set()
         if not self._halted.wait(_HALT_SECONDS):
-            raise TimeoutError(f"{self._section.remote} did not say that it stops: it may still be moving")
+            raise TimeoutError(f"{self._section.remote} did not confirm the stop: it may still be moving")
 
     def _run(self) -> None:
         while not self._stopping.is_set():
-            client = ControlBoardClient(self._section.remote, self._local, naming=self._naming, on_state=self._take)
+            client = ControlBoardClient(self._section.remote, self._local, naming=self._naming, on_state=self._on_state)
             try:
                 with client:
                     self._prepare(client)
@@ -145,7 +145,9 @@ class BoardLink:
         kinds = [client.call("getJointTypeRPC", axis) for axis in range(client.axes)]
         metres = [bool(kind[0]) and kind[1] == modes.VOCAB_JOINTTYPE_PRISMATIC for kind in kinds]
         self._last_state = time.monotonic()
-        self._driven = tuple(joint for joint in self._driven if joint < client.axes)  # when it was lost
+        self._driven = tuple(
+            joint for joint in self._driven if joint < client.axes
+        )  # driven when the connection was lost
         self._stop_driven(client)
         self.joints = Joints(names, tuple(1.0 if flag else math.pi / 180.0 for flag in metres))
         self.trouble = ""
@@ -155,11 +157,11 @@ class BoardLink:
         return str(names[0]) if outcome and names else f"joint_{axis}"
 
     def _follow(self, client: ControlBoardClient) -> None:
-        """Obey commands until the board is silent, or the link is stopped."""
+        """Execute commands until the board is silent or the link is stopped."""
         while not self._stopping.is_set():
             now = time.monotonic()
             if now - self._last_state > _SILENT_SECONDS:
-                raise OSError(f"{self._section.remote} has said no state for {_SILENT_SECONDS:g} s")
+                raise OSError(f"{self._section.remote} has sent no state for {_SILENT_SECONDS:g} s")
             with self._lock:
                 command, self._command = self._command, None
             if command is not None:
@@ -183,17 +185,17 @@ class BoardLink:
             return
         drives = command.method.startswith("velocity")
         others = tuple(joint for joint in self._driven if joint not in command.joints)
-        if drives:  # also where the board is not reached: part of it may have come
+        if drives:  # also if the call fails: part of it may have arrived
             self._driven, self._until = others + command.joints, command.until
         if not client.call(command.method, command.joints, command.values)[0]:
-            self.trouble = f"{self._section.remote} takes no commands"
+            self.trouble = f"{self._section.remote} rejects commands"
             return
         self.trouble = ""
         if drives and self._stop_joints(client, others):
             self._driven = tuple(j for j, value in zip(command.joints, command.values, strict=True) if value)
 
     def _in_mode(self, client: ControlBoardClient, command: JointCommand) -> bool:
-        """Have the joints in the mode that a command is of; whether they are."""
+        """Switch the joints to the command's control mode, and return whether they are in it."""
         mode = client.state("controlMode")
         if mode is not None and all(mode[0][joint] == command.mode for joint in command.joints):
             return True
@@ -201,7 +203,7 @@ class BoardLink:
         return bool(client.call("setControlModeGroupRPC", command.joints, wanted)[0])
 
     def _stop_driven(self, client: ControlBoardClient) -> None:
-        """Say zero to the joints that move by us; they count as moving until the board was told."""
+        """Command zero velocity to the joints that this link moves; until it is confirmed they count as moving."""
         if self._stop_joints(client, self._driven):
             self._driven = ()
 
@@ -209,7 +211,7 @@ class BoardLink:
     def _stop_joints(client: ControlBoardClient, joints: tuple[int, ...]) -> bool:
         return not joints or bool(client.call("velocityMoveGroupRPC", joints, (0.0,) * len(joints))[0])
 
-    def _take(self, data: JointData, seconds: float) -> None:
+    def _on_state(self, data: JointData, seconds: float) -> None:
         self._last_state = time.monotonic()
         joints = self.joints
         if joints is not None and data.axes == len(joints.names):

@@ -1,4 +1,4 @@
-"""The module that has control boards on the hub: a topic of `JointState` for each, and one of commands if wanted."""
+"""The module that bridges YARP control boards: a `JointState` topic for each, and optionally a command topic."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _MOST_COMMANDERS = 32  # commanders whose clocks are followed
 
 
 class ControlBoards(Module):
-    """Joins the boards that its section names."""
+    """Connects the boards of its configuration section."""
 
     name = "control_boards"
 
     def start(self, host: Host, section: Section) -> None:
-        """Look for the boards, and open their topics."""
+        """Connect to the boards, and create their topics."""
         assert isinstance(section, ControlBoardsSection)
         self._host = host
         self._stall = StallDetector()
@@ -37,7 +37,8 @@ class ControlBoards(Module):
         self._links: list[BoardLink] = []
         self.refused: dict[str, str] = {}
         for board in section.boards:
-            link = BoardLink(board, f"/{host.config.name}/boards{board.remote}", host.yarp.naming, self._state_publisher(board))
+            prefix = f"/{host.config.name}/boards{board.remote}"
+            link = BoardLink(board, prefix, host.yarp.naming, self._state_publisher(board))
             if board.command:
                 self._subscribe(board, link)
             self._links.append(link)
@@ -45,12 +46,12 @@ class ControlBoards(Module):
         host.answer("halt", lambda _params: self._halt())
 
     def health(self) -> Health:
-        """Whether all boards are there."""
+        """Return "running" if all boards are connected."""
         trouble = next((link.trouble for link in self._links if link.trouble), "")
         return Health("waiting", trouble) if trouble else Health("running", f"{len(self._links)} boards")
 
     def status(self) -> dict[str, Any]:
-        """Each board's joints, and what was not obeyed."""
+        """Return the boards with their joints, and the last refusal of each command topic."""
         return {
             "boards": [
                 {
@@ -66,7 +67,7 @@ class ControlBoards(Module):
         }
 
     def stop(self) -> None:
-        """Let what moves stand still, and leave the boards."""
+        """Stop the moving joints, and disconnect."""
         for link in self._links:
             link.stop()
         self._stall.stop()
@@ -77,7 +78,7 @@ class ControlBoards(Module):
         return {"halted": True}
 
     def _state_publisher(self, board: ControlBoardSection) -> Callable[[Joints, JointData, float], None]:
-        """Publishes the states of a board, on the threads on which they come."""
+        """Return a function that publishes the states of a board; it runs on the connection's thread."""
         publisher = self._host.node.publisher(board.joint_states, JOINTS, Qos(depth=10))
         clock = self._host.clock
 
@@ -101,14 +102,14 @@ class ControlBoards(Module):
             if problem:
                 subscription.counters.dropped("bad")
                 if self.refused.get(board.command) != problem:
-                    self._host.log.warning("%s: a command is refused: %s", board.command, problem)
+                    self._host.log.warning("%s: command refused: %s", board.command, problem)
             self.refused[board.command] = problem
 
         subscription = self._host.node.subscription(board.command, JOINTS, on_command, _NEWEST)
 
 
 def joint_state(joints: Joints, data: JointData, stamp: dict[str, int]) -> dict[str, Any]:
-    """A board's state as the hub has it: radians and radians per second, or metres; what is not valid is left out."""
+    """Return the valid fields of a board's state in the hub's units: radians and radians per second, or meters."""
     scales = np.array(joints.scales)
     message: dict[str, Any] = {"header": {"stamp": stamp, "frame_id": ""}, "name": list(joints.names)}
     for field, name, scale in (

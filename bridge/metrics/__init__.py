@@ -1,1 +1,1 @@
-"""Figures for Prometheus: of the workers, their sides and routes, the store and the goals."""
+"""Metrics for Prometheus: workers, sides, routes, the store and goals."""

@@ -1,4 +1,4 @@
-"""Makes metric families from the workers' status documents."""
+"""Converts the workers' status documents to metric families."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bridge.metrics.source import AT_REST, Document, Snapshot, Source
 from bridge.sides import all_networks
 
 MOST_CUSTOM = 50
-"""Largest number of figures that a worker may add."""
+"""Largest number of its own metrics that a worker may add."""
 
 _CUSTOM_NAME = re.compile(r"[a-z][a-z0-9_]{0,60}")
 _PHASES = tuple(phase.value for phase in Phase if phase.value not in AT_REST)
@@ -29,11 +29,11 @@ _MODULE_STATES = ("running", "waiting", "standby", "stopped")
 
 
 class MidspanCollector(Collector):
-    """Collects the families from a source.
+    """Collects the metric families of one daemon.
 
     Args:
-        source: of the status documents.
-        most_routes: largest number of routes for each side.
+        source: provides the status documents.
+        most_routes: largest number of routes that are reported for each side.
     """
 
     def __init__(self, source: Source, most_routes: int) -> None:
@@ -41,14 +41,14 @@ class MidspanCollector(Collector):
         self._routes = RouteMetrics(most_routes)
 
     def describe(self) -> Iterable[Metric]:
-        """Return nothing: the library would query all workers for the names."""
+        """Return nothing: to get the names, the library would query all workers."""
         return ()
 
     def collect(self) -> Iterable[Metric]:
         """Return all families that have samples."""
-        return self.of(self._source.snapshot())
+        return self.families(self._source.snapshot())
 
-    def of(self, snapshot: Snapshot) -> Families:
+    def families(self, snapshot: Snapshot) -> Families:
         """Return the families of one snapshot."""
         families = Families()
         _daemon(families, snapshot)
@@ -93,7 +93,7 @@ def _workers(families: Families, snapshot: Snapshot) -> None:
 
 
 def _process(families: Families, worker: str, pid: object) -> None:
-    """Add the system's figures of a process, which it has of a hanging one too."""
+    """Add the operating system's metrics of a process, which are available even if it hangs."""
     if not isinstance(pid, int) or not pid:
         return
     with suppress(psutil.Error, OSError):
@@ -167,12 +167,13 @@ def _side(families: Families, document: Document) -> None:
 
 
 def _add_custom(families: Families, document: Document) -> None:
-    """Add the figures under the key ``metrics`` of a worker's or a module's status document.
+    """Add the metrics under the key ``metrics`` of a worker's or module's status document.
 
     ``{"metrics": {"written_bytes_total": 12, "disk_free_bytes": 3.5e9}}`` of the worker ``record`` becomes
-    ``midspan_record_written_bytes_total`` and ``midspan_record_disk_free_bytes``. A name has small letters, digits and
-    underscores, with the unit in it; one that ends in ``_total`` is a counter, which begins at 0 with the process, any
-    other is a gauge. Values are numbers. Figures have no labels, and names come from a bounded set.
+    ``midspan_record_written_bytes_total`` and ``midspan_record_disk_free_bytes``. A name consists of
+    lower-case letters, digits and underscores, and includes the unit. A name that ends in ``_total`` is a counter,
+    which starts at 0 with the process; any other is a gauge. Values are numbers. These metrics have no labels, and
+    their names are a bounded set.
     """
     worker = re.sub(r"[^a-z0-9_]", "_", str(document["worker"]).lower())
     samples = [
@@ -181,9 +182,9 @@ def _add_custom(families: Families, document: Document) -> None:
         if _CUSTOM_NAME.fullmatch(str(name)) and isinstance(value, int | float)
     ]
     for name, value in samples[:MOST_CUSTOM]:
-        words = name.removesuffix("_total").replace("_", " ")
+        title = name.removesuffix("_total").replace("_", " ")
         kind: Kind = "counter" if name.endswith("_total") else "gauge"
-        families.add_custom(Family(f"midspan_{worker}_{name}", kind, f"Told by {worker}: {words}."), float(value))
+        families.add_custom(Family(f"midspan_{worker}_{name}", kind, f"Reported by {worker}: {title}."), float(value))
 
 
 def _mapping(value: object) -> Mapping[str, object]:

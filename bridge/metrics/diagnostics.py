@@ -1,8 +1,8 @@
-"""Tells on ``/diagnostics`` of the hub how each part of this daemon is, while anybody hears it.
+"""Publishes the state of each part of this daemon on the hub's ``/diagnostics`` while the topic has subscribers.
 
-It is heard where a native program of the hub subscribes, or a side's worker says that one of its side does
-(`bridge.hub.diagnostics.HEARD`). Else nothing is asked and nothing is published. One process of the daemon tells
-(`publishing_worker`): where that one ends, the next one goes on.
+It has subscribers if a native program of the hub subscribes, or if a side's worker reports a subscriber on its side
+(`bridge.hub.diagnostics.HEARD`). Otherwise nothing is queried or published. One process of the daemon publishes
+(`publishing_worker`); if it ends, the next one takes over.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ _log = logging.getLogger("midspan.metrics")
 
 PERIOD = 1.0
 POLL_SECONDS = 0.2
-"""So often the daemon is asked whose turn it is, and whether a worker's level has changed, which is told at once."""
+"""Interval at which the daemon is asked which worker publishes, and whether a worker's level has changed."""
 
 _DAEMON_SECONDS = 0.5
 _RETRY_SECONDS = 60.0
-"""After what cannot be told."""
+"""Delay after an error before the next attempt."""
 
 
 def publishing_worker(daemon_status: Document) -> str:
-    """Which worker tells: the first that runs, by the daemon's word; "" where it gives none.
+    """Return the worker that publishes: the first one of a fixed order that is up; "" if the daemon lists none.
 
-    First those that are to tell and carry no messages, then the sides.
+    Workers that carry no messages come first, then the sides.
     """
     up = {worker["worker"] for worker in daemon_status.get("workers", ()) if worker["phase"] == Phase.UP.value}
     order = ("metrics", "web", "foxglove", *(side.name for side in all_sides()), "modules")
@@ -49,11 +49,11 @@ def publishing_worker(daemon_status: Document) -> str:
 
 
 class DiagnosticsPublisher:
-    """Makes the message, and publishes it.
+    """Builds and publishes the diagnostics.
 
     Args:
-        hub: a node that speaks for no side, so that what it says goes to all of them.
-        source: what is known.
+        hub: a node without a side, so that all sides receive its messages.
+            source: provides the status documents.
     """
 
     def __init__(self, config: Config, hub: Hub, source: Source) -> None:
@@ -65,14 +65,16 @@ class DiagnosticsPublisher:
         self._levels: dict[str, Level] = {}
         self._due = 0.0
 
-    def look(self, daemon_status: Document) -> None:
-        """Tell if it is time, or a worker's level is another one by the daemon's word; raises `HubError`."""
+    def refresh(self, daemon_status: Document) -> None:
+        """Publish if the period is over or the daemon reports a changed level of a worker; raises `HubError`."""
         if time.monotonic() >= self._due or self._level_changed(daemon_status):
             self._due = time.monotonic() + PERIOD
             self._publish(daemon_status)
 
     def _level_changed(self, daemon_status: Document) -> bool:
-        statuses = [worker_status(worker) for worker in daemon_status.get("workers", ()) if worker["phase"] not in AT_REST]
+        statuses = [
+            worker_status(worker) for worker in daemon_status.get("workers", ()) if worker["phase"] not in AT_REST
+        ]
         return any(self._levels.get(status.part) != status.level for status in statuses)
 
     def _publish(self, daemon_status: Document) -> None:
@@ -86,10 +88,10 @@ class DiagnosticsPublisher:
 
 
 def publish_while(wanted: Callable[[], bool], closing: threading.Event, config: Config, worker: str) -> None:
-    """Tell while it is heard and this worker's turn, by a session that is open for so long.
+    """Publish while there are subscribers and it is this worker's turn, on a session that exists only for that time.
 
-    The worker's own would not do: what a side's session says comes from that side, and does not go back to it; and what
-    one node says, it does not hear itself, as the console would.
+    The worker's own session cannot be used: messages on a side's session count as coming from that side, so they
+    are not sent back to it, and a node does not receive its own messages, which the console has to.
     """
     link, publisher = HubLink(config, f"{worker}_diagnostics"), None
     try:
@@ -102,7 +104,7 @@ def publish_while(wanted: Callable[[], bool], closing: threading.Event, config: 
                 link.close()
                 publisher = None
             if publisher is not None:
-                publisher.look(daemon_status)
+                publisher.refresh(daemon_status)
             closing.wait(POLL_SECONDS)
     except (HubError, MessageError) as err:
         _log.warning("no diagnostics: %s", err)

@@ -1,4 +1,4 @@
-"""``/metrics``, ``/healthz`` and ``/readyz``, for the console's server and for one of their own."""
+"""``/metrics``, ``/healthz`` and ``/readyz``, for the console's server and the separate metrics server."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from bridge.metrics.source import Readiness, Source
 
 
 class MetricsRoutes:
-    """The routes, each answered on a thread that may wait.
+    """HTTP routes whose handlers run on threads that may block.
 
     Args:
         config: the configuration.
-        source: what is known of this daemon's workers.
+        source: provides the status documents of this daemon's workers.
 
     Attributes:
-        routes: for a server.
+        routes: to pass to a server.
     """
 
     def __init__(self, config: Config, source: Source) -> None:
@@ -42,9 +42,9 @@ class MetricsRoutes:
         return PlainTextResponse("alive\n", headers={"cache-control": "no-store"})
 
     def _ready(self, request: Request) -> Response:
-        """503 with the reasons; who is not known hears that there are some, and not which."""
+        """Return 503 if something is not ready. Only authenticated clients see the reasons."""
         reasons = self._readiness.reasons()
         known = request.scope["state"]["grant"] is not None
-        shown = reasons if known or not reasons else ["not ready; who says who they are hears why"]
+        shown = reasons if known or not reasons else ["not ready; authenticate to see the reasons"]
         text = "\n".join(shown or ["ready"])
         return PlainTextResponse(f"{text}\n", 503 if reasons else 200, headers={"cache-control": "no-store"})

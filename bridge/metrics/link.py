@@ -1,4 +1,4 @@
-"""The way to the hub of who tells of the workers: a client of its router, which asks, answers and tells."""
+"""The connection to the hub of the processes that publish metrics and diagnostics: a client of its router."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _CONNECT_SECONDS = 0.5
 
 
 class HubLink:
-    """A node that joins the hub when the router is there; zenoh joins it again where the router comes back.
+    """A node that joins the hub once the router is reachable; zenoh reconnects it afterwards.
 
-    It has no links to the workers, nor a lane: to ask them, the router is way enough.
+    It has no links to the workers and no local transport: queries to them go through the router.
 
     Args:
-        worker: the name under which it answers.
-        status: gives its status document, None where it answers nothing.
+        worker: the name under which it responds to queries.
+            status: returns its status document; None to respond to none.
     """
 
     def __init__(self, config: Config, worker: str, status: Callable[[], dict[str, Any]] | None = None) -> None:
@@ -37,11 +37,11 @@ class HubLink:
 
     @property
     def trouble(self) -> str:
-        """Why there is no node, "" where there is one."""
+        """Why there is no node, "" if there is one."""
         return self._error
 
     def join(self) -> Hub | None:
-        """The node, made where there is none yet, None where that fails; called by one thread, again and again."""
+        """Return the node; create it if there is none, None if that fails. Called repeatedly, by one thread."""
         if self._hub is not None:
             return self._hub
         hub = self._config.hub
@@ -64,14 +64,14 @@ class HubLink:
         return node
 
     def ask(self) -> list[WorkerAnswer]:
-        """The status of each worker of this daemon; raises `HubError` where there is no hub. On any thread."""
+        """Return the status of each worker of this daemon; raises `HubError` without a hub. Safe from any thread."""
         with self._lock:
             hub, session = self._hub, self._session
         if hub is None or session is None:
-            raise HubError(self._error or "the hub is not joined yet")
+            raise HubError(self._error or "the hub has not been joined yet")
         try:
-            if not session.info.routers_zid():  # zenoh goes on trying
-                raise HubError(f"the router at {self._config.hub.listen} is gone")
+            if not session.info.routers_zid():  # zenoh keeps reconnecting
+                raise HubError(f"the router at {self._config.hub.listen} is unreachable")
             return hub.ask("status", {}, daemon=self._config.name, timeout=ASK_SECONDS)
         except zenoh.ZError as err:
             raise HubError(zenoh_reason(err)) from None

@@ -1,6 +1,6 @@
-"""Lets a worker that carries messages tell on ``/diagnostics`` where no other process of the daemon does.
+"""Lets a worker that carries messages publish on ``/diagnostics`` if no other process of the daemon does.
 
-Until somebody hears there is no thread, no session and no topic, and what tells is not imported.
+Without subscribers there is no thread, session or topic, and the publishing code is not imported.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from bridge.worker import Worker
 
 
 class DiagnosticsOnDemand:
-    """Tells on a thread of its own, which ends when nobody hears any more."""
+    """Publishes on a separate thread, which ends when there are no more subscribers."""
 
     def __init__(self, worker: Worker, name: str) -> None:
         self._worker, self._name = worker, name
@@ -21,7 +21,7 @@ class DiagnosticsOnDemand:
         self._config: Config | None = None
 
     def look(self, config: Config) -> None:
-        """Begin where it is heard, and anew with another configuration; called again and again by one thread."""
+        """Start if there are subscribers, restart if the configuration has changed; called repeatedly by one thread."""
         if self._thread is not None and (config is not self._config or not self._thread.is_alive()):
             self.close()
         if self._thread is None and config.metrics.diagnostics and self._worker.hears_diagnostics():
@@ -31,7 +31,7 @@ class DiagnosticsOnDemand:
             self._thread.start()
 
     def close(self) -> None:
-        """Tell no more, until the next look."""
+        """Stop publishing until the next `look`."""
         thread, self._thread = self._thread, None
         if thread is not None:
             self._closing.set()

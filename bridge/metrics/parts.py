@@ -1,4 +1,4 @@
-"""The state of each part of a daemon, as a `diagnostic_msgs/DiagnosticStatus` has it."""
+"""The state of each part of a daemon, as a `diagnostic_msgs/DiagnosticStatus`."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from bridge.metrics.source import Document, Snapshot
 from bridge.sides import all_networks, all_sides
 
 _LATE_BEAT = 3.0
-"""Seconds without a heartbeat after which a worker's state is not what it is; the daemon kills it a little later."""
+"""Seconds without a heartbeat after which a worker's reported state is stale; the daemon kills it a little later."""
 
 
 class Level(IntEnum):
-    """As in `diagnostic_msgs/DiagnosticStatus`."""
+    """Levels of `diagnostic_msgs/DiagnosticStatus`."""
 
     OK = 0
     WARN = 1
@@ -25,7 +25,7 @@ class Level(IntEnum):
 
 
 class PartStatus(NamedTuple):
-    """One part: ``worker ros1``, ``side ros1``, ``module gateway``, ``board /robot/base``."""
+    """The status of one part: ``worker ros1``, ``side ros1``, ``module gateway``, ``board /robot/base``."""
 
     part: str
     level: Level
@@ -33,7 +33,7 @@ class PartStatus(NamedTuple):
     values: dict[str, Any]
 
     def message_of(self, daemon: str) -> dict[str, Any]:
-        """As the message has it; the name begins with whose it is, by which aggregators group."""
+        """Return the message's fields; the name starts with the daemon's, by which aggregators group."""
         return {
             "level": int(self.level),
             "name": f"midspan {daemon}: {self.part}",
@@ -50,7 +50,7 @@ _PHASES = {
 
 
 def parts(snapshot: Snapshot, config: Config) -> list[PartStatus]:
-    """The status of the daemon, each worker, side, module and board."""
+    """Return the status of the daemon and of each worker, side, module and board."""
     documents = {str(document["worker"]): document for document in snapshot.documents}
     workers = {status["worker"]: status for status in snapshot.workers}
     return [
@@ -62,7 +62,7 @@ def parts(snapshot: Snapshot, config: Config) -> list[PartStatus]:
 
 
 def worker_status(worker: Document, document: Document | None = None) -> PartStatus:
-    """A worker, by the daemon's word on it and its own document."""
+    """Return the status of a worker, from the daemon's report and the worker's own document."""
     level, beat = _PHASES.get(worker["phase"], Level.WARN), worker.get("beat")
     message = ": ".join(filter(None, (worker["phase"], worker["text"])))
     if level is Level.OK and isinstance(beat, int | float) and beat > _LATE_BEAT:
@@ -75,7 +75,7 @@ def worker_status(worker: Document, document: Document | None = None) -> PartSta
 def _daemon(snapshot: Snapshot) -> PartStatus:
     daemon = snapshot.daemon
     if not daemon:
-        return PartStatus("daemon", Level.STALE, "it does not answer", {})
+        return PartStatus("daemon", Level.STALE, "it does not respond", {})
     refused = daemon.get("refused")
     message = f"a reload was refused: {refused}" if refused else "running"
     values = {"pid": daemon.get("pid"), "uptime (s)": daemon.get("uptime"), "configuration": daemon.get("config")}
@@ -90,14 +90,16 @@ def _sides(documents: dict[str, Document], workers: dict[str, Document]) -> Iter
     for side in all_sides():
         names = [network.name for network in side.networks] or [side.name]
         if side.name in workers and not documents.keys() & {*names, side.name}:
-            yield PartStatus(f"side {side.name}", Level.STALE, "its worker does not answer", {})
+            yield PartStatus(f"side {side.name}", Level.STALE, "its worker does not respond", {})
 
 
 def _side(name: str, document: Document) -> PartStatus:
     state, routes = str(document.get("state")), document.get("routes")
     routes = [route for route in routes if isinstance(route, dict)] if isinstance(routes, list) else []
     refused, lease = document.get("refused"), document.get("lease")
-    reason = document.get("standby") or document.get("waiting") or document.get("network") or "its network is away"
+    reason = (
+        document.get("standby") or document.get("waiting") or document.get("network") or "its network is unreachable"
+    )
     drops = sum(sum(counts.values()) for route in routes if isinstance(counts := route.get("drops"), dict))
     values = {
         "network": document.get("network"),
@@ -121,7 +123,7 @@ def _modules(documents: dict[str, Document], workers: dict[str, Document], confi
     worker = workers.get("modules")
     if worker is not None:
         up = worker["phase"] == Phase.UP.value
-        level, reason = (Level.ERROR, "it does not run") if up else (Level.STALE, "its worker does not run")
+        level, reason = (Level.ERROR, "not running") if up else (Level.STALE, "its worker is not running")
         for name in config.hosted.keys() - documents.keys():
             yield PartStatus(f"module {name}", level, reason, {})
 

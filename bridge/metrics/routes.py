@@ -1,4 +1,4 @@
-"""The figures of the routes: a bounded number of them for each side."""
+"""Metrics of the routes: of a bounded number for each side."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bridge.metrics.families import Families
 from bridge.metrics.source import Document
 from bridge.routing.counters import CARRY_BOUNDS, DROPS, LATENCY_BOUNDS
 
-# Of what a side publishes no stamp of the source is known, so that only the bridge's own time is told.
+# The source time of a side's messages is unknown, so only the bridge's own time is reported for them.
 _HISTOGRAMS = {
     "latency": ("midspan_route_latency_seconds", tuple(bound / 1e9 for bound in LATENCY_BOUNDS)),
     "carry": ("midspan_route_carry_seconds", CARRY_BOUNDS),
@@ -21,7 +21,7 @@ Key = tuple[str, ...]
 
 
 class RouteMetrics:
-    """Tells of at most so many routes of each side; who is told of stays so while the route is there."""
+    """Reports at most ``most`` routes of each side. A route once reported stays reported while it exists."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -29,7 +29,7 @@ class RouteMetrics:
         self._reported: dict[str, set[Key]] = {}
 
     def add(self, families: Families, document: Document) -> None:
-        """Put in the figures of a side's routes."""
+        """Add the metrics of a side's routes."""
         side = str(document["worker"])
         routes = {_key(route): route for route in document.get("routes", ()) if isinstance(route, dict)}
         chosen = self._choose(side, routes)

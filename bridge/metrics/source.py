@@ -1,6 +1,6 @@
-"""What the figures are made of: the status documents of this daemon's workers, and the daemon's own word.
+"""The data that metrics are made of: the status documents of this daemon's workers, and the daemon's own.
 
-Each daemon tells of its own parts alone, so that who scrapes several joined ones has nothing twice.
+Each daemon reports only its own parts, so that scraping several joined daemons yields nothing twice.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from bridge.hub.errors import HubError
 Document = Mapping[str, Any]
 
 ASK_SECONDS = 1.0
-"""A worker that has not answered by then is told of as not answering."""
+"""A worker that has not answered by then is reported as not answering."""
 
 FRESH_SECONDS = 1.0
-"""Whoever asks again sooner gets what was found: a worker is asked once a second at most, however many scrape."""
+"""Snapshots are cached this long: each worker is queried at most once a second, however many clients scrape."""
 
 AT_REST = frozenset({Phase.OFF.value, Phase.UNAVAILABLE.value})
-"""Phases of a worker that is not to run here."""
+"""Phases of a worker that is not supposed to run here."""
 
 _DAEMON_SECONDS = 0.5
 
 READY_SECONDS = 0.5
-"""The same for the question whether all is ready, which the daemon alone is asked."""
+"""How long readiness is cached; it needs only the daemon's answer."""
 
 Ask = Callable[[], list[WorkerAnswer]]
-"""Asks all workers of this daemon for their status documents, for `ASK_SECONDS`; raises `HubError` without a hub."""
+"""Queries all workers of this daemon for their status documents, for `ASK_SECONDS`; raises `HubError` without a hub."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What is known at one moment.
+    """The known state at one moment.
 
     Attributes:
-        name: of the daemon.
-        documents: of the workers and modules that answered.
-        daemon: the daemon's own, empty where none answers.
-        hub: whether the hub could be asked.
-        seconds: that asking took.
+        name: the daemon's name.
+            documents: of the workers and modules that answered.
+            daemon: the daemon's own document; empty if it does not answer.
+            hub: whether the hub could be queried.
+            seconds: duration of the query.
     """
 
     name: str
@@ -56,12 +56,12 @@ class Snapshot:
 
     @property
     def workers(self) -> list[Document]:
-        """The daemon's word on each worker that is to run."""
+        """The daemon's status of each worker that is supposed to run."""
         return [worker for worker in self.daemon.get("workers", ()) if worker["phase"] not in AT_REST]
 
 
 class Source:
-    """Asks, at most once in `FRESH_SECONDS`. Safe to use from any thread; who comes meanwhile waits for the answer."""
+    """Queries at most once per `FRESH_SECONDS`. Safe to use from any thread; concurrent callers share an answer."""
 
     def __init__(self, config: Config, ask: Ask) -> None:
         self._config, self._ask = config, ask
@@ -70,7 +70,7 @@ class Source:
         self._until = 0.0
 
     def snapshot(self) -> Snapshot:
-        """What is known now, or was a moment ago."""
+        """Return the current state, at most `FRESH_SECONDS` old."""
         with self._lock:
             if self._snapshot is None or time.monotonic() >= self._until:
                 self._snapshot = self._query()
@@ -93,7 +93,7 @@ class Source:
 
 
 class Readiness:
-    """Whether the daemon's workers are up, by its own word alone."""
+    """Whether the daemon's workers are up, according to the daemon."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -102,7 +102,7 @@ class Readiness:
         self._until = 0.0
 
     def reasons(self) -> list[str]:
-        """Why it is not ready, one reason for each worker; none where it is."""
+        """Return why it is not ready, one reason for each worker; empty if it is ready."""
         with self._lock:
             if time.monotonic() >= self._until:
                 self._reasons = _reasons(ask_daemon(self._config, _DAEMON_SECONDS), self._config.name)
@@ -112,7 +112,7 @@ class Readiness:
 
 def _reasons(daemon_status: Document | None, name: str) -> list[str]:
     if daemon_status is None:
-        return [f"no daemon of the name '{name}' answers"]
+        return [f"no daemon named '{name}' answers"]
     ready = {*AT_REST, Phase.UP.value}
     return [
         f"{worker['worker']}: {worker['phase']}" + (f": {worker['text']}" if worker["text"] else "")

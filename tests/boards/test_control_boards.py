@@ -1,4 +1,4 @@
-"""A board of a YARP robot on the hub: its joints' state, and commands that end where nobody says them again."""
+"""A control board of a YARP robot on the hub: joint states, and commands that expire unless repeated."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Robot(Place):
         self.commands = self.far.advertise("/arm/command", JOINTS)
 
     def state(self) -> dict[str, Any]:
-        """The joints' next state."""
+        """Wait for the next joint state."""
         states = self.far.wait(self.states, self.seen + 1, 40.0)
         assert len(states) > self.seen
         self.seen = len(states)
@@ -58,7 +58,7 @@ def robot(tmp_path: Path) -> Iterator[Robot]:
         with NameServer(port=robot.port, gc_seconds=0), served(robot) as robot.server:
             robot.worker.start(robot.config(modules={"control_boards": {"enabled": True, "boards": [BOARD]}}))
             robot.state()
-            until(lambda: robot.far.hub.graph.subscriptions("/arm/command"), "the topic of commands is heard")
+            until(lambda: robot.far.hub.graph.subscriptions("/arm/command"), "the command topic has a subscriber")
             yield robot
             robot.worker.stop()
     finally:
@@ -89,7 +89,7 @@ def test_a_velocity_stops_if_it_is_not_repeated(robot: Robot) -> None:
 
 
 def test_joints_moving_at_a_connection_loss_are_stopped_on_reconnect(robot: Robot) -> None:
-    """A real board holds a velocity for ever."""
+    """A real board keeps a velocity forever."""
 
     def repeat_command() -> bool:
         robot.command(name=["joint0"], velocity=[1.0])
@@ -98,7 +98,11 @@ def test_joints_moving_at_a_connection_loss_are_stopped_on_reconnect(robot: Robo
     until(repeat_command, "the joint moves", every=0.05)
     closing = threading.Thread(target=robot.server.close)
     closing.start()
-    until(lambda: repeat_command() and robot.answer("control_boards")["boards"][0]["trouble"], "the board is missed", every=0.05)
+    until(
+        lambda: repeat_command() and robot.answer("control_boards")["boards"][0]["trouble"],
+        "the loss is reported",
+        every=0.05,
+    )
     closing.join()
     assert robot.speeds[0] != 0.0
     with served(robot):
@@ -124,7 +128,7 @@ def test_invalid_commands_are_refused_and_halt_stops_all_joints(robot: Robot) ->
 
     until(refused, "it is refused")
     assert robot.speeds == [0.0, 0.0, 0.0]
-    robot.speeds[:] = [5.0, 5.0, 5.0]  # somebody on YARP drives
+    robot.speeds[:] = [5.0, 5.0, 5.0]  # a YARP client drives
     answers = robot.far.hub.ask("halt", {}, worker="control_boards")
     assert [answer.value for answer in answers] == [{"halted": True}]
     until(lambda: robot.speeds == [0.0, 0.0, 0.0], "all joints are stopped")

@@ -1,4 +1,4 @@
-"""The console's fixture, for the figures that it serves."""
+"""The console's fixture, for the metrics that the console serves."""
 
 from tests.web.conftest import desk
 

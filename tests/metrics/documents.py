@@ -1,4 +1,4 @@
-"""Status documents as workers give them, for tests of the figures that are made of them."""
+"""Status documents of workers, for tests of the metrics."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bridge.routing.services.route import CallCounters
 
 
 def route(topic: str = "/scan", **more: Any) -> dict[str, Any]:
-    """A topic's route with counters of the real kind: three messages, two of them measured, one drop."""
+    """Return a topic's route with real counters: three messages, two with a latency, one drop."""
     counters = Counters()
     counters.crossed(100)
     for before in (0.003, 2.0):
@@ -24,7 +24,7 @@ def route(topic: str = "/scan", **more: Any) -> dict[str, Any]:
 
 
 def service(name: str = "/add") -> dict[str, Any]:
-    """A service's route with one reply and one call under way."""
+    """Return a service's route with one reply and one pending call."""
     counters = CallCounters()
     counters.crossed(8)
     counters.replies = counters.pending = 1
@@ -32,12 +32,12 @@ def service(name: str = "/add") -> dict[str, Any]:
 
 
 def side(*routes: dict[str, Any], worker: str = "ros1", **more: Any) -> dict[str, Any]:
-    """A side's document."""
+    """Return a side's status document."""
     lease = {"active": True, "changes": 3, "members": 2}
     head = {"daemon": "here", "worker": worker, "side": worker, "pid": 0, "state": "running", "lease": lease}
     return {**head, "refused": [], "routes": list(routes), **more}
 
 
 def snapshot(*documents: dict[str, Any], **daemon: Any) -> Snapshot:
-    """What a source would know."""
+    """Return a source's snapshot."""
     return Snapshot("here", documents, daemon, hub=True, seconds=0.01)

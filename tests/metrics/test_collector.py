@@ -1,4 +1,4 @@
-"""The figures of the status documents in Prometheus' terms, and their bounds."""
+"""Status documents become Prometheus metrics, in bounded number."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.metrics.documents import route, service, side, snapshot
 
 
 class Fixed:
-    """A source that knows one picture."""
+    """A source with a fixed snapshot."""
 
     def __init__(self, known: Snapshot) -> None:
         self.known = known
@@ -29,7 +29,7 @@ class Fixed:
 
 
 class Scrape:
-    """The samples of a picture, in the text that Prometheus gets."""
+    """The samples of a snapshot, in Prometheus' text format."""
 
     def __init__(self, *documents: dict[str, Any], most: int = 200, **daemon: Any) -> None:
         self.source = Fixed(snapshot(*documents, **daemon))
@@ -64,7 +64,7 @@ def test_a_route_exports_counts_drops_and_times() -> None:
     assert scrape.value("midspan_route_carry_seconds_sum", **where) == pytest.approx(2.003, rel=0.1)
     buckets = {le: scrape.value("midspan_route_carry_seconds_bucket", le=le) for le in ("0.0025", "1", "+Inf")}
     assert buckets == {"0.0025": 0, "1": 1, "+Inf": 2}
-    assert not scrape.values("midspan_route_latency_seconds_count"), "no stamp of the source is known there"
+    assert not scrape.values("midspan_route_latency_seconds_count"), "the source time is unknown"
     scrape = Scrape(side(route(direction="out")))
     where["direction"] = "out"
     assert scrape.value("midspan_route_latency_seconds_count", **where) == 2
@@ -78,7 +78,7 @@ def test_a_service_exports_calls() -> None:
     calls = {r: scrape.value("midspan_route_calls_total", result=r) for r in ("reply", "error", "abandoned")}
     assert calls == {"reply": 1, "error": 0, "abandoned": 0}
     assert scrape.value("midspan_route_calls_pending") == 1
-    assert scrape.value("midspan_route_latency_seconds_count") == 0, "a histogram is there before the first call"
+    assert scrape.value("midspan_route_latency_seconds_count") == 0, "the histogram exists before the first call"
 
 
 def test_a_side_exports_its_state_and_lease() -> None:
@@ -106,7 +106,7 @@ def test_workers_are_reported_from_the_daemons_status() -> None:
     up = {w: scrape.value("midspan_worker_up", worker=w) for w in ("ros1", "ros2", "yarp")}
     assert up == {"ros1": 1, "ros2": 1, "yarp": 0}
     answering = {w: scrape.value("midspan_worker_answering", worker=w) for w in up}
-    assert answering == {"ros1": 1, "ros2": 0, "yarp": 0}, "one that hangs counts as not answering"
+    assert answering == {"ros1": 1, "ros2": 0, "yarp": 0}, "a hanging worker counts as not answering"
     assert not scrape.values("midspan_worker_up", worker="sim") + scrape.values("midspan_worker_up", worker="zenoh")
     assert scrape.value("midspan_worker_phase", worker="yarp", phase="restarting") == 1
     assert scrape.value("midspan_worker_heartbeat_age_seconds", worker="ros2") == 4
@@ -114,7 +114,7 @@ def test_workers_are_reported_from_the_daemons_status() -> None:
     for name in ("cpu_seconds_total", "resident_memory_bytes", "open_fds"):
         assert scrape.value(f"midspan_worker_{name}", worker="ros1") > 0
         assert scrape.value(f"midspan_worker_{name}", worker="daemon") > 0
-        assert not scrape.values(f"midspan_worker_{name}", worker="ros2"), "no such process runs"
+        assert not scrape.values(f"midspan_worker_{name}", worker="ros2"), "there is no such process"
 
 
 def test_an_unreachable_daemon_is_reported_as_down() -> None:
@@ -172,14 +172,16 @@ def test_routes_beyond_the_limit_are_counted_and_reported_ones_stay_reported() -
     assert topics() == {"/t5", "/t6", "/t7"}
     assert scrape.value("midspan_side_routes_untold") == 1
     scrape.source.known = snapshot(side(*(route(f"/t{n}") for n in (1, 2, 6, 7, 8))))
-    assert topics() == {"/t1", "/t6", "/t7"}, "a counter does not end because another route came"
+    assert topics() == {"/t1", "/t6", "/t7"}, "a new route does not displace a reported one"
     assert scrape.value("midspan_side_routes") == 5
     assert scrape.value("midspan_side_routes_untold") == 2
 
 
 def test_a_worker_may_add_metrics() -> None:
     metrics = {"written_bytes_total": 12, "disk_free_bytes": 3.5, "Bad name": 1, "text": "7", "none": None}
-    scrape = Scrape({"worker": "record", "side": "record", "metrics": metrics}, {"worker": "build", "metrics": {"info": 5}})
+    scrape = Scrape(
+        {"worker": "record", "side": "record", "metrics": metrics}, {"worker": "build", "metrics": {"info": 5}}
+    )
     families = scrape.families()
     assert (families["midspan_record_written_bytes"].type, families["midspan_record_disk_free_bytes"].type) == (
         "counter",
@@ -187,7 +189,7 @@ def test_a_worker_may_add_metrics() -> None:
     )
     assert scrape.value("midspan_record_written_bytes_total") == 12
     assert not [name for name in families if name.startswith("midspan_record") and name.endswith(("name", "text"))]
-    assert scrape.value("midspan_build_info", daemon="here") == 1, "its name is taken"
+    assert scrape.value("midspan_build_info", daemon="here") == 1, "the name is in use"
     many = Scrape({"worker": "x", "metrics": {f"n{n}": n for n in range(2 * MOST_CUSTOM)}})
     assert sum(name.startswith("midspan_x_") for name in many.families()) == MOST_CUSTOM
 

@@ -1,4 +1,4 @@
-"""`/diagnostics` tells how each part is: to real programs of both ROS sides, and at once when a part changes."""
+"""`/diagnostics` shows the state of each part to real programs of both ROS sides, and at once after a change."""
 
 from __future__ import annotations
 
@@ -63,7 +63,9 @@ def test_a_workers_level_follows_its_phase_and_heartbeat(phase: str, beat: float
 
 
 def test_disabled_workers_are_not_listed() -> None:
-    assert "worker sim" not in statuses(pid=1, workers=[worker_document("sim", "off"), worker_document("zenoh", "not available")])
+    assert "worker sim" not in statuses(
+        pid=1, workers=[worker_document("sim", "off"), worker_document("zenoh", "not available")]
+    )
 
 
 @pytest.mark.parametrize(("state", "level"), [("running", 0), ("standby", 0), ("waiting", 1), ("odd", 2)])
@@ -75,7 +77,14 @@ def test_a_sides_level_follows_its_state(state: str, level: int) -> None:
 
 
 def test_a_side_without_a_running_worker_is_stale() -> None:
-    named = statuses(pid=1, workers=[worker_document("ros1", "restarting", None), worker_document("router"), worker_document("modules", "restarting", None)])
+    named = statuses(
+        pid=1,
+        workers=[
+            worker_document("ros1", "restarting", None),
+            worker_document("router"),
+            worker_document("modules", "restarting", None),
+        ],
+    )
     assert named["side ros1"].level is Level.STALE
     assert "side router" not in named
     assert named["module gateway"].level is Level.STALE
@@ -94,7 +103,7 @@ def test_levels_of_modules_and_boards() -> None:
         "daemon": "OK", "worker modules": "OK", "module control_boards": "WARN", "module store": "OK",
         "board /r/base": "WARN", "board /r/arm": "OK", "module gateway": "ERROR",
     }  # fmt: skip
-    assert named["module gateway"].message == "it does not run"
+    assert named["module gateway"].message == "not running"
 
 
 def test_level_of_the_daemon() -> None:
@@ -117,7 +126,7 @@ def test_one_worker_publishes_in_a_fixed_order(phases: dict[str, str], turn: str
 
 
 class Side(Worker):
-    """A worker that sees the hub by a side's node."""
+    """A worker with a side's node on the hub."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -139,7 +148,7 @@ class Side(Worker):
 
 
 class PublishingSide:
-    """The worker ``ros1`` on a hub, of a daemon whose worker_document the test gives."""
+    """The worker ``ros1`` on a hub; the test sets the status document of its daemon."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.hubs = QuickHub()
@@ -160,7 +169,7 @@ class PublishingSide:
         return side(state="running", network="n1")
 
     def is_announced(self) -> bool:
-        """Whether the topic is on the hub; a look at each call, as at a heartbeat."""
+        """Poll as at a heartbeat, and return whether the topic is on the hub."""
         self.publishing.look(self.config)
         return bool(self.far.hub.graph.publishers(TOPIC))
 
@@ -181,21 +190,24 @@ def publishing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Publ
 def test_publishes_only_with_subscribers_and_at_once_on_a_change(
     publishing: PublishingSide, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    until(lambda: any(node.node == "far" for node in publishing.hub.graph.nodes()), "the other node is seen")
+    until(lambda: any(node.node == "far" for node in publishing.hub.graph.nodes()), "the other node is discovered")
     threads = threading.active_count()
     assert not publishing.is_announced()
     assert (publishing.asked, threading.active_count()) == (0, threads)
     subscription = publishing.far.subscribe(TOPIC, ARRAY)
-    until(publishing.is_announced, "the topic is there", 10)
-    first = until(lambda: publishing.far.wait(subscription, 1, 0.2), "it tells", 10)[0]
+    until(publishing.is_announced, "the topic is on the hub", 10)
+    first = until(lambda: publishing.far.wait(subscription, 1, 0.2), "diagnostics are published", 10)[0]
     named = {status["name"]: status for status in first["status"]}
     assert named["midspan here: side ros1"]["hardware_id"] == "here"
     assert {pair["key"]: pair["value"] for pair in named["midspan here: worker ros1"]["values"]}["restarts"] == "1"
     assert first["header"]["stamp"]["sec"] > 1e9
     monkeypatch.setattr(diagnostics, "PERIOD", 60.0)
     count = len(publishing.far.wait(subscription, 1, 0.0))
-    assert len(publishing.far.wait(subscription, count + 1, 10.0)) == count + 1, "what was due already"
-    publishing.daemon_document = {"pid": 1, "workers": [worker_document("ros1"), worker_document("ros2", "restarting", None, "signal 9")]}
+    assert len(publishing.far.wait(subscription, count + 1, 10.0)) == count + 1, "the message that was already due"
+    publishing.daemon_document = {
+        "pid": 1,
+        "workers": [worker_document("ros1"), worker_document("ros2", "restarting", None, "signal 9")],
+    }
     last = publishing.far.wait(subscription, count + 2, 10.0)[-1]
     assert {s["name"]: s["level"] for s in last["status"]}["midspan here: worker ros2"] == Level.ERROR
 
@@ -203,20 +215,23 @@ def test_publishes_only_with_subscribers_and_at_once_on_a_change(
 def test_publishes_for_a_sides_subscriber_and_yields_to_the_metrics_worker(publishing: PublishingSide) -> None:
     kind = Registry().ros2(TYPE).type_id
     wanted = publishing.far.hub.subscription(HEARD, TYPE, kind, Qos(), lambda _sample: None)
-    until(lambda: publishing.is_announced() and publishing.asked > 1, "it tells again and again", 10)
+    until(lambda: publishing.is_announced() and publishing.asked > 1, "it publishes periodically", 10)
     publishing.daemon_document = {"pid": 1, "workers": [worker_document("ros1"), worker_document("metrics")]}
-    until(lambda: not publishing.is_announced(), "the worker of metrics tells", 10)
-    publishing.daemon_document = {"pid": 1, "workers": [worker_document("ros1"), worker_document("metrics", "restarting")]}
-    until(publishing.is_announced, "that one ended", 10)
+    until(lambda: not publishing.is_announced(), "the metrics worker publishes", 10)
+    publishing.daemon_document = {
+        "pid": 1,
+        "workers": [worker_document("ros1"), worker_document("metrics", "restarting")],
+    }
+    until(publishing.is_announced, "the metrics worker has ended", 10)
     wanted.close()
-    until(lambda: not publishing.is_announced(), "nobody hears", 10)
+    until(lambda: not publishing.is_announced(), "there is no subscriber", 10)
 
 
 def test_diagnostics_can_be_disabled(publishing: PublishingSide) -> None:
     publishing.far.subscribe(TOPIC, ARRAY)
-    until(publishing.is_announced, "the topic is there", 10)
+    until(publishing.is_announced, "the topic is on the hub", 10)
     publishing.config = publishing.config.model_copy(update={"metrics": MetricsSection(diagnostics=False)})
-    until(lambda: not publishing.is_announced(), "nothing is statuses", 10)
+    until(lambda: not publishing.is_announced(), "nothing is published", 10)
 
 
 def test_ros_subscribers_receive_all_parts_without_console_and_metrics(tmp_path: Path) -> None:
@@ -227,14 +242,18 @@ def test_ros_subscribers_receive_all_parts_without_console_and_metrics(tmp_path:
         at_hub = native.subscribe(TOPIC, ARRAY)
 
         def levels(program: Any, subscription: int) -> dict[str, int]:
-            """What the last message says of the parts; those of a side's routes say nothing of them."""
-            statuses = [m["status"] for m in program.wait(subscription, 1, 1.0) if m["status"][0]["hardware_id"] == "interop"]
+            """Return the levels in the last message about parts; messages of a side's routes do not count."""
+            statuses = [
+                m["status"] for m in program.wait(subscription, 1, 1.0) if m["status"][0]["hardware_id"] == "interop"
+            ]
             return {s["name"].removeprefix("midspan interop: "): s["level"] for s in (statuses or [[]])[-1]}
 
         parts = {f"worker {name}" for name in ("router", "ros1", "ros2", "modules")}
         parts |= {"daemon", "side ros1", "side ros2", "module gateway", "module store"}
         for program, subscription in (*subscribers, (native, at_hub)):
-            shown = until(lambda p=program, h=subscription: parts <= (now := levels(p, h)).keys() and now, "all parts", 30)
+            shown = until(
+                lambda p=program, h=subscription: parts <= (now := levels(p, h)).keys() and now, "all parts", 30
+            )
             assert {part: shown[part] for part in ("side ros1", "worker ros2", "module store")} == {
                 "side ros1": 0, "worker ros2": 0, "module store": 0,
             }  # fmt: skip
@@ -243,14 +262,14 @@ def test_ros_subscribers_receive_all_parts_without_console_and_metrics(tmp_path:
         program, subscription = subscribers[1]
 
         def is_reported_down() -> bool:
-            """Whether the other side tells that the one that statuses is down; it may be up again before that."""
+            """Kill the worker if it runs, and return whether the other side reports it as down; it restarts quickly."""
             for worker in (ask_daemon(load(deployment.file)) or {}).get("workers", ()):
                 if worker["worker"] == "ros1" and worker["phase"] == Phase.UP.value:
                     with suppress(ProcessLookupError):
                         os.kill(worker["pid"], signal.SIGKILL)
             return levels(program, subscription).get("worker ros1", 0) != 0
 
-        until(is_reported_down, "the other side tells that it starts anew", 20, every=0.05)
+        until(is_reported_down, "the other side reports the restart", 20, every=0.05)
         for program, subscription in subscribers:
             program.wait(subscription, 10_000, 0.1)
             until(lambda p=program, h=subscription: levels(p, h).get("worker ros1") == 0, "it is up again", 40)
@@ -270,14 +289,16 @@ def test_a_yarp_reader_receives_all_parts(tmp_path: Path) -> None:
         stack.enter_context(Process([*MIDSPAN, "run", "--config", file], imports=DAEMON))
         reader = YarpPort(names, "/reader")
         stack.callback(reader.stop)
-        until(lambda: names.client.query("/midspan/diagnostics:o"), "the port is there", 40)
+        until(lambda: names.client.query("/midspan/diagnostics:o"), "the port is registered", 40)
         router = f"tcp/127.0.0.1:{number}"
         far = Hub.open(HubSettings(router=router, node="far", daemon="far", worker="far", shared_memory=False))
         stack.callback(far.close)
-        until(lambda: any(node.node == "midspan_yarp" for node in far.graph.nodes()), "the hub's nodes are seen", 20)
-        assert not far.graph.publishers(TOPIC), "nobody hears yet"
+        until(
+            lambda: any(node.node == "midspan_yarp" for node in far.graph.nodes()), "the hub's nodes are discovered", 20
+        )
+        assert not far.graph.publishers(TOPIC), "there is no subscriber yet"
         reader.listen_to("/midspan/diagnostics:o")
         parts = ("midspan here: daemon", "midspan here: side yarp", "midspan here/yarp: worker")
         until(lambda: all(f"'{part}'" in str(reader.bottles()) for part in parts), "all parts", 20)
         reader.stop()
-        until(lambda: not far.graph.publishers(TOPIC), "nobody hears any more", 20)
+        until(lambda: not far.graph.publishers(TOPIC), "there is no subscriber any longer", 20)

@@ -1,4 +1,4 @@
-"""The page tells of every family."""
+"""The documentation page lists every metric family."""
 
 from __future__ import annotations
 

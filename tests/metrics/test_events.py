@@ -1,4 +1,4 @@
-"""What really happens is counted: goals, the store's changes, elections; scraped from real daemons."""
+"""Events are counted: goals, changes of the store, elections; scraped from real daemons."""
 
 from __future__ import annotations
 
@@ -32,9 +32,11 @@ OFF = {"enabled": False}
 
 
 class MeteredDaemon:
-    """A daemon ``name`` of YARP alone, with metrics; its hub joins that of ``join``."""
+    """A daemon ``name`` with YARP and metrics only; its hub joins that of ``join``."""
 
-    def __init__(self, folder: Path, name: str, names: Names, join: MeteredDaemon | None = None, **sections: Any) -> None:
+    def __init__(
+        self, folder: Path, name: str, names: Names, join: MeteredDaemon | None = None, **sections: Any
+    ) -> None:
         self.hub, self._metrics = free_port(), free_port()
         links = {"connect": {"endpoints": [f"tcp/127.0.0.1:{join.hub}"]}} if join else {}
         config = {
@@ -52,7 +54,7 @@ class MeteredDaemon:
         return HubSettings(router=router, node=node, daemon="far", worker=node, shared_memory=False)
 
     def values(self, family: str, label: str) -> dict[str, float]:
-        """A family's values by one of its labels; none where it is not told of, or nobody answers."""
+        """Return a family's values by one of its labels; empty if it is not reported or the daemon does not answer."""
         try:
             with urllib.request.urlopen(f"http://127.0.0.1:{self._metrics}/metrics", timeout=20) as answer:
                 families = parse(answer.read().decode())
@@ -62,12 +64,12 @@ class MeteredDaemon:
         return {sample.labels.get(label, ""): sample.value for sample in samples}
 
     def value(self, family: str) -> float:
-        """That of a family with one sample."""
+        """Return the value of a family with one sample."""
         (value,) = self.values(family, "").values()
         return value
 
     def until(self, family: str, label: str = "", **wanted: float) -> None:
-        """Wait until it tells these values by a label; without one of a family that has none, as ``value``."""
+        """Wait for values by a label; without a label, for ``value``."""
         want = wanted if label else {"": wanted["value"]}
         values: dict[str, float] = {}
 
@@ -115,15 +117,15 @@ def test_goals_and_changes_of_the_store_are_counted(tmp_path: Path, names: Names
         mine.until(3)
         last = Asked(client, pose(5.0))
         assert replaced.end()[0] == "CANCELED"
-        mine.give_up(mine.until(4), "no way leads there")
+        mine.give_up(mine.until(4), "no path to the goal")
         assert last.end()[0] == "ABORTED"
         daemon.until("midspan_goals_total", "outcome", reached=1, canceled=1, refused=1, failed=1, replaced=1)
 
         clicked = client.on(lambda: client.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped"))
-        until(lambda: client.node.hub.graph.subscriptions("/goal_pose"), "the gateway hears it")
+        until(lambda: client.node.hub.graph.subscriptions("/goal_pose"), "the gateway subscribes")
         clicked.publish(pose(math.nan))
         daemon.until("midspan_goals_total", "outcome", refused=2)
-        mine.rejects = 1000  # who came so lately is asked again
+        mine.rejects = 1000  # a planner that has just joined is tried again
         clicked.publish(pose(6.0))
         daemon.until("midspan_goals_total", "outcome", failed=2)
         mine.rejects = 0

@@ -1,4 +1,4 @@
-"""A real Prometheus scrapes a real daemon, and promtool checks the alerts, whose metrics all exist."""
+"""A real Prometheus scrapes a real daemon; promtool checks the alerts; every metric they use exists."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ STRING = "std_msgs/String"
 
 
 class ScrapedDeployment(Deployment):
-    """A deployment with metrics at a separate address, a gateway, a store, a topic that is_bridged and an endpoint."""
+    """A deployment with metrics at a separate address, a gateway, a store, a bridged topic and an endpoint."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -55,13 +55,13 @@ class ScrapedDeployment(Deployment):
             talker.publish(out, {"data": "x"})
             return bool(hearer.wait(chat, 1, 0.2))
 
-        until(is_bridged, "a message is_bridged", 40)
+        until(is_bridged, "a message is bridged", 40)
         added = self.command("location", "add", "--map", "hall", "dock", "1", "2", "90")
         assert added.returncode == 0, added.stderr
         until(lambda: self.get("/readyz")[0] == 200, "all is ready", 40, every=0.2)
 
     def pid_of(self, worker: str) -> int:
-        """The process of a worker, as the daemon reports it."""
+        """Return the worker's process id, as the daemon reports it."""
         daemon_status = ask_daemon(load(self.file))
         assert daemon_status is not None
         return next(status["pid"] for status in daemon_status["workers"] if status["worker"] == worker)
@@ -94,7 +94,7 @@ def promtool(*words: str, text: str = "") -> str:
 
 
 def metric_names(text: str) -> set[str]:
-    """The metric families that a text names."""
+    """Return the metric families named in a text."""
     names = set(re.findall(r"\bmidspan_[a-z0-9_]+\b", text))
     return {re.sub(r"_(bucket|sum|count)$", "", name) for name in names}
 
@@ -199,7 +199,7 @@ def test_a_hanging_worker_is_reported_and_delays_nothing(watched: ScrapedDeploym
     os.kill(pid, signal.SIGSTOP)
     try:
         scrapes = iter(lambda: watched.get("/metrics")[1], "")
-        text = until(lambda: text if f"{answering}0.0" in (text := next(scrapes)) else "", "it is told of", 9)
+        text = until(lambda: text if f"{answering}0.0" in (text := next(scrapes)) else "", "it is reported", 9)
         assert 'midspan_worker_answering{worker="ros1"} 1.0' in text
         took = next(float(line.split()[1]) for line in text.splitlines() if line.startswith("midspan_ask_duration"))
         assert 0.9 < took < 3.0

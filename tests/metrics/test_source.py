@@ -1,4 +1,4 @@
-"""Workers are asked once a second at most, whoever asks, and readiness goes by the daemon's word."""
+"""Workers are queried at most once a second, and readiness follows the daemon's status."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_concurrent_callers_share_one_query(config: Config) -> None:
     source_ = Source(config, ask)
     with ThreadPoolExecutor(8) as pool:
         snapshots = [pool.submit(source_.snapshot) for _ in range(8)]
-        until(lambda: queries, "one asks")
+        until(lambda: queries, "the query has started")
         proceed.set()
         assert len({id(future.result(10)) for future in snapshots}) == 1
     assert len(queries) == 1
@@ -100,7 +100,9 @@ def test_the_daemon_is_reported_without_a_hub(config: Config, daemon: Daemon) ->
     assert snapshot.daemon["daemon"] == "here"
 
 
-def test_readiness_lists_workers_that_are_not_up(config: Config, daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readiness_lists_workers_that_are_not_up(
+    config: Config, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(source, "READY_SECONDS", 0.0)
     ready = Readiness(config)
     assert ready.reasons() == []
@@ -115,4 +117,4 @@ def test_readiness_lists_workers_that_are_not_up(config: Config, daemon: Daemon,
 
 
 def test_it_is_not_ready_without_a_daemon(config: Config) -> None:
-    assert Readiness(config).reasons() == ["no daemon of the name 'here' answers"]
+    assert Readiness(config).reasons() == ["no daemon named 'here' answers"]

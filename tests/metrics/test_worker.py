@@ -145,7 +145,7 @@ def test_a_hanging_worker_does_not_delay_the_others(place: Place) -> None:
 def test_it_is_alive_but_not_ready_without_a_daemon(place: Place) -> None:
     place.start()
     assert place.ask("/healthz") == (200, "text/plain; charset=utf-8", "alive\n")
-    assert place.ask("/readyz")[::2] == (503, "no daemon of the name 'here' answers\n")
+    assert place.ask("/readyz")[::2] == (503, "no daemon named 'here' answers\n")
     assert place.ask("/none")[0] == 404
 
 
@@ -202,7 +202,7 @@ def test_the_console_serves_the_same_metrics(desk: Desk) -> None:
             return families if "midspan_route_messages" in families else {}
 
         families = until(with_routes, "the route is exported", 10)
-        assert (get("/healthz"), get("/readyz")) == ("alive\n", "no daemon of the name 'here' answers\n")
+        assert (get("/healthz"), get("/readyz")) == ("alive\n", "no daemon named 'here' answers\n")
     finally:
         connection.close()
         with_worker.close()
