@@ -228,7 +228,7 @@ class Gateway:
             planner=self.planner,
             planner_state=link.state,
             planner_age=link.presence.machine.age,
-            base=self.motion.base(),
+            base=self.motion.base(link.motion_since),  # a base that stood before may move by now
             goals=link.goals,
             doubtful=link.foreign_goals.doubtful is not None,
             motion=link.motion,

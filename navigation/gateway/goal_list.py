@@ -27,6 +27,7 @@ class GoalList:
         self._publishers: dict[bytes, float] = {}  # GIDs of the topic's publishers on the hub: when each appeared
         self._publisher = b""  # whose list it is
         self._received = 0.0  # when it came (monotonic); 0: never
+        self.active_since = 0.0  # when a goal became active that others have joined since (monotonic); 0: none is
         self._statuses: dict[bytes, GoalState] = {}
         self._empty = False  # no list has come from these publishers for long: they have no goals
         self.known = False  # whether the list is that of a server that is there
@@ -53,6 +54,7 @@ class GoalList:
         """Take in a list; whether it differs from the one before."""
         changed = self._statuses != statuses
         self._publisher, self._statuses, self._received = publisher, dict(statuses), time.monotonic()
+        self.active_since = (self.active_since or self._received) if self.active else 0.0
         self.known, self._empty = True, False
         return changed
 
@@ -67,6 +69,6 @@ class GoalList:
             self.known = True  # the graph does not show its publisher yet
         elif not self._always and self._publishers and now >= self._latest_sign() + EMPTY_SECONDS:
             self._publisher, self._statuses, self._empty = b"", {}, True
-            self.known = True
+            self.known, self.active_since = True, 0.0
         else:
             self.known = self._empty

@@ -66,6 +66,11 @@ class PlannerLink:
         return tuple(one.action for one in self._motion if one.list.known and one.list.active)
 
     @property
+    def motion_since(self) -> float:
+        """When the newest of these actions became active (monotonic); 0 if none is."""
+        return max((action.list.active_since for action in self._motion if action.list.known), default=0.0)
+
+    @property
     def may_move(self) -> bool:
         """Whether another action moves the base, or is not known to have no goals."""
         return any(one.there and (one.list.active or not one.list.known) for one in self._motion)

@@ -89,6 +89,19 @@ def controller(request: pytest.FixtureRequest, robot: Scene) -> Iterator[Control
         server.close()
 
 
+def test_odometry_from_before_the_goal_of_another_client_does_not_show_that_the_base_stands(robot: Scene) -> None:
+    robot.stands()
+    robot.rig.state(State.IDLE)
+    server = Controller(robot.rig, "/spin")
+    try:
+        robot.planner.tell()  # bt_navigator has no goal
+        robot.rig.state(State.MOVING, "/spin moves the base")
+        robot.rig.state(State.IDLE)
+    finally:
+        server.end()
+        server.close()
+
+
 def answered(calling: Calling) -> bool:
     return bool(calling.result(0.0)["done"])
 
