@@ -140,7 +140,7 @@ def test_the_parameters_of_a_node_of_the_hub(deployment: Deployment, owner: str)
     offered = deployment.master.state()["services"]
     assert not [name for name in offered if name.startswith("/ns/")]
     for service in unnamed.services:
-        assert _decisions(named, "ros2", service) == {"private"}
+        until(lambda service=service: _decisions(named, "ros2", service) == {"private"}, f"a decision on {service}", 30)
 
 
 def _hub_node(deployment: Deployment, name: str) -> HubParameters:
