@@ -12,10 +12,7 @@ pytest = PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX='$(CURDIR)/.cache/bytecode
 # 5: no test was chosen; 1: some failed, which run once more at the end (STRICT=1: which end it)
 go_on = case $$? in 5) ;; 1) $(if $(STRICT),exit 1,red=1) ;; *) exit 1 ;; esac
 again = [ -z "$$red" ] || $(BIN)/python scripts/unsteady.py
-forget = rm -rf .cache/pytest
-
-# the files with tests of a marker: to collect all tests takes longer than to run some
-marked = $$(grep -rlF --include='*.py' 'mark.$(1)' tests)
+forget = rm -rf .cache/pytest .cache/first-run
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -32,15 +29,13 @@ mix: setup ## clients of all four sides over three kinds of planners (JSON=FILE 
 	@$(BIN)/python -m tests.interop.mix_table $(if $(JSON),--json '$(JSON)')
 
 test: setup ## what tells whether Midspan works here, with the real middlewares (ARGS='tests/hub -k latched' for some)
-	@$(forget); $(pytest) -n 6 -m 'not thorough and not long and not beside' $(ARGS) || $(go_on); $(again)
+	@$(forget); $(pytest) -n 6 -m 'not thorough and not long' $(ARGS) || $(go_on); $(again)
 
 test-fast: setup ## what needs no middleware, for the edit loop
 	@$(pytest) -n 4 --fast -m 'not thorough and not long and not alone' $(ARGS)
 
-test-all: setup ## all there is; the last part is a first run in a bare clone, beside fuzzing
-	@$(forget); $(pytest) -n 6 -m 'not long$(if $(CI),, and not beside)' $(ARGS) || $(go_on); \
-	$(pytest) -n 3 -m '$(if $(CI),long,long or beside)' $(or $(ARGS),$(call marked,long)) || $(go_on); \
-	$(again)
+test-all: setup ## all tests, including fuzzing, packages and a first run in a bare clone
+	@$(forget); $(pytest) -n 6 $(ARGS) || $(go_on); $(again)
 
 lint: setup ## ruff (rules and format), import cycles and sizes
 	@$(BIN)/ruff check .

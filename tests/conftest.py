@@ -26,8 +26,8 @@ _REAL = (
 )  # fmt: skip
 """Folders with files that start many programs and take up to a minute: they run first."""
 
-_LAST = "test_first_run.py"
-"""A file that takes minutes: the process that runs files from the end of the list starts with it."""
+_LONG = len(_REAL) + 1
+"""Place of the files with `long` tests: the processes that run files from the end of the list start with them."""
 
 _LEFTOVERS = 10
 """Exit code of a run with leftovers, after which no test is repeated; see scripts/unsteady.py."""
@@ -103,13 +103,13 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run files that start many programs first; otherwise the order stays random."""
+    """Order the files: those that start many programs, the others, those with long tests; otherwise at random."""
     places = {name: place for place, name in enumerate(_REAL)}
     root = Path(__file__).parent
+    long = {item.path for item in items if item.get_closest_marker("long")}
 
     def place(item: pytest.Item) -> int:
-        last = item.path.name == _LAST
-        return len(_REAL) + 1 if last else places.get(item.path.relative_to(root).parts[0], len(_REAL))
+        return _LONG if item.path in long else places.get(item.path.relative_to(root).parts[0], len(_REAL))
 
     items.sort(key=place)
 

@@ -17,7 +17,7 @@ from tests.support.peer import Peer
 from tests.support.wait import until
 from tests.support.yarp_programs import Definitions, Names, YarpProgram
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.long, pytest.mark.alone, pytest.mark.timeout(300)]
 
 STRING, TF = "std_msgs/String", "tf2_msgs/TFMessage"
 NODES, PUBLISHED, SUBSCRIBED = 13, 8, 7
