@@ -1,7 +1,7 @@
-"""What it costs to drive: RobotGoto's control step and the localiser's update, as shares of the time they have.
+"""What it costs to drive: RobotGoto's control step and the localizer's update, as shares of the time they have.
 
 The simulated R1 drives through the apartment in lock-step, so that both see what they see on a robot. The peer is the
-period: RobotGoto's step comes every 10 ms (upstream's period), with the scan taken up at 10 Hz; the localiser's update
+period: RobotGoto's step comes every 10 ms (upstream's period), with the scan taken up at 10 Hz; the localizer's update
 (1,000 particles, 360 beams) at most once for each scan, 100 ms. All on one core, by the clock.
 
     python benchmarks/control.py [--json FILE] [--seconds 60]
@@ -21,7 +21,7 @@ import numpy as np
 if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.localiser import Tour, simulated
+from benchmarks.localizer import Tour, simulated
 from benchmarks.rows import Row, add_json_option, report
 from bridge.config.sections.localization_server import LocaliserSection
 from navigation.localization_server.localizer import Localizer
@@ -90,7 +90,7 @@ def measure(seconds: float) -> list[Row]:
     return [
         *steps.rows("RobotGoto: a step", STEP),
         *scans.rows("RobotGoto: a scan", TURN),
-        *updates.rows("localiser: an update", TURN),
+        *updates.rows("localizer: an update", TURN),
     ]
 
 

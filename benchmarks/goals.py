@@ -1,6 +1,6 @@
 """Random goals in the closed loop: reached, without a contact and without entering what is to be kept out of?
 
-Simulator, BaseControl, RobotGoto, RobotPathPlanner and the localiser (odometry drifts) in lock-step in one process.
+Simulator, BaseControl, RobotGoto, RobotPathPlanner and the localizer (odometry drifts) in lock-step in one process.
 People walk as the plans have them. A contact is a tick (10 ms) in which the moving robot's hull touches something; a
 keep-out entry a look (50 ms) at which its hull is within such an area. The peer of the way driven is the shortest way
 on the map. In the world `tables` the robot has a depth camera: RobotGoto hears its points live, and Mapper3D's code
@@ -49,7 +49,7 @@ def run(
         goals: how many.
         seed: of goals and noise.
         people: whether they walk about.
-        localized: whether our localiser tells where the robot is; False: the simulator does.
+        localized: whether our localizer tells where the robot is; False: the simulator does.
         depth: whether it has a depth camera where the floor has what a laser does not see.
     """
     there = world(name, people=people)
@@ -130,7 +130,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--goals", type=int, default=10, metavar="N", help="in each world with each base (default 10)")
     parser.add_argument("--seed", type=int, default=0, help="of goals and noise (default 0)")
     parser.add_argument("--alone", action="store_true", help="nobody walks about")
-    parser.add_argument("--truth", action="store_true", help="the simulator tells where the robot is, no localiser")
+    parser.add_argument("--truth", action="store_true", help="the simulator tells where the robot is, no localizer")
     parser.add_argument("--laser-alone", action="store_true", help="no depth camera, where the world is for one")
     add_json_option(parser)
     return parser

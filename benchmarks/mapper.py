@@ -42,10 +42,10 @@ Floats = NDArray[np.float64]
 
 PLANS = ("apartment", "lab")
 APART = 2.0
-"""Metres between the points of a tour."""
+"""Meters between the points of a tour."""
 
 CLEARANCE = 0.4
-"""Metres between a tour and walls."""
+"""Meters between a tour and walls."""
 
 FARTHEST = 10.0
 _DENSE = 14_400
@@ -89,7 +89,7 @@ def tour(simulation: Simulation, seconds: float = math.inf) -> Iterator[Seen]:
 
 
 def _points(open_: NDArray[np.uint8], step: int) -> Iterator[tuple[int, int]]:
-    """Cells (row, column) of a lattice, to and fro; where one is not open, its nearest neighbour that is."""
+    """Cells (row, column) of a lattice, to and fro; where one is not open, its nearest neighbor that is."""
     near = step // 3
     for turn, row in enumerate(range(step // 2, len(open_), step)):
         columns = range(step // 2, open_.shape[1], step)
@@ -157,7 +157,7 @@ def match(grid: MapGrid2D, simulation: Simulation, poses: list[Pose]) -> Match:
 
 
 def _distance(points: Floats, segments: Floats, circles: Floats) -> Floats:
-    """Each point's distance to the nearest surface, metres."""
+    """Each point's distance to the nearest surface, meters."""
     best = np.full(len(points), math.inf)
     for x, y, to_x, to_y in segments:
         way = np.array((to_x - x, to_y - y))
@@ -169,7 +169,7 @@ def _distance(points: Floats, segments: Floats, circles: Floats) -> Floats:
 
 
 def _in_sight(segments: Floats, circles: Floats, poses: list[Pose]) -> Floats:
-    """The centimetres of surface that a laser at these poses has in sight, (n, 2) metres: by very many beams."""
+    """The centimeters of surface that a laser at these poses has in sight, (n, 2) meters: by very many beams."""
     step = math.tau / _DENSE
     angles = np.arange(_DENSE) * step
     beams = np.ascontiguousarray(np.stack((np.cos(angles), np.sin(angles)), axis=1))

@@ -55,7 +55,7 @@ def seat(turn: float) -> Seat:
 
 
 def depth(at: Seat, size: float, rng: np.random.Generator) -> NDArray[np.float32]:
-    """What the camera sees of a room of so many metres a side, 2.6 m high, with two tables."""
+    """What the camera sees of a room of so many meters a side, 2.6 m high, with two tables."""
     u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     ways = np.stack(((u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u, float)), -1) @ at.turn.T
     found = np.full(u.shape, np.inf)
@@ -134,7 +134,7 @@ def main() -> int:
     """Measure and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=int, default=30, help="of each room")
-    parser.add_argument("--rooms", type=float, nargs="+", default=[5.0, 10.0], metavar="METRES")
+    parser.add_argument("--rooms", type=float, nargs="+", default=[5.0, 10.0], metavar="METERS")
     add_json_option(parser)
     args = parser.parse_args()
     need_peers("pyoctomap")

@@ -49,8 +49,8 @@ def office(size: int) -> MapGrid2D:
     flags[spots[0], spots[1]] = dice.integers(0, 6, spots.shape[1])
     occupancy = occupancy_of(flags)
     spots = dice.integers(0, size, (2, size * size // 100))
-    grey = occupancy[spots[0], spots[1]] == 0
-    occupancy[spots[0][grey], spots[1][grey]] = dice.integers(1, 50, int(grey.sum()))
+    gray = occupancy[spots[0], spots[1]] == 0
+    occupancy[spots[0][gray], spots[1][gray]] = dice.integers(1, 50, int(gray.sum()))
     assert (occupancy == UNKNOWN).any()
     return MapGrid2D.of(flags, occupancy, name="office", resolution=0.05, origin=(-10.0, -10.0, 0.0))
 
@@ -60,7 +60,7 @@ def files(grid: MapGrid2D, folder: Path) -> dict[str, Pair]:
     plain = folder / "plain"
     plain.mkdir()
     grid.save(folder / "office.map")
-    colours, pairs = picture_of_flags(grid.flags), dict[str, Pair]()
+    colors, pairs = picture_of_flags(grid.flags), dict[str, Pair]()
     greys = read(folder / "office_grid.pgm")
     assert MapGrid2D.load(folder / "office.map") == grid
     pairs["load .map"] = (
@@ -69,7 +69,7 @@ def files(grid: MapGrid2D, folder: Path) -> dict[str, Pair]:
     )
     pairs["save .map"] = (
         lambda: grid.save(folder / "office.map"),
-        lambda: [write(*image) for image in ((plain / "g.pgm", greys), (plain / "f.ppm", colours))],
+        lambda: [write(*image) for image in ((plain / "g.pgm", greys), (plain / "f.ppm", colors))],
     )
     for kind in ("pgm", "png", "bmp"):
         (folder / kind).mkdir()

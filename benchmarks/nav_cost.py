@@ -1,6 +1,6 @@
 """What the navigation of one robot costs: shares of a core of each process, idle and driving, at a laser of 10 Hz.
 
-The whole deployment, `midspan run` with simulator, base control, localiser, RobotGoto, RobotPathPlanner and gateway.
+The whole deployment, `midspan run` with simulator, base control, localizer, RobotGoto, RobotPathPlanner and gateway.
 The "peer" of a row is what is meant to be enough: 40 % of a core for all modules while they drive. With ``--tables`` it
 is that of configs/tables.yaml: a depth camera of 640 x 480 at 5 Hz whose points RobotGoto hears, without Mapper3D and
 with it; the difference is what mapping costs.

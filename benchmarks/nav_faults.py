@@ -1,6 +1,6 @@
 """What a robot does that drives to a place while something fails, with the whole deployment: simulator to gateway.
 
-Printed of each fault: seconds until the wheels stood and metres until then, what the client heard, whether the robot
+Printed of each fault: seconds until the wheels stood and meters until then, what the client heard, whether the robot
 went on by itself, and how the goal ended. Rows hold the seconds until the wheels stood; their "peer" is the time that
 is allowed. Links are cut between two machines that are network namespaces, which takes root and iproute2.
 """

@@ -41,7 +41,7 @@ class Found(NamedTuple):
 
 
 def rooms(size: int) -> Grid:
-    """Ten by ten rooms, each with a door to each neighbour."""
+    """Ten by ten rooms, each with a door to each neighbor."""
     dice = random.Random(1)
     grid = np.ones((size, size), np.uint8)
     step = size // 10

@@ -59,7 +59,7 @@ def square(robot: Robot, name: str, program: Program, side: float) -> Iterator[R
 def main() -> int:
     """Drive and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--side", type=float, default=4.0, metavar="METRES")
+    parser.add_argument("--side", type=float, default=4.0, metavar="METERS")
     parser.add_argument("--scale", type=float, default=0.0, help="how much more the encoders say, as a share")
     add_json_option(parser)
     args = parser.parse_args()

@@ -47,13 +47,13 @@ from bridge.web.feeds.map_pictures import TILE
 FIRST_VIEW, MAP_SEEN, AGE_MS, BACK, TEN_PERCENT = 1.0, 2.0, 100.0, 3.0, 15.0
 """Aims: seconds to the first view and to the large map; ms from hub to pixels, p95; seconds until the page goes on once
 the console is back; percent of a core for ten pages."""
-CELLS, METRES = 4000, 0.05
+CELLS, METERS = 4000, 0.05
 TILES = math.ceil(CELLS / TILE) ** 2
 FEEDS = ("robot", "robots", "driving", "map", "laser", "path", "places")
 PAGES = 10
 SMALL, RATE = "/small", 100.0
 STEP = 0.001
-"""Metres that the robot moves in 10 ms, and by which the laser's beam grows: what is drawn is known by them."""
+"""Meters that the robot moves in 10 ms, and by which the laser's beam grows: what is drawn is known by them."""
 MARKS = """
 window.marks = { robot: [], laser: [], map: 0, tiles: 0 };
 const Plain = window.WebSocket;
@@ -135,8 +135,8 @@ def _with_map(folder: Path) -> dict[str, Any]:
     cells = np.full((CELLS, CELLS), 254, np.uint8)
     cells[::100] = cells[:, ::100] = 0
     (folder / "large.pgm").write_bytes(b"P5 %d %d 255\n" % (CELLS, CELLS) + cells.tobytes())
-    origin = f"[{-CELLS * METRES / 2}, {-CELLS * METRES / 2}, 0]"
-    words = f"resolution: {METRES}\norigin: {origin}\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+    origin = f"[{-CELLS * METERS / 2}, {-CELLS * METERS / 2}, 0]"
+    words = f"resolution: {METERS}\norigin: {origin}\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
     (folder / "large.yaml").write_text(f"image: large.pgm\n{words}")
     store = {"enabled": True, "maps": str(folder / "large.yaml")}
     return {"web": {"enabled": True}, "store": store, "navigation": {"map": "store"}}

@@ -33,7 +33,7 @@ IN_DOCS = {
     "status": ("status", "desk", "light"),
     "topic": ("topics//scan", "desk", "dark"),
 }
-"""File in the docs: view, width and colours."""
+"""File in the docs: view, width and colors."""
 GOALS = ("kitchen", "bedroom")
 """The robot drives while its pictures are taken."""
 SETTLE_SECONDS = 3.0
@@ -55,12 +55,12 @@ def browser(folder: Path) -> Iterator[Chrome]:
         chrome.quit()
 
 
-def picture(chrome: Chrome, address: str, view: str, width: str, colours: str) -> Image.Image:
+def picture(chrome: Chrome, address: str, view: str, width: str, colors: str) -> Image.Image:
     """One view."""
     across, down = WIDTHS[width]
     device = {"width": across, "height": down, "deviceScaleFactor": 1, "mobile": width == "phone"}
     chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", device)
-    scheme = {"features": [{"name": "prefers-color-scheme", "value": colours}]}
+    scheme = {"features": [{"name": "prefers-color-scheme", "value": colors}]}
     chrome.execute_cdp_cmd("Emulation.setEmulatedMedia", scheme)
     chrome.get("about:blank")
     chrome.get(f"{address}#{view}")
@@ -89,10 +89,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     wanted = [(DOCS / f"{name}.png", *what) for name, what in IN_DOCS.items()]
                 else:
                     wanted = [
-                        (folder / f"{view.partition('/')[0]}-{width}-{colours}.png", view, width, colours)
+                        (folder / f"{view.partition('/')[0]}-{width}-{colors}.png", view, width, colors)
                         for view in VIEWS
                         for width in WIDTHS
-                        for colours in ("light", "dark")
+                        for colors in ("light", "dark")
                     ]
                 for number, (file, *what) in enumerate(wanted):
                     if number % 4 == 0:

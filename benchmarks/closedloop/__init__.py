@@ -1,1 +1,1 @@
-"""The closed loop in lock-step, in one process: simulator, BaseControl, RobotGoto, planner and localiser."""
+"""The closed loop in lock-step, in one process: simulator, BaseControl, RobotGoto, planner and localizer."""

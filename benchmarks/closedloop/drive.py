@@ -13,15 +13,15 @@ from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
 from navigation.status import State
 
-NEAR_METRES, NEAR_DEGREES = 0.25, 10.0
-"""In truth so near to its goal a robot is that says to have reached it: its tolerance and its localiser's error."""
+NEAR_METERS, NEAR_DEGREES = 0.25, 10.0
+"""In truth so near to its goal a robot is that says to have reached it: its tolerance and its localizer's error."""
 
 _SPEED = 0.1
 _EXTRA = 180.0
 
 
 class Stack(Protocol):
-    """Who drives a robot: planner, local navigator and localiser."""
+    """Who drives a robot: planner, local navigator and localizer."""
 
     def goal(self, pose: Pose, constraints: Constraints | None = None) -> None:
         """Begin to drive there, on the map."""
@@ -50,10 +50,10 @@ class Drive:
         state: how it ended.
         reason: what was said of it.
         seconds: of simulated time.
-        driven: metres.
-        optimum: metres of the shortest way.
-        off: metres from the goal at the end, in truth.
-        lost: metres between where the robot believed to be and where it was, the most.
+        driven: meters.
+        optimum: meters of the shortest way.
+        off: meters from the goal at the end, in truth.
+        lost: meters between where the robot believed to be and where it was, the most.
     """
 
     reached: bool
@@ -75,7 +75,7 @@ class Loop:
         judge: who watches.
 
     Attributes:
-        lost: metres between belief and truth, the most since it was set.
+        lost: meters between belief and truth, the most since it was set.
     """
 
     def __init__(self, robot: Robot, stack: Stack, judge: Judge) -> None:
@@ -100,7 +100,7 @@ class Loop:
         return until()
 
     def settle(self) -> None:
-        """Let the robot come to rest and the localiser settle."""
+        """Let the robot come to rest and the localizer settle."""
         self.run(1.0)
 
     def drive(self, goal: Pose, optimum: float = math.inf, seconds: float | None = None) -> Drive:
@@ -116,6 +116,6 @@ class Loop:
         self.settle()
         truth = self.robot.truth
         off, turned = truth.distance(goal), abs(math.degrees(wrapped(truth.theta - goal.theta)))
-        reached = state is State.REACHED and off < NEAR_METRES and turned < NEAR_DEGREES
+        reached = state is State.REACHED and off < NEAR_METERS and turned < NEAR_DEGREES
         seconds, driven = self.robot.now - began, self.robot.driven - driven
         return Drive(reached, state, reason, seconds, driven, optimum, off, self.lost)

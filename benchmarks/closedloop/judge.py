@@ -29,9 +29,9 @@ class Judge:
 
     Attributes:
         contacts: ticks in which its hull touched something while it was moving.
-        room: metres between its hull and the nearest thing while it was moving, the least so far.
+        room: meters between its hull and the nearest thing while it was moving, the least so far.
         entered: looks at which its hull was in a keep-out area.
-        keep_out_room: metres between its hull and the nearest keep-out area, the least so far.
+        keep_out_room: meters between its hull and the nearest keep-out area, the least so far.
         where: the time and place of the first contact or entry, for people.
     """
 
@@ -71,11 +71,11 @@ class Judge:
 
 
 def nearest(x: float, y: float, segments: Floats, circles: Floats) -> float:
-    """How far the nearest thing is from a point, metres.
+    """How far the nearest thing is from a point, meters.
 
     Args:
-        x: of the point, metres.
-        y: of the point, metres.
+        x: of the point, meters.
+        y: of the point, meters.
         segments: (n, 4) x1, y1, x2, y2.
         circles: (m, 3) x, y, radius.
     """
@@ -91,6 +91,6 @@ def nearest(x: float, y: float, segments: Floats, circles: Floats) -> float:
 
 
 def _outside(x: float, y: float, area: Rectangle) -> float:
-    """How far a point is from a rectangle, metres; 0 within it."""
+    """How far a point is from a rectangle, meters; 0 within it."""
     x0, y0, x1, y1 = area
     return math.hypot(max(x0 - x, 0.0, x - x1), max(y0 - y, 0.0, y - y1))

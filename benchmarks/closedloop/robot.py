@@ -18,7 +18,7 @@ from sim.simulation import TICK_NS, Simulation
 
 LASER = LaserSection(beams=720, rate=10.0, noise=0.005)
 SCALES = (0.006, -0.004, 0.005)
-"""How much more each wheel's encoder says: so odometry drifts by half a metre and some ten degrees in five minutes."""
+"""How much more each wheel's encoder says: so odometry drifts by half a meter and some ten degrees in five minutes."""
 
 CAMERA = CameraSection(rate=5.0, width=160, height=120, noise=0.02)
 """A D435's picture, made four times smaller: an error of 0.08 of its pixels is one of 0.02 of these."""
@@ -35,13 +35,13 @@ class Robot:
         plan: one floor.
         base: the robot's name, or a file.
         seed: of all noise.
-        start: x, y (metres), direction (degrees); None for the plan's.
+        start: x, y (meters), direction (degrees); None for the plan's.
         camera: its depth camera; None: it has none.
 
     Attributes:
         simulation: the floor with the robot on it.
         odometry: where BaseControl believes it to be, in the odometry's frame.
-        driven: metres, in truth.
+        driven: meters, in truth.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Robot:
 
     @property
     def radius(self) -> float:
-        """Of its hull, metres."""
+        """Of its hull, meters."""
         return self.simulation.robot.body.radius
 
     @property

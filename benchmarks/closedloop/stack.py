@@ -1,4 +1,4 @@
-"""Midspan's own: RobotPathPlanner, RobotGoto and the localiser about one robot, in lock-step, without a hub."""
+"""Midspan's own: RobotPathPlanner, RobotGoto and the localizer about one robot, in lock-step, without a hub."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ RADII = {"r1": 0.3, "ikart_v1": 0.38}
 """What the navigation takes the robots' radii for: R1's as in its own files, iKart's a little more than its hull."""
 
 _ROOM = 0.05
-"""Metres that the planner keeps beyond that: RobotGoto needs them."""
+"""Meters that the planner keeps beyond that: RobotGoto needs them."""
 
 _DRIVE_EVERY, _PLAN_EVERY, _LOOK_EVERY = 2, 10, 2
 """Ticks between steps of RobotGoto and of RobotPathPlanner, and scans between two that the latter looks at."""
@@ -49,8 +49,8 @@ class Ours:
     Args:
         robot: whom they drive.
         world: where; they know its map.
-        localized: whether the localiser tells where the robot is; else the simulator does.
-        seed: of the localiser's chance.
+        localized: whether the localizer tells where the robot is; else the simulator does.
+        seed: of the localizer's chance.
         start: where the robot is said to be at first; None: where it is.
     """
 

@@ -17,7 +17,7 @@ from navigation.pose import Pose
 from yarp_compat.dev.mapgrid import MapFlag
 
 _ROOM = 0.25
-"""Metres between the hull at a goal and anything: it can be reached by whoever keeps 0.2 m away."""
+"""Meters between the hull at a goal and anything: it can be reached by whoever keeps 0.2 m away."""
 
 _TIGHT = 0.12
 """The same on the way: what is narrower is no way."""
@@ -33,7 +33,7 @@ class Targets:
         world: where.
         robot: who.
         seed: of the goals.
-        farthest: metres of way to a goal at most.
+        farthest: meters of way to a goal at most.
     """
 
     def __init__(self, world: World, robot: Robot, seed: int, farthest: float = math.inf) -> None:
@@ -43,7 +43,7 @@ class Targets:
         self._around = self._distances()
 
     def _distances(self) -> NDArray[np.float32]:
-        """Metres from each cell to what stands there or is kept out of; rows from the top one down."""
+        """Meters from each cell to what stands there or is kept out of; rows from the top one down."""
         grid, there = self._world.map, self._robot.simulation.world
         solid = grid.flags != MapFlag.FREE
         pieces = [*there.leaves(is_open=False), *(crate.now() for crate in there.crates.values())]
@@ -57,7 +57,7 @@ class Targets:
         return int(row), int(column)
 
     def way(self, start: Pose, goal: Pose) -> float:
-        """How long the shortest way is, metres; infinite where there is none for a robot of this width."""
+        """How long the shortest way is, meters; infinite where there is none for a robot of this width."""
         weights = (self._around > self._robot.radius + _TIGHT).astype(np.uint8)
         row, column = self._cell(start)
         free = np.argwhere(weights)

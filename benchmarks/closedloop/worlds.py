@@ -18,7 +18,7 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.sig.vec2d import Vec2D
 
 Rectangle = tuple[float, float, float, float]
-"""x0, y0, x1, y1, metres."""
+"""x0, y0, x1, y1, meters."""
 
 WORLDS = ("apartment", "office", "lab", "hall", "tables", "two_storeys/ground", "two_storeys/upper")
 
@@ -34,7 +34,7 @@ KEEP_OUT: dict[str, tuple[Rectangle, ...]] = {
 
 
 LEAST, TALL = 0.05, 1.3
-"""Metres above the floor within which a thing is one for a robot."""
+"""Meters above the floor within which a thing is one for a robot."""
 
 
 def hidden(there: FloorWorld) -> list[Piece]:
@@ -45,7 +45,7 @@ def hidden(there: FloorWorld) -> list[Piece]:
 
 
 def covered(grid: MapGrid2D, pieces: Iterable[Piece]) -> NDArray[np.float64]:
-    """(n, 2) the middles of a map's cells that pieces touch, metres."""
+    """(n, 2) the middles of a map's cells that pieces touch, meters."""
     rows, columns = np.indices(grid.flags.shape)
     places = grid.centers_of(np.stack((columns, rows), -1).reshape(-1, 2))
     found = np.zeros(len(places), np.bool_)

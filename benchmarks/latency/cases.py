@@ -1,4 +1,4 @@
-"""The messages of the benchmark, as both wires have them; serialised by rosbags, not by Midspan."""
+"""The messages of the benchmark, as both wires have them; serialized by rosbags, not by Midspan."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Prepared:
 
 
 def prepare(case: Case, folder: Path) -> Prepared:
-    """Serialise a case's message for both wires into files."""
+    """Serialize a case's message for both wires into files."""
     cdr = bytes(_STORE.serialize_cdr(case.make(), case.type))
     ros1 = bytes(_STORE.cdr_to_ros1(cdr, case.type))
     text = _TEXT_MARK.encode()

@@ -214,7 +214,7 @@ FAULTS = (
     Fault("laser silent for good", _sensor("laser_silent"), 14.0, 1.5, "laser", GoalState.ABORTED, Why.NO_LASER),
     Fault("odometry silent", _sensor("encoders_silent"), 4.0, 1.5, "odom"),
     Fault("odometry frozen", _sensor("encoders_frozen"), 6.0, 3.0, "does not follow", tries=True),
-    Fault("localiser switched off", _without("localization_server"), 5.0, 3.5, "stale"),
+    Fault("localizer switched off", _without("localization_server"), 5.0, 3.5, "stale"),
     Fault("robot_goto switched off", _without("robot_goto"), 3.0, 1.5, "robot_goto"),
     Fault("planner switched off", _without("robot_path_planner"), 3.0, 1.5, "stopped", ends=GoalState.ABORTED),
     Fault("base_control switched off", _without("base_control"), 4.0, 1.5),

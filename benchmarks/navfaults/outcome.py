@@ -13,7 +13,7 @@ class Outcome:
     Attributes:
         key: the fault's.
         still: seconds from the fault until the wheels stood; infinite where they did not.
-        way: metres that the robot went meanwhile.
+        way: meters that the robot went meanwhile.
         told: what the client heard of it: state and reason.
         onward: seconds from the end of the fault until the robot drove on; infinite where it was not to, or did not.
         anew: seconds from asking for the goal anew until the robot drove; infinite where nobody did, or it did not.

@@ -1,4 +1,4 @@
-"""The whole way from a goal to the wheels: `midspan run` with simulator, base control, localiser, planner and gateway.
+"""The whole way from a goal to the wheels: `midspan run` with simulator, base control, localizer, planner and gateway.
 
 One machine, Midspan alone. Who asks is a program of its own on the hub; where the robot truly is says the simulator.
 """
@@ -44,7 +44,7 @@ _STILL = 0.01
 
 @dataclass
 class Truth:
-    """Where the robot truly is: seconds of the simulation (of the machine at speed 1), metres, rad, m/s, rad/s."""
+    """Where the robot truly is: seconds of the simulation (of the machine at speed 1), meters, rad, m/s, rad/s."""
 
     time: float
     x: float
@@ -241,7 +241,7 @@ class Chain:
         return self.client.goto(*self.places[name], **more)
 
     def off(self, name: str) -> float:
-        """Metres from the robot to a place."""
+        """Meters from the robot to a place."""
         truth = self.truth
         return math.inf if truth is None else math.dist((truth.x, truth.y), self.places[name][:2])
 

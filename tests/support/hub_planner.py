@@ -11,7 +11,7 @@ from navigation.messages import NAVIGATE
 from tests.navigation.gateway.rig import Program, pose
 
 SPEED, PATIENCE, UNREACHABLE = 2.0, 0.5, 900.0
-"""m/s; seconds until a goal of so great an x, metres, is given up."""
+"""m/s; seconds until a goal of so great an x, meters, is given up."""
 
 
 class HubPlanner(Program):

@@ -25,7 +25,7 @@ class PointRobot:
 
     Args:
         settings: of its session.
-        size: of the map, metres along x and y; the robot begins 5 m from its left border, in the middle of y.
+        size: of the map, meters along x and y; the robot begins 5 m from its left border, in the middle of y.
     """
 
     def __init__(self, settings: HubSettings, size: tuple[float, float]) -> None:

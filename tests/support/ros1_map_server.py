@@ -26,7 +26,7 @@ def pixels(file):
 
 file = Path(sys.argv[1])
 said = yaml.safe_load(file.read_text())
-width, height, grey = pixels(file.with_name(said["image"]))
+width, height, gray = pixels(file.with_name(said["image"]))
 rospy.init_node("map_server")
 grid = OccupancyGrid()
 grid.header.frame_id = "map"
@@ -35,7 +35,7 @@ grid.info.resolution, grid.info.width, grid.info.height = said["resolution"], wi
 grid.info.origin.position.x, grid.info.origin.position.y = said["origin"][:2]
 grid.info.origin.orientation.w = 1.0
 for row in reversed(range(height)):
-    for value in grey[row * width : (row + 1) * width]:
+    for value in gray[row * width : (row + 1) * width]:
         dark = (255 - value) / 255.0
         grid.data.append(100 if dark > said["occupied_thresh"] else 0 if dark < said["free_thresh"] else -1)
 publisher = rospy.Publisher("map", OccupancyGrid, queue_size=1, latch=True)

@@ -27,7 +27,7 @@ from tf2_msgs.msg import TFMessage
 
 PERIOD = float(sys.argv[4]) if len(sys.argv) > 4 else 0.1
 NEAR, GAIN = 0.05, 5.0
-"""It is there within so many metres; before that it goes so many m/s slower for each metre less."""
+"""It is there within so many meters; before that it goes so many m/s slower for each meter less."""
 UNREACHABLE = 900.0
 FRAMES = ("map", "odom", "base_link")
 ACCEPTED = "This goal has been accepted by the simple action server"

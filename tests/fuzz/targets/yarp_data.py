@@ -136,7 +136,7 @@ def _requests() -> Subject:
 
 
 def _navigation() -> Subject:
-    """Requests and words to a navigator's port, and requests to a localiser's, which answer with devices."""
+    """Requests and words to a navigator's port, and requests to a localizer's, which answer with devices."""
     from tests.yarp_compat.dev.test_inavigation2d import CALLS
     from tests.yarp_compat.dev.test_robotgoto_commands import Goto
     from yarp_compat.dev.inavigation2d import INavigation2DMsgs

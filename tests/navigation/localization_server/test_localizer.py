@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.localiser import DEGREES, METRES, Tour, drive, simulated
+from benchmarks.localizer import DEGREES, METERS, Tour, drive, simulated
 from bridge.config.sections.localization_server import LocaliserSection
 from bridge.config.sections.sim import LaserSection, SimSection
 from navigation.localization_server.estimate import LocalizationStatus
@@ -44,17 +44,17 @@ def test_it_tracks_the_robot_while_odometry_drifts() -> None:
     start = truth(run)
     localizer.initial(start)
     errors = np.array([error for _, *error in drive(run, localizer, 20.0, [])])
-    assert errors[:, 0].max() < METRES
+    assert errors[:, 0].max() < METERS
     assert errors[:, 1].max() < DEGREES
     drifted = start @ Pose(*run.there.estimate.pose)
     assert abs(math.degrees(wrapped(drifted.theta - truth(run).theta))) > DEGREES  # else the test shows nothing
     estimate = localizer.estimate()
     assert (estimate.status, estimate.reason) == (LocalizationStatus.OK, "")
     assert estimate.quality > 0.7
-    assert 0.0 < math.sqrt(estimate.covariance[0, 0]) < METRES
+    assert 0.0 < math.sqrt(estimate.covariance[0, 0]) < METERS
     cloud = localizer.cloud()
     assert cloud.shape == (1000, 3)
-    assert np.hypot(*(cloud[:, :2].mean(axis=0) - truth(run)[:2])) < METRES
+    assert np.hypot(*(cloud[:, :2].mean(axis=0) - truth(run)[:2])) < METERS
 
 
 @pytest.mark.parametrize("world", ["apartment", "lab"])
@@ -64,7 +64,7 @@ def test_it_recovers_from_a_wrong_start(world: str) -> None:
     true = truth(run)
     localizer.initial(Pose(true.x + 2.1, true.y - 2.1, true.theta + math.radians(30.0)))
     for _, metres, degrees in drive(run, localizer, 60.0, []):
-        if metres < METRES and degrees < DEGREES and localizer.estimate().status is LocalizationStatus.OK:
+        if metres < METERS and degrees < DEGREES and localizer.estimate().status is LocalizationStatus.OK:
             return
     pytest.fail(f"still an error of {error_of(localizer, run)}")
 
@@ -109,7 +109,7 @@ def test_frozen_odometry_is_reported_and_the_laser_still_locates_the_robot() -> 
         run.there.run(1.0)
         if localizer.estimate().status is LocalizationStatus.OK:
             break
-    assert error_of(localizer, run)[0] < METRES
+    assert error_of(localizer, run)[0] < METERS
 
 
 def test_a_laser_without_echoes_gives_no_pose() -> None:
@@ -176,7 +176,7 @@ def test_it_tracks_a_holonomic_base_that_moves_sideways() -> None:
             localizer.scan(sim.time_ns, scan_points(sim.scan))
     pose = localizer.pose
     assert pose is not None
-    assert pose.distance(Pose(*sim.base.pose())) < METRES
+    assert pose.distance(Pose(*sim.base.pose())) < METERS
     assert localizer.updates > 3
 
 
@@ -212,5 +212,5 @@ def test_it_stays_localized_when_the_system_clock_is_set() -> None:
     assert before.pose is not None
     odometry = Pose(*run.there.estimate.pose)._replace(stamp_ns=S)  # decades earlier
     localizer.odometry(odometry)
-    assert error_of(localizer, run)[0] < METRES
-    assert max(error[0] for _, *error in drive(run, localizer, 5.0, [])) < METRES
+    assert error_of(localizer, run)[0] < METERS
+    assert max(error[0] for _, *error in drive(run, localizer, 5.0, [])) < METERS

@@ -1,11 +1,11 @@
-"""How well our localiser holds: the simulated R1 drives about for minutes, with odometry that drifts.
+"""How well our localizer holds: the simulated R1 drives about for minutes, with odometry that drifts.
 
 In lock-step, so that the figures hold on any machine. The encoders are wrong by 2 and 3 percent and by noise, the laser
 is R1's own, blind to the sides, with noise and lost echoes; people walk about, and crates stand where the map has none.
 The peer of each figure is the limit that it is to hold: 0.15 m and 5 degrees over 10 minutes, and the same within 60 s
 of driving from starts that are wrong by 3 m and 30 degrees.
 
-    python benchmarks/localiser.py [--json FILE] [--minutes 10] [--seeds 3] [--starts 10]
+    python benchmarks/localizer.py [--json FILE] [--minutes 10] [--seeds 3] [--starts 10]
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from yarp_compat.dev.mapgrid import MapFlag
 WORLDS = ("apartment", "lab")
 DRIFT = EncodersSection(scale=(0.02, 0.03), noise=0.02)
 LASER = LaserSection(kind="robot", beams=720, noise=0.01, dropouts=0.02)
-METRES, DEGREES, RECOVERY = 0.15, 5.0, 60.0
+METERS, DEGREES, RECOVERY = 0.15, 5.0, 60.0
 _FOR_GOOD = 30.0
 _CLEAR = 0.35
 _AHEAD = 0.3
@@ -52,7 +52,7 @@ _CONTROL = 10
 
 
 class Tour:
-    """Drives a simulated robot from one random place to another, by the truth, so that the localiser steers nothing.
+    """Drives a simulated robot from one random place to another, by the truth, so that the localizer steers nothing.
 
     Args:
         there: the simulation.
@@ -60,7 +60,7 @@ class Tour:
 
     Attributes:
         grid: the floor's map.
-        ahead: the way that is left, metres.
+        ahead: the way that is left, meters.
     """
 
     def __init__(self, there: Simulation, seed: int) -> None:
@@ -105,8 +105,8 @@ class Tour:
             goal = places[self._rng.integers(len(places))]
             way = astar(weights, (row, column), (int(goal[0]), int(goal[1])))
             if way is not None and way.length > _FAR / self.grid.resolution:
-                centres = self.grid.centers_of(way.cells[::4, ::-1])
-                return [(float(px), float(py)) for px, py in centres[2:]]
+                centers = self.grid.centers_of(way.cells[::4, ::-1])
+                return [(float(px), float(py)) for px, py in centers[2:]]
 
     def _weights(self) -> NDArray[np.uint8]:
         """Where to drive: not where something stands, on the map or not."""
@@ -127,7 +127,7 @@ def simulated(world: str, seed: int) -> Simulation:
 
 
 def drive(tour: Tour, localizer: Localizer, seconds: float, costs: list[float]) -> Iterator[tuple[float, float, float]]:
-    """Drive, and say ten times a second how long it has been, and how far off the localiser is (m, degrees)."""
+    """Drive, and say ten times a second how long it has been, and how far off the localizer is (m, degrees)."""
     there = tour.there
     begun = there.time_ns
     last = -1
@@ -146,8 +146,8 @@ def drive(tour: Tour, localizer: Localizer, seconds: float, costs: list[float]) 
         costs.append(time.perf_counter() - clock)
         pose, truth = localizer.pose, there.base.pose()
         assert pose is not None
-        metres = math.hypot(pose.x - truth.x, pose.y - truth.y)
-        yield (there.time_ns - begun) / 1e9, metres, abs(math.degrees(wrapped(pose.theta - truth.yaw)))
+        meters = math.hypot(pose.x - truth.x, pose.y - truth.y)
+        yield (there.time_ns - begun) / 1e9, meters, abs(math.degrees(wrapped(pose.theta - truth.yaw)))
 
 
 def held(
@@ -173,8 +173,8 @@ def recovered(world: str, seed: int, settings: LocaliserSection) -> float:
     localizer = Localizer(tour.grid, settings, seed)
     localizer.initial(Pose(truth.x + 3.0 * math.cos(away), truth.y + 3.0 * math.sin(away), truth.yaw + turned))
     since = 0.0
-    for seconds, metres, degrees in drive(tour, localizer, RECOVERY + _FOR_GOOD, []):
-        if metres > METRES or degrees > DEGREES:
+    for seconds, meters, degrees in drive(tour, localizer, RECOVERY + _FOR_GOOD, []):
+        if meters > METERS or degrees > DEGREES:
             since = seconds
         elif seconds - since >= _FOR_GOOD:
             return since
@@ -198,7 +198,7 @@ def _held_rows(world: str, minutes: float, seeds: int, settings: LocaliserSectio
     errors = np.concatenate([run[0] for run in runs])
     costs = np.concatenate([run[1] for run in runs]) * 1e3
     name = f"{world}, {seeds} x {minutes:g} min"
-    for column, limit, unit in ((1, METRES, "m"), (2, DEGREES, "deg")):
+    for column, limit, unit in ((1, METERS, "m"), (2, DEGREES, "deg")):
         for share in (50, 99, 100):
             found = float(np.percentile(errors[:, column], share))
             yield Row(f"{name}: error, {f'{share} %' if share < 100 else 'greatest'}", found, limit, unit)
