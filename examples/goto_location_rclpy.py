@@ -1,9 +1,9 @@
-"""Go to a location, unaware of which framework plans the way: for ROS 2.
+"""Go to a location with ROS 2, whichever framework the planner belongs to.
 
     python3 goto_location_rclpy.py kitchen
 
-Locations are the markers of /map_locations (Midspan's map server), and the goal goes to /navigate_to_pose, whoever that
-is: Nav2, or the door that Midspan opens to another planner.
+Locations are markers on /map_locations (Midspan's map server). The goal is sent to /navigate_to_pose, which is served
+by Nav2, or by Midspan for another planner.
 """
 
 import sys
@@ -23,20 +23,24 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def place(node, name):
-    """A location's pose."""
-    came = Future()
-    node.create_subscription(MarkerArray, "/map_locations", lambda said: came.done() or came.set_result(said), LATCHED)
-    rclpy.spin_until_future_complete(node, came, timeout_sec=SECONDS)
-    known = came.result().markers if came.done() else sys.exit("nobody says where locations are, on /map_locations")
-    places = {m.ns.removeprefix(MARKED): m for m in known if m.ns.startswith(MARKED) and m.type == Marker.ARROW}
+    """Return a location's pose."""
+    received = Future()
+    node.create_subscription(
+        MarkerArray, "/map_locations", lambda message: received.done() or received.set_result(message), LATCHED
+    )
+    rclpy.spin_until_future_complete(node, received, timeout_sec=SECONDS)
+    if not received.done():
+        sys.exit("no locations on /map_locations: start Midspan's map server")
+    markers = received.result().markers
+    places = {m.ns.removeprefix(MARKED): m for m in markers if m.ns.startswith(MARKED) and m.type == Marker.ARROW}
     if name not in places:
-        sys.exit(f"there is no location {name!r}; there are {', '.join(sorted(places)) or 'none'}")
+        sys.exit(f"unknown location {name!r}; locations: {', '.join(sorted(places)) or 'none'}")
     return PoseStamped(header=places[name].header, pose=places[name].pose)
 
 
-def heard(message):
-    at = message.feedback.current_pose.pose.position
-    print(f"at {at.x:.2f} {at.y:.2f}", flush=True)
+def on_feedback(message):
+    position = message.feedback.current_pose.pose.position
+    print(f"at {position.x:.2f} {position.y:.2f}", flush=True)
 
 
 def main(name):
@@ -45,14 +49,14 @@ def main(name):
     goal = NavigateToPose.Goal(pose=place(node, name))
     robot = ActionClient(node, NavigateToPose, "/navigate_to_pose")
     if not robot.wait_for_server(SECONDS):
-        sys.exit("nobody plans: there is no /navigate_to_pose")
-    sent = robot.send_goal_async(goal, feedback_callback=heard)
-    rclpy.spin_until_future_complete(node, sent)
-    if not sent.result().accepted:
-        sys.exit("the goal was refused")
-    ended = sent.result().get_result_async()
-    rclpy.spin_until_future_complete(node, ended)
-    status, result = ended.result().status, ended.result().result
+        sys.exit("no planner: the action /navigate_to_pose is not available")
+    request = robot.send_goal_async(goal, feedback_callback=on_feedback)
+    rclpy.spin_until_future_complete(node, request)
+    if not request.result().accepted:
+        sys.exit("the planner rejected the goal")
+    outcome = request.result().get_result_async()
+    rclpy.spin_until_future_complete(node, outcome)
+    status, result = outcome.result().status, outcome.result().result
     node.destroy_node()
     rclpy.shutdown()
     print("reached" if status == GoalStatus.STATUS_SUCCEEDED else f"not reached: {result.error_msg}")

@@ -1,9 +1,9 @@
-"""Go to a location, unaware of which framework plans the way: for ROS 1, with what comes with it alone.
+"""Go to a location with ROS 1's standard packages, whichever framework the planner belongs to.
 
     python3 goto_location_rospy.py kitchen
 
-Locations are the markers of /map_locations (Midspan's map server), and the goal goes to /move_base, whoever that is: a
-move_base, or the door that Midspan opens to another planner.
+Locations are markers on /map_locations (Midspan's map server). The goal is sent to /move_base, which is served by
+move_base, or by Midspan for another planner.
 """
 
 import sys
@@ -20,17 +20,17 @@ MARKED = "location "
 
 
 def place(name):
-    """A location's pose."""
-    known = rospy.wait_for_message("/map_locations", MarkerArray, SECONDS).markers
-    places = {m.ns.removeprefix(MARKED): m for m in known if m.ns.startswith(MARKED) and m.type == Marker.ARROW}
+    """Return a location's pose."""
+    markers = rospy.wait_for_message("/map_locations", MarkerArray, SECONDS).markers
+    places = {m.ns.removeprefix(MARKED): m for m in markers if m.ns.startswith(MARKED) and m.type == Marker.ARROW}
     if name not in places:
-        sys.exit(f"there is no location {name!r}; there are {', '.join(sorted(places)) or 'none'}")
+        sys.exit(f"unknown location {name!r}; locations: {', '.join(sorted(places)) or 'none'}")
     return PoseStamped(places[name].header, places[name].pose)
 
 
-def heard(feedback):
-    at = feedback.base_position.pose.position
-    print(f"at {at.x:.2f} {at.y:.2f}", flush=True)
+def on_feedback(feedback):
+    position = feedback.base_position.pose.position
+    print(f"at {position.x:.2f} {position.y:.2f}", flush=True)
 
 
 def main(name):
@@ -39,8 +39,8 @@ def main(name):
     goal.target_pose.header.stamp = rospy.Time.now()
     robot = actionlib.SimpleActionClient("/move_base", MoveBaseAction)
     if not robot.wait_for_server(rospy.Duration(SECONDS)):
-        sys.exit("nobody plans: there is no /move_base")
-    robot.send_goal(goal, feedback_cb=heard)
+        sys.exit("no planner: the action /move_base is not available")
+    robot.send_goal(goal, feedback_cb=on_feedback)
     robot.wait_for_result()
     reached = robot.get_state() == GoalStatus.SUCCEEDED
     print("reached" if reached else f"not reached: {robot.get_goal_status_text()}")

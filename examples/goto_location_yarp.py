@@ -1,10 +1,10 @@
-"""Go to a location, unaware of which framework plans the way: the client of the paper's supplement, in YARP's words.
+"""Go to a location with YARP, whichever framework the planner belongs to: the client of the paper's supplement.
 
     python goto_location_yarp.py kitchen
 
-Needs `yarp_compat` alone, and the name server of `yarp.conf`. Whoever plans answers at the same ports: a module of
-Midspan, a YARP device, ROS 1's move_base or Nav2. With YARP's own bindings the interface is that of the device
-`navigation2D_nwc_yarp`; the calls below are the same.
+Needs only `yarp_compat`, and the name server of `yarp.conf`. The ports are the same for every planner: a module of
+Midspan, a YARP device, ROS 1's move_base or Nav2. With YARP's own bindings, open the device `navigation2D_nwc_yarp`;
+the calls below stay the same.
 """
 
 import sys
@@ -22,15 +22,16 @@ ENDS = (
 
 
 def main(name: str) -> int:
-    here, there = yarp.Map2DLocation(), yarp.Map2DLocation()
+    position, target = yarp.Map2DLocation(), yarp.Map2DLocation()
     with yarp.Navigation2DClient("/navigation2D_nws_yarp", "/map2D_nws_yarp", "/localization2D_nws_yarp") as robot:
         if not robot.gotoTargetByLocationName(name):
-            print(f"{name}: there is no such place, or nobody drives there")
+            print(f"{name}: unknown place, or the goal was rejected")
             return 1
-        robot.getAbsoluteLocationOfCurrentTarget(there)
+        robot.getAbsoluteLocationOfCurrentTarget(target)
         while (status := robot.getNavigationStatus()) not in ENDS:
-            if robot.getCurrentPosition(here):
-                print(f"{yarp.statusToString(status)}: at {here.x:.2f} {here.y:.2f}, to {there.x:.2f} {there.y:.2f}")
+            if robot.getCurrentPosition(position):
+                route = f"at {position.x:.2f} {position.y:.2f}, to {target.x:.2f} {target.y:.2f}"
+                print(f"{yarp.statusToString(status)}: {route}")
             time.sleep(0.2)
     print(yarp.statusToString(status))
     return status is not yarp.navigation_status_goal_reached

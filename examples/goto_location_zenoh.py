@@ -1,8 +1,8 @@
-"""Go to a location, unaware of which framework plans the way: with zenoh and JSON alone.
+"""Go to a location with zenoh and JSON only, whichever framework the planner belongs to.
 
     python3 goto_location_zenoh.py kitchen [tcp/robot:7447]
 
-The keys are those of `zenoh.yaml` beside this file, a part of Midspan's configuration.
+The keys are those of `zenoh.yaml` in this folder, which is part of Midspan's configuration.
 """
 
 import json
@@ -17,7 +17,7 @@ SILENCE = 5.0
 
 
 def newest(session: zenoh.Session) -> dict | None:
-    """How the robot gets on now: a status is kept for whoever asks."""
+    """Query the last navigation status, which Midspan retains for queries."""
     for reply in session.get(STATUS, timeout=30):
         if reply.ok:
             return json.loads(reply.ok.payload.to_bytes())
@@ -28,25 +28,25 @@ def main(name: str, router: str = "tcp/127.0.0.1:7447") -> int:
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([router]))
-    heard: queue.Queue[dict] = queue.Queue()
+    statuses: queue.Queue[dict] = queue.Queue()
     with zenoh.open(config) as session:
-        session.declare_subscriber(STATUS, lambda sample: heard.put(json.loads(sample.payload.to_bytes())))
-        last = newest(session)  # of what the robot did before
+        session.declare_subscriber(STATUS, lambda sample: statuses.put(json.loads(sample.payload.to_bytes())))
+        last = newest(session)  # of an earlier goal
         for reply in session.get(GO_TO, payload=json.dumps({"name": name}), timeout=30):
             if not reply.ok:
                 sys.exit(reply.err.payload.to_string())
-            said = json.loads(reply.ok.payload.to_bytes())
-            print(said["message"], flush=True)
-            if not said["success"]:
+            answer = json.loads(reply.ok.payload.to_bytes())
+            print(answer["message"], flush=True)
+            if not answer["success"]:
                 return 1
             break
         else:
-            sys.exit("nobody answers at robot/go_to")
+            sys.exit("no reply on robot/go_to: is Midspan running?")
         while True:
             try:
-                status = heard.get(timeout=SILENCE)
-            except queue.Empty:  # told are changes alone; was one lost, or the robot?
-                status = newest(session) or sys.exit("the robot is not heard any more")
+                status = statuses.get(timeout=SILENCE)
+            except queue.Empty:  # only changes are published: one may be lost, or Midspan may have stopped
+                status = newest(session) or sys.exit("no navigation status: Midspan or the router has stopped")
             if status == last:
                 continue
             last = status

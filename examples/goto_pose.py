@@ -1,4 +1,4 @@
-"""Go to a pose: metres and degrees on a map, or in the robot's own frame. Ctrl-C stops the robot.
+"""Go to a pose on a map or in the robot's own frame, in meters and degrees. Ctrl-C stops the robot.
 
 python goto_pose.py apartment 1.5 2.0 90
 python goto_pose.py --relative 0.5 0.0
@@ -10,18 +10,18 @@ import sys
 import yarp_compat as yarp
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--relative", action="store_true", help="ahead and to the left of the robot")
+parser.add_argument("--relative", action="store_true", help="X and Y are ahead and to the left of the robot")
 parser.add_argument("pose", nargs="+", metavar="MAP X Y THETA | X Y [THETA]")
-given = parser.parse_args()
+args = parser.parse_args()
 
 with yarp.Navigation2DClient() as robot:
-    if given.relative:
-        begun = robot.gotoTargetByRelativeLocation(*map(float, given.pose))
+    if args.relative:
+        accepted = robot.gotoTargetByRelativeLocation(*map(float, args.pose))
     else:
-        name, *numbers = given.pose
-        begun = robot.gotoTargetByAbsoluteLocation(yarp.Map2DLocation(name, *map(float, numbers)))
-    if not begun:
-        sys.exit(f"refused: {begun.toString()}")
+        name, *numbers = args.pose
+        accepted = robot.gotoTargetByAbsoluteLocation(yarp.Map2DLocation(name, *map(float, numbers)))
+    if not accepted:
+        sys.exit(f"rejected: {accepted.toString()}")
     try:
         end = robot.wait()
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""Ask a robot what it does and where it is: the smallest client.
+"""Print a robot's navigation status, its pose and the stored places: the smallest client.
 
 python status.py
 """
@@ -7,8 +7,11 @@ import yarp_compat as yarp
 
 with yarp.Navigation2DClient() as robot:
     print(yarp.statusToString(robot.getNavigationStatus()), robot.getNameOfCurrentTarget() or "-")
-    here = yarp.Map2DLocation()
-    print(f"{here.map_id} {here.x:.2f} {here.y:.2f} {here.theta:.0f}" if robot.getCurrentPosition(here) else "where?")
+    position = yarp.Map2DLocation()
+    if robot.getCurrentPosition(position):
+        print(f"{position.map_id} {position.x:.2f} {position.y:.2f} {position.theta:.0f}")
+    else:
+        print("position unknown")
     places: list[str] = []
     robot.getLocationsList(places)
     print("places:", *sorted(places))

@@ -1,6 +1,6 @@
-"""``python -m tests.examples``: "go to a location" in each framework's words, over planners of each framework.
+"""``python -m tests.examples``: "go to a location" from each framework, with planners of each framework.
 
-The planners are stand-ins, the middlewares are real. `tests.examples.test_examples` runs the first of them.
+The planners are stand-ins, the middlewares are real. `tests.examples.test_examples` uses only the first planner.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SIDES = ("yarp", "rospy", "rclpy", "zenoh")
 
 
 def start(place: Examples, planner: str) -> Process | None:
-    """Start a planner, and have the gateway take it."""
+    """Start a planner, and select it in the gateway."""
     deployment = place.deployment
     program = None
     if planner == "move_base":
@@ -32,26 +32,26 @@ def start(place: Examples, planner: str) -> Process | None:
     deployment.hang_up()
 
     def chosen() -> bool:
-        found = [one for one in deployment.status() if one.get("worker") == "gateway"]
-        return bool(found) and (found[0]["planner"], found[0]["state"]) == (planner, "running")
+        gateways = [status for status in deployment.status() if status.get("worker") == "gateway"]
+        return bool(gateways) and (gateways[0]["planner"], gateways[0]["state"]) == (planner, "running")
 
     until(chosen, f"{planner} is the planner", 40, 0.1)
     return program
 
 
 def main() -> int:
-    """Print what each client's last line was, over each planner; 1 where one was not there."""
+    """Print each client's last line for each planner; return 1 if a goal was not reached."""
     failed = 0
     with tempfile.TemporaryDirectory() as folder, Deployment(Path(folder)) as deployment:
         place = Examples(deployment)
         for planner in (PLANNER, "move_base", "nav2"):
             program = start(place, planner)
             for side in SIDES:
-                words = (f"tcp/127.0.0.1:{deployment.port}",) if side == "zenoh" else ()
+                arguments = (f"tcp/127.0.0.1:{deployment.port}",) if side == "zenoh" else ()
                 for name in ("hall", "kitchen"):
-                    code, said = run(place.start(side, f"goto_location_{side}.py", name, *words))
+                    code, lines = run(place.start(side, f"goto_location_{side}.py", name, *arguments))
                     failed += code != 0
-                    print(f"{planner:<20} {side:<6} {name:<8} {code}  {said[-1] if said else ''}", flush=True)
+                    print(f"{planner:<20} {side:<6} {name:<8} {code}  {lines[-1] if lines else ''}", flush=True)
             if program is not None:
                 program.stop()
         place.stop()

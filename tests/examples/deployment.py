@@ -1,4 +1,4 @@
-"""A deployment for the examples: the daemon with its gateway, a planner that is quick, and places on a map."""
+"""A deployment for the examples: the daemon with its gateway, a fast planner, and places on a map."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PLANNER = "robot_path_planner"
 
 
 class Examples:
-    """All that the examples speak to."""
+    """The servers that the examples connect to."""
 
     def __init__(self, deployment: Deployment) -> None:
         self.deployment = deployment
@@ -44,14 +44,18 @@ class Examples:
         self.names = NameClient(self.address, namespace="/root")
         deployment.start(**self.sections(PLANNER))
         self.planner = deployment.keep(HubPlanner(deployment.settings(PLANNER), PLANNER))
-        until(lambda: all(connections.exists(self.names, door) for door in _DOORS), "YARP's doors are open", 40)
+        until(
+            lambda: all(connections.exists(self.names, port) for port in _SERVER_PORTS),
+            "YARP's server ports are open",
+            40,
+        )
         self._until_zenoh_is_served()
-        self._place()
+        self._store_places()
         answers = Localization2DServer(self)
         self._localizer = ServiceServer("/localization2D_nws_yarp/rpc", answers, naming=self.names).open()
 
     def sections(self, planner: str) -> dict[str, Any]:
-        """Of the configuration."""
+        """Return the sections of the configuration."""
         return {
             "yarp": {"nameserver": "embedded", "address": f"127.0.0.1:{self.address.port}", "poll": 0.1},
             "navigation": {"planner": planner, "patience": 60.0},
@@ -65,25 +69,29 @@ class Examples:
         for key, value in (("mode", "client"), ("connect/endpoints", [f"tcp/127.0.0.1:{self.deployment.port}"])):
             config.insert_json5(key, json.dumps(value))
         with zenoh.open(config) as session:
-            asked = session.declare_querier("robot/go_to")
-            until(lambda: asked.matching_status.matching, "zenoh's clients are answered", 40)  # type: ignore[attr-defined]
-        until(lambda: self.deployment.route("zenoh_json", "/navigation/status", "out"), "and are told", 40)
+            querier = session.declare_querier("robot/go_to")
+            until(lambda: querier.matching_status.matching, "the go_to service is served on zenoh", 40)  # type: ignore[attr-defined]
+        until(
+            lambda: self.deployment.route("zenoh_json", "/navigation/status", "out"),
+            "the status is published on zenoh",
+            40,
+        )
 
-    def _place(self) -> None:
+    def _store_places(self) -> None:
         with Map2DClient(naming=self.names) as maps:
             maps.maps["flat"] = MapGrid2D.of(np.zeros((40, 40), np.uint8), name="flat", resolution=0.1)
             for name, x in PLACES.items():
                 maps.locations[name] = Map2DLocation("flat", x, 0.0, 0.0)
 
     def getCurrentPosition(self) -> tuple[Map2DLocation, None]:  # noqa: N802 - YARP's name
-        """Where the stand-in for a localiser says that the planner's robot is."""
-        return Map2DLocation("flat", self.at(), 0.0, 0.0), None
+        """Return the position of the planner's robot, as a localizer would."""
+        return Map2DLocation("flat", self.robot_x(), 0.0, 0.0), None
 
-    def at(self) -> float:
-        """Where the robot is, along x."""
+    def robot_x(self) -> float:
+        """Return the robot's position along x, in meters."""
         return float(self.planner.x)
 
-    def start(self, side: str, example: str, *words: str) -> Process:
+    def start(self, side: str, example: str, *arguments: str) -> Process:
         """Start an example in its side's interpreter."""
         env = {**os.environ, "YARP_CONFIG_HOME": str(self.deployment.folder), "PYTHONUNBUFFERED": "1"}
         python: Any = sys.executable
@@ -91,20 +99,20 @@ class Examples:
             python, env = ROS1_PYTHON, self.deployment.master.env
         elif side == "rclpy":
             python, env = ros2_python(), ros2_environment()
-        return Process([python, EXAMPLES / example, *words], env)
+        return Process([python, EXAMPLES / example, *arguments], env)
 
     def stop(self) -> None:
-        """Close what the test's own process opened."""
+        """Close the ports of this process."""
         self._localizer.close()
 
 
-_DOORS = ("/navigation2D_nws_yarp/rpc", "/map2D_nws_yarp/rpc")
+_SERVER_PORTS = ("/navigation2D_nws_yarp/rpc", "/map2D_nws_yarp/rpc")
 
 
 def run(program: Process, seconds: float = 60.0) -> tuple[int, list[str]]:
-    """Wait for a program's end; its exit code and what it printed."""
+    """Wait until a program exits; return its exit code and the lines that it printed."""
     try:
         code = program.popen.wait(seconds)
     except subprocess.TimeoutExpired:
-        raise AssertionError(f"it did not end: {program.output()}") from None
+        raise AssertionError(f"the program did not exit: {program.output()}") from None
     return code, program.output().splitlines()

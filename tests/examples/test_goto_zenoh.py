@@ -1,4 +1,4 @@
-"""What zenoh's client of a location does where it does not hear all that the robot says."""
+"""The zenoh example with lost, repeated and missing status messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def status(stamp: int, state: str) -> Status:
 
 
 class Robot:
-    """Answers at the keys of the examples: what it says once it was asked to go somewhere is the test's."""
+    """Serves the examples' keys; `goes` runs when a goal arrives, and is set by the test."""
 
     def __init__(self) -> None:
         self.place = f"tcp/127.0.0.1:{free_port()}"
@@ -32,18 +32,18 @@ class Robot:
         self.now: Status | None = status(1, "goal_reached")  # of the goal before
         self.goes: Callable[[], None] = lambda: None
         self.session.declare_queryable("robot/go_to", self._go)
-        self.session.declare_queryable("robot/navigation", self._tell)
+        self.session.declare_queryable("robot/navigation", self._serve_status)
 
-    def says(self, said: Status) -> None:
-        self.now = said
-        self.session.put("robot/navigation", json.dumps(said))
+    def publish(self, status: Status) -> None:
+        self.now = status
+        self.session.put("robot/navigation", json.dumps(status))
 
     def _go(self, query: zenoh.Query) -> None:
         with query:
             self.goes()
             query.reply(query.key_expr, json.dumps({"success": True, "message": "drives"}))
 
-    def _tell(self, query: zenoh.Query) -> None:
+    def _serve_status(self, query: zenoh.Query) -> None:
         with query:
             if self.now is not None:
                 query.reply(query.key_expr, json.dumps(self.now))
@@ -51,9 +51,9 @@ class Robot:
 
 @pytest.fixture
 def robot() -> Iterator[Robot]:
-    made = Robot()
-    yield made
-    made.session.close()
+    fake_robot = Robot()
+    yield fake_robot
+    fake_robot.session.close()
 
 
 @pytest.fixture
@@ -61,39 +61,41 @@ def example() -> Any:
     spec = importlib.util.spec_from_file_location("goto_location_zenoh", EXAMPLES / "goto_location_zenoh.py")
     assert spec is not None
     assert spec.loader is not None
-    made: Any = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
-    made.SILENCE = 0.3
-    return made
+    module: Any = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.SILENCE = 0.3
+    return module
 
 
 @pytest.mark.parametrize(("end", "code"), [("goal_reached", 0), ("aborted", 1)])
-def test_it_hears_the_end_alone(robot: Robot, example: Any, end: str, code: int) -> None:
-    robot.goes = lambda: robot.says(status(2, end))
+def test_the_first_status_may_be_the_end_of_the_drive(robot: Robot, example: Any, end: str, code: int) -> None:
+    robot.goes = lambda: robot.publish(status(2, end))
     assert example.main("kitchen", robot.place) == code
 
 
-def test_it_hears_nothing_and_asks(robot: Robot, example: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_queries_the_status_if_no_update_arrives(
+    robot: Robot, example: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     def goes() -> None:
-        robot.says(status(1, "goal_reached"))  # it is told again how the goal before ended
+        robot.publish(status(1, "goal_reached"))  # the end of the previous goal, repeated
         robot.now = status(2, "aborted")
 
     robot.goes = goes
     assert example.main("kitchen", robot.place) == 1
-    assert capsys.readouterr().out.splitlines() == ["drives", "aborted "], "the end before is not its own"
+    assert capsys.readouterr().out.splitlines() == ["drives", "aborted "], "the end of the previous goal is ignored"
 
 
-def test_a_planner_that_is_waited_for_is_no_end(robot: Robot, example: Any) -> None:
+def test_it_continues_after_a_temporary_planner_error(robot: Robot, example: Any) -> None:
     def goes() -> None:
-        robot.says(status(2, "error"))
-        robot.says(status(3, "moving"))
-        robot.says(status(4, "goal_reached"))
+        robot.publish(status(2, "error"))
+        robot.publish(status(3, "moving"))
+        robot.publish(status(4, "goal_reached"))
 
     robot.goes = goes
     assert example.main("kitchen", robot.place) == 0
 
 
-def test_the_robot_is_lost(robot: Robot, example: Any) -> None:
+def test_it_fails_if_no_status_is_available(robot: Robot, example: Any) -> None:
     robot.goes = lambda: setattr(robot, "now", None)
-    with pytest.raises(SystemExit, match="not heard any more"):
+    with pytest.raises(SystemExit, match="no navigation status"):
         example.main("kitchen", robot.place)

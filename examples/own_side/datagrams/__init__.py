@@ -1,4 +1,4 @@
-"""A side of one's own: datagrams of JSON. The descriptor is all that Midspan reads of it until a worker joins it."""
+"""A side whose programs send JSON in datagrams. Until a worker joins it, Midspan imports only this descriptor."""
 
 from bridge.sides import Side
 

@@ -1,4 +1,4 @@
-"""The edge: what Midspan's engine asks of a side. Rules, queues, latching, origins and counters are the engine's."""
+"""The edge, which Midspan's engine calls. The engine implements rules, queues, latching, origins and counters."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from pydantic import Field
+from typing_extensions import override
 
 from bridge.concurrency import DelayedCalls
 from bridge.config.model import Config
@@ -35,7 +36,7 @@ class DatagramSection(SideSection):
 
 
 class DatagramEdge(Edge):
-    """Joins a network of datagrams; topics alone cross."""
+    """Joins a network of datagrams; only topics cross."""
 
     side: ClassVar[str] = "datagrams"
 
@@ -46,8 +47,8 @@ class DatagramEdge(Edge):
         self._joined = 0.0
         self._later = DelayedCalls("datagrams-join")
 
+    @override
     def start(self, listener: EdgeListener) -> None:
-        """See `Edge.start`."""
         self._listener = listener
         self._later.after(0.0, self._join)
 
@@ -62,22 +63,22 @@ class DatagramEdge(Edge):
         self._joined = time.monotonic()
         self._changed()
 
+    @override
     def stop(self) -> None:
-        """See `Edge.stop`."""
         self._later.close()
         if self._node is not None:
             self._node.close()
 
+    @override
     def network(self) -> str | None:
-        """See `Edge.network`."""
         return None if self._node is None else f"{self._section.interface}/{self._section.group}"
 
+    @override
     def is_own_network(self, origin: Origin) -> bool:
-        """See `Edge.is_own_network`."""
         return origin.side == self.side and origin.network == self.network()
 
+    @override
     def endpoints(self) -> Sequence[Endpoint]:
-        """See `Edge.endpoints`."""
         programs = [] if self._node is None else list(self._node.programs.values())
         return [
             Endpoint(
@@ -94,13 +95,13 @@ class DatagramEdge(Edge):
             if end.kind in _KINDS
         ]
 
+    @override
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """See `Edge.to_hub`."""
         known = self._registry.ros2(endpoint.type)
         return Conversion(known, known, lambda text: self._from_text(known.name, text))
 
+    @override
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """See `Edge.from_hub`."""
         known = self._registry.ros2(type_name)
         if type_hash and type_hash != known.type_id:
             raise MessageTypeError(f"{type_name}: hash {type_hash} is not {known.type_id}", "install the same version")
@@ -109,50 +110,51 @@ class DatagramEdge(Edge):
     def _from_text(self, type_name: str, text: bytes) -> bytes:
         fields = json.loads(text)
         if not isinstance(fields, dict):
-            raise ConversionError(f"a {type_name} is an object with its fields")
+            raise ConversionError(f"a {type_name} must be a JSON object")
         return from_json(self._registry, type_name, fields)
 
+    @override
     def learn(self, type_name: str, definition: str) -> None:
-        """See `Edge.learn`."""
         self._registry.learn_ros2(type_name, definition)
 
-    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> _OwnEnd:
-        """See `Edge.subscribe`: while nobody knows who published a message, it does not cross."""
+    @override
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> _LocalEndpoint:
+        # messages of publishers that are not in the graph yet are dropped
         node = self._running()
 
-        def take(message: bytes, publisher: str) -> None:
+        def on_message(message: bytes, publisher: str) -> None:
             program = node.programs.get(publisher.partition(".")[0])
             end = None if program is None or program.by else program.ends.get(publisher)
             if end is not None and end.type == side_type.name:
                 deliver(message, publisher, None)
 
-        return _OwnEnd(node, node.open("sub", topic, side_type.name, latched=qos.latched, take=take))
+        return _LocalEndpoint(node, node.open("sub", topic, side_type.name, latched=qos.latched, take=on_message))
 
-    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> _OwnEnd:
-        """See `Edge.advertise`."""
+    @override
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> _LocalEndpoint:
         node = self._running()
-        return _OwnEnd(node, node.open("pub", topic, side_type.name, latched=qos.latched))
+        return _LocalEndpoint(node, node.open("pub", topic, side_type.name, latched=qos.latched))
 
+    @override
     def announce(self, record: bytes) -> None:
-        """See `Edge.announce`."""
         if self._node is not None:
             self._node.record = record.hex()
             self._node.hello()
 
+    @override
     def sightings(self) -> Sequence[Sighting]:
-        """See `Edge.sightings`."""
         programs = [] if self._node is None else list(self._node.programs.values())
         return [
             Sighting(p.id, bytes.fromhex(p.record) or None, p.heard) for p in programs if p.by not in ("", self._name)
         ]
 
+    @override
     def settled(self, since: float) -> bool:
-        """See `Edge.settled`."""
         return self._node is not None and time.monotonic() > max(since, self._joined) + 3 * BEAT
 
     def _running(self) -> Node:
         if self._node is None:
-            raise MessageTypeError("the network is away")
+            raise MessageTypeError("the network is not joined")
         return self._node
 
     def _changed(self) -> None:
@@ -160,8 +162,8 @@ class DatagramEdge(Edge):
         self._listener.presence_changed()
 
 
-class _OwnEnd:
-    """A publisher or a subscription of ours; see `EdgePublisher` and `EdgeSubscription`."""
+class _LocalEndpoint:
+    """A publisher or a subscription that the bridge opened: `EdgePublisher` and `EdgeSubscription`."""
 
     lost = dropped = 0
     heard = True
@@ -179,17 +181,17 @@ class _OwnEnd:
         self._node.close_end(self._end)
 
 
-def look_at_programs(context: CheckContext) -> Sequence[Finding]:
-    """Who is on the network?"""
+def check_programs(context: CheckContext) -> Sequence[Finding]:
+    """List the programs on the network."""
     section: DatagramSection = getattr(context.config, DatagramEdge.side)
     try:
         node = Node(section.group, section.interface, "/midspan_doctor", by="doctor")
     except OSError as err:
-        return [fail(f"{section.group} cannot be joined: {err}", "give the address of this machine in interface")]
+        return [fail(f"cannot join {section.group}: {err}", "set interface to an address of this machine")]
     time.sleep(2 * BEAT)
     names = sorted(program.node for program in node.programs.values())
     node.close()
-    return [ok(f"{section.group}: {', '.join(names) or 'nobody is there'}")]
+    return [ok(f"{section.group}: {', '.join(names) or 'no programs'}")]
 
 
-CHECKS = (Check("datagrams-programs", "programs on the network of datagrams", look_at_programs),)
+CHECKS = (Check("datagrams-programs", "programs on the network of datagrams", check_programs),)

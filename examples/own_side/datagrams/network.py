@@ -1,10 +1,10 @@
-"""The network: every program sends datagrams of JSON to one multicast group, and all hear all of them.
+"""The network: every program sends JSON in datagrams to one multicast group, and receives those of all others.
 
 ``{"hello": ID, "node": NAME, "by": "", "ends": {ID: [KIND, TOPIC, TYPE, LATCHED, NUMBERS]}, "record": ""}`` twice a
-second, and at once when it changes; ``{"bye": ID}``; ``{"from": ENDPOINT, "topic": TOPIC, "message": {...}}``. What was
-published latched has ``"source"`` and ``"number"`` too, and the publisher's hello says the numbers of what it keeps. A
-program with a subscription that has not heard one of them, as it came later or the datagram was lost, says
-``{"again": [ENDPOINT]}`` and is sent what is kept, alone. It may hear a message twice, in any order: the numbers tell.
+second, and at once when it changes; ``{"bye": ID}``; ``{"from": ENDPOINT, "topic": TOPIC, "message": {...}}``. Latched
+messages also have ``"source"`` and ``"number"``, and the publisher's hello lists the numbers that it retains. A late
+subscriber, or one that lost a datagram, sends ``{"again": [ENDPOINT]}``; the publisher then sends the retained messages
+to it only. A subscriber may receive a message twice and in any order, and detects that by the numbers.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from typing import Any
 
 BEAT = 0.5
 SILENT = 3.0
-"""Seconds after which a program that is not heard any more has died."""
+"""Seconds of silence after which a program counts as dead."""
 LARGEST = 60_000
-"""Bytes of a datagram."""
+"""Maximum size of a datagram, bytes."""
 
 
 @dataclass
@@ -39,16 +39,16 @@ class End:
     latched: bool
     take: Callable[[bytes, str], None] | None = None
     kept: dict[str, tuple[int, bytes]] = field(default_factory=dict)
-    """Of a latched publisher: number and datagram of the last message of each source."""
+    """Latched publishers: number and datagram of the last message of each source."""
     heard: dict[tuple[str, str], int] = field(default_factory=dict)
-    """Of a subscription: the last number of each latched publisher and source."""
+    """Subscriptions: the last number received from each latched publisher and source."""
     numbers: list[int] = field(default_factory=list)
-    """Of what a publisher keeps, as its program says them."""
+    """Latched publishers: numbers of the retained messages, as announced."""
 
 
 @dataclass
 class Program:
-    """Another program on the network, as it said of itself last."""
+    """Another program on the network, as last announced."""
 
     id: str
     address: tuple[str, int]
@@ -58,20 +58,20 @@ class Program:
     record: str = ""
     ends: dict[str, End] = field(default_factory=dict)
 
-    def seen(self) -> list[tuple[str, ...]]:
-        """What the graph shows of its endpoints."""
+    def graph(self) -> list[tuple[str, ...]]:
+        """Return the properties of its endpoints that the graph shows."""
         return [(e.id, e.kind, e.topic, e.type, str(e.latched)) for e in self.ends.values()]
 
 
 class Node:
-    """A program's end of the network.
+    """A program's connection to the network.
 
     Args:
         group: ``address:port`` of the multicast group.
-        interface: address of the network interface, the loopback's for one machine.
-        name: of the node, for people.
-        by: "" for a native program; what a bridge says of itself.
-        changed: called when programs, their endpoints or their records changed.
+        interface: address of the network interface; loopback joins programs of one machine only.
+        name: node name, for display.
+        by: the bridge's name; "" for a native program.
+        changed: called when programs, their endpoints or their records change.
     """
 
     def __init__(
@@ -121,14 +121,14 @@ class Node:
         self.hello()
 
     def publish(self, end: End, message: bytes, source: str = "") -> None:
-        """Send JSON to all; keep it where the publisher is latched. Raises `ValueError` where it fits no datagram."""
+        """Send JSON to all, and retain it if the publisher is latched; raises `ValueError` if it is too large."""
         with self._lock:
             head, number = {"from": end.id, "topic": end.topic}, next(self._numbers)
             if end.latched:
                 head |= {"source": source, "number": number}
             data = json.dumps(head)[:-1].encode() + b', "message": %b}' % message
             if len(data) > LARGEST:
-                msg = f"a message of {len(message)} bytes on {end.topic}: a datagram takes up to {LARGEST}"
+                msg = f"a message of {len(message)} bytes on {end.topic}: a datagram holds at most {LARGEST}"
                 raise ValueError(msg)
             if end.latched:
                 end.kept[source] = number, data
@@ -136,22 +136,22 @@ class Node:
             self._send(data)
 
     def forget(self, end: End, source: str) -> None:
-        """Keep what this source published no longer."""
+        """Drop the retained message of a source."""
         with self._lock:
             end.kept.pop(source, None)
             end.numbers = [number for number, _ in end.kept.values()]
 
     def hello(self) -> None:
-        """Say who this is, and what it publishes and hears."""
+        """Announce this program with its publishers and subscriptions."""
         with self._lock:
             ends = {
                 e.id: [e.kind, e.topic, e.type, e.latched, [n for n, _ in e.kept.values()]] for e in self._ends.values()
             }
-            said = {"hello": self.id, "node": self.name, "by": self.by, "record": self.record, "ends": ends}
-            self._send(json.dumps(said).encode())
+            message = {"hello": self.id, "node": self.name, "by": self.by, "record": self.record, "ends": ends}
+            self._send(json.dumps(message).encode())
 
     def close(self) -> None:
-        """Say goodbye."""
+        """Announce the exit, and close the sockets."""
         with self._lock:
             self._send(json.dumps({"bye": self.id}).encode())
             self._closed = True
@@ -171,26 +171,26 @@ class Node:
             time.sleep(BEAT)
             silent = [p.id for p in list(self.programs.values()) if time.monotonic() - p.heard > SILENT]
             for dead in silent:
-                self._gone(dead)
+                self._on_exit(dead)
 
     def _listen(self) -> None:
         while not self._closed:
             for sock in select.select([self._own, self._all], [], [], BEAT)[0]:
                 data, address = sock.recvfrom(65536)
                 try:
-                    self._take(json.loads(data), address)
+                    self._dispatch(json.loads(data), address)
                 except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-                    continue  # anybody may send junk, which ends nothing
+                    continue  # any program may send an invalid datagram: ignore it
 
-    def _take(self, said: dict[str, Any], address: tuple[str, int]) -> None:
-        if "from" in said:
-            self._message(said)
-        elif "hello" in said and said["hello"] != self.id:
-            self._hello(said, address)
-        elif "again" in said:
-            self._again(said["again"], address)
-        elif "bye" in said:
-            self._gone(said["bye"])
+    def _dispatch(self, datagram: dict[str, Any], address: tuple[str, int]) -> None:
+        if "from" in datagram:
+            self._message(datagram)
+        elif "hello" in datagram and datagram["hello"] != self.id:
+            self._hello(datagram, address)
+        elif "again" in datagram:
+            self._again(datagram["again"], address)
+        elif "bye" in datagram:
+            self._on_exit(datagram["bye"])
 
     def _again(self, ends: list[str], address: tuple[str, int]) -> None:
         with self._lock:
@@ -198,7 +198,7 @@ class Node:
                 for _, data in end.kept.values():
                     self._send(data, address)
 
-    def _gone(self, program: str) -> None:
+    def _on_exit(self, program: str) -> None:
         if self.programs.pop(program, None) is None:
             return
         with self._lock:
@@ -206,44 +206,46 @@ class Node:
                 end.heard = {of: number for of, number in end.heard.items() if not of[0].startswith(f"{program}.")}
         self._changed()
 
-    def _message(self, said: dict[str, Any]) -> None:
+    def _message(self, datagram: dict[str, Any]) -> None:
         with self._lock:
-            ends = [e for e in self._ends.values() if e.topic == said["topic"] and e.take]
-            takers = [e.take for e in ends if self._is_new(e, said)]
-        for take in takers:
-            take(json.dumps(said["message"]).encode(), said["from"])
+            ends = [e for e in self._ends.values() if e.topic == datagram["topic"] and e.take]
+            receivers = [e.take for e in ends if self._is_new(e, datagram)]
+        for take in receivers:
+            take(json.dumps(datagram["message"]).encode(), datagram["from"])
 
     @staticmethod
-    def _is_new(end: End, said: dict[str, Any]) -> bool:
-        if "number" not in said:
+    def _is_new(end: End, datagram: dict[str, Any]) -> bool:
+        if "number" not in datagram:
             return True
-        of, number = (str(said["from"]), str(said["source"])), int(said["number"])
+        of, number = (str(datagram["from"]), str(datagram["source"])), int(datagram["number"])
         new = number > end.heard.get(of, 0)
         end.heard[of] = max(number, end.heard.get(of, 0))
         return new
 
-    def _hello(self, said: dict[str, Any], address: tuple[str, int]) -> None:
-        before = self.programs.get(said["hello"])
-        now = Program(said["hello"], address, time.monotonic(), said["node"], said["by"], said["record"])
+    def _hello(self, datagram: dict[str, Any], address: tuple[str, int]) -> None:
+        before = self.programs.get(datagram["hello"])
+        now = Program(
+            datagram["hello"], address, time.monotonic(), datagram["node"], datagram["by"], datagram["record"]
+        )
         now.ends = {
             id_: End(id_, str(k), str(t), str(ty), bool(la), numbers=[int(n) for n in numbers])
-            for id_, (k, t, ty, la, numbers) in said["ends"].items()
+            for id_, (k, t, ty, la, numbers) in datagram["ends"].items()
         }
         self.programs[now.id] = now
         self._ask(now)
-        if before is None or (before.seen(), before.record) != (now.seen(), now.record):
+        if before is None or (before.graph(), before.record) != (now.graph(), now.record):
             self._changed()
 
     def _ask(self, program: Program) -> None:
-        """Ask the program for what it keeps and a latched subscription has not heard."""
+        """Request the retained messages that a latched subscription has not received."""
         with self._lock:
             latched = [e for e in self._ends.values() if e.kind == "sub" and e.latched]
-            behind = [
+            incomplete = [
                 pub.id
                 for pub in program.ends.values()
                 for sub in latched
                 if sub.topic == pub.topic and pub.numbers
                 if set(pub.numbers) - {number for (of, _), number in sub.heard.items() if of == pub.id}
             ]
-            if behind:
-                self._send(json.dumps({"again": behind}).encode(), program.address)
+            if incomplete:
+                self._send(json.dumps({"again": incomplete}).encode(), program.address)
