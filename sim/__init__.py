@@ -1,1 +1,1 @@
-"""A mobile base in DART: floor plans, the R1's base, a laser, on the hub and on YARP."""
+"""A simulated mobile base in DART: floor plans, the R1's base, laser and depth camera, on the hub and on YARP."""

@@ -1,4 +1,4 @@
-"""What a base is to the simulation, and the motor interface by which its wheels are driven."""
+"""The simulated bases: rigid bodies in DART, and the motors that drive their wheels."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from sim.bodies import attach, isometry, yaw_of
 from sim.environment import SimError, dartpy
@@ -18,11 +19,11 @@ from sim.robot import RobotDescription
 Floats = NDArray[np.float64]
 
 STEP_NS = 1_000_000
-"""One step of DART."""
+"""Duration of one DART step."""
 
 
 class BasePose(NamedTuple):
-    """Where something is: metres, radians."""
+    """A planar pose, in meters and radians."""
 
     x: float
     y: float
@@ -30,7 +31,7 @@ class BasePose(NamedTuple):
 
 
 class Twist(NamedTuple):
-    """How fast it moves, in its own frame: metres per second, radians per second."""
+    """A planar velocity in the base's own frame, in meters and radians per second."""
 
     x: float
     y: float
@@ -39,61 +40,61 @@ class Twist(NamedTuple):
 
 @dataclass(frozen=True)
 class Encoders:
-    """What the wheels' encoders say."""
+    """A reading of the wheels' encoders."""
 
-    time_ns: int  #: when, on the simulation's clock
+    time_ns: int  #: on the simulation's clock
     positions: Floats  #: radians
     velocities: Floats  #: radians per second
 
 
 class Base(ABC):
-    """A base with its wheels, as bodies in DART."""
+    """A base with its wheels, as a DART skeleton."""
 
-    skeleton: Any  #: DART's
-    body: Any  #: DART's body that meets walls
-    wheels: tuple[Any, ...] = ()  #: DART's bodies that roll, which touch the floor and nothing else
+    skeleton: Any  #: in DART
+    body: Any  #: the DART body that collides with walls
+    wheels: tuple[Any, ...] = ()  #: the DART bodies that roll; they collide only with the floor
 
     def __init__(self, robot: RobotDescription) -> None:
         self.robot = robot
         self.names = robot.wheels.names  # of the wheels' joints
 
     def _put_on(self, middle: float) -> None:
-        """Give the body what stands on its hull; its own middle is so many metres above the floor."""
+        """Attach the upper parts to the body, whose origin is ``middle`` meters above the floor."""
         for part in self.robot.body.upper:
             shape = dartpy().dynamics.CylinderShape(part.radius, part.high - part.low)
             attach(self.body, shape, isometry(0.0, 0.0, (part.low + part.high) / 2 - middle), self.robot.body.friction)
 
     @abstractmethod
     def turn(self, velocities: Sequence[float]) -> None:
-        """Let the motors aim at these velocities (radians per second), until told otherwise."""
+        """Set the motors' target velocities, in radians per second."""
 
     @abstractmethod
     def joints(self) -> tuple[Floats, Floats]:
-        """How far the wheels turned, in radians, and how fast they do."""
+        """Return the wheels' angles (radians) and velocities (radians per second)."""
 
     @abstractmethod
     def load(self) -> float:
-        """What the motors put out, watts."""
+        """Return the motors' mechanical power, in watts."""
 
     @abstractmethod
     def pose(self) -> BasePose:
-        """Where it truly is."""
+        """Return the true pose."""
 
     @abstractmethod
     def twist(self) -> Twist:
-        """How it truly moves."""
+        """Return the true velocity."""
 
     @abstractmethod
     def place(self, pose: BasePose) -> None:
-        """Stand it elsewhere, at rest. Its wheels keep their angles."""
+        """Move the base to a pose, at rest; the wheels' angles stay."""
 
     @abstractmethod
     def matrix(self, radius: float, separation: float) -> Floats:
-        """Wheel velocities of a twist: (wheels, 3), for wheels that are as believed."""
+        """Return the matrix (wheels, 3) from a twist to wheel velocities, for the given wheel geometry."""
 
 
 def clipped(velocities: Sequence[float], names: Sequence[str], greatest: float) -> list[float]:
-    """Wheel velocities within what the joints take; raises `SimError` for a wrong number of them, or none finite."""
+    """Limit wheel velocities to the joints' maximum; raises `SimError` if one is not finite or the number is wrong."""
     if len(velocities) != len(names):
         raise SimError(f"the base has {len(names)} wheels, not {len(velocities)}")
     if not all(math.isfinite(v) for v in velocities):
@@ -102,16 +103,16 @@ def clipped(velocities: Sequence[float], names: Sequence[str], greatest: float) 
 
 
 def power(joint: Any, axis: int) -> float:
-    """What a servo puts out about an axis of its joint, watts; DART tells its force as the impulse of a step."""
+    """Return a servo's power about an axis of its joint, in watts; DART reports its force as the impulse of a step."""
     return abs(float(joint.getConstraintImpulse(axis) * joint.getVelocity(axis))) * 1e9 / STEP_NS
 
 
 class Differential(Base):
-    """Two driven wheels and casters, free in space: it rolls, slips, tips and is stopped by what it meets.
+    """Two driven wheels and casters, free in space: it rolls, slips, tips and is stopped by obstacles.
 
-    A wheel touches the floor as a sphere: as a cylinder it would touch in two points and scrub (half a metre of error
-    in a loop of 20 m, measured). Towards walls it is a tyre, which is part of the body. Motors are velocity servos with
-    a greatest torque, so that a wall stalls them.
+    On the floor a wheel is a sphere: a cylinder would touch it in two points and scrub (half a meter of error in a loop
+    of 20 m, measured). Against walls it is a box on the body. Motors are velocity servos with limited torque, so that a
+    wall stalls them.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
@@ -130,7 +131,7 @@ class Differential(Base):
         self._joints: list[Any] = []
         rolling = []
         for name, side in zip(wheels.names, (1, -1), strict=True):
-            self._tyre(side)
+            self._tire(side)
             joint, wheel = self.skeleton.createRevoluteJointAndBodyNodePair(self.body)
             joint.setName(name)
             joint.setAxis([0.0, 1.0, 0.0])
@@ -147,54 +148,54 @@ class Differential(Base):
         self.skeleton.setSelfCollisionCheck(False)
         self.place(BasePose(0.0, 0.0, 0.0))
 
-    def _tyre(self, side: int) -> None:
-        """What walls meet of a wheel: a box as high as it, a little above the floor, on the body."""
+    def _tire(self, side: int) -> None:
+        """Attach the box that collides with walls in place of a wheel, slightly above the floor."""
         wheels = self.robot.wheels
         low = 0.02
-        tyre = dartpy().dynamics.BoxShape([1.4 * wheels.radius, wheels.width, 2 * (wheels.radius - low)])
+        tire = dartpy().dynamics.BoxShape([1.4 * wheels.radius, wheels.width, 2 * (wheels.radius - low)])
         y = side * (wheels.separation / 2 - wheels.width / 2 + 0.003)
-        attach(self.body, tyre, isometry(0.0, y, 0.0), self.robot.body.friction)
+        attach(self.body, tire, isometry(0.0, y, 0.0), self.robot.body.friction)
 
+    @override
     def turn(self, velocities: Sequence[float]) -> None:
-        """See `Base.turn`."""
         aims = clipped(velocities, self.names, self.robot.wheels.max_velocity)
         for joint, velocity in zip(self._joints, aims, strict=True):
             joint.setCommand(0, velocity)
 
+    @override
     def joints(self) -> tuple[Floats, Floats]:
-        """See `Base.joints`."""
         left, right = self._joints
         return (
             np.array([left.getPosition(0), right.getPosition(0)]),
             np.array([left.getVelocity(0), right.getVelocity(0)]),
         )
 
+    @override
     def load(self) -> float:
-        """See `Base.load`."""
         return sum(power(joint, 0) for joint in self._joints)
 
+    @override
     def pose(self) -> BasePose:
-        """See `Base.pose`."""
         at = self.body.getTransform()
         x, y, _ = at.translation()
         return BasePose(float(x), float(y), yaw_of(at.rotation()))
 
+    @override
     def twist(self) -> Twist:
-        """See `Base.twist`."""
         yaw = self.pose().yaw
         vx, vy, _ = self.body.getLinearVelocity()
         c, s = math.cos(yaw), math.sin(yaw)
         return Twist(float(c * vx + s * vy), float(c * vy - s * vx), float(self.body.getAngularVelocity()[2]))
 
+    @override
     def place(self, pose: BasePose) -> None:
-        """See `Base.place`."""
         positions = self.skeleton.getPositions()
         positions[:6] = 0.0, 0.0, pose.yaw, pose.x, pose.y, self.robot.wheels.radius
         self.skeleton.setPositions(positions)
         self.skeleton.setVelocities(np.zeros(len(positions)))
 
+    @override
     def matrix(self, radius: float, separation: float) -> Floats:
-        """See `Base.matrix`."""
         return np.array([[1.0, 0.0, -separation / 2], [1.0, 0.0, separation / 2]]) / radius
 
 
@@ -207,17 +208,17 @@ def _inertia(mass: float, com: tuple[float, float, float], moment: tuple[float, 
 
 
 ANGLES = (150.0, 30.0, -90.0)
-"""Where the wheels stand, degrees; baseControl's ikart_motors.cpp."""
+"""Directions of the wheels, degrees; from baseControl's ikart_motors.cpp."""
 
 _GRAVITY = 9.81
 
 
 class Holonomic(Base):
-    """Three omnidirectional wheels (ikart_V1): it moves in the plane, pushed by what its wheels can give.
+    """Three omnidirectional wheels (ikart_V1); the base moves in the plane.
 
-    The wheels are no bodies of their own: the base follows the motion that they are turned for, with the force that
-    their torque and their grip on the floor allow, and stalls at what it cannot push; the wheels then stand still with
-    it. DART's Python package has no wheels that grip one way and roll the other.
+    The wheels are not separate bodies: the base follows the commanded motion with the force that the wheels' torque and
+    grip allow, and stalls at obstacles that it cannot push; the wheels then stop too. DART's Python package has no
+    wheels that grip in one direction and roll in the other.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
@@ -234,7 +235,7 @@ class Holonomic(Base):
         attach(self.body, hull, isometry(0.0, 0.0, (body.low + body.high) / 2), body.friction)
         self._put_on(0.0)
         self._joint.setActuatorType(dynamics.ActuatorType.SERVO)
-        # three wheels at 120 degrees push with 1.5 times what one of them gives, in any direction
+        # three wheels at 120 degrees push with 1.5 times the force of one wheel, in any direction
         push = 1.5 * min(wheels.torque / wheels.radius, wheels.friction * body.mass * _GRAVITY / 3)
         for i, force in enumerate((push, push, 2.0 * push * wheels.separation)):
             self._joint.setForceUpperLimit(i, force)
@@ -245,17 +246,18 @@ class Holonomic(Base):
         self._aim = np.zeros(3)
         self._last = BasePose(0.0, 0.0, 0.0)
 
+    @override
     def turn(self, velocities: Sequence[float]) -> None:
-        """See `Base.turn`."""
         self._aim = self._inverse @ clipped(velocities, self.names, self.robot.wheels.max_velocity)
         yaw = self._joint.getPosition(2)
         c, s = math.cos(yaw), math.sin(yaw)
-        vx, vy, turning = self._aim
-        for i, value in enumerate((c * vx - s * vy, s * vx + c * vy, turning)):
+        vx, vy, angular = self._aim
+        for i, value in enumerate((c * vx - s * vy, s * vx + c * vy, angular)):
             self._joint.setCommand(i, float(value))
 
+    @override
     def joints(self) -> tuple[Floats, Floats]:
-        """See `Base.joints`. Calls are to be close together: the way between two of them counts as straight."""
+        # the motion between two calls is integrated as a straight line, so calls must be frequent
         pose = self.pose()
         last, self._last = self._last, pose
         turned = math.remainder(pose.yaw - last.yaw, 2 * math.pi)
@@ -264,29 +266,29 @@ class Holonomic(Base):
         self._turned = self._turned + self._matrix @ (c * dx + s * dy, c * dy - s * dx, turned)
         return self._turned.copy(), self._matrix @ self.twist()
 
+    @override
     def load(self) -> float:
-        """See `Base.load`."""
         return sum(power(self._joint, i) for i in range(3))
 
+    @override
     def pose(self) -> BasePose:
-        """See `Base.pose`."""
         x, y, yaw = self._joint.getPositions()
         return BasePose(float(x), float(y), math.remainder(float(yaw), 2 * math.pi))
 
+    @override
     def twist(self) -> Twist:
-        """See `Base.twist`."""
         yaw = self._joint.getPosition(2)
         vx, vy, turning = self._joint.getVelocities()
         c, s = math.cos(yaw), math.sin(yaw)
         return Twist(float(c * vx + s * vy), float(c * vy - s * vx), float(turning))
 
+    @override
     def place(self, pose: BasePose) -> None:
-        """See `Base.place`."""
         self._joint.setPositions(list(pose))
         self._joint.setVelocities([0.0, 0.0, 0.0])
         self._last = self.pose()
 
+    @override
     def matrix(self, radius: float, separation: float) -> Floats:
-        """See `Base.matrix`."""
         rows = [(-math.cos(math.radians(a)), -math.sin(math.radians(a)), -separation) for a in ANGLES]
         return np.array(rows) / radius

@@ -1,11 +1,11 @@
-"""The wheels as a control board on YARP: what scripts for a robot's ``/cer/mobile_base`` drive (`docs/yarp/boards.md`).
+"""The wheels as a YARP control board, which scripts for a robot's ``/cer/mobile_base`` command (`docs/yarp/boards.md`).
 
-Degrees and degrees per second. Modes are position, position direct, velocity, PWM and idle. A velocity or a duty cycle
-holds for as long as one on ``/cmd_vel``, and then it is zero; a position is driven to, and the wheels stand there.
-While a wheel is commanded here, nobody else drives; the emergency stop ends every command.
+Units are degrees and degrees per second; modes are position, position direct, velocity, PWM and idle. A velocity or
+duty cycle expires after the same time as a command on ``/cmd_vel``; a position is held once reached. While a command to
+a wheel is active here, other command sources are ignored; the emergency stop cancels all commands.
 """
 
-# ruff: noqa: D102, N802 - names and arguments are YARP's, and say what each does
+# ruff: noqa: D102, N802 - names and arguments are YARP's
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from yarp_compat.dev.controlboard.board import JointBoard
 from yarp_compat.dev.controlboard.streams import JointData
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 
-_SPEED, _RAMP = 30.0, 60.0  # of position moves where nobody set them: degrees per second (squared)
-_THERE = 0.2  # degrees from its target at which a wheel is there
+_SPEED, _RAMP = 30.0, 60.0  # defaults of position moves: degrees per second (squared)
+_THERE = 0.2  # degrees from its target within which a wheel has reached it
 _MODES = frozenset(
     (
         modes.VOCAB_CM_POSITION,
@@ -36,7 +36,7 @@ _TO_POSITIONS = (modes.VOCAB_CM_POSITION, modes.VOCAB_CM_POSITION_DIRECT)
 
 
 class WheelCommands:
-    """What the board was told, and the wheels' velocities that follow from it. Belongs to the simulation's thread."""
+    """The board's commands, and the wheel velocities that follow from them. Used only on the simulation's thread."""
 
     def __init__(self, base: Base, now_ns: int = 0) -> None:
         count = len(base.names)
@@ -46,65 +46,67 @@ class WheelCommands:
         self.modes = [modes.VOCAB_CM_VELOCITY] * count
         self.speeds, self.ramps = np.full(count, _SPEED), np.full(count, _RAMP)
         self.targets: list[float | None] = [None] * count  # of position moves, degrees
-        self.velocities = np.zeros(count)  # that were wanted last, degrees per second
+        self.velocities = np.zeros(count)  # last commanded, degrees per second
         self._until = [0] * count
-        self.zero = np.zeros(count)  # where the encoders were set to 0, degrees
+        self.zero = np.zeros(count)  # angles at which the encoders were reset, degrees
         self.now_ns = now_ns
         self._encoders = Encoders(0, np.zeros(count), np.zeros(count))
         self._moving = np.zeros(count)
 
     def read(self, encoders: Encoders) -> None:
-        """Take up what the encoders say."""
+        """Store a reading of the encoders."""
         self._encoders = encoders
 
     def positions(self) -> Floats:
-        """The wheels' angles, degrees."""
+        """Return the wheels' angles, in degrees."""
         return np.degrees(self._encoders.positions) - self.zero
 
     def turning(self) -> Floats:
-        """How fast they turn, degrees per second."""
+        """Return the wheels' velocities, in degrees per second."""
         return np.degrees(self._encoders.velocities)
 
     def mode(self, wheel: int, mode: int) -> None:
-        """Drive a wheel in another way from now on; what it was told before does not count."""
+        """Set a wheel's control mode, and cancel its command."""
         self.modes[wheel] = mode
         self.release(wheel)
 
     def release(self, wheel: int) -> None:
-        """Forget what a wheel was told."""
+        """Cancel a wheel's command."""
         self.targets[wheel] = None
         self.velocities[wheel] = self._moving[wheel] = 0.0
         self._until[wheel] = 0
 
     def halt(self) -> None:
-        """Forget what all wheels were told."""
+        """Cancel the commands of all wheels."""
         for wheel in range(len(self.names)):
             self.release(wheel)
 
     def turn(self, wheel: int, velocity: float) -> None:
-        """A velocity is wanted from now on, until its time-out."""
+        """Command a velocity, which expires after the time-out."""
         self.velocities[wheel] = min(self.greatest, max(-self.greatest, velocity))
         self._until[wheel] = self.now_ns + self._timeout
 
     def duties(self) -> Floats:
-        """Duty cycles of the wheels that are driven by one, per cent; zero once its time is over."""
+        """Return the commanded duty cycles in percent; 0 for expired commands and wheels in other modes."""
         driven = [self.modes[w] == modes.VOCAB_CM_PWM and self._commanded(w) for w in range(len(self.names))]
         return np.where(driven, 100.0 * self.velocities / self.greatest, 0.0)
 
-    def wanted(self, seconds: float) -> Floats | None:
-        """Velocities for the next so many seconds, radians per second; None where nobody commands a wheel."""
+    def next_velocities(self, seconds: float) -> Floats | None:
+        """Return wheel velocities (radians per second) for the next seconds; None if no command is active."""
         if not any(self._commanded(wheel) for wheel in range(len(self.names))):
             return None
-        here = self.positions()
+        positions = self.positions()
         for wheel, target in enumerate(self.targets):
             if self.modes[wheel] in _TO_POSITIONS:
-                self._moving[wheel] = 0.0 if target is None else self._towards(wheel, target - here[wheel], seconds)
+                self._moving[wheel] = (
+                    0.0 if target is None else self._towards(wheel, target - positions[wheel], seconds)
+                )
             else:
                 self._moving[wheel] = self.velocities[wheel] if self.now_ns < self._until[wheel] else 0.0
         return np.radians(self._moving)
 
     def is_done(self, wheel: int) -> bool:
-        """Whether a wheel is where it was sent, or was sent nowhere."""
+        """Return whether a wheel has reached its target, or has none."""
         target = self.targets[wheel]
         return target is None or abs(target - self.positions()[wheel]) <= _THERE
 
@@ -113,20 +115,20 @@ class WheelCommands:
             return self.targets[wheel] is not None
         return self.now_ns < self._until[wheel]
 
-    def _towards(self, wheel: int, way: float, seconds: float) -> float:
-        """The velocity on a trapezium to a position, or the greatest there is where none is planned."""
+    def _towards(self, wheel: int, distance: float, seconds: float) -> float:
+        """Return the velocity of a trapezoidal move to a position; in position direct mode, of the fastest move."""
         if self.modes[wheel] == modes.VOCAB_CM_POSITION_DIRECT:
             fastest = self.greatest
         else:
             ramp = self.ramps[wheel]
             fastest = min(
-                self.speeds[wheel], math.sqrt(2.0 * ramp * abs(way)), abs(self._moving[wheel]) + ramp * seconds
+                self.speeds[wheel], math.sqrt(2.0 * ramp * abs(distance)), abs(self._moving[wheel]) + ramp * seconds
             )
-        return math.copysign(min(fastest, self.greatest, abs(way) / seconds), way)
+        return math.copysign(min(fastest, self.greatest, abs(distance) / seconds), distance)
 
 
 class WheelBoard(JointBoard):
-    """The commands as YARP's methods; ``call`` runs them on the simulation's thread."""
+    """YARP's methods for the commands; ``call`` runs them on the simulation's thread."""
 
     def __init__(self, commands: Callable[[], WheelCommands], call: Callable[[Callable[[], Any]], Any]) -> None:
         super().__init__(len(commands().names))
@@ -160,7 +162,7 @@ class WheelBoard(JointBoard):
     def setControlModeOneRPC(self, j: int, mod: int) -> ReturnValue:
         mode = modes.VOCAB_CM_IDLE if mod == modes.VOCAB_CM_FORCE_IDLE else mod
         if mode not in _MODES:
-            raise CallFailed(ReturnCode.METHOD_FAILED, "a wheel has no such mode")
+            raise CallFailed(ReturnCode.METHOD_FAILED, "a wheel does not support this control mode")
         self._commands().mode(j, mode)
         return OK
 
@@ -247,10 +249,10 @@ class WheelBoard(JointBoard):
     def getDutyCycleOneRPC(self, j: int) -> tuple[ReturnValue, float]:
         return self.getRefDutyCycleOneRPC(j)
 
-    def getPosLimitsRPC(self, j: int) -> tuple[ReturnValue, float, float]:  # noqa: ARG002 - all wheels turn for ever
+    def getPosLimitsRPC(self, j: int) -> tuple[ReturnValue, float, float]:  # noqa: ARG002 - wheels turn without limits
         return OK, -math.inf, math.inf
 
-    def getVelLimitsRPC(self, j: int) -> tuple[ReturnValue, float, float]:  # noqa: ARG002 - all are the same
+    def getVelLimitsRPC(self, j: int) -> tuple[ReturnValue, float, float]:  # noqa: ARG002 - the same for all wheels
         return OK, 0.0, self._commands().greatest
 
     def _aim(self, wheel: int, target: float, mode: int) -> ReturnValue:
@@ -260,7 +262,9 @@ class WheelBoard(JointBoard):
     def _in(self, wheel: int, mode: int) -> WheelCommands:
         commands = self._commands()
         if commands.modes[wheel] != mode:
-            raise CallFailed(ReturnCode.METHOD_FAILED, f"{commands.names[wheel]} is in another control mode")
+            raise CallFailed(
+                ReturnCode.METHOD_FAILED, f"{commands.names[wheel]} is in another control mode; set the mode first"
+            )
         return commands
 
 

@@ -1,4 +1,4 @@
-"""Makes DART's skeletons: the floor, what stands fast, boxes, the base."""
+"""Creates DART skeletons: the floor, fixed pieces and movable boxes."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ WALL_FRICTION = 0.3
 
 
 def isometry(x: float, y: float, z: float, yaw: float = 0.0) -> Any:
-    """A pose as DART has it."""
-    made = dartpy().math.Isometry3()
+    """Return a pose as a DART isometry; meters and radians."""
+    transform = dartpy().math.Isometry3()
     c, s = math.cos(yaw), math.sin(yaw)
-    made.set_rotation(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
-    made.set_translation([x, y, z])
-    return made
+    transform.set_rotation(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
+    transform.set_translation([x, y, z])
+    return transform
 
 
 def attach(body: Any, shape: Any, place: Any, friction: float) -> Any:
-    """Give a body a shape that collides; the shape node."""
+    """Attach a colliding shape to a body, and return the shape node."""
     node = body.createShapeNode(shape)
     node.createCollisionAspect()
     node.createDynamicsAspect().setFrictionCoeff(friction)
@@ -34,7 +34,7 @@ def attach(body: Any, shape: Any, place: Any, friction: float) -> Any:
 
 
 def shape_of(piece: Piece) -> Any:
-    """A piece's shape."""
+    """Return the DART shape of a piece."""
     dynamics = dartpy().dynamics
     if piece.radius:
         return dynamics.CylinderShape(piece.radius, piece.height)
@@ -42,22 +42,22 @@ def shape_of(piece: Piece) -> Any:
 
 
 def place_of(piece: Piece) -> Any:
-    """Where a piece is."""
+    """Return the DART pose of a piece."""
     return isometry(piece.x, piece.y, piece.above + piece.height / 2, piece.yaw)
 
 
-_Part = tuple[float, float, float, float]  # x0, y0, x1, y1, metres
+_Part = tuple[float, float, float, float]  # x0, y0, x1, y1, meters
 
 
 def ground(reach: float, drops: Iterable[Drop] = ()) -> Any:
-    """The floor, a box whose top is at zero, so many metres each way; where it has drops, the boxes around them."""
+    """Create the floor, ``reach`` meters to each side with its top at z = 0, and lower where it has drops."""
     skeleton = dartpy().dynamics.Skeleton("ground")
     _, body = skeleton.createWeldJointAndBodyNodePair()
     parts: list[tuple[_Part, float]] = [((-reach, -reach, reach, reach), 0.0)]
     for drop in drops:
         (x, y), (length, width) = drop.at, drop.size
         hole = x - length / 2, y - width / 2, x + length / 2, y + width / 2
-        parts = [(rest, top) for part, top in parts for rest in _around(part, hole)]
+        parts = [(remainder, top) for part, top in parts for remainder in _around(part, hole)]
         parts.append((hole, -drop.depth))
     for (x0, y0, x1, y1), top in parts:
         shape = dartpy().dynamics.BoxShape([x1 - x0, y1 - y0, 0.2])
@@ -67,17 +67,17 @@ def ground(reach: float, drops: Iterable[Drop] = ()) -> Any:
 
 
 def _around(part: _Part, hole: _Part) -> Iterable[_Part]:
-    """What is left of a rectangle around a hole."""
+    """Return the rectangles that remain of a rectangle around a hole."""
     x0, y0, x1, y1 = part
     left, low, right, high = max(x0, hole[0]), max(y0, hole[1]), min(x1, hole[2]), min(y1, hole[3])
     if left >= right or low >= high:
         return [part]
-    rests = ((x0, y0, left, y1), (right, y0, x1, y1), (left, y0, right, low), (left, high, right, y1))
-    return [rest for rest in rests if rest[0] < rest[2] and rest[1] < rest[3]]
+    strips = ((x0, y0, left, y1), (right, y0, x1, y1), (left, y0, right, low), (left, high, right, y1))
+    return [strip for strip in strips if strip[0] < strip[2] and strip[1] < strip[3]]
 
 
 def fixed(pieces: Iterable[Piece]) -> tuple[Any, list[Any]]:
-    """One body with all pieces as its shapes, and the shape nodes in their order."""
+    """Create one body with all pieces as its shapes; return its skeleton, and the shape nodes in the pieces' order."""
     skeleton = dartpy().dynamics.Skeleton("fixed")
     _, body = skeleton.createWeldJointAndBodyNodePair()
     nodes = [attach(body, shape_of(piece), place_of(piece), WALL_FRICTION) for piece in pieces]
@@ -86,7 +86,7 @@ def fixed(pieces: Iterable[Piece]) -> tuple[Any, list[Any]]:
 
 
 def movable(piece: Piece, mass: float, friction: float) -> Any:
-    """A box that can be pushed."""
+    """Create a box that can be pushed."""
     dynamics = dartpy().dynamics
     skeleton = dynamics.Skeleton(f"box {piece.name}")
     _, body = skeleton.createFreeJointAndBodyNodePair()
@@ -101,5 +101,5 @@ def movable(piece: Piece, mass: float, friction: float) -> Any:
 
 
 def yaw_of(rotation: Any) -> float:
-    """A rotation's part about the vertical, radians."""
+    """Return a rotation's angle about the vertical, in radians."""
     return math.atan2(rotation[1, 0], rotation[0, 0])

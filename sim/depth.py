@@ -1,4 +1,4 @@
-"""The depth camera: pictures of a world's solids with a stereo camera's noise, and the points that they show."""
+"""The depth camera: images of a world's solids with a stereo camera's noise, and their point clouds."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 class DepthCamera:
     """A pinhole camera on the base.
 
-    Its depth is focal length times baseline by disparity, so that an error of the disparity is one of the depth that
-    grows with its square (Intel's white paper "Subpixel Linearity Improvement for RealSense D400"); they are drawn
-    apart for each pixel.
+    Depth is focal length times baseline divided by disparity, so a disparity error causes a depth error that grows with
+    the square of the depth (Intel's white paper "Subpixel Linearity Improvement for RealSense D400"). The errors of
+    pixels are independent.
 
     Attributes:
         lens: fx, fy, cx, cy, pixels.
@@ -41,10 +41,10 @@ class DepthCamera:
         self._rays = np.stack(((columns - self.lens[2]) / fx, (rows - self.lens[3]) / fy), -1).astype(np.float32)
 
     def picture(self, time_ns: int, pose: BasePose, solids: Floats, drops: Floats) -> Depths:
-        """The depths, (height, width) metres, of solids and drops (`sim.depth_kernel.render`) seen from the base.
+        """Return the depths, (height, width) meters, of solids and drops as in `sim.depth_kernel.render`.
 
-        Minus infinity is too near, infinity too far, NaN a pixel without a value. The noise is that of the time: the
-        same picture, whether others were taken before or not.
+        Minus infinity is too near, infinity too far, NaN a pixel without a value. The noise depends only on the seed
+        and the time, not on earlier pictures.
         """
         section, out = self._section, np.empty(self.size[::-1], np.float32)
         turned, eye = self.placed(pose)
@@ -62,18 +62,18 @@ class DepthCamera:
         return out
 
     def placed(self, pose: BasePose) -> tuple[Floats, Floats]:
-        """The optical frame's turn, (3, 3), and place, (3) metres, with the base at a pose; z from the floor."""
+        """Return the optical frame's rotation (3, 3) and position (3, meters; z from the floor) for a base pose."""
         around = _about_z(math.degrees(pose.yaw))
         x, y, z = self._section.at
         return np.ascontiguousarray(around @ self._turned), around @ (x, y, 0.0) + (pose.x, pose.y, z)
 
     def points(self, depths: Depths) -> Depths:
-        """The points in the optical frame of a picture's pixels, (height, width, 3) metres; not finite where none."""
-        found = np.empty((*depths.shape, 3), np.float32)
+        """Return a picture's points in the optical frame, (height, width, 3) meters; not finite for missing depths."""
+        points = np.empty((*depths.shape, 3), np.float32)
         with np.errstate(invalid="ignore"):
-            np.multiply(self._rays, depths[..., None], out=found[..., :2])
-        found[..., 2] = depths
-        return found
+            np.multiply(self._rays, depths[..., None], out=points[..., :2])
+        points[..., 2] = depths
+        return points
 
 
 def _about_z(degrees: float) -> Floats:

@@ -1,7 +1,7 @@
-"""Casts a depth camera's rays on boxes and cylinders that stand upright, and on the floor, in compiled code.
+"""Casts a depth camera's rays on upright boxes and cylinders, and on the floor, in compiled code.
 
-A ray's direction is 1 long along the camera's axis, so that how far along it something is hit is its depth. Each solid
-is looked at once, and only by the pixels that its outline's rectangle in the picture spans. Depths are exact.
+A ray's direction has length 1 along the camera's axis, so that the ray parameter of a hit is its depth. Each solid is
+processed once, and only for the pixels in the bounding rectangle of its outline. Depths are exact.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ else:
     from math import isfinite, sqrt
 
 _INFINITY = cython.declare(cython.double, math.inf)
-_NEAR = cython.declare(cython.double, 1e-3)  # metres before the camera up to which outlines are projected
+_NEAR = cython.declare(cython.double, 1e-3)  # near plane for the projection of outlines, meters
 _PARALLEL = cython.declare(cython.double, 1e-12)
 
 
 @cython.boundscheck(False)  # shapes are checked first, and pixels are clipped to the picture
 @cython.wraparound(False)
 @cython.initializedcheck(False)
-@cython.cdivision(True)  # by what is compared with 0 before, and by focal lengths, which are checked
+@cython.cdivision(True)  # divisors are compared with 0 first, and focal lengths are checked
 def render(
-    # (n, 8) x, y of the middle, cosine and sine of its direction, half length, half width (0: a cylinder, whose radius
-    # the half length is), lowest and highest z; metres
+    # (n, 8) x, y of the middle, cosine and sine of its direction, half length, half width (0: a cylinder with the half
+    # length as its radius), lowest and highest z; meters
     solids: cython.const[cython.double][:, ::1],
-    drops: cython.const[cython.double][:, ::1],  # (m, 8) the same of boxes that are cut out of the floor, which is at 0
-    eye: cython.const[cython.double][::1],  # (3) where the camera is, metres
+    drops: cython.const[cython.double][:, ::1],  # (m, 8) boxes cut out of the floor, which is at z = 0; same columns
+    eye: cython.const[cython.double][::1],  # (3) the camera's position, meters
     turned: cython.const[cython.double][
         :, ::1
     ],  # (3, 3) from its optical frame (z ahead, x right, y down) to the world
     lens: cython.const[cython.double][::1],  # (4) fx, fy, cx, cy, pixels
-    farthest: cython.double,  # metres of depth; what is beyond is infinite
-    out: cython.float[:, ::1],  # (rows, columns) gets the depths, metres
+    farthest: cython.double,  # meters; greater depths become infinite
+    out: cython.float[:, ::1],  # (rows, columns) receives the depths, meters
 ) -> None:
-    """Measure each pixel's depth. A solid that is not finite is not seen, nor is one that the camera is in.
+    """Compute each pixel's depth. Solids that are not finite, or contain the camera, are ignored.
 
     Raises:
-        ValueError: the arrays do not fit, or the camera is nowhere.
+        ValueError: the arrays' shapes do not fit, or the camera's pose or lens is invalid.
     """
     rows: cython.Py_ssize_t = out.shape[0]
     columns: cython.Py_ssize_t = out.shape[1]
@@ -49,12 +49,12 @@ def render(
         solids.shape[1] != 8 or drops.shape[1] != 8 or eye.shape[0] != 3 or lens.shape[0] != 4
         or turned.shape[0] != 3 or turned.shape[1] != 3
     ):  # fmt: skip
-        raise ValueError("a depth camera looks at solids (n, 8) from a place (3), by a rotation (3, 3) and a lens (4)")
+        raise ValueError("expected solids (n, 8), drops (m, 8), a position (3), a rotation (3, 3) and a lens (4)")
     if not (lens[0] > 0.0 and lens[1] > 0.0 and isfinite(lens[0] + lens[1] + lens[2] + lens[3])):
-        raise ValueError("a lens has focal lengths above 0 and a middle")
+        raise ValueError("a lens needs focal lengths above 0 and a finite center")
     for i in range(3):
         if not isfinite(eye[i] + turned[i, 0] + turned[i, 1] + turned[i, 2]):
-            raise ValueError("a depth camera is at a finite place")
+            raise ValueError("the camera's pose must be finite")
     with cython.nogil:
         for row in range(rows):
             y: cython.double = (row - lens[3]) / lens[1]
@@ -63,9 +63,9 @@ def render(
                 down: cython.double = -(turned[2, 0] * x + turned[2, 1] * y + turned[2, 2])
                 out[row, column] = eye[2] / down if down > _PARALLEL and eye[2] / down <= farthest else _INFINITY
         for k in range(drops.shape[0]):
-            _look(drops, k, True, eye, turned, lens, farthest, out)
+            _render_solid(drops, k, True, eye, turned, lens, farthest, out)
         for k in range(solids.shape[0]):
-            _look(solids, k, False, eye, turned, lens, farthest, out)
+            _render_solid(solids, k, False, eye, turned, lens, farthest, out)
 
 
 @cython.boundscheck(False)  # as `render`
@@ -75,7 +75,7 @@ def render(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def _look(
+def _render_solid(
     solids: cython.const[cython.double][:, ::1],
     k: cython.Py_ssize_t,
     hollow: cython.bint,
@@ -85,7 +85,7 @@ def _look(
     farthest: cython.double,
     out: cython.float[:, ::1],
 ) -> cython.void:
-    """Look at one solid, or into one drop."""
+    """Render one solid, or one drop if ``hollow``."""
     cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
     c: cython.double = solids[k, 2]
     s: cython.double = solids[k, 3]
@@ -98,7 +98,7 @@ def _look(
         wide = half
     dx: cython.double = eye[0] - solids[k, 0]
     dy: cython.double = eye[1] - solids[k, 1]
-    # the camera's place and axes in the solid's own frame
+    # the camera's position and axes in the solid's own frame
     ox: cython.double = c * dx + s * dy
     oy: cython.double = c * dy - s * dx
     if not (isfinite(ox + oy + half + wide + low + high) and half > 0.0 and high > low):
@@ -109,20 +109,20 @@ def _look(
     by: cython.double = c * turned[1, 1] - s * turned[0, 1]
     ex: cython.double = c * turned[0, 2] + s * turned[1, 2]
     ey: cython.double = c * turned[1, 2] - s * turned[0, 2]
-    # the rectangle of its outline: of the box's edges what lies before the camera
+    # the bounding rectangle of its outline: the parts of the box's edges in front of the camera
     left: cython.double = _INFINITY
     right: cython.double = -_INFINITY
     top: cython.double = _INFINITY
     bottom: cython.double = -_INFINITY
     nearest: cython.double = _INFINITY
-    cython.declare(one=cython.int, axis=cython.int, end=cython.int)
-    for one in range(8):
+    cython.declare(corner=cython.int, axis=cython.int, end=cython.int)
+    for corner in range(8):
         for axis in range(3):
-            if one & (1 << axis):
+            if corner & (1 << axis):
                 continue
-            x0: cython.double = (half if one & 1 else -half) - ox
-            y0: cython.double = (wide if one & 2 else -wide) - oy
-            z0: cython.double = high if one & 4 else low
+            x0: cython.double = (half if corner & 1 else -half) - ox
+            y0: cython.double = (wide if corner & 2 else -wide) - oy
+            z0: cython.double = high if corner & 4 else low
             x1: cython.double = half - ox if axis == 0 else x0
             y1: cython.double = wide - oy if axis == 1 else y0
             z1: cython.double = high if axis == 2 else z0
@@ -166,7 +166,7 @@ def _look(
                 leave = min(leave, max(low / gz, high / gz))
             elif low > 0.0 or high < 0.0:
                 continue
-            above: cython.double = enter  # where it comes through the height of the top, or of the underside
+            above: cython.double = enter  # where the ray crosses the height of the top or of the underside
             if round_:
                 square: cython.double = gx * gx + gy * gy
                 along: cython.double = ox * gx + oy * gy

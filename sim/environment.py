@@ -1,4 +1,4 @@
-"""What the simulator needs of this machine: DART's package, which is published for Linux alone."""
+"""The simulator's environment: DART's Python package (published only for Linux), and the files in this folder."""
 
 from __future__ import annotations
 
@@ -17,60 +17,63 @@ from bridge.config.problems import problems
 
 
 class SimError(RuntimeError):
-    """The simulator cannot do it; the text says what, where and how to mend it."""
+    """A simulator error; the text names the fact, its place and the cure."""
 
 
 _PACKAGE = "dartpy"
 
 
 def missing() -> str:
-    """Say why there is no dartpy, "" where there is; nothing is imported for that."""
+    """Return why dartpy is missing, "" if it is installed; it is not imported."""
     if importlib.util.find_spec(_PACKAGE) is not None:
         return ""
     published = sys.platform == "linux" and sys.version_info < (3, 14)
-    cure = "pip install dartpy" if published else "it is published for Linux with Python 3.10 to 3.13 alone"
+    cure = "pip install dartpy" if published else "it is published only for Linux with Python 3.10 to 3.13"
     return f"the simulator needs dartpy, which is not installed: {cure}"
 
 
 @cache
 def dartpy() -> Any:
-    """The package; raises `SimError` if it is not installed here, or cannot be loaded."""
-    if why := missing():
-        raise SimError(why)
+    """Import dartpy; raises `SimError` if it is not installed, or cannot be loaded."""
+    if problem := missing():
+        raise SimError(problem)
     try:
         return importlib.import_module(_PACKAGE)
     except ImportError as err:
         cure = ": apt install libgl1" if "libGL" in str(err) else ""
-        raise SimError(f"dartpy cannot be loaded: {err}{cure}") from None
+        raise SimError(f"cannot load dartpy: {err}{cure}") from None
 
 
-def available(config: Config) -> str:  # noqa: ARG001 - as all workers are asked
-    """Say why the worker cannot run here, "" where it can."""
+def available(config: Config) -> str:  # noqa: ARG001 - the signature for all workers
+    """Return why the worker cannot run on this machine, "" if it can."""
     return missing()
 
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:  # noqa: ARG001 - as above
-    """The environment of the worker's process; raises `SimError` if it cannot run here."""
-    if why := missing():
-        raise SimError(why)
-    return {**environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}  # spares the wheels' second start of Python
+    """Return the environment of the worker's process; raises `SimError` if it cannot run on this machine."""
+    if problem := missing():
+        raise SimError(problem)
+    return {
+        **environ,
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
+    }  # prevents dartpy's wheels from starting Python a second time
 
 
 Model = TypeVar("Model", bound=BaseModel)
 
-_OWN = Path(__file__).parent
+_FOLDER = Path(__file__).parent
 
 
 def ready(folder: str) -> list[str]:
-    """Names of the files of a kind that come with Midspan (``plans``, ``robots``)."""
-    return sorted(file.stem for file in (_OWN / folder).glob("*.yaml"))
+    """Return the names of the plans (``plans``) or robots (``robots``) that come with Midspan."""
+    return sorted(file.stem for file in (_FOLDER / folder).glob("*.yaml"))
 
 
 def find(folder: str, name: str) -> Path:
-    """The file of that name that comes with Midspan, or else the path itself; raises `SimError` if there is neither."""
-    own = _OWN / folder / f"{name}.yaml"
+    """Return the file of a name that comes with Midspan, or else the path; raises `SimError` if neither exists."""
+    shipped = _FOLDER / folder / f"{name}.yaml"
     if name in ready(folder):
-        return own
+        return shipped
     file = Path(name).expanduser()
     if not file.is_file():
         msg = f"{name!r} is neither a file nor one of the {folder} that come with Midspan: {', '.join(ready(folder))}"
@@ -79,19 +82,19 @@ def find(folder: str, name: str) -> Path:
 
 
 def document(file: Path) -> Document:
-    """A YAML file that is a map; raises `SimError` with all problems of the file."""
+    """Read a YAML file whose root is a map; raises `SimError` with all problems of the file."""
     try:
-        found = read(file)
+        loaded = read(file)
     except ConfigError as err:
         raise SimError(str(err)) from None
-    if not isinstance(found.data, dict):
-        raise SimError(f"{file}: must be a map of keys")
-    return found
+    if not isinstance(loaded.data, dict):
+        raise SimError(f"{file}: the file must be a map of keys")
+    return loaded
 
 
-def checked(found: Document, model: type[Model], data: dict[str, Any] | None = None) -> Model:
-    """The file's data as a model; raises `SimError` with the file and line of everything that is wrong."""
+def checked(source: Document, model: type[Model], data: dict[str, Any] | None = None) -> Model:
+    """Validate a file's data as a model; raises `SimError` with file and line of each error."""
     try:
-        return model.model_validate(found.data if data is None else data)
+        return model.model_validate(source.data if data is None else data)
     except ValidationError as err:
-        raise SimError(str(ConfigError(problems(found, model, err.errors(include_url=False))))) from None
+        raise SimError(str(ConfigError(problems(source, model, err.errors(include_url=False))))) from None

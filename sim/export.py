@@ -1,7 +1,7 @@
-"""Maps, locations and areas of a floor plan for planners, and pictures of the floor from above.
+"""Exports a floor plan's maps, locations and areas for planners, and draws the floor from above.
 
-On a map doors stand open; what moves is left out, and what a laser as high as the R1's does not see. DART's package
-draws nothing without a display.
+On a map doors are open; movable things, and things that a laser at the R1's height misses, are left out. The drawing is
+our own, because DART's package needs a display.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from yarp_compat.dev.mapgrid import MAX_CELLS, MapFlag, MapGrid2D
 from yarp_compat.dev.places import Places, save_maps
 from yarp_compat.sig.vec2d import Vec2D
 
-_MARGIN = 0.5  # metres around what stands on a floor
-SEEN = 0.19  # metres above the floor: the laser that a map is made with
+_MARGIN = 0.5  # meters around a floor's walls and furniture
+SEEN = 0.19  # height of the mapping laser above the floor, meters
 
 
 def grid(plan: Plan, floor: str, resolution: float = 0.05) -> MapGrid2D:
-    """A floor's map: walls, what stands fast, free where places lead, else unknown; raises `SimError` if too large."""
-    there = plan.floors[floor]
-    x0, y0, x1, y1 = there.extent
+    """Return a floor's map; cells that no place can reach are unknown. Raises `SimError` if the map is too large."""
+    plan_floor = plan.floors[floor]
+    x0, y0, x1, y1 = plan_floor.extent
     left, bottom = (math.floor((v - _MARGIN) / resolution) * resolution for v in (x0, y0))
     width, height = (math.ceil((v + _MARGIN - o) / resolution) for v, o in ((x1, left), (y1, bottom)))
     if width * height > MAX_CELLS:
-        raise SimError(f"the map of {floor} would have {width} by {height} cells; the resolution should be coarser")
+        raise SimError(f"the map of {floor} would have {width} by {height} cells; use a coarser resolution")
     wall = np.zeros((height, width), np.bool_)
-    for piece in pieces.standing(there):
+    for piece in pieces.standing(plan_floor):
         if piece.above <= SEEN < piece.top:
             _mark(wall, piece, left, bottom, resolution)
-    inside = (there.start, *there.places.values())
+    inside = (plan_floor.start, *plan_floor.places.values())
     free = _reached(wall, [((x - left) / resolution, (y - bottom) / resolution) for x, y, _ in inside])
     flags = np.where(wall, MapFlag.WALL, np.where(free, MapFlag.FREE, MapFlag.UNKNOWN)).astype(np.uint8)
     return MapGrid2D.of(flags[::-1].copy(), name=floor, resolution=resolution, origin=(left, bottom, 0.0))
@@ -49,43 +49,43 @@ def grid(plan: Plan, floor: str, resolution: float = 0.05) -> MapGrid2D:
 
 def places(plan: Plan) -> Places:
     """Return the locations and areas of all floors; with several floors, a name begins with the floor's name."""
-    found = Places()
-    for floor, there in plan.floors.items():
-        for name, (x, y, degrees) in there.places.items():
-            found.locations[_named(plan, floor, name)] = Map2DLocation(floor, x, y, degrees, "")
-        for name, room in there.rooms.items():
+    result = Places()
+    for floor, plan_floor in plan.floors.items():
+        for name, (x, y, degrees) in plan_floor.places.items():
+            result.locations[_named(plan, floor, name)] = Map2DLocation(floor, x, y, degrees, "")
+        for name, room in plan_floor.rooms.items():
             corners = [Vec2D(float(x), float(y)) for x, y in room.area]
-            found.areas[f"{_named(plan, floor, name)}_area"] = Map2DArea(floor, corners, name)
-    return found
+            result.areas[f"{_named(plan, floor, name)}_area"] = Map2DArea(floor, corners, name)
+    return result
 
 
 def links(plan: Plan) -> dict[str, MapLink]:
-    """The ways between floors, by their names."""
-    made = {}
+    """Return the links between floors, by name."""
+    result = {}
     for link in plan.links:
         first, second = (_named(plan, floor, place) for floor, place in link.split)
-        made[link.name] = MapLink(first, second, link.cost)
-    return made
+        result[link.name] = MapLink(first, second, link.cost)
+    return result
 
 
 def save(plan: Plan, folder: Path, resolution: float = 0.05) -> list[Path]:
-    """Write each floor's map for YARP (.map) and ROS (.yaml), maps_collection.ini, locations.ini, and its links.
+    """Write each floor's map for YARP (.map) and ROS (.yaml), maps_collection.ini, locations.ini, and the links.
 
     Raises:
-        SimError: a map would be too large.
-        OSError: it cannot be written.
+        SimError: a map is too large.
+        OSError: a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     maps = {floor: grid(plan, floor, resolution) for floor in plan.floors}
     save_maps(maps, folder / "maps_collection.ini")
     locations = folder / "locations.ini"
     places(plan).save(locations)
-    beside = extras_file(locations)
+    links_file = extras_file(locations)
     # importers read this file whenever it exists, so the links of an earlier plan must not stay in it
-    if plan.links or beside.exists():
-        Extras(links=links(plan)).save(beside)
-    for floor, made in maps.items():
-        made.save(folder / f"{floor}.yaml")
+    if plan.links or links_file.exists():
+        Extras(links=links(plan)).save(links_file)
+    for floor, occupancy in maps.items():
+        occupancy.save(folder / f"{floor}.yaml")
     return sorted(folder.iterdir())
 
 
@@ -94,7 +94,7 @@ def _named(plan: Plan, floor: str, name: str) -> str:
 
 
 def _mark(wall: NDArray[np.bool_], piece: Piece, left: float, bottom: float, resolution: float) -> None:
-    """Mark the cells whose middle is within half a cell of a piece: so a thin wall has no gaps."""
+    """Mark the cells whose middle is within half a cell of a piece, so that thin walls have no gaps."""
     reach = piece.reach + resolution
     columns = _range(piece.x, reach, left, resolution, wall.shape[1])
     rows = _range(piece.y, reach, bottom, resolution, wall.shape[0])
@@ -116,7 +116,7 @@ def _range(middle: float, reach: float, origin: float, resolution: float, count:
 
 
 def _reached(wall: NDArray[np.bool_], starts: list[tuple[float, float]]) -> NDArray[np.bool_]:
-    """The cells that can be reached from some, by steps to the four sides."""
+    """Return the cells that are 4-connected to the start cells."""
     height, width = wall.shape
     free = np.zeros(wall.shape, np.bool_)
     ahead = deque((int(y), int(x)) for x, y in starts if 0 <= x < width and 0 <= y < height)
@@ -124,7 +124,7 @@ def _reached(wall: NDArray[np.bool_], starts: list[tuple[float, float]]) -> NDAr
         y, x = ahead.pop()
         if free[y, x] or wall[y, x]:
             continue
-        # the whole run of the row at once
+        # fill the whole run of the row at once
         begin, end = x, x + 1
         while begin > 0 and not wall[y, begin - 1]:
             begin -= 1
@@ -146,7 +146,7 @@ _PERSON, _ROBOT, _NOSE, _HIT, _BUMP = (60, 120, 200), (40, 160, 90), (255, 255, 
 
 
 def draw(simulation: Simulation) -> NDArray[np.uint8]:
-    """The floor as it is now: (height, width, 3) bytes, north up."""
+    """Draw the floor's current state: (height, width, 3) bytes, north up."""
     canvas = _Canvas(simulation.world.floor.extent)
     world = simulation.world
     for piece in (*world.pieces[: world.first_leaf], *world.leaves(is_open=False)):
@@ -167,14 +167,14 @@ def draw(simulation: Simulation) -> NDArray[np.uint8]:
 
 
 def png(simulation: Simulation, file: Any) -> None:
-    """Write the picture as PNG to a path or an open file."""
-    from PIL import Image  # not in each process that knows maps
+    """Draw the floor's current state as PNG to a path or an open file."""
+    from PIL import Image  # imported only by processes that draw
 
     Image.fromarray(draw(simulation)).save(file, format="PNG")
 
 
 def _hits(simulation: Simulation) -> NDArray[np.float64]:
-    """Where the laser's beams ended, (n, 2) metres."""
+    """Return the end points of the laser's beams, (n, 2) meters."""
     scan, (x, y, yaw) = simulation.scan, simulation.base.pose()
     angles = yaw + scan.first + np.arange(len(scan.ranges)) * scan.step
     seen = np.isfinite(scan.ranges)
@@ -197,28 +197,28 @@ class _Canvas:
         self._image = Image.new("RGB", size, _FLOOR)
         self._draw = ImageDraw.Draw(self._image)
 
-    def _at(self, x: float, y: float) -> tuple[float, float]:
+    def _pixel(self, x: float, y: float) -> tuple[float, float]:
         return (x - self._left) * self._scale, (self._top - y) * self._scale
 
-    def solid(self, piece: Piece, colour: tuple[int, int, int]) -> None:
+    def solid(self, piece: Piece, color: tuple[int, int, int]) -> None:
         if piece.radius:
-            self.disc(piece.x, piece.y, piece.radius, colour)
+            self.disc(piece.x, piece.y, piece.radius, color)
         else:
-            self._draw.polygon([self._at(float(x), float(y)) for x, y in piece.corners()], fill=colour)
+            self._draw.polygon([self._pixel(float(x), float(y)) for x, y in piece.corners()], fill=color)
 
-    def outline(self, piece: Piece, colour: tuple[int, int, int]) -> None:
-        self._draw.polygon([self._at(float(x), float(y)) for x, y in piece.corners()], outline=colour)
+    def outline(self, piece: Piece, color: tuple[int, int, int]) -> None:
+        self._draw.polygon([self._pixel(float(x), float(y)) for x, y in piece.corners()], outline=color)
 
-    def disc(self, x: float, y: float, radius: float, colour: tuple[int, int, int]) -> None:
-        self._draw.ellipse([self._at(x - radius, y + radius), self._at(x + radius, y - radius)], fill=colour)
+    def disc(self, x: float, y: float, radius: float, color: tuple[int, int, int]) -> None:
+        self._draw.ellipse([self._pixel(x - radius, y + radius), self._pixel(x + radius, y - radius)], fill=color)
 
-    def line(self, a: tuple[float, float], b: tuple[float, float], colour: tuple[int, int, int]) -> None:
-        self._draw.line([self._at(*a), self._at(*b)], fill=colour, width=2)
+    def line(self, a: tuple[float, float], b: tuple[float, float], color: tuple[int, int, int]) -> None:
+        self._draw.line([self._pixel(*a), self._pixel(*b)], fill=color, width=2)
 
-    def dots(self, points: NDArray[np.float64], colour: tuple[int, int, int], size: int = 1) -> None:
+    def dots(self, points: NDArray[np.float64], color: tuple[int, int, int], size: int = 1) -> None:
         for x, y in points:
-            px, py = self._at(float(x), float(y))
-            self._draw.rectangle([px - size, py - size, px + size - 1, py + size - 1], fill=colour)
+            px, py = self._pixel(float(x), float(y))
+            self._draw.rectangle([px - size, py - size, px + size - 1, py + size - 1], fill=color)
 
     def pixels(self) -> NDArray[np.uint8]:
         return np.asarray(self._image)

@@ -1,4 +1,4 @@
-"""The laser: one ideal scanner, or the robot's own ones blended into one."""
+"""The laser: one ideal scanner, or the robot's own scanners blended into one."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ Floats = NDArray[np.float64]
 
 
 class Laser:
-    """Makes scans of a world's segments and circles.
+    """Scans a world's segments and circles.
 
     Args:
-        mount: where the robot's own scanners are.
-        rng: where noise and lost echoes come from.
+        mount: the positions of the robot's own scanners.
+        rng: the random generator for noise and lost echoes.
     """
 
     def __init__(self, section: LaserSection, mount: Mount, rng: np.random.Generator) -> None:
@@ -29,14 +29,14 @@ class Laser:
         self.step = 2.0 * math.pi / section.beams
         self._own = section.kind == "robot"
         self.scanners = mount.scanners if self._own else (Scanner(),)
-        # YARP counts from the robot's front, ROS's scanners mostly from behind it
+        # YARP's beams begin at the robot's front, those of most ROS drivers at its back
         self.first = 0.0 if self._own else -math.pi
         angles = self.first + np.arange(section.beams) * self.step
         self._beams = np.ascontiguousarray(np.stack([np.cos(angles), np.sin(angles)], axis=1))
         self._blind = [_blind(scanner, np.degrees(angles)) for scanner in self.scanners]
 
     def scan(self, time_ns: int, pose: tuple[float, float, float], segments: Floats, circles: Floats) -> Turn:
-        """One turn from the base's pose (x, y, yaw: metres, radians)."""
+        """Return one scan from the base's pose (x, y, yaw: meters, radians)."""
         turns = [
             self._turn(s, blind, pose, segments, circles) for s, blind in zip(self.scanners, self._blind, strict=True)
         ]
@@ -75,29 +75,29 @@ class Laser:
 
 
 def _blind(scanner: Scanner, degrees: Floats) -> NDArray[np.bool_]:
-    """Which beams have no value: YARP's SKIP sectors are open intervals of 0 to 360 degrees (Lidar2DDeviceBase)."""
+    """Return which beams are blind; YARP's SKIP sectors are open intervals of 0 to 360 degrees (Lidar2DDeviceBase)."""
     around = degrees % 360.0
-    found = np.zeros(degrees.shape, np.bool_)
+    blind = np.zeros(degrees.shape, np.bool_)
     for begin, end in scanner.blind:
-        found |= (around > begin) & (around < end)
-    return found
+        blind |= (around > begin) & (around < end)
+    return blind
 
 
 def reference(
     segments: Floats, circles: Floats, pose: tuple[float, float, float], angles: Floats, farthest: float
 ) -> Floats:
-    """The same distances by brute force, all beams with all segments and circles: what tests compare with.
+    """Compute the distances by brute force, for tests: all beams with all segments and circles.
 
     Args:
-        segments: (n, 4) x1, y1, x2, y2, metres.
-        circles: (m, 3) x, y, radius, metres.
-        pose: of the laser: x, y (metres), yaw (radians).
-        angles: of the beams on the laser, radians.
-        farthest: metres.
+        segments: (n, 4) x1, y1, x2, y2, meters.
+        circles: (m, 3) x, y, radius, meters.
+        pose: of the laser: x, y (meters), yaw (radians).
+        angles: of the beams in the laser's frame, radians.
+        farthest: meters.
     """
     x, y, yaw = pose
     c, s = np.cos(angles + yaw)[:, None], np.sin(angles + yaw)[:, None]
-    found = np.full(angles.shape, math.inf)
+    nearest = np.full(angles.shape, math.inf)
     with np.errstate(all="ignore"):
         if len(segments):
             ax, ay = segments[:, 0] - x, segments[:, 1] - y
@@ -105,11 +105,11 @@ def reference(
             den = c * dy - s * dx
             r, u = (ax * dy - ay * dx) / den, (ax * s - ay * c) / den
             hit = (r > 0) & (u >= -1e-12) & (u <= 1 + 1e-12)
-            found = np.minimum(found, np.where(hit, r, math.inf).min(axis=1))
+            nearest = np.minimum(nearest, np.where(hit, r, math.inf).min(axis=1))
         if len(circles):
             ax, ay, radius = circles[:, 0] - x, circles[:, 1] - y, circles[:, 2]
             inside = radius**2 - (c * ay - s * ax) ** 2
             r = (c * ax + s * ay) - np.sqrt(inside)
             hit = (r > 0) & (inside >= 0) & (np.hypot(ax, ay) > radius)
-            found = np.minimum(found, np.where(hit, r, math.inf).min(axis=1))
-    return np.where(found > farthest, math.inf, found)
+            nearest = np.minimum(nearest, np.where(hit, r, math.inf).min(axis=1))
+    return np.where(nearest > farthest, math.inf, nearest)

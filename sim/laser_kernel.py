@@ -1,7 +1,7 @@
 """Casts a laser's beams on segments and circles, in compiled code.
 
-Each segment is looked at once, and only the beams that it spans are touched: the cost is that of what is near, not of
-beams times segments. Distances are exact.
+Each segment is processed once, and only for the beams that it spans, so the cost grows with the nearby segments, not
+with beams times segments. Distances are exact.
 """
 
 from __future__ import annotations
@@ -15,35 +15,35 @@ if cython.compiled:
 else:
     from math import asin, atan2, ceil, cos, floor, isfinite, isinf, isnan, sin, sqrt
 
-    from numpy import hypot, rint  # Python's own hypot rounds otherwise than C's
+    from numpy import hypot, rint  # math.hypot rounds differently from C's
 
-_SLACK = cython.declare(cython.double, 1e-9)  # beams so near to the end of a segment (in beams) are looked at as well
+_SLACK = cython.declare(cython.double, 1e-9)  # tolerance at the ends of a segment, in beams
 _PI = cython.declare(cython.double, math.pi)
 _INFINITY = cython.declare(cython.double, math.inf)
-_MANY = cython.declare(cython.double, 2.0**40)  # no laser has so many beams
+_MANY = cython.declare(cython.double, 2.0**40)  # more beams than any laser has
 
 
-@cython.boundscheck(False)  # shapes are checked first, and beams are counted from 0 to their number
+@cython.boundscheck(False)  # shapes are checked first, and beam numbers are within the range
 @cython.wraparound(False)
 @cython.initializedcheck(False)
-@cython.cdivision(True)  # by what is compared with 0 before, and by the step, which is checked
+@cython.cdivision(True)  # divisors are compared with 0 first, and the step is checked
 def cast(
-    segments: cython.const[cython.double][:, ::1],  # (n, 4) x1, y1, x2, y2, metres
-    circles: cython.const[cython.double][:, ::1],  # (m, 3) x, y, radius, metres; from within one it is not seen
-    x: cython.double,  # of the laser, metres; also y, and yaw in radians
-    y: cython.double,  # likewise
-    yaw: cython.double,  # likewise
+    segments: cython.const[cython.double][:, ::1],  # (n, 4) x1, y1, x2, y2, meters
+    circles: cython.const[cython.double][:, ::1],  # (m, 3) x, y, radius, meters; not seen from inside
+    x: cython.double,  # of the laser, meters; also y, and yaw in radians
+    y: cython.double,
+    yaw: cython.double,
     # (k, 2) cosine and sine of each beam's direction, from ``first`` by ``step`` radians
     beams: cython.const[cython.double][:, ::1],
     first: cython.double,  # radians
     step: cython.double,  # radians, above 0
-    farthest: cython.double,  # metres; what is beyond is infinite
-    out: cython.double[::1],  # (k) gets the distances, metres
+    farthest: cython.double,  # meters; greater distances become infinite
+    out: cython.double[::1],  # (k) receives the distances, meters
 ) -> None:
-    """Measure each beam's distance. From a pose that is not finite nothing is seen, nor is a shape that is not.
+    """Compute each beam's distance. Nothing is seen from a pose that is not finite; shapes that are not are ignored.
 
     Raises:
-        ValueError: there is no step, or the arrays do not fit.
+        ValueError: the step is not above 0, or the arrays' shapes do not fit.
     """
     two_pi: cython.double = 2.0 * _PI
     count: cython.longlong = beams.shape[0]
@@ -51,9 +51,9 @@ def cast(
     cython.declare(beam=cython.longlong, part=cython.longlong)
     cython.declare(r=cython.double)
     if segments.shape[1] != 4 or circles.shape[1] != 3 or beams.shape[1] != 2 or out.shape[0] != count:
-        raise ValueError("a laser looks at segments (n, 4) and circles (m, 3) by beams (k, 2)")
+        raise ValueError("expected segments (n, 4), circles (m, 3), beams (k, 2) and an output (k)")
     if not step > 0.0:
-        raise ValueError(f"a laser's beams are more than 0 radians apart, not {step}")
+        raise ValueError(f"beams must be more than 0 radians apart, not {step}")
     if not isfinite(x + y + yaw + first):
         out[:] = _INFINITY
         return
@@ -77,7 +77,7 @@ def cast(
             ny: cython.double = ay + t * dy
             if not nx * nx + ny * ny <= reach:
                 continue
-            # into the laser's own frame, in which the beams' directions are known
+            # into the laser's own frame, as the beams' directions
             ax, ay = c * ax + s * ay, c * ay - s * ax
             bx, by = c * bx + s * by, c * by - s * bx
             dx, dy = bx - ax, by - ay
@@ -98,7 +98,7 @@ def cast(
                 continue
             low: cython.longlong = _beam(ceil(begin / step - _SLACK), around + count)
             high: cython.longlong = _beam(floor((begin + span) / step + _SLACK), around + count)
-            for part in range(2):  # from the last beam it goes on with the first
+            for part in range(2):  # the beams wrap around: after the last comes the first
                 for beam in range(max(0, low - part * around), _end(high, part, around, count)):
                     den: cython.double = beams[beam, 0] * dy - beams[beam, 1] * dx
                     if den != 0.0:
@@ -137,7 +137,7 @@ def cast(
 @cython.nogil
 @cython.exceptval(check=False)
 def _beam(value: cython.double, most: cython.longlong) -> cython.longlong:
-    """A beam's number, or the one behind all of them; for what is no number the first."""
+    """Return a beam's number within 0 and ``most``; 0 for NaN."""
     if value < most:
         return cython.cast(cython.longlong, value) if value > 0.0 else 0
     return most if value >= most else 0
@@ -150,37 +150,37 @@ def _beam(value: cython.double, most: cython.longlong) -> cython.longlong:
 def _end(
     high: cython.longlong, part: cython.longlong, around: cython.longlong, count: cython.longlong
 ) -> cython.longlong:
-    """Behind the last beam of a turn's first or second part, where ``high`` is the last one that a shape spans."""
+    """Return the end of the beam range of a turn's first or second part; a shape spans the beams up to ``high``."""
     if part:
         return min(high - around + 1, count)
     return min(high + 1, around, count)
 
 
-@cython.boundscheck(False)  # a beam's slot is looked up where there is one
+@cython.boundscheck(False)  # slots are within the range
 @cython.wraparound(False)
 @cython.initializedcheck(False)
-@cython.cdivision(True)  # by the slots' step, which is checked
+@cython.cdivision(True)  # the slots' step is checked
 def blend(
-    scan: cython.const[cython.double][::1],  # metres, in the scanner's own frame; NaN where it is blind
-    first: cython.double,  # of its beams, radians; also ``step`` and, on the base, ``turned``
-    step: cython.double,  # likewise
-    at_x: cython.double,  # of the scanner on the base, metres; also ``at_y``
-    at_y: cython.double,  # likewise
-    turned: cython.double,  # likewise
-    merged: cython.double[::1],  # metres, in the base's frame, beginning in its own direction; changed
-    merged_step: cython.double,  # radians from one of its slots to the next
+    scan: cython.const[cython.double][::1],  # meters, in the scanner's own frame; NaN in blind sectors
+    first: cython.double,  # angle of the first beam, radians; also ``step``, and ``turned``: the scanner on the base
+    step: cython.double,
+    at_x: cython.double,  # position of the scanner on the base, meters; also ``at_y``
+    at_y: cython.double,
+    turned: cython.double,
+    merged: cython.double[::1],  # meters, in the base's frame, from its front; updated
+    merged_step: cython.double,  # radians between slots
 ) -> None:
-    """Put one scanner's turn into a virtual one's slots, as cerDoubleLidar does: the last one to hit a slot has it.
+    """Merge one scanner's scan into a virtual scanner's slots, as cerDoubleLidar does: the last hit in a slot wins.
 
     Raises:
-        ValueError: there is no step between slots.
+        ValueError: the step between slots is not above 0.
     """
     two_pi: cython.double = 2.0 * _PI
     slots: cython.longlong = merged.shape[0]
     slot: cython.longlong
     i: cython.Py_ssize_t
     if not merged_step > 0.0:
-        raise ValueError(f"slots are more than 0 radians apart, not {merged_step}")
+        raise ValueError(f"slots must be more than 0 radians apart, not {merged_step}")
     with cython.nogil:
         for i in range(scan.shape[0]):
             r: cython.double = scan[i]

@@ -1,4 +1,4 @@
-"""What the simulation knows, as messages of ROS 2, and the names of its topics and frames."""
+"""Converts the simulation's state to ROS 2 messages; the names of its topics and frames."""
 
 from __future__ import annotations
 
@@ -22,50 +22,50 @@ _DISCHARGING = 2
 _LION = 2
 _FLOAT32 = 7  # sensor_msgs/PointField
 CAMERA_FRAME, OPTICAL_FRAME = "camera_link", "camera_depth_optical_frame"
-FOOTPRINT_FRAME = "base_footprint"  # the floor below the base (REP 120): heights count from there
+FOOTPRINT_FRAME = "base_footprint"  # the floor below the base (REP 120), the origin of heights
 DEPTH, DEPTH_INFO, DEPTH_POINTS = "/camera/depth/image_rect_raw", "/camera/depth/camera_info", "/camera/depth/points"
-"""Frames and topics as realsense2_camera's driver has them."""
+"""Frames and topics of the realsense2_camera driver."""
 _POSE_VARIANCE = np.diag([0.01, 0.01, 1e6, 1e6, 1e6, 0.03]).ravel()
-"""What drivers of such bases say: of height and tilt, odometry knows nothing."""
+"""Usual covariance of such a base's odometry, which does not observe height and tilt."""
 
 
 def stamp(time_ns: int) -> Message:
-    """builtin_interfaces/Time."""
+    """Return a builtin_interfaces/Time."""
     seconds, nanoseconds = divmod(time_ns, _SECOND)
     return {"sec": seconds, "nanosec": nanoseconds}
 
 
 def header(time_ns: int, frame: str) -> Message:
-    """std_msgs/Header."""
+    """Return a std_msgs/Header."""
     return {"stamp": stamp(time_ns), "frame_id": frame}
 
 
 def turned(yaw: float) -> Message:
-    """geometry_msgs/Quaternion about the vertical."""
+    """Return a geometry_msgs/Quaternion of a rotation about the vertical."""
     return {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
 
 
 def odometry(time_ns: int, pose: BasePose, twist: Twist, frame: str, child: str, *, sure: bool = False) -> Message:
-    """nav_msgs/Odometry."""
+    """Return a nav_msgs/Odometry; without covariances if ``sure``."""
     linear, angular = {"x": twist.x, "y": twist.y, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": twist.yaw}
-    said: Message = {
+    message: Message = {
         "header": header(time_ns, frame),
         "child_frame_id": child,
         "pose": {"pose": {"position": {"x": pose.x, "y": pose.y, "z": 0.0}, "orientation": turned(pose.yaw)}},
         "twist": {"twist": {"linear": linear, "angular": angular}},
     }
     if not sure:
-        said["pose"]["covariance"] = said["twist"]["covariance"] = _POSE_VARIANCE
-    return said
+        message["pose"]["covariance"] = message["twist"]["covariance"] = _POSE_VARIANCE
+    return message
 
 
 def moving(time_ns: int, pose: BasePose, twist: Twist) -> tuple[float, ...]:
-    """What changes of `odometry`, in its order: ``header.stamp``, ``pose.pose``, ``twist.twist``."""
+    """Return the changing numbers of `odometry`, in order: ``header.stamp``, ``pose.pose``, ``twist.twist``."""
     return (*divmod(time_ns, _SECOND), *_placed(pose), twist.x, twist.y, 0.0, 0.0, 0.0, twist.yaw)
 
 
 def placed(time_ns: int, pose: BasePose) -> tuple[float, ...]:
-    """What changes of `transform`, in its order: the stamp and the transform of a child at the same height."""
+    """Return the changing numbers of `transform`, in order: stamp and transform of a child at the same height."""
     return (*divmod(time_ns, _SECOND), *_placed(pose))
 
 
@@ -74,28 +74,28 @@ def _placed(pose: BasePose) -> tuple[float, ...]:
 
 
 def mount(time_ns: int, base: str, laser: str, height: float, camera: CameraSection | None, middle: float) -> Message:
-    """tf2_msgs/TFMessage of where the sensors are on the base, whose own frame is ``middle`` metres above the floor."""
-    made = transform(time_ns, base, laser, BasePose(0.0, 0.0, 0.0), height - middle)
+    """Return a tf2_msgs/TFMessage with the sensors' frames; the base's frame is ``middle`` meters above the floor."""
+    message = transform(time_ns, base, laser, BasePose(0.0, 0.0, 0.0), height - middle)
     if camera is not None:
         x, y, z = camera.at
-        held = transform(time_ns, base, CAMERA_FRAME, BasePose(x, y, 0.0), z - middle)
+        mounted = transform(time_ns, base, CAMERA_FRAME, BasePose(x, y, 0.0), z - middle)
         optical = transform(time_ns, CAMERA_FRAME, OPTICAL_FRAME, BasePose(0.0, 0.0, 0.0))
-        held["transforms"][0]["transform"]["rotation"] = tilted(camera.yaw, camera.pitch)
+        mounted["transforms"][0]["transform"]["rotation"] = tilted(camera.yaw, camera.pitch)
         # z ahead, x to the right, y down (REP 103)
         optical["transforms"][0]["transform"]["rotation"] = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}
         below = transform(time_ns, base, FOOTPRINT_FRAME, BasePose(0.0, 0.0, 0.0), -middle)
-        made["transforms"] += [*held["transforms"], *optical["transforms"], *below["transforms"]]
-    return made
+        message["transforms"] += [*mounted["transforms"], *optical["transforms"], *below["transforms"]]
+    return message
 
 
 def tilted(yaw: float, pitch: float) -> Message:
-    """geometry_msgs/Quaternion of so many degrees to the left, then down."""
+    """Return a geometry_msgs/Quaternion of a rotation to the left, then down, in degrees."""
     c, s, cp, sp = (f(math.radians(angle) / 2) for angle in (yaw, pitch) for f in (math.cos, math.sin))
     return {"x": -s * sp, "y": c * sp, "z": s * cp, "w": c * cp}
 
 
 def depth(time_ns: int, seen: Depths, encoding: str) -> Message:
-    """sensor_msgs/Image of depths, metres (REP 118); in whole millimetres, 0 is no value, as the D435's driver says."""
+    """Return a sensor_msgs/Image of depths: meters (REP 118), or like the D435's driver millimeters, 0 for no value."""
     height, width = seen.shape
     if encoding == "16UC1":
         with np.errstate(invalid="ignore"):
@@ -111,7 +111,7 @@ def depth(time_ns: int, seen: Depths, encoding: str) -> Message:
 
 
 def camera_info(time_ns: int, lens: tuple[float, float, float, float], width: int, height: int) -> Message:
-    """sensor_msgs/CameraInfo of a picture without distortion."""
+    """Return a sensor_msgs/CameraInfo without distortion."""
     fx, fy, cx, cy = lens
     return {
         "header": header(time_ns, OPTICAL_FRAME),
@@ -125,9 +125,9 @@ def camera_info(time_ns: int, lens: tuple[float, float, float, float], width: in
     }
 
 
-def points(time_ns: int, found: Depths) -> Message:
-    """sensor_msgs/PointCloud2 of (height, width, 3) points, metres; those that are none are not finite."""
-    height, width, _ = found.shape
+def points(time_ns: int, cloud: Depths) -> Message:
+    """Return a sensor_msgs/PointCloud2 of (height, width, 3) points, meters; missing points are not finite."""
+    height, width, _ = cloud.shape
     return {
         "header": header(time_ns, OPTICAL_FRAME),
         "height": height,
@@ -135,23 +135,23 @@ def points(time_ns: int, found: Depths) -> Message:
         "fields": [{"name": n, "offset": 4 * i, "datatype": _FLOAT32, "count": 1} for i, n in enumerate("xyz")],
         "point_step": 12,
         "row_step": 12 * width,
-        "data": found.view(np.uint8).ravel(),
+        "data": cloud.view(np.uint8).ravel(),
     }
 
 
 def transform(time_ns: int, parent: str, child: str, pose: BasePose, height: float = 0.0) -> Message:
-    """tf2_msgs/TFMessage of one transform."""
+    """Return a tf2_msgs/TFMessage of one transform."""
     translation = {"x": pose.x, "y": pose.y, "z": height}
-    one = {
+    stamped = {
         "header": header(time_ns, parent),
         "child_frame_id": child,
         "transform": {"translation": translation, "rotation": turned(pose.yaw)},
     }
-    return {"transforms": [one]}
+    return {"transforms": [stamped]}
 
 
 def joints(time_ns: int, names: tuple[str, ...], encoders: Encoders) -> Message:
-    """sensor_msgs/JointState."""
+    """Return a sensor_msgs/JointState of the wheels."""
     return {
         "header": header(time_ns, ""),
         "name": list(names),
@@ -161,26 +161,26 @@ def joints(time_ns: int, names: tuple[str, ...], encoders: Encoders) -> Message:
 
 
 def turning(time_ns: int, encoders: Encoders) -> tuple[float, ...]:
-    """What changes of `joints`, in its order: ``header.stamp``, ``position``, ``velocity``."""
+    """Return the changing numbers of `joints`, in order: ``header.stamp``, ``position``, ``velocity``."""
     return (*divmod(time_ns, _SECOND), *encoders.positions.tolist(), *encoders.velocities.tolist())
 
 
-def scan(time_ns: int, found: Turn, frame: str, rate: float) -> Message:
-    """sensor_msgs/LaserScan. All beams are of one moment."""
+def scan(time_ns: int, turn: Turn, frame: str, rate: float) -> Message:
+    """Return a sensor_msgs/LaserScan, whose beams are all of the same time."""
     return {
         "header": header(time_ns, frame),
-        "angle_min": found.first,
-        "angle_max": found.first + (len(found.ranges) - 1) * found.step,
-        "angle_increment": found.step,
+        "angle_min": turn.first,
+        "angle_max": turn.first + (len(turn.ranges) - 1) * turn.step,
+        "angle_increment": turn.step,
         "scan_time": 1.0 / rate,
-        "range_min": found.nearest,
-        "range_max": found.farthest,
-        "ranges": found.ranges.astype("<f4"),
+        "range_min": turn.nearest,
+        "range_max": turn.farthest,
+        "ranges": turn.ranges.astype("<f4"),
     }
 
 
 def battery(time_ns: int, charge: Charge) -> Message:
-    """sensor_msgs/BatteryState."""
+    """Return a sensor_msgs/BatteryState."""
     return {
         "header": header(time_ns, ""),
         "voltage": charge.voltage,
@@ -198,7 +198,7 @@ def battery(time_ns: int, charge: Charge) -> Message:
 
 
 def image(time_ns: int, picture: np.ndarray) -> Message:
-    """sensor_msgs/Image of (height, width, 3) bytes."""
+    """Return a sensor_msgs/Image of (height, width, 3) bytes."""
     height, width, _ = picture.shape
     return {
         "header": header(time_ns, "map"),
@@ -211,13 +211,13 @@ def image(time_ns: int, picture: np.ndarray) -> Message:
 
 
 def velocity(message: Message) -> Twist:
-    """The velocity of a geometry_msgs/Twist."""
+    """Return the velocity of a geometry_msgs/Twist."""
     return Twist(message["linear"]["x"], message["linear"]["y"], message["angular"]["z"])
 
 
 @dataclass(frozen=True)
 class TopicNames:
-    """What is called how."""
+    """The names of the simulator's topics and frames."""
 
     scan: str = "/scan"
     odometry: str = "/odom"
@@ -235,7 +235,7 @@ class TopicNames:
 
 
 def names_of(kind: str, robot: RobotDescription) -> TopicNames:
-    """The names that the configuration's ``sim.messages`` means."""
+    """Return the names for the configuration's ``sim.names``."""
     if kind == "usual":
         return TopicNames()
     return TopicNames(

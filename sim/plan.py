@@ -1,4 +1,4 @@
-"""Floor plans: what stands where, written in YAML, or made from a map of cells or an image. Metres and degrees."""
+"""Floor plans, from YAML, a grid map or an image; in meters and degrees."""
 
 from __future__ import annotations
 
@@ -23,58 +23,58 @@ Size = Annotated[float, Field(gt=0, le=1000)]
 
 
 class RoomDoor(Section):
-    """A door in a wall; the wall has a hole for it by itself."""
+    """A door in a wall; the wall's gap follows from it."""
 
     name: str
     line: tuple[Point, Point] = Field(description="From one post to the other.")
-    open: bool = Field(default=True, description="Whether it stands open at the start.")
+    open: bool = Field(default=True, description="Whether it is open at the start.")
 
 
 class Box(Section):
-    """A box; with a mass it can be pushed, without it stands fast."""
+    """A box; movable if it has a mass, otherwise fixed."""
 
     name: str = ""
     at: Pose
     size: tuple[Size, Size, Size] = Field(description="Length, width, height.")
-    above: float = Field(default=0.0, ge=0, le=1000, description="Between the floor and its underside.")
+    above: float = Field(default=0.0, ge=0, le=1000, description="Height of its underside above the floor.")
     mass: float | None = Field(default=None, gt=0, le=10_000, description="Kilograms.")
     friction: float = Field(default=0.4, ge=0, le=2)
 
     @model_validator(mode="after")
-    def _stands(self) -> Box:
+    def _check_support(self) -> Box:
         if self.mass is not None and self.above:
-            raise ValueError("a box that can be pushed stands on the floor: mass and above do not go together")
+            raise ValueError("mass and above exclude each other: a movable box stands on the floor")
         return self
 
 
 class Round(Section):
-    """A round thing that stands fast: a column, a table."""
+    """A fixed round thing: a column, a table."""
 
     name: str = ""
     at: Point
     radius: Size
     height: Size = 1.0
-    above: float = Field(default=0.0, ge=0, le=1000, description="Between the floor and its underside.")
+    above: float = Field(default=0.0, ge=0, le=1000, description="Height of its underside above the floor.")
 
 
 class Table(Section):
-    """A board on four legs, which stand in its corners."""
+    """A board on four legs, at its corners."""
 
     name: str = ""
     at: Pose
     size: tuple[Size, Size, Size] = Field(description="Length, width, height.")
-    board: Size = Field(default=0.03, description="How thick the board is.")
-    leg: Size = Field(default=0.05, description="How thick a leg is.")
+    board: Size = Field(default=0.03, description="Thickness of the board.")
+    leg: Size = Field(default=0.05, description="Thickness of a leg.")
 
     @model_validator(mode="after")
     def _fits(self) -> Table:
         if self.board >= self.size[2] or 2 * self.leg > min(self.size[:2]):
-            raise ValueError("a table's board and legs are thinner than the table")
+            raise ValueError("a table's board and legs must be thinner than the table")
         return self
 
 
 class Drop(Section):
-    """Where the floor is lower: a step down, a stairwell. Its sides go along x and y."""
+    """A lower part of the floor, such as a step or stairwell; its sides are parallel to x and y."""
 
     at: Point
     size: tuple[Size, Size] = Field(description="Along x and along y.")
@@ -82,13 +82,13 @@ class Drop(Section):
 
 
 class Person(Section):
-    """Somebody who walks; a person waits where the robot is in the way."""
+    """A walking person, who waits if the robot blocks the path."""
 
     name: str
     at: Point
-    path: Line = Field(default=(), description="Where the person walks to, point after point.")
-    speed: float = Field(default=0.8, gt=0, le=5, description="Metres per second.")
-    loop: bool = Field(default=True, description="Whether the path begins again, from its first point.")
+    path: Line = Field(default=(), description="Points to walk to, in sequence.")
+    speed: float = Field(default=0.8, gt=0, le=5, description="Meters per second.")
+    loop: bool = Field(default=True, description="Whether the path is repeated.")
     radius: float = Field(default=0.2, gt=0, le=1)
 
 
@@ -96,22 +96,24 @@ class Room(Section):
     """A named part of the floor."""
 
     area: Line = Field(min_length=3, description="Its corners.")
-    at: Pose | None = Field(default=None, description="Where to stand in it; else the middle of its corners.")
+    at: Pose | None = Field(
+        default=None, description="Where the robot stands in it; default: the middle of its corners."
+    )
 
     @property
     def pose(self) -> Pose:
-        """Where to stand in it."""
+        """The pose for the robot in it."""
         n = len(self.area)
         return self.at or (sum(p[0] for p in self.area) / n, sum(p[1] for p in self.area) / n, 0.0)
 
 
 class Floor(Section):
-    """One floor, one map."""
+    """One floor, with one map."""
 
     thickness: Size = Field(default=0.1, description="Of the walls.")
     height: Size = Field(default=2.0, description="Of the walls.")
     walls: tuple[Line, ...] = Field(default=(), description="Lines through points.")
-    openings: tuple[tuple[Point, Point], ...] = Field(default=(), description="Holes in walls that have no door.")
+    openings: tuple[tuple[Point, Point], ...] = Field(default=(), description="Gaps in walls without a door.")
     doors: tuple[RoomDoor, ...] = ()
     boxes: tuple[Box, ...] = ()
     rounds: tuple[Round, ...] = ()
@@ -120,7 +122,7 @@ class Floor(Section):
     people: tuple[Person, ...] = ()
     rooms: dict[str, Room] = Field(default_factory=dict)
     locations: dict[str, Pose] = Field(default_factory=dict, description="Named places.")
-    start: Pose = Field(default=(0.0, 0.0, 0.0), description="Where the robot stands first.")
+    start: Pose = Field(default=(0.0, 0.0, 0.0), description="The robot's pose at the start.")
 
     @model_validator(mode="after")
     def _names_differ(self) -> Floor:
@@ -129,23 +131,23 @@ class Floor(Section):
         names = [thing.name for thing in things if thing.name]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
-            raise ValueError(f"two things are called {twice!r}")
+            raise ValueError(f"two things have the name {twice!r}")
         both = next(iter(self.rooms.keys() & self.locations.keys()), None)
         if both is not None:
-            raise ValueError(f"{both!r} is a room and a location")
+            raise ValueError(f"{both!r} is both a room and a location")
         flat = [value for wall in self.walls for point in wall for value in point]
         if not all(math.isfinite(value) and abs(value) < 10_000 for value in flat):
-            raise ValueError("a wall is not within 10 km")
+            raise ValueError("walls must be within 10 km of the origin")
         return self
 
     @property
     def places(self) -> dict[str, Pose]:
-        """Named places, the rooms' among them."""
+        """All named places, including the rooms."""
         return {**{name: room.pose for name, room in self.rooms.items()}, **self.locations}
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """The least and greatest x and y of all walls and what stands fast, metres: x0, y0, x1, y1."""
+        """The bounds of all walls and things, in meters: x0, y0, x1, y1."""
         points = [p for wall in self.walls for p in wall] + [p for door in self.doors for p in door.line]
         square: tuple[Box | Table, ...] = (*self.boxes, *self.tables)
         for box in square:
@@ -162,11 +164,11 @@ class Floor(Section):
 
 
 class Link(Section):
-    """A way between two floors: a lift, or stairs. Each end is ``floor/location``."""
+    """A link between two floors: a lift or stairs. Each end is ``floor/location``."""
 
     name: str
     ends: tuple[str, str]
-    cost: float = Field(default=30.0, ge=0, description="As that of so many metres, or seconds, for a planner.")
+    cost: float = Field(default=30.0, ge=0, description="For a planner, in meters or seconds.")
 
     @property
     def split(self) -> tuple[tuple[str, str], tuple[str, str]]:
@@ -178,18 +180,20 @@ class Link(Section):
 class Plan(Section):
     """A building."""
 
-    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,62}$", description="Also the map's, where there is one floor.")
-    floors: dict[str, Floor] = Field(min_length=1, description="By the names of their maps; the first is the start.")
+    name: str = Field(
+        pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,62}$", description="Also the map's name if there is one floor."
+    )
+    floors: dict[str, Floor] = Field(min_length=1, description="By map name; the robot starts on the first.")
     links: tuple[Link, ...] = ()
 
     @property
     def first(self) -> str:
-        """The floor on which the robot begins."""
+        """The floor on which the robot starts."""
         return next(iter(self.floors))
 
     @property
     def without_people(self) -> Plan:
-        """The same building with nobody in it."""
+        """The same building without people."""
         empty = {name: floor.model_copy(update={"people": ()}) for name, floor in self.floors.items()}
         return self.model_copy(update={"floors": empty})
 
@@ -198,7 +202,7 @@ class Plan(Section):
         for link in self.links:
             for floor, place in link.split:
                 if floor not in self.floors or place not in self.floors[floor].places:
-                    raise ValueError(f"the link {link.name!r} ends at {floor}/{place}, which is no location of a floor")
+                    raise ValueError(f"the link {link.name!r} ends at the unknown location {floor}/{place}")
         return self
 
 
@@ -208,7 +212,7 @@ _DARK = 128
 
 
 def of_map_file(file: Path) -> Plan:
-    """A plan of a YARP map (.map) or ROS map (.yaml), of its walls alone; raises `SimError` if no map, or too large."""
+    """Return a plan with the walls of a YARP (.map) or ROS map (.yaml); raises `SimError` if invalid or too large."""
     try:
         grid = MapGrid2D.load(file)
     except (MapFileError, OSError, ValueError) as err:
@@ -217,27 +221,31 @@ def of_map_file(file: Path) -> Plan:
 
 
 def of_grid(grid: MapGrid2D, name: str) -> Plan:
-    """A plan of a map. Keep-out cells are none of its solids: nothing stands there."""
+    """Return a plan with the walls of a map; keep-out cells are free."""
     origin = grid.m_origin.to_ros()
     return _plan(name, grid.flags == MapFlag.WALL, grid.getResolution(), (origin[0], origin[1], origin[2]))
 
 
 def of_image(file: Path, resolution: float) -> Plan:
-    """A plan of an image, metres a pixel: dark is wall, lower left the origin; raises `SimError` if none, or large."""
-    from PIL import Image  # most plans are no image
+    """Return a plan of an image in meters per pixel: dark pixels are walls, the origin is the lower left corner.
+
+    Raises:
+        SimError: the image is invalid or too large.
+    """
+    from PIL import Image  # not imported for other plans
 
     try:
         with Image.open(file) as image:
             if image.width * image.height > MAX_CELLS:
                 raise SimError(f"{file}: more than {MAX_CELLS} pixels")
-            grey = np.asarray(image.convert("L"))
+            gray = np.asarray(image.convert("L"))
     except (OSError, ValueError, Image.DecompressionBombError) as err:
-        raise SimError(f"{file}: no image that can be read: {err}") from None
-    return _plan(file.stem, grey < _DARK, resolution, (0.0, 0.0, 0.0))
+        raise SimError(f"{file}: cannot read the image: {err}") from None
+    return _plan(file.stem, gray < _DARK, resolution, (0.0, 0.0, 0.0))
 
 
 def _plan(name: str, solid: NDArray[np.bool_], resolution: float, origin: Pose) -> Plan:
-    """A plan of cells, rows from the top one down; the origin (metres, radians) is their lower left corner."""
+    """Return a plan of cells, with the top row first; the origin (meters, radians) is the lower left corner."""
     c, s = math.cos(origin[2]), math.sin(origin[2])
     boxes = []
     for left, bottom, right, top in rectangles(solid[::-1]):
@@ -245,7 +253,7 @@ def _plan(name: str, solid: NDArray[np.bool_], resolution: float, origin: Pose) 
         at = (origin[0] + c * x - s * y, origin[1] + s * x + c * y, math.degrees(origin[2]))
         boxes.append(Box(at=at, size=((right - left) * resolution, (top - bottom) * resolution, _HEIGHT)))
         if len(boxes) > _MOST_PIECES:
-            raise SimError(f"{name}: more than {_MOST_PIECES} rectangles of solid cells; is it a map?")
+            raise SimError(f"{name}: more than {_MOST_PIECES} rectangles of solid cells; is it an occupancy map?")
     height, width = solid.shape
     x, y = width / 2 * resolution, height / 2 * resolution
     start = (origin[0] + c * x - s * y, origin[1] + s * x + c * y, 0.0)
@@ -255,9 +263,9 @@ def _plan(name: str, solid: NDArray[np.bool_], resolution: float, origin: Pose) 
 
 
 def rectangles(solid: NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int]]:
-    """Rectangles that cover the solid cells, each cell once: left, bottom, right, top, the last two not within.
+    """Yield rectangles that cover each solid cell once: left, bottom, right, top, the last two exclusive.
 
-    Runs of a row that go on in the next with the same ends grow upwards.
+    Runs with the same ends in consecutive rows are merged.
     """
     growing: dict[tuple[int, int], int] = {}
     for row, cells in enumerate(solid):
@@ -275,14 +283,14 @@ _IMAGES = (".png", ".pgm", ".bmp", ".jpg", ".jpeg", ".gif", ".tif", ".tiff")
 
 
 def load_plan(name: str, resolution: float = 0.05) -> Plan:
-    """A plan that comes with Midspan, or a file: a plan or a ROS map (YAML), a YARP map (.map), or an image.
+    """Load a plan that comes with Midspan, or a file: a plan or a ROS map (YAML), a YARP map (.map), or an image.
 
     Args:
         name: of the plan or the file.
-        resolution: metres per pixel of an image.
+        resolution: meters per pixel of an image.
 
     Raises:
-        SimError: there is none of that name, or the file is wrong.
+        SimError: the name is unknown, or the file is invalid.
     """
     file = find("plans", name)
     kind = file.suffix.lower()
@@ -291,16 +299,16 @@ def load_plan(name: str, resolution: float = 0.05) -> Plan:
     if kind == ".map":
         return of_map_file(file)
     if kind not in (".yaml", ".yml"):
-        raise SimError(f"{name}: what it is is told by its name's end: .yaml, .map, {', '.join(_IMAGES)}")
-    found = document(file)
-    if "image" in found.data:
+        raise SimError(f"{name}: unknown file type; supported: .yaml, .map, {', '.join(_IMAGES)}")
+    loaded = document(file)
+    if "image" in loaded.data:
         return of_map_file(file)
-    if "floors" in found.data:
-        return checked(found, Plan)
-    return single(file, checked(found, Floor))
+    if "floors" in loaded.data:
+        return checked(loaded, Plan)
+    return single(file, checked(loaded, Floor))
 
 
 def single(file: Path, floor: Floor) -> Plan:
-    """A plan of one floor, called as its file is."""
+    """Return a plan of one floor, named after its file."""
     name = "".join(c if (c.isalnum() and c.isascii()) or c in "_-" else "_" for c in file.stem)
     return Plan(name=name if name[:1].isalpha() else f"map_{name}", floors={name: floor})

@@ -1,4 +1,4 @@
-"""The simulator's YARP ports, named as the robot's own (``/cer/...``) or its Gazebo model's (``/SIM_CER_ROBOT/...``).
+"""The simulator's YARP ports, named like the robot's (``/cer/...``) or its Gazebo model's (``/SIM_CER_ROBOT/...``).
 
 A laser (`rangefinder2D_nws_yarp`), odometry (`odometry2D_nws_yarp`), the battery (`battery_nws_yarp`, for each reader
 in the order of its release), and the wheels as a control board (`controlBoard_nws_yarp`) for clients of YARP 3 and 4.
@@ -31,10 +31,10 @@ _FIXED = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
 
 
 class RobotPorts:
-    """The ports.
+    """The simulator's YARP ports.
 
     Args:
-        prefix: what their names begin with.
+        prefix: prefix of the ports' names.
     """
 
     def __init__(self, host: Host, prefix: str, simulation: Simulation) -> None:
@@ -56,7 +56,7 @@ class RobotPorts:
         self._ticks = 0
         self._scanned = -1
 
-    def tell(self, time_ns: int) -> None:
+    def publish(self, time_ns: int) -> None:
         """Write the messages that are due after a tick; ``time_ns`` is the time of their stamps."""
         self._ticks += 1
         envelope = f"{self._ticks} {time_ns / 1e9:.9f}"
@@ -68,13 +68,13 @@ class RobotPorts:
         if self._depth is not None and self._simulation.pictured == self._simulation.time_ns and self._depth.heard:
             self._depth.write(ImageFloat.of(self._simulation.depth()), envelope)
         if self._ticks % _ODOMETRY == 0 and "encoders_silent" not in self._simulation.faults:
-            self._tell_odometry(envelope)
+            self._publish_odometry(envelope)
         if self._ticks % _ODOMETRY == 0:
-            self._board.tell(envelope)
+            self._board.publish(envelope)
         if self._ticks % _BATTERY == 0:
-            self._tell_battery(envelope)
+            self._publish_battery(envelope)
 
-    def _tell_battery(self, envelope: str) -> None:
+    def _publish_battery(self, envelope: str) -> None:
         charge = self._simulation.battery.charge
         percent, current = 100.0 * charge.share, -charge.current
         data = BatteryData(percent, charge.voltage, current, _TEMPERATURE, int(_IN_USE))
@@ -86,31 +86,31 @@ class RobotPorts:
             )
 
     def _scan(self) -> LaserScan2D:
-        """The last scan as YARP counts: from the robot's front around to the left, 0 to 360 degrees."""
+        """Return the last scan in YARP's order: counterclockwise from the robot's front, 0 to 360 degrees."""
         scan = self._simulation.scan
-        behind = round(-scan.first / scan.step)
-        ranges = np.roll(scan.ranges, -behind)
+        front = round(-scan.first / scan.step)
+        ranges = np.roll(scan.ranges, -front)
         return LaserScan2D(0.0, 360.0, scan.nearest, scan.farthest, Vector(ranges), int(DeviceStatus.DEVICE_OK_IN_USE))
 
-    def _tell_odometry(self, envelope: str) -> None:
-        found = self._simulation.estimate
-        (x, y, yaw), (vx, vy, turning) = found.pose, found.twist
+    def _publish_odometry(self, envelope: str) -> None:
+        estimate = self._simulation.estimate
+        (x, y, yaw), (vx, vy, angular) = estimate.pose, estimate.twist
         c, s = math.cos(yaw), math.sin(yaw)
-        degrees = math.degrees(turning)
+        degrees = math.degrees(angular)
         if self._odometry.heard:
             data = OdometryData(x, y, math.degrees(yaw), vx, vy, degrees, c * vx - s * vy, s * vx + c * vy, degrees)
             self._odometry.write(data, envelope)
         if self._odometer.heard:
-            self._odometer.write([found.travelled, math.degrees(found.turned)], envelope)
+            self._odometer.write([estimate.travelled, math.degrees(estimate.turned)], envelope)
         if self._velocity.heard:
             self._velocity.write([math.hypot(vx, vy), degrees], envelope)
 
 
 class _Board:
-    """The ports of the wheels; ``name`` is what theirs begin with."""
+    """The ports of the wheels' control board; their names begin with ``name``."""
 
     def __init__(self, host: Host, name: str, simulation: Simulation) -> None:
-        # a command that timed out never moves a wheel
+        # late=False: a command whose call timed out must not run later
         board = WheelBoard(lambda: simulation.board, lambda action: host.loop.call(action, late=False))
         answers = BoardAnswers(board)
         self._board = board
@@ -123,12 +123,12 @@ class _Board:
 
     @staticmethod
     def _halt(simulation: Simulation) -> dict[str, bool]:
-        """Forget what was commanded; later commands are obeyed again."""
+        """Cancel all commands; later commands are executed."""
         simulation.board.halt()
         simulation.drive.halt()
         return {"halted": True}
 
-    def tell(self, envelope: str) -> None:
+    def publish(self, envelope: str) -> None:
         """Write the state of the wheels, on the simulation's thread."""
         if self._state.heard or self._positions.heard:
             state = self._board.state()
@@ -137,48 +137,48 @@ class _Board:
 
 
 class _Laser(Rangefinder2D):
-    """The laser's settings; they are those of the configuration, and stay."""
+    """The laser's settings, which are those of the configuration and cannot be changed by clients."""
 
     def __init__(self, simulation: Simulation) -> None:
         super().__init__()
         self._simulation = simulation
 
     def getDeviceStatus_RPC(self) -> tuple[ReturnValue, DeviceStatus]:
-        """It works."""
+        """Return that the laser is in use."""
         return OK, DeviceStatus.DEVICE_OK_IN_USE
 
     def getDistanceRange_RPC(self) -> tuple[ReturnValue, float, float]:
-        """Return the nearest and farthest distance in metres."""
+        """Return the nearest and farthest distance in meters."""
         section = self._simulation.section.laser
         return OK, section.nearest, section.farthest
 
     def setDistanceRange_RPC(self, min: float, max: float) -> ReturnValue:  # noqa: A002, ARG002 - YARP's
-        """Not by this way."""
+        """Reject the change."""
         return _FIXED
 
     def getScanLimits_RPC(self) -> tuple[ReturnValue, float, float]:
-        """All around."""
+        """Return the full circle, in degrees."""
         return OK, 0.0, 360.0
 
     def setScanLimits_RPC(self, min: float, max: float) -> ReturnValue:  # noqa: A002, ARG002 - YARP's
-        """Not by this way."""
+        """Reject the change."""
         return _FIXED
 
     def getHorizontalResolution_RPC(self) -> tuple[ReturnValue, float]:
-        """Between two rays."""
+        """Return the angle between two beams, in degrees."""
         return OK, 360.0 / self._simulation.section.laser.beams
 
     def setHorizontalResolution_RPC(self, step: float) -> ReturnValue:  # noqa: ARG002 - YARP's
-        """Not by this way."""
+        """Reject the change."""
         return _FIXED
 
     def getScanRate_RPC(self) -> tuple[ReturnValue, float]:
-        """Turns per second, of whole ticks."""
+        """Return the scans per second; a scan takes whole ticks."""
         turn = round(1e9 / self._simulation.section.laser.rate / TICK_NS) * TICK_NS or TICK_NS
         return OK, 1e9 / turn
 
     def setScanRate_RPC(self, rate: float) -> ReturnValue:  # noqa: ARG002 - YARP's
-        """Not by this way."""
+        """Reject the change."""
         return _FIXED
 
     def getDeviceInfo_RPC(self) -> tuple[ReturnValue, str]:
@@ -209,6 +209,6 @@ class _Reset(IOdometry2DMsgs):
         self._host, self._simulation = host, simulation
 
     def reset_odometry_RPC(self) -> ReturnValue:
-        """Begin at zero from here, on the simulation's thread."""
+        """Set the odometry to zero, on the simulation's thread."""
         self._host.loop.call(self._simulation.odometry.reset)
         return OK

@@ -17,37 +17,37 @@ _ROUNDING = 1e-9
 """rad/s below which a wheel's velocity is a rounding error of the physics: encoders of wheels that stand report 0."""
 
 
-class Sensed:
-    """Reads the encoders, with the configured errors from one random generator."""
+class WheelEncoders:
+    """The wheels' encoders, with the configured errors."""
 
     def __init__(self, base: Base, section: EncodersSection, rng: np.random.Generator) -> None:
         self._base, self._noise, self._rng = base, section.noise, rng
         scale = section.scale or (0.0,) * len(base.names)
         self._scale = 1.0 + np.resize(np.array(scale, float), len(base.names))
         self._last = base.joints()[0]
-        self._said = np.zeros(len(base.names))
-        self.frozen = False  # whether they miss that the wheels turn
+        self._reading = np.zeros(len(base.names))
+        self.frozen = False  # whether they miss the wheels' rotation
         self._unchanged: Encoders | None = None
 
     def read(self, time_ns: int, *, rests: bool = False) -> Encoders:
         """Return a reading; to be called at a steady rate. ``rests``: nothing has moved since the last call."""
         if rests and self._unchanged is not None and not self.frozen:
             if self._noise:
-                self._rng.normal(0.0, 1.0, len(self._said))  # readings after a rest are the same as without one
+                self._rng.normal(0.0, 1.0, len(self._reading))  # readings after a rest are the same as without one
             return Encoders(time_ns, self._unchanged.positions, self._unchanged.velocities)
         self._unchanged = None
         positions, velocities = self._base.joints()
         if self.frozen:
             # such encoders count steps; missed steps are lost
             self._last = positions
-            return Encoders(time_ns, self._said.copy(), np.zeros(len(velocities)))
+            return Encoders(time_ns, self._reading.copy(), np.zeros(len(velocities)))
         turned = (positions - self._last) * self._scale
         self._last = positions
         if self._noise:
             turned += self._rng.normal(0.0, 1.0, len(turned)) * self._noise * np.sqrt(np.abs(turned))
-        self._said = self._said + turned
+        self._reading = self._reading + turned
         velocities = np.where(np.abs(velocities) < _ROUNDING, 0.0, velocities)
-        self._unchanged = Encoders(time_ns, self._said.copy(), velocities * self._scale)
+        self._unchanged = Encoders(time_ns, self._reading.copy(), velocities * self._scale)
         return self._unchanged
 
 
@@ -80,11 +80,11 @@ class Odometry:
         c, s = math.cos(yaw + turned / 2), math.sin(yaw + turned / 2)
         pose = BasePose(x + c * dx - s * dy, y + s * dx + c * dy, math.remainder(yaw + turned, 2 * math.pi))
         vx, vy, turning = (float(v) for v in self._inverse @ encoders.velocities)
-        way, round_ = self.now.travelled + math.hypot(dx, dy), self.now.turned + abs(turned)
-        self.now = Estimate(encoders.time_ns, pose, Twist(vx, vy, turning), way, round_)
+        travelled, round_ = self.now.travelled + math.hypot(dx, dy), self.now.turned + abs(turned)
+        self.now = Estimate(encoders.time_ns, pose, Twist(vx, vy, turning), travelled, round_)
         return self.now
 
-    def rest(self, time_ns: int) -> None:
+    def repeat(self, time_ns: int) -> None:
         """Repeat the last reading at a later time."""
         self.now = replace(self.now, time_ns=time_ns)
 
@@ -156,4 +156,4 @@ class Faults:
         if name not in KINDS:
             raise SimError(f"unknown fault {name!r}; there are {', '.join(KINDS)}")
         (self._now.add if on else self._now.discard)(name)
-        return f"{name}: {KINDS[name]}" if on else f"{name} is mended"
+        return f"{name}: {KINDS[name]}" if on else f"{name}: removed"

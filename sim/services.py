@@ -33,7 +33,7 @@ def answered(do: Callable[[Request], str]) -> Callable[[Request, Answer], None]:
     return serve
 
 
-class Wishes:
+class ChangeServices:
     """The services that change the simulation."""
 
     def __init__(self, simulation: Simulation) -> None:
@@ -57,7 +57,7 @@ class Wishes:
 
     def _stop(self, request: Request) -> str:
         self._simulation.stop(on=bool(request["data"]))
-        return "the wheels hold still" if request["data"] else "the wheels may turn"
+        return "emergency stop on" if request["data"] else "emergency stop off"
 
     def _teleport(self, request: Request) -> str:
         wanted = request["pose"]
@@ -78,9 +78,9 @@ class Wishes:
         elif kind == _PERSON:
             thing = plan.Person(name=name, at=(x, y), radius=request["radius"] or 0.2)
         else:
-            raise SimError(f"kind {kind} is none of BOX, ROUND and PERSON (0, 1, 2)")
+            raise SimError(f"unknown kind {kind}; kinds: BOX (0), ROUND (1), PERSON (2)")
         self._simulation.world.spawn(thing, name)
-        return f"{name} is there"
+        return f"{name} was added"
 
     def _walk(self, request: Request) -> str:
         people = self._simulation.world.people
@@ -91,11 +91,11 @@ class Wishes:
             raise SimError(f"a path has {_MOST_POINTS} points at most")
         points = [_finite(point["x"], point["y"], 0.0)[:2] for point in request["path"]]
         walker.send(((p[0], p[1]) for p in points), loop=bool(request["loop"]))
-        return f"{request['name']} is on the way"
+        return f"{request['name']} walks"
 
     def _remove(self, request: Request) -> str:
         self._simulation.world.remove(request["name"])
-        return f"{request['name']} is gone"
+        return f"{request['name']} was removed"
 
     def _door(self, request: Request, *, is_open: bool) -> str:
         self._simulation.world.open(request["name"], is_open=is_open)

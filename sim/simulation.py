@@ -1,4 +1,4 @@
-"""The whole simulation, without a clock of its own: whoever holds it says how far it goes."""
+"""The simulation, without its own clock: the caller advances its time."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from sim.depth import DepthCamera, Depths
 from sim.environment import SimError
 from sim.laser import Laser
 from sim.plan import Plan, load_plan
-from sim.sensors import Battery, Estimate, Faults, Odometry, Sensed
+from sim.sensors import Battery, Estimate, Faults, Odometry, WheelEncoders
 from sim.world import FloorWorld
 
 TICK_NS = 10_000_000
-"""Time passes by ticks: between them commands are constant."""
+"""Duration of a tick, the step in which time advances; during a tick commands are constant."""
 
 _STEPS = TICK_NS // STEP_NS
-_LOOK_NS = 50_000_000
+_UPDATE_NS = 50_000_000
 
 
 class Motors:
-    """The wheels' motors: what BaseControl drives (in process; over the hub it is two topics)."""
+    """The wheels' motors, which BaseControl drives: by these methods in one process, by two topics over the hub."""
 
     def __init__(self, names: tuple[str, ...], timeout: float) -> None:
         self.names = names  # of the wheels' joints, in the order of all velocities and positions
@@ -39,39 +39,39 @@ class Motors:
         self._encoders = Encoders(0, np.zeros(len(names)), np.zeros(len(names)))
 
     def drive(self, velocities: Sequence[float]) -> None:
-        """Turn the wheels so (radians per second) from now on; 0.1 s after the last call they stop.
+        """Set the wheels' velocities (radians per second); the wheels stop after the motors' time-out.
 
-        Raises `SimError` if not as many as there are wheels, or not finite.
+        Raises `SimError` if there is not one finite velocity per wheel.
         """
         wanted = np.asarray(velocities, float)
         if wanted.shape != (len(self.names),) or not np.isfinite(wanted).all():
-            raise SimError(f"{list(velocities)} are no velocities for the wheels {', '.join(self.names)}")
+            raise SimError(f"invalid velocities {list(velocities)} for the wheels {', '.join(self.names)}")
         self._wanted, self._until = wanted, self.now + self._timeout
 
     def encoders(self) -> Encoders:
-        """What the encoders said last."""
+        """Return the last reading of the encoders."""
         return self._encoders
 
     def read(self, encoders: Encoders) -> None:
-        """Take up what they say now."""
+        """Store a reading of the encoders."""
         self._encoders = encoders
 
     def wheels(self) -> np.ndarray:
-        """What the motors are to do now."""
+        """Return the current target velocities."""
         return self._wanted if self.now < self._until else np.zeros(len(self.names))
 
 
 class Simulation:
     """A robot on a floor.
 
-    The same section and the same commands at the same times give the same run, bit for bit.
+    Runs with the same section, and the same commands at the same times, are identical bit for bit.
 
     Args:
-        plan: the building, where it is not the section's.
-        described: the robot, where it is not the section's.
+        plan: the building, instead of the section's.
+        described: the robot, instead of the section's.
 
     Raises:
-        SimError: the plan, the robot or where it is to start is wrong; or dartpy is missing.
+        SimError: the plan, the robot or its start pose is invalid, or dartpy is missing.
     """
 
     def __init__(
@@ -85,12 +85,12 @@ class Simulation:
         self.begin()
 
     def begin(self) -> None:
-        """Begin anew, as at the start, at the time that it is."""
+        """Reset the simulation to its start; the time continues."""
         section = self.section
         noise = np.random.default_rng(section.seed)
         encoder_noise, laser_noise = noise.spawn(2)
         self.camera = DepthCamera(section.camera, section.seed) if section.camera.rate else None
-        self.pictured = -1  # when the camera took its last picture; only then it can be had
+        self.pictured = -1  # when the camera took its last picture; `depth` computes only the current one
         self.base: Base = (Differential if self.robot.kinematics == "differential" else Holonomic)(self.robot)
         self.floor = self.plan.first
         self.world = FloorWorld(self.plan.floors[self.floor], self.base, self.robot.lasers.height)
@@ -104,7 +104,7 @@ class Simulation:
         self.faults = Faults()
         self.bumps: list[tuple[float, float]] = []
         self._depth: tuple[int, Depths] | None = None
-        self._sensed = Sensed(self.base, section.encoders, encoder_noise)
+        self._sensed = WheelEncoders(self.base, section.encoders, encoder_noise)
         self.odometry = Odometry(self.base)
         self._turn_ns = round(1e9 / section.laser.rate / TICK_NS) * TICK_NS or TICK_NS
         self._picture_ns = round(1e9 / (section.camera.rate or 1.0) / TICK_NS) * TICK_NS or TICK_NS
@@ -113,12 +113,12 @@ class Simulation:
         self.scan = self._scan()
 
     def tick(self) -> None:
-        """Let 10 ms pass."""
+        """Advance by 10 ms."""
         seconds = TICK_NS / 1e9
         self.motors.now = self.time_ns
         wheels = self.drive.wheels(self.time_ns, seconds) if self.section.drive == "velocity" else self.motors.wheels()
         self.board.now_ns = self.time_ns
-        boarded = self.board.wanted(seconds)
+        boarded = self.board.next_velocities(seconds)
         if boarded is not None:
             wheels = boarded
         aims = [0.0] * len(wheels) if self.stopped else wheels.tolist()
@@ -130,10 +130,10 @@ class Simulation:
         self.world.step(_STEPS, aims_still=still)
         self.time_ns += TICK_NS
         since = self.time_ns - self._begun
-        if since % _LOOK_NS == 0:
+        if since % _UPDATE_NS == 0:
             if self.world.people or not self.world.rests:
-                self.world.look()
-            self.battery.use(self.base.load(), _LOOK_NS / 1e9)
+                self.world.update_near()
+            self.battery.use(self.base.load(), _UPDATE_NS / 1e9)
         rests = rested and self.world.rests
         if not rests:
             self.bumps = self.world.bumps()
@@ -144,7 +144,7 @@ class Simulation:
             self.pictured = self.time_ns
 
     def depth(self) -> Depths:
-        """What the depth camera sees now, (height, width) metres: computed at the first call after a tick."""
+        """Return the depth camera's current picture, (height, width) meters; computed once per tick, on demand."""
         assert self.camera is not None
         if self._depth is None or self._depth[0] != self.time_ns:
             seen = self.camera.picture(self.time_ns, self.base.pose(), self.world.solids(), self.world.drops)
@@ -154,43 +154,43 @@ class Simulation:
         return self._depth[1]
 
     def run(self, seconds: float) -> None:
-        """Let so much time pass, in whole ticks."""
+        """Advance by a number of seconds, in whole ticks."""
         for _ in range(round(seconds * 1e9 / TICK_NS)):
             self.tick()
 
     def command(self, twist: Twist) -> None:
-        """Drive so until the time-out, where the simulator drives; raises `SimError` if it is not finite, or absurd."""
+        """Set the velocity until the time-out, if the simulator drives; raises `SimError` if it is invalid."""
         self.drive.command(twist, self.time_ns)
 
     def stop(self, *, on: bool) -> None:
-        """The emergency stop: while it is on, the wheels hold still whatever comes."""
+        """Switch the emergency stop, which cancels all commands and holds the wheels while it is on."""
         self.stopped = on
         self.drive.halt()
         self.board.halt()
 
     def teleport(self, to: BasePose) -> None:
-        """Stand the robot elsewhere, unnoticed by its odometry; raises `SimError` if something stands there."""
+        """Move the robot without its odometry; raises `SimError` if the place is occupied."""
         self.world.place(to)
 
     def ride(self, name: str) -> str:
-        """Take a link from near one of its ends; the floor that it led to. Raises `SimError` if there is none near."""
+        """Use a link from near one of its ends, and return the new floor; raises `SimError` if no end is near."""
         link = next((link for link in self.plan.links if link.name == name), None)
         if link is None:
-            msg = f"there is no link {name!r}; links: {', '.join(link.name for link in self.plan.links) or 'none'}"
+            msg = f"unknown link {name!r}; links: {', '.join(link.name for link in self.plan.links) or 'none'}"
             raise SimError(msg)
-        here = next((i for i, (floor, _) in enumerate(link.split) if floor == self.floor), None)
-        at = self.base.pose()
-        if here is not None:
-            x, y, _ = self.world.floor.places[link.split[here][1]]
-            if math.hypot(at.x - x, at.y - y) <= _LINK_REACH:
-                floor, place = link.split[1 - here]
+        near_end = next((i for i, (floor, _) in enumerate(link.split) if floor == self.floor), None)
+        robot_pose = self.base.pose()
+        if near_end is not None:
+            x, y, _ = self.world.floor.places[link.split[near_end][1]]
+            if math.hypot(robot_pose.x - x, robot_pose.y - y) <= _LINK_REACH:
+                floor, place = link.split[1 - near_end]
                 self._enter(floor, pose(*self.plan.floors[floor].places[place]))
                 return floor
         raise SimError(f"the robot is not within {_LINK_REACH:g} m of an end of the link {name!r}")
 
     def _enter(self, floor: str, at: BasePose) -> None:
         old = self.world
-        old.leave()
+        old.release_base()
         self.world = FloorWorld(self.plan.floors[floor], self.base, self.robot.lasers.height)
         self.floor = floor
         self.world.place(at)
@@ -202,7 +202,7 @@ class Simulation:
         self.motors.read(encoders)
         self.board.read(encoders)
         if encoders.positions is before.positions and encoders.velocities is before.velocities:
-            self.odometry.rest(self.time_ns)
+            self.odometry.repeat(self.time_ns)
         else:
             self.odometry.add(encoders)
 
@@ -212,7 +212,7 @@ class Simulation:
 
     @property
     def estimate(self) -> Estimate:
-        """Odometry now."""
+        """The current odometry."""
         return self.odometry.now
 
 
@@ -220,17 +220,17 @@ _LINK_REACH = 1.0
 
 
 def pose(x: float, y: float, degrees: float) -> BasePose:
-    """A pose as plans have it."""
+    """Return a pose of a plan, whose direction is in degrees."""
     return BasePose(x, y, math.radians(degrees))
 
 
-_ABSURD = 100.0  # a velocity greater than this, in metres or radians per second, is a mistake and not a wish
+_ABSURD = 100.0  # greater velocities (meters or radians per second) are rejected as mistakes
 
 
 class VelocityDrive:
-    """Turns velocity commands into wheel velocities, within the robot's limits, when the simulator drives by itself.
+    """Converts velocity commands to wheel velocities within the robot's limits, if the simulator itself drives.
 
-    No command outlives its time-out, and none is queued.
+    Each command replaces the one before it, and expires after the time-out.
     """
 
     def __init__(self, base: Base) -> None:
@@ -244,9 +244,9 @@ class VelocityDrive:
         self._now = np.zeros(3)
 
     def command(self, twist: Twist, now_ns: int) -> None:
-        """Drive so until the time-out; raises `SimError` if it is not finite, or absurd: the last command stays."""
+        """Set the velocity until the time-out; raises `SimError` if it is invalid, and keeps the last command."""
         if not all(math.isfinite(v) and abs(v) <= _ABSURD for v in twist):
-            raise SimError(f"the velocity {tuple(twist)} is refused: it is not finite, or greater than {_ABSURD:g}")
+            raise SimError(f"velocity {tuple(twist)} rejected: not finite, or greater than {_ABSURD:g}")
         angular = math.radians(self._limits.angular)
         x, y = twist.x, twist.y if self._lateral else 0.0
         speed = math.hypot(x, y)
@@ -255,11 +255,11 @@ class VelocityDrive:
         self._until = now_ns + round(self._limits.timeout * 1e9)
 
     def halt(self) -> None:
-        """Forget what was wanted; the base brakes."""
+        """Cancel the command; the base brakes."""
         self._until = 0
 
     def wheels(self, now_ns: int, seconds: float) -> Floats:
-        """The wheels' velocities for the next so many seconds, radians per second."""
+        """Return wheel velocities (radians per second) for the next seconds."""
         wanted = self._wanted if now_ns < self._until else np.zeros(3)
         linear = self._limits.linear_acceleration * seconds
         change = wanted - self._now

@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE, DONE_TOPIC, DONE_TYPE
 from bridge.config.model import Config
 from bridge.config.sections.section import Section
@@ -24,7 +26,7 @@ from sim import messages
 from sim.base import BasePose, Twist
 from sim.environment import SimError
 from sim.messages import TopicNames, names_of
-from sim.services import Stepping, Wishes, answered
+from sim.services import ChangeServices, Stepping, answered
 from sim.simulation import TICK_NS, Simulation
 from sim.stamps import WallStamps
 
@@ -38,8 +40,8 @@ class Simulator(Module):
 
     name = "sim"
 
+    @override
     def start(self, host: Host, section: Section) -> None:
-        """See `Module.start`."""
         assert isinstance(section, SimSection)
         self._host, self._section = host, section
         self.simulation = Simulation(section)
@@ -57,7 +59,7 @@ class Simulator(Module):
         else:
             node.subscription(names.wheels, "sensor_msgs/msg/JointState", self._wheels, _NEWEST)
         node.subscription(DONE_TOPIC, DONE_TYPE, self._stepping.acknowledge)
-        for name, (kind, do) in Wishes(self.simulation).services().items():
+        for name, (kind, do) in ChangeServices(self.simulation).services().items():
             node.server(name, kind, answered(do))
         node.server("/sim/reset", "std_srvs/srv/Trigger", answered(self._reset))
         node.server("/sim/pause", "std_srvs/srv/SetBool", answered(self._pause))
@@ -74,13 +76,13 @@ class Simulator(Module):
         elif section.speed == "max":
             host.loop.post(self._hurry)
 
+    @override
     def health(self) -> Health:
-        """See `Module.health`."""
         how = "paused" if self._paused else f"{self.simulation.time_ns / 1e9:.0f} s"
         return Health("running", f"{self.simulation.plan.name}/{self.simulation.floor}, {how}")
 
+    @override
     def status(self) -> dict[str, Any]:
-        """See `Module.status`."""
         simulation, pace = self.simulation, self._pace
         pose = simulation.base.pose()
         return {
@@ -107,7 +109,7 @@ class Simulator(Module):
             at = self._stamps.stamp(self._pace.moment())
         self._outlets.publish(at)
         if self._ports is not None:
-            self._ports.tell(at)
+            self._ports.publish(at)
         return at
 
     def _keep_pace(self) -> None:
@@ -139,7 +141,7 @@ class Simulator(Module):
         motors = self.simulation.motors
         wanted = dict(zip(message["name"], message["velocity"], strict=False))
         if set(wanted) != set(motors.names):
-            msg = f"a wheel command is for {', '.join(wanted) or 'nothing'}, and the base has {', '.join(motors.names)}"
+            msg = f"wheel command for {', '.join(wanted) or 'no wheels'}; the base has {', '.join(motors.names)}"
             raise SimError(msg)
         at = message["header"]["stamp"]["sec"] * 1_000_000_000 + message["header"]["stamp"]["nanosec"]
         if at and self._now() - at > self.simulation.robot.motor_timeout * 1e9:
@@ -148,7 +150,7 @@ class Simulator(Module):
 
     def _try(self, do: Callable[[], None]) -> None:
         if self._pace is not None and self._pace.stood_still():
-            self._refuse("it may have waited while the simulator stood still")
+            self._refuse("it may have been queued while the simulator stood still")
             return
         try:
             do()
@@ -163,7 +165,7 @@ class Simulator(Module):
     def _reset(self, _request: dict[str, Any]) -> str:
         self._stepping.give_up("the simulation was reset")
         self.simulation.begin()
-        return "everything is as at the start; the time goes on"
+        return "the simulation was reset; its time continues"
 
     def _pause(self, request: dict[str, Any]) -> str:
         self._paused = bool(request["data"])

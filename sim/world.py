@@ -1,4 +1,4 @@
-"""A floor with a base on it, in DART, which sees only what is near."""
+"""A floor with a base, in DART, whose world contains only nearby things."""
 
 from __future__ import annotations
 
@@ -10,20 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import pieces as made
 from sim.base import STEP_NS, Base, BasePose
 from sim.bodies import fixed, ground, movable, place_of, yaw_of
 from sim.environment import SimError, dartpy
-from sim.pieces import Piece, Walker
+from sim.pieces import Piece, Walker, leaf, of_box, of_person, standing
 from sim.plan import Box, Floor, Person
 
 Floats = NDArray[np.float64]
 
-_NEAR = 3.0  # metres within which a box that can be pushed is in DART's world; farther away it stands still
+_NEAR = 3.0  # meters within which movable boxes are in DART's world; farther boxes stand still
 _ROOM = 0.05
-_REST = 1e-9  # metres or radians per second of a body at rest; a standing base slows down tenfold in 50 ticks
-_BUMP_HEIGHT = 0.03  # contacts lower than this are the floor's, metres
-_SPAWNED = 200  # things that can be added at most
+_REST = 1e-9  # meters or radians per second of a body at rest; a standing base slows down tenfold in 50 ticks
+_BUMP_HEIGHT = 0.03  # lower contacts are with the floor, meters
+_SPAWNED = 200  # maximum number of added things
 
 
 @dataclass
@@ -35,25 +34,25 @@ class Crate:
     inside: bool = False
 
     def now(self) -> Piece:
-        """The box as it is now."""
+        """Return the box at its current pose."""
         at = self.skeleton.getBodyNode(0).getTransform()
         x, y, _ = at.translation()
         return self.piece.moved(float(x), float(y), yaw_of(at.rotation()))
 
 
 class FloorWorld:
-    """One floor. Everything that is on it is known by its name.
+    """One floor, whose things are identified by name.
 
     Args:
-        laser_height: metres; what is lower is not seen by the laser.
+        laser_height: meters; the laser does not see lower things.
 
     Attributes:
-        pieces: what stands fast: walls and things, then the doors' leaves, then people.
-        first_leaf: where the leaves begin.
-        doors: whether each is open.
-        people: who walk about.
-        crates: the boxes that can be pushed.
-        extra: things that were added.
+        pieces: the fixed pieces: walls and things, then the doors' leaves, then people.
+        first_leaf: index of the first leaf.
+        doors: whether each door is open.
+        people: walking people.
+        crates: movable boxes.
+        extra: fixed things that were added.
     """
 
     def __init__(self, floor: Floor, base: Base, laser_height: float) -> None:
@@ -65,7 +64,7 @@ class FloorWorld:
         self._world.setCollisionDetector(dart.collision.BulletCollisionDetector())
         extent = floor.extent
         self._world.addSkeleton(ground(max(50.0, *(abs(v) for v in extent)) + 10.0, floor.drops))
-        # where the floor is lower, as `solids` has things
+        # the lower parts of the floor, in the format of `solids`
         self.drops = solids_of([Piece("", *d.at, 0.0, *d.size, d.depth, above=-d.depth) for d in floor.drops])
         self._world.addSkeleton(base.skeleton)
         self.doors = {door.name: door.open for door in floor.doors}
@@ -76,41 +75,41 @@ class FloorWorld:
         self._rebuild()
 
     def _rebuild(self) -> None:
-        """Make everything that stands fast anew: at the start, and when something comes or goes."""
+        """Rebuild the fixed pieces: at the start, and when a thing is added or removed."""
         floor = self.floor
-        standing = [*made.standing(floor), *self.extra.values()]
-        leaves = [made.leaf(door, floor) for door in floor.doors]
-        self.pieces = [*standing, *leaves, *(walker.piece() for walker in self.people.values())]
-        self.first_leaf = len(standing)
+        fixtures = [*standing(floor), *self.extra.values()]
+        leaves = [leaf(door, floor) for door in floor.doors]
+        self.pieces = [*fixtures, *leaves, *(walker.piece() for walker in self.people.values())]
+        self.first_leaf = len(fixtures)
         self._first_person = self.first_leaf + len(leaves)
         self._fixed, nodes = fixed(self.pieces)
         self.window = Window(self._world.getConstraintSolver().getCollisionGroup(), nodes, self.pieces)
         for i, is_open in enumerate(self.doors.values()):
-            self.window.there(self.first_leaf + i, there=not is_open)
+            self.window.set_present(self.first_leaf + i, present=not is_open)
         self._filter()
-        self._see()
-        self.look()
+        self._prepare_sensing()
+        self.update_near()
 
     @property
     def names(self) -> set[str]:
-        """Of everything that has one."""
+        """The names of all named things."""
         return {*(p.name for p in self.pieces if p.name), *self.crates}
 
     def _filter(self) -> None:
-        """Wheels touch the floor and nothing else: as spheres they would stick out of the base."""
-        # the options are a copy, the filter in them is the solver's own
-        none = self._world.getConstraintSolver().getCollisionOption().collisionFilter
-        none.removeAllBodyNodePairsFromBlackList()
+        """Let wheels collide only with the floor, because as spheres they protrude from the base."""
+        # the options are a copy, but contain the solver's own filter
+        blacklist = self._world.getConstraintSolver().getCollisionOption().collisionFilter
+        blacklist.removeAllBodyNodePairsFromBlackList()
         others = [self._fixed.getBodyNode(0), *(crate.skeleton.getBodyNode(0) for crate in self.crates.values())]
         for wheel in self.base.wheels:
-            none.addBodyNodePairToBlackList(wheel, self.base.body)
+            blacklist.addBodyNodePairToBlackList(wheel, self.base.body)
             for other in others:
-                none.addBodyNodePairToBlackList(wheel, other)
+                blacklist.addBodyNodePairToBlackList(wheel, other)
         if len(self.base.wheels) > 1:
-            none.addBodyNodePairToBlackList(*self.base.wheels)
+            blacklist.addBodyNodePairToBlackList(*self.base.wheels)
 
-    def _see(self) -> None:
-        """What the laser sees of the things that stand fast."""
+    def _prepare_sensing(self) -> None:
+        """Precompute the shapes of the fixed pieces for the laser and the camera."""
         seen = [p for p in self.pieces[: self.first_leaf] if p.above <= self._laser_height < p.top]
         boxes = [p.segments() for p in seen if not p.radius]
         self._segments = np.vstack(boxes) if boxes else np.zeros((0, 4))
@@ -118,13 +117,13 @@ class FloorWorld:
         self._solids = solids_of(self.pieces[: self.first_leaf])
 
     def solids(self) -> Floats:
-        """What a camera sees now, as `sim.depth_kernel.render` has it: (n, 8), metres."""
+        """Return the current solids for a camera, (n, 8) meters, in the format of `sim.depth_kernel.render`."""
         moving = [*(crate.now() for crate in self.crates.values()), *self.leaves(is_open=False)]
         moving += [walker.piece() for walker in self.people.values()]
         return np.vstack([self._solids, solids_of(moving)])
 
     def seen(self) -> tuple[Floats, Floats]:
-        """What the laser sees now: segments (n, 4) and circles (m, 3), metres."""
+        """Return the laser's current shapes: segments (n, 4) and circles (m, 3), meters."""
         moving = [crate.now() for crate in self.crates.values()]
         more = [p.segments() for p in (*moving, *self.leaves(is_open=False)) if p.height > self._laser_height]
         segments = np.vstack([self._segments, *more]) if more else self._segments
@@ -133,42 +132,42 @@ class FloorWorld:
         return segments, circles
 
     def leaves(self, *, is_open: bool) -> list[Piece]:
-        """The leaves of the doors that are open, or of those that are closed, as if those stood in their frames."""
+        """Return the leaves of the open or of the closed doors, each in the closed position."""
         return [self.pieces[self.first_leaf + i] for i, now in enumerate(self.doors.values()) if now == is_open]
 
     def step(self, count: int, *, aims_still: bool = False) -> None:
-        """Let so many steps of DART pass; motors keep what they were told.
+        """Run DART steps; the motors keep their commands.
 
-        Where they were told to stand still and nothing moves any more, nothing is computed: steps would change nothing.
+        If they are commanded to stand still and nothing moves, steps are skipped, because they would change nothing.
         """
         if aims_still and self._rests:
             return
         step = self._world.step
         for _ in range(count):
-            step(False)  # DART keeps what the motors were told
+            step(False)  # False: keep the motors' commands
         self._rests = aims_still and self._slowed_down()
 
     @property
     def rests(self) -> bool:
-        """Whether nothing that DART moves has moved in the last step, or been changed since."""
+        """Whether DART's bodies have neither moved in the last step nor been changed since."""
         return self._rests
 
     def _slowed_down(self) -> bool:
         moving = [self.base.skeleton, *(crate.skeleton for crate in self.crates.values() if crate.inside)]
-        return all(float(np.abs(one.getVelocities()).max()) < _REST for one in moving)
+        return all(float(np.abs(skeleton.getVelocities()).max()) < _REST for skeleton in moving)
 
     def walk(self, seconds: float) -> None:
-        """Let people walk for so long; who would walk into the robot or a crate waits."""
+        """Let people walk for a time; they wait if the robot is in their path."""
         if not self.people:
             return
         x, y, _ = self.base.pose()
         reach = self.base.robot.body.radius
         for i, walker in enumerate(self.people.values()):
-            if walker.walk(seconds, (x, y), reach + _ROOM) and self.window.put(self._first_person + i, walker.piece()):
+            if walker.walk(seconds, (x, y), reach + _ROOM) and self.window.move(self._first_person + i, walker.piece()):
                 self._rests = False
 
-    def look(self) -> None:
-        """Put what is near into DART's world; to be called twenty times a second of simulated time."""
+    def update_near(self) -> None:
+        """Update which nearby things are in DART's world; call this 20 times per simulated second."""
         x, y, _ = self.base.pose()
         reach = self.base.robot.body.radius
         bodies = [(x, y, reach)]
@@ -183,11 +182,11 @@ class FloorWorld:
             if near:
                 self._near += 1
                 bodies.append((piece.x, piece.y, piece.reach))
-        if self.window.look(bodies):
+        if self.window.select(bodies):
             self._rests = False
 
     def bumps(self) -> list[tuple[float, float]]:
-        """Where the base touches something else than the floor: x, y in metres."""
+        """Return the points at which the base touches anything but the floor: x, y in meters."""
         if not (self.window.count or self._near):
             return []
         result = self._world.getLastCollisionResult()
@@ -199,18 +198,18 @@ class FloorWorld:
         ]
 
     def open(self, door: str, *, is_open: bool) -> None:
-        """Open or close a door; raises `SimError` if there is none of that name, or somebody stands in it."""
+        """Open or close a door; raises `SimError` if it is unknown, or cannot be closed because it is occupied."""
         if door not in self.doors:
-            raise SimError(f"there is no door {door!r}; doors: {', '.join(self.doors) or 'none'}")
+            raise SimError(f"unknown door {door!r}; doors: {', '.join(self.doors) or 'none'}")
         index = self.first_leaf + list(self.doors).index(door)
-        if not is_open and (who := self._within(self.pieces[index])):
-            raise SimError(f"the door {door!r} cannot be closed: {who} stands in it")
+        if not is_open and (occupant := self._within(self.pieces[index])):
+            raise SimError(f"the door {door!r} cannot be closed: {occupant} stands in it")
         self.doors[door] = is_open
-        self.window.there(index, there=not is_open)
-        self.look()
+        self.window.set_present(index, present=not is_open)
+        self.update_near()
 
     def _within(self, piece: Piece, leave_out: str = "") -> str:
-        """Who is where a piece would be, "" where nobody is."""
+        """Return what occupies the place of a piece, "" if it is free."""
         x, y, _ = self.base.pose()
         things = [("the robot", x, y, self.base.robot.body.radius)]
         things += [(name, w.x, w.y, w.person.radius) for name, w in self.people.items()]
@@ -222,14 +221,14 @@ class FloorWorld:
         return ""
 
     def spawn(self, thing: Box | Person | Piece, name: str) -> None:
-        """Add a box, a person or something fast; raises `SimError` if name or place is taken, or there are too many."""
+        """Add a box, a person or a fixed piece; raises `SimError` if name or place is taken, or there are too many."""
         if not name or name in self.names:
-            raise SimError(f"a thing needs a name of its own; {name!r} is taken" if name else "a thing needs a name")
+            raise SimError(f"the name {name!r} is taken" if name else "a thing needs a name")
         if len(self.extra) + len(self.crates) + len(self.people) >= _SPAWNED:
-            raise SimError(f"there are {_SPAWNED} things already; remove some")
+            raise SimError(f"limit of {_SPAWNED} things reached; remove some")
         piece = _solid(thing)
-        if who := self._within(piece):
-            raise SimError(f"{name!r} cannot be put there: {who} stands there")
+        if occupant := self._within(piece):
+            raise SimError(f"cannot place {name!r}: {occupant} stands there")
         self._clear()
         if isinstance(thing, Person):
             self.people[name] = Walker(thing)
@@ -244,50 +243,50 @@ class FloorWorld:
         self._rests = False
 
     def remove(self, name: str) -> None:
-        """Take away what was added, a box that can be pushed, or a person; raises `SimError` if there is none."""
-        among: dict[str, Any] | None = next((m for m in (self.extra, self.crates, self.people) if name in m), None)
-        if among is None:
-            known = ", ".join((*self.extra, *self.crates, *self.people)) or "nothing"
-            raise SimError(f"{name!r} cannot be taken away; what can be: {known}")
+        """Remove an added thing, a movable box or a person; raises `SimError` if the name is unknown."""
+        group: dict[str, Any] | None = next((m for m in (self.extra, self.crates, self.people) if name in m), None)
+        if group is None:
+            known = ", ".join((*self.extra, *self.crates, *self.people)) or "none"
+            raise SimError(f"cannot remove {name!r}; removable things: {known}")
         self._clear()
-        gone = among.pop(name)
-        if isinstance(gone, Crate) and gone.inside:
-            self._world.removeSkeleton(gone.skeleton)
+        removed = group.pop(name)
+        if isinstance(removed, Crate) and removed.inside:
+            self._world.removeSkeleton(removed.skeleton)
         self._rebuild()
 
     def place(self, pose: BasePose) -> None:
-        """Stand the base elsewhere, at rest; raises `SimError` if something stands there."""
+        """Move the base to a pose, at rest; raises `SimError` if the place is occupied."""
         radius = self.base.robot.body.radius
-        there = [*self.pieces[: self.first_leaf], *self.leaves(is_open=False)]
-        there += [walker.piece() for walker in self.people.values()]
-        there += [replace(crate.now(), name=name) for name, crate in self.crates.items()]
-        for piece in there:
+        obstacles = [*self.pieces[: self.first_leaf], *self.leaves(is_open=False)]
+        obstacles += [walker.piece() for walker in self.people.values()]
+        obstacles += [replace(crate.now(), name=name) for name, crate in self.crates.items()]
+        for piece in obstacles:
             if piece.above < self.base.robot.body.tall and _distance(piece, pose.x, pose.y) < radius:
                 msg = f"the robot cannot stand at {pose.x:.2f}, {pose.y:.2f}: {piece.name or 'a wall'} is there"
                 raise SimError(msg)
         self.base.place(pose)
         self._rests = False
-        self.look()
+        self.update_near()
 
-    def leave(self) -> None:
-        """Give the base back: another world takes it."""
+    def release_base(self) -> None:
+        """Remove the base from this world, for use in another."""
         self.window.clear()
         self._world.removeSkeleton(self.base.skeleton)
 
 
 def _crate(box: Box) -> Crate:
-    piece = made.of_box(box)
+    piece = of_box(box)
     return Crate(piece, movable(piece, box.mass or 1.0, box.friction))
 
 
 def _solid(thing: Box | Person | Piece) -> Piece:
     if isinstance(thing, Piece):
         return thing
-    return made.of_box(thing) if isinstance(thing, Box) else made.of_person(thing)
+    return of_box(thing) if isinstance(thing, Box) else of_person(thing)
 
 
 def solids_of(pieces: Iterable[Piece]) -> Floats:
-    """Pieces as `sim.depth_kernel.render` has them: (n, 8)."""
+    """Return pieces in the format of `sim.depth_kernel.render`, (n, 8)."""
     rows = []
     for p in pieces:
         half = (p.radius, 0.0) if p.radius else (p.length / 2, p.width / 2)
@@ -296,7 +295,7 @@ def solids_of(pieces: Iterable[Piece]) -> Floats:
 
 
 def _distance(piece: Piece, x: float, y: float) -> float:
-    """From a point to a piece, metres; 0 within it."""
+    """Return the distance from a point to a piece, in meters; 0 inside it."""
     dx, dy = x - piece.x, y - piece.y
     if piece.radius:
         return max(0.0, math.hypot(dx, dy) - piece.radius)
@@ -306,21 +305,21 @@ def _distance(piece: Piece, x: float, y: float) -> float:
 
 
 MARGIN = 0.5
-"""Metres around a body within which pieces are put in; the fastest base comes 5 cm nearer between two looks."""
+"""Meters around a body within which pieces collide; between two updates the fastest base moves 5 cm."""
 
 
 class Window:
-    """The pieces that stand fast, and which of them collide at the moment.
+    """The fixed pieces, and which of them currently collide.
 
-    DART's collision detection slows down with everything that there is (500 walls: tenfold). So what stands fast is no
-    part of the world: the pieces near to the base, and to boxes that it may push, are in its collision group.
+    DART's collision detection slows down with the number of objects (tenfold with 500 walls). So the fixed pieces are
+    not part of the world: only those near the base, and near the boxes that it may push, are in its collision group.
 
     Args:
         nodes: the pieces' shape nodes.
         pieces: the pieces, in the same order.
 
     Attributes:
-        count: of the pieces that collide at the moment.
+        count: number of pieces that currently collide.
     """
 
     def __init__(self, group: Any, nodes: list[Any], pieces: list[Piece]) -> None:
@@ -329,16 +328,16 @@ class Window:
         self._half = np.array([(p.length / 2, p.width / 2) for p in pieces]).reshape(-1, 2)
         self._radius = np.array([p.radius for p in pieces])
         self._turned = np.array([(math.cos(p.yaw), math.sin(p.yaw)) for p in pieces]).reshape(-1, 2)
-        self._there = np.ones(len(pieces), np.bool_)
+        self._present = np.ones(len(pieces), np.bool_)
         self._in = np.zeros(len(pieces), np.bool_)
         self.count = 0
 
-    def look(self, bodies: Iterable[tuple[float, float, float]]) -> bool:
-        """Put in what is near to these bodies (x, y, reach in metres), and take out the rest; whether that changed."""
+    def select(self, bodies: Iterable[tuple[float, float, float]]) -> bool:
+        """Enable the pieces near these bodies (x, y, reach in meters), disable others; return whether any changed."""
         wanted = np.zeros(len(self._in), np.bool_)
         for x, y, reach in bodies:
             wanted |= self._away(x, y) < reach + MARGIN
-        wanted &= self._there
+        wanted &= self._present
         changed = np.flatnonzero(wanted != self._in)
         for i in changed:
             if wanted[i]:
@@ -351,7 +350,7 @@ class Window:
         return len(changed) > 0
 
     def _away(self, x: float, y: float) -> NDArray[np.float64]:
-        """How far each piece is from a point, metres."""
+        """Return each piece's distance from a point, in meters."""
         dx, dy = x - self._middles[:, 0], y - self._middles[:, 1]
         c, s = self._turned[:, 0], self._turned[:, 1]
         along = np.maximum(np.abs(c * dx + s * dy) - self._half[:, 0], 0.0)
@@ -359,18 +358,18 @@ class Window:
         away: NDArray[np.float64] = np.hypot(along, aside) - self._radius
         return away
 
-    def put(self, index: int, piece: Piece) -> bool:
-        """A piece stands elsewhere now; whether it collides at the moment."""
+    def move(self, index: int, piece: Piece) -> bool:
+        """Move a piece; return whether it currently collides."""
         self._nodes[index].setRelativeTransform(place_of(piece))
         self._middles[index] = piece.x, piece.y
         return bool(self._in[index])
 
-    def there(self, index: int, *, there: bool) -> None:
-        """A piece is there, or gone; it collides from the next look on."""
-        self._there[index] = there
+    def set_present(self, index: int, *, present: bool) -> None:
+        """Set whether a piece exists; applied at the next `select`."""
+        self._present[index] = present
 
     def clear(self) -> None:
-        """Take all out."""
+        """Disable all pieces."""
         for i in np.flatnonzero(self._in):
             self._group.removeShapeFrame(self._nodes[i])
         self._in[:] = False

@@ -1,1 +1,1 @@
-"""The simulated base."""
+"""Tests of the simulator."""

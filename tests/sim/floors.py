@@ -1,4 +1,4 @@
-"""Small floors for tests."""
+"""Small floors and drives for tests."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ ROOM = (((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0)),)
 """Walls of a room of 4 m by 4 m."""
 
 INSIDE = 1.95
-"""Where its walls begin, metres from its middle."""
+"""Distance of its walls from its middle, meters."""
 
 
 def simulation(*, floor: dict[str, Any] | None = None, **section: Any) -> Simulation:
-    """A simulation in the room, or in a room with more."""
+    """Return a simulation in the room, with additions to it from ``floor``."""
     plan = Plan(name="room", floors={"room": Floor(**{"walls": ROOM, **(floor or {})})})
     return Simulation(SimSection(**section), plan)
 
 
 def drive(simulation: Simulation, seconds: float, x: float, yaw: float = 0.0, y: float = 0.0) -> None:
-    """Drive so, with a command every tenth of a second."""
+    """Drive with a velocity command every 0.1 s."""
     for _ in range(round(seconds * 10)):
         simulation.command(Twist(x, y, yaw))
         simulation.run(0.1)
 
 
 def turn_wheels(simulation: Simulation, seconds: float, *velocities: float) -> None:
-    """Turn the wheels so, with a command every 50 ms."""
+    """Drive with a wheel command every 50 ms."""
     for _ in range(round(seconds * 20)):
         simulation.motors.drive(velocities)
         simulation.run(0.05)

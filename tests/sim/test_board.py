@@ -1,4 +1,4 @@
-"""The wheels' control board: positions, velocities that nobody says again, modes, and the emergency stop."""
+"""The wheels' control board: positions, velocities, duty cycles, modes, and the emergency stop."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def board(simulation: Simulation) -> WheelBoard:
     return WheelBoard(lambda: simulation.board, lambda action: action())
 
 
-def test_a_position_is_driven_to_and_the_wheels_stand_there(simulation: Simulation, board: WheelBoard) -> None:
+def test_position_moves_reach_their_targets(simulation: Simulation, board: WheelBoard) -> None:
     answer(board, "setControlModeAllRPC", [[modes.VOCAB_CM_POSITION] * 2])
     answer(board, "setTrajSpeedAllRPC", [[60.0, 60.0]])
     answer(board, "resetEncoderAllRPC", [])
@@ -49,18 +49,18 @@ def test_a_position_is_driven_to_and_the_wheels_stand_there(simulation: Simulati
     assert simulation.base.pose().yaw < -0.1
 
 
-def test_a_velocity_that_nobody_says_again_is_zero(simulation: Simulation, board: WheelBoard) -> None:
+def test_velocity_commands_expire(simulation: Simulation, board: WheelBoard) -> None:
     answer(board, "velocityMoveAllRPC", [[60.0, 60.0]])
     simulation.run(simulation.robot.limits.timeout - 0.05)
     assert simulation.board.turning() == pytest.approx([60.0, 60.0], abs=5.0)
     simulation.run(0.3)
     assert simulation.board.turning() == pytest.approx([0.0, 0.0], abs=1.0)
-    simulation.command(Twist(0.2, 0.0, 0.0))  # nobody commands the board, so others drive
+    simulation.command(Twist(0.2, 0.0, 0.0))  # without board commands, other sources drive
     simulation.run(0.4)
     assert simulation.base.twist().x > 0.05
 
 
-def test_commands_of_another_mode_and_nonsense_are_refused(simulation: Simulation, board: WheelBoard) -> None:
+def test_commands_in_another_mode_and_invalid_commands_are_rejected(simulation: Simulation, board: WheelBoard) -> None:
     for method, arguments in (
         ("positionMoveOneRPC", [0, 10.0]),
         ("setRefDutyCycleOneRPC", [0, 10.0]),
@@ -73,42 +73,40 @@ def test_commands_of_another_mode_and_nonsense_are_refused(simulation: Simulatio
             answer(board, method, arguments)
     with pytest.raises(NotImplementedError):
         answer(board, "setRefTorqueOneRPC", [0, 1.0])
-    assert simulation.board.wanted(0.01) is None
+    assert simulation.board.next_velocities(0.01) is None
 
 
-def test_the_emergency_stop_and_a_change_of_mode_end_what_was_commanded(
-    simulation: Simulation, board: WheelBoard
-) -> None:
+def test_the_emergency_stop_and_a_mode_change_cancel_commands(simulation: Simulation, board: WheelBoard) -> None:
     answer(board, "setControlModeAllRPC", [[modes.VOCAB_CM_POSITION] * 2])
     answer(board, "positionMoveAllRPC", [[900.0, 900.0]])
     simulation.run(0.5)
     simulation.stop(on=True)
     simulation.stop(on=False)
-    assert simulation.board.wanted(0.01) is None
+    assert simulation.board.next_velocities(0.01) is None
     answer(board, "setControlModeAllRPC", [[modes.VOCAB_CM_PWM] * 2])
     answer(board, "setRefDutyCycleAllRPC", [[10.0, 10.0]])
-    wanted = simulation.board.wanted(0.01)
+    wanted = simulation.board.next_velocities(0.01)
     assert wanted is not None
     assert math.degrees(wanted[0]) == pytest.approx(simulation.board.greatest / 10.0)
     assert list(simulation.board.duties()) == pytest.approx([10.0, 10.0])
     answer(board, "setControlModeAllRPC", [[modes.VOCAB_CM_IDLE] * 2])
-    assert simulation.board.wanted(0.01) is None
+    assert simulation.board.next_velocities(0.01) is None
 
 
-def test_a_duty_cycle_that_nobody_says_again_is_over(simulation: Simulation, board: WheelBoard) -> None:
+def test_duty_cycles_expire(simulation: Simulation, board: WheelBoard) -> None:
     answer(board, "setControlModeAllRPC", [[modes.VOCAB_CM_PWM] * 2])
     answer(board, "setRefDutyCycleAllRPC", [[10.0, 10.0]])
     simulation.run(2.0)
     assert list(board.state().values["pwmDutycycle"]) == [0.0, 0.0]
 
 
-def test_a_script_moves_a_wheel(tmp_path: Path) -> None:
+def test_a_script_moves_the_wheels_until_a_halt(tmp_path: Path) -> None:
     place = Place(tmp_path)
     try:
         with NameServer(port=place.port, gc_seconds=0):
             names = NameClient(Address("127.0.0.1", place.port), namespace="/root")
             place.worker.start(place.config(plan="hall", start=(0.0, 0.0, 0.0), yarp="/cer", speed="max"))
-            until(lambda: connections.exists(names, "/cer/mobile_base/state:o"), "the board's ports are there")
+            until(lambda: connections.exists(names, "/cer/mobile_base/state:o"), "the board's ports are open")
             with network_of(names):
                 driver = yarp.PolyDriver(
                     yarp.Property("(device remote_controlboard) (remote /cer/mobile_base) (local /script)")
@@ -119,8 +117,8 @@ def test_a_script_moves_a_wheel(tmp_path: Path) -> None:
                 assert driver.viewIControlMode().setControlModes(yarp.IVector(2, yarp.VOCAB_CM_POSITION))
                 assert encoders.resetEncoders()
                 assert position.positionMove(yarp.DVector([90.0, 90.0]))
-                until(position.checkMotionDone, "the wheels are there")
-                until(lambda: abs(encoders.getEncoder(1) - 90.0) < 1.0, "the encoders say so")
+                until(position.checkMotionDone, "the wheels reach the target")
+                until(lambda: abs(encoders.getEncoder(1) - 90.0) < 1.0, "the encoders report the target")
                 assert position.positionMove(yarp.DVector([1e6, 1e6]))
                 assert [answer.value for answer in place.far.hub.ask("halt", {}, worker="sim")] == [{"halted": True}]
                 assert position.isMotionDone()

@@ -1,4 +1,4 @@
-"""Maps and locations of floor plans, and what ``midspan sim`` makes of them; the picture."""
+"""Maps, locations and pictures of floor plans, also by ``midspan sim``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.dev.places import Places
 
 
-def test_a_plans_map_shows_what_the_laser_sees() -> None:
+def test_a_plans_map_agrees_with_the_laser() -> None:
     plan = load_plan("apartment")
     grid = export.grid(plan, "apartment", 0.05)
     floor = plan.floors["apartment"]
@@ -31,21 +31,21 @@ def test_a_plans_map_shows_what_the_laser_sees() -> None:
 
     assert flag(0.0, 3.0) == MapFlag.WALL
     assert flag(2.5, 4.0) == MapFlag.FREE  # a door
-    assert flag(10.5, 4.0) == MapFlag.FREE  # a closed one
-    assert flag(4.9, 6.6) == MapFlag.FREE  # what can be pushed
+    assert flag(10.5, 4.0) == MapFlag.FREE  # a closed door
+    assert flag(4.9, 6.6) == MapFlag.FREE  # movable
     assert flag(3.4, 2.2) == MapFlag.WALL  # the table
     assert flag(-0.4, -0.4) == MapFlag.UNKNOWN  # outside
     for place, (x, y, _) in floor.places.items():
         assert flag(x, y) == MapFlag.FREE, place
-    there = simulation(floor=floor.model_dump(), start=floor.start)
-    scan, (x, y, yaw) = there.scan, there.base.pose()
+    sim = simulation(floor=floor.model_dump(), start=floor.start)
+    scan, (x, y, yaw) = sim.scan, sim.base.pose()
     angles = yaw + scan.first + np.arange(len(scan.ranges)) * scan.step
     hits = [(x + (r + 0.01) * np.cos(a), y + (r + 0.01) * np.sin(a)) for r, a in zip(scan.ranges, angles, strict=True)]
     known = [flag(*hit) == MapFlag.WALL for hit in hits]
-    assert sum(known) > 0.9 * len(known)  # all but the parcel and a person
+    assert sum(known) > 0.9 * len(known)  # except the parcel and a person
 
 
-def test_two_floors_become_two_maps_and_a_link(tmp_path: Path) -> None:
+def test_two_floors_are_exported_as_two_maps_and_a_link(tmp_path: Path) -> None:
     plan = load_plan("two_storeys")
     written = {file.name for file in export.save(plan, tmp_path / "out", 0.1)}
     assert {"ground.map", "upper.map", "ground.yaml", "locations.ini", "maps_collection.ini"} <= written
@@ -59,14 +59,14 @@ def test_two_floors_become_two_maps_and_a_link(tmp_path: Path) -> None:
     (link,) = export.links(plan).values()
     assert {link.first, link.second} <= places.locations.keys()
     assert link.cost == 30
-    beside = extras_file(tmp_path / "out" / "locations.ini")
-    assert beside.name in written
-    assert Extras.load(beside).links == {"lift": link}
+    links_file = extras_file(tmp_path / "out" / "locations.ini")
+    assert links_file.name in written
+    assert Extras.load(links_file).links == {"lift": link}
     stored = {(entry.kind.name, entry.name): entry.value for entry in read_files(tmp_path / "out" / "locations.ini")}
-    assert stored[LINK.name, "lift"] == link, "an import brings the link with the locations that it joins"
+    assert stored[LINK.name, "lift"] == link, "an import includes the link between its locations"
 
 
-def test_an_export_of_one_floor_leaves_no_links_of_an_earlier_one(tmp_path: Path) -> None:
+def test_an_export_removes_the_links_of_an_earlier_export(tmp_path: Path) -> None:
     export.save(load_plan("two_storeys"), tmp_path, 0.2)
     written = {file.name for file in export.save(load_plan("hall"), tmp_path, 0.2)}
     assert "locations_extras.ini" in written
@@ -76,15 +76,15 @@ def test_an_export_of_one_floor_leaves_no_links_of_an_earlier_one(tmp_path: Path
 
 
 def test_the_picture_shows_walls_and_the_robot() -> None:
-    there = simulation()
-    picture = draw(there)
+    sim = simulation()
+    picture = draw(sim)
     height, width, _ = picture.shape
     assert tuple(picture[height // 2 + 5, width // 2]) == (40, 160, 90)
     walls = (picture == (60, 62, 70)).all(axis=2).sum()
     assert walls > 1000
 
 
-def test_the_command_makes_maps_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_maps_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sim", "--list"]) == 0
     assert "apartment, hall, lab, office, tables, two_storeys" in capsys.readouterr().out
     config = tmp_path / "midspan.yaml"
@@ -95,11 +95,11 @@ def test_the_command_makes_maps_and_pictures(tmp_path: Path, capsys: pytest.Capt
     assert main(["sim", "--config", str(config), "--export", str(tmp_path / "maps"), "--resolution", "0.2"]) == 0
     assert (tmp_path / "maps" / "hall.map").exists()
     capsys.readouterr()
-    for wrong, said in (
+    for wrong, message in (
         (["--plan", "castle", "--picture", "x.png"], "plans that come with Midspan"),
         (["--speed", "fast"], "a number, 'max' or 'step'"),
         (["--speed", "-1"], "0.01 to 1000"),
         (["--export", "x", "--resolution", "99"], "0.001 to 10 metres"),
     ):
         assert main(["sim", "--config", str(config), *wrong]) == 1
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Sensors that fail at a client's wish."""
+"""Injected sensor faults."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sim.environment import SimError
 from tests.sim.floors import simulation, turn_wheels
 
 
-def test_a_silent_laser_makes_no_scans_and_goes_on() -> None:
+def test_a_silent_laser_publishes_no_scans_until_the_fault_is_removed() -> None:
     simulated = simulation(drive="wheels")
     simulated.run(0.5)
     last = simulated.scan.time_ns
@@ -22,7 +22,7 @@ def test_a_silent_laser_makes_no_scans_and_goes_on() -> None:
     assert simulated.scan.time_ns == simulated.time_ns
 
 
-def test_a_blind_laser_says_that_it_sees_nothing() -> None:
+def test_a_blind_laser_publishes_only_nan() -> None:
     simulated = simulation(drive="wheels")
     simulated.faults.set("laser_blind", on=True)
     simulated.run(0.1)
@@ -32,7 +32,7 @@ def test_a_blind_laser_says_that_it_sees_nothing() -> None:
     assert np.isfinite(simulated.scan.ranges).all()
 
 
-def test_frozen_encoders_lose_the_way_and_go_on_from_where_they_were() -> None:
+def test_frozen_encoders_miss_motion_and_continue_from_their_last_value() -> None:
     simulated = simulation(drive="wheels")
     turn_wheels(simulated, 0.5, 3.0, 3.0)
     before = simulated.estimate.pose.x
@@ -40,14 +40,14 @@ def test_frozen_encoders_lose_the_way_and_go_on_from_where_they_were() -> None:
     turn_wheels(simulated, 0.5, 3.0, 3.0)
     assert simulated.estimate.pose.x == before
     assert not simulated.motors.encoders().velocities.any()
-    there = simulated.base.pose().x
-    assert there > before + 0.1
+    true_x = simulated.base.pose().x
+    assert true_x > before + 0.1
     simulated.faults.set("encoders_frozen", on=False)
     turn_wheels(simulated, 0.5, 3.0, 3.0)
-    assert simulated.estimate.pose.x - before == pytest.approx(simulated.base.pose().x - there, abs=0.01)
+    assert simulated.estimate.pose.x - before == pytest.approx(simulated.base.pose().x - true_x, abs=0.01)
 
 
-def test_an_unknown_fault_is_refused_and_a_reset_mends_all() -> None:
+def test_unknown_faults_are_rejected_and_a_reset_removes_all() -> None:
     simulated = simulation()
     with pytest.raises(SimError, match="there are laser_silent"):
         simulated.faults.set("camera", on=True)
@@ -57,7 +57,7 @@ def test_an_unknown_fault_is_refused_and_a_reset_mends_all() -> None:
     assert not list(simulated.faults)
 
 
-def test_a_system_without_opengl_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_opengl_library_is_reported_with_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_name: str) -> None:
         raise ImportError("libGL.so.1: cannot open shared object file")
 

@@ -26,7 +26,7 @@ WHEELS = ["mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint"]
 
 
 class Place:
-    """A hub, the worker, and somebody far away."""
+    """A hub, the simulator's worker, and a client on another hub session."""
 
     def __init__(self, folder: Path) -> None:
         self.hubs = QuickHub()
@@ -60,8 +60,8 @@ class Place:
             answers = self.far.hub.ask("status", {}, worker="sim")
             return next((a.value for a in answers if isinstance(a.value, dict)), None)
 
-        found: dict[str, Any] = until(answer, "the simulator's status")
-        return found
+        status: dict[str, Any] = until(answer, "the simulator's status")
+        return status
 
     def close(self) -> None:
         self.worker.stop()
@@ -71,16 +71,16 @@ class Place:
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    made = Place(tmp_path)
+    rig = Place(tmp_path)
     try:
-        yield made
+        yield rig
     finally:
-        made.close()
+        rig.close()
 
 
-def test_a_client_steps_it_and_it_waits_for_who_acknowledges(place: Place) -> None:
+def test_steps_wait_for_the_acknowledgements_of_participants(place: Place) -> None:
     far = place.far
-    heard = {
+    subscriptions = {
         topic: far.subscribe(topic, kind)
         for topic, kind in {
             "/clock": "rosgraph_msgs/Clock",
@@ -94,19 +94,19 @@ def test_a_client_steps_it_and_it_waits_for_who_acknowledges(place: Place) -> No
         }.items()
     }
     place.worker.start(place.config(speed="step", start=(3.0, 8.2, -90.0)))
-    for topic in heard:
+    for topic in subscriptions:
         far.until_published(topic)
     velocity = far.advertise("/cmd_vel", "geometry_msgs/Twist")
     acknowledge = far.advertise("/sim/acknowledge", "std_msgs/Header")
 
     def go() -> float:
-        """A tenth of a second with a command, until the robot moves: the first commands may find no way."""
+        """Step 0.1 s with a command; the first commands may be lost before the subscription is connected."""
         far.publish(velocity, {"linear": {"x": 0.2}})
         place.step(0.1)
         return float(-place.status()["truth"][1] + 8.2)
 
-    until(lambda: go() > 0.05, "it drives", 30)
-    last = {topic: far.wait(end, 1)[-1] for topic, end in heard.items() if topic != "/battery_state"}
+    until(lambda: go() > 0.05, "the robot drives", 30)
+    last = {topic: far.wait(end, 1)[-1] for topic, end in subscriptions.items() if topic != "/battery_state"}
     assert last["/scan"]["header"]["frame_id"] == "laser"
     assert len(last["/scan"]["ranges"]) == 720
     assert last["/odom"]["child_frame_id"] == "base_link"
@@ -115,31 +115,33 @@ def test_a_client_steps_it_and_it_waits_for_who_acknowledges(place: Place) -> No
     assert last["/ground_truth"]["pose"]["pose"]["position"]["x"] == pytest.approx(3.0, abs=0.01)
     assert not place.step(0.01, "planner", patience=0.1)["success"]
     waiting = far.call("/sim/step", "midspan_msgs/Step", seconds=1.0, wait_for=["planner"], patience=30.0)
-    until(lambda: place.step(0.01)["message"].startswith("another step"), "the step is under way")
-    now = far.wait(heard["/battery_state"], 1)[-1]["header"]["stamp"]["sec"] + 1000
+    until(lambda: place.step(0.01)["message"].startswith("another step"), "the step is in progress")
+    now = far.wait(subscriptions["/battery_state"], 1)[-1]["header"]["stamp"]["sec"] + 1000
     until(
         lambda: (
             far.publish(acknowledge, {"frame_id": "planner", "stamp": {"sec": now}}),
             waiting.result(0.05)["done"],
         )[1],
-        "the acknowledgement is heard",
+        "the step is acknowledged",
         20,
     )
     assert waiting.result()["reply"]["success"]
-    assert far.wait(heard["/clock"], 1)[-1]["clock"]["sec"] >= 1
+    assert far.wait(subscriptions["/clock"], 1)[-1]["clock"]["sec"] >= 1
     assert place.named("fail", "encoders_silent")["success"]
-    ended = place.step(0.2)["stamp"]
-    until(lambda: far.wait(heard["/clock"], 1)[-1]["clock"] == ended, "the time is told")
-    before = {"sec": ended["sec"] - (ended["nanosec"] < 1e8), "nanosec": int((ended["nanosec"] - 1e8) % 1e9)}
+    end = place.step(0.2)["stamp"]
+    until(lambda: far.wait(subscriptions["/clock"], 1)[-1]["clock"] == end, "/clock has the step's end time")
+    before = {
+        "sec": end["sec"] - (end["nanosec"] < 1e8),
+        "nanosec": int((end["nanosec"] - 1e8) % 1e9),
+    }
     for topic in ("/joint_states", "/odom"):
-        last_said = far.wait(heard[topic], 1)[-1]["header"]["stamp"]
-        assert (last_said["sec"], last_said["nanosec"]) < (before["sec"], before["nanosec"]), topic
-    again = place.call("/sim/reset", "std_srvs/Trigger")
-    assert again["success"]
+        last_stamp = far.wait(subscriptions[topic], 1)[-1]["header"]["stamp"]
+        assert (last_stamp["sec"], last_stamp["nanosec"]) < (before["sec"], before["nanosec"]), topic
+    assert place.call("/sim/reset", "std_srvs/Trigger")["success"]
     assert place.status()["truth"][:2] == [3.0, 8.2]
 
 
-def test_in_real_time_it_is_asked_for_changes(place: Place) -> None:
+def test_services_change_a_simulation_in_real_time(place: Place) -> None:
     far = place.far
     scan = far.subscribe("/laser", "sensor_msgs/LaserScan")
     view = far.subscribe("/sim/view", "sensor_msgs/Image")
@@ -158,9 +160,9 @@ def test_in_real_time_it_is_asked_for_changes(place: Place) -> None:
         return float(place.status()["truth"][2])
 
     start = place.status()["truth"][2]
-    until(lambda: drive() > start + 0.05, "it turns to the left", 30)
+    until(lambda: drive() > start + 0.05, "the robot turns to the left", 30)
     wrong = {"name": ["wheel"], "velocity": [1.0]}
-    until(lambda: (far.publish(wheels, wrong), place.status()["refused_commands"])[1], "a wrong command is refused")
+    until(lambda: (far.publish(wheels, wrong), place.status()["refused_commands"])[1], "an invalid command is rejected")
     assert place.call("/sim/emergency_stop", "std_srvs/SetBool", data=True)["success"]
     assert place.status()["emergency_stop"]
     assert place.named("close", "kitchen_door")["success"]
@@ -185,26 +187,26 @@ def test_in_real_time_it_is_asked_for_changes(place: Place) -> None:
     assert place.status()["truth"][1] == pytest.approx(2.4, abs=0.05)
     assert not place.call("/sim/teleport", "midspan_msgs/Teleport", pose={"x": 0.0, "y": 0.0})["success"]
     assert place.call("/sim/pause", "std_srvs/SetBool", data=True)["success"]
-    stands = place.status()["time"]
-    assert place.status()["time"] == stands
+    paused = place.status()["time"]
+    assert place.status()["time"] == paused
     assert place.step(0.5)["success"]
-    assert place.status()["time"] == pytest.approx(stands + 0.5)
+    assert place.status()["time"] == pytest.approx(paused + 0.5)
     assert place.call("/sim/pause", "std_srvs/SetBool", data=False)["success"]
-    until(lambda: place.status()["time"] > stands + 0.6, "it goes on")
+    until(lambda: place.status()["time"] > paused + 0.6, "the simulation continues")
 
 
-def test_what_is_wrong_is_told_and_mended_by_a_reload(place: Place) -> None:
+def test_an_invalid_plan_is_reported_and_corrected_by_a_reload(place: Place) -> None:
     place.worker.start(place.config(plan="castle"))
     health = place.worker.health()
     assert health.state == "waiting"
     assert "castle" in health.text
     assert place.worker.reload(place.config(plan="hall", speed="max"))
     assert place.worker.health().state == "running"
-    until(lambda: place.status()["time"] > 1, "as fast as it can")
+    until(lambda: place.status()["time"] > 1, "it runs faster than real time")
 
 
-def test_a_release_of_yarp_leaves_the_simulation_alone(place: Place) -> None:
-    """It began anew: the robot was back at its start, and everybody's connection gone."""
+def test_a_reload_of_the_yarp_release_does_not_restart_the_simulation(place: Place) -> None:
+    """A restart would move the robot back to its start, and close all connections."""
     config = place.config(speed="max")
     place.worker.start(config)
     until(lambda: place.status()["time"] > 1, "it runs")
@@ -218,9 +220,7 @@ def test_a_release_of_yarp_leaves_the_simulation_alone(place: Place) -> None:
     assert not place.worker.reload(config.model_copy(update={"yarp": YarpSection(namespace="/other")}))
 
 
-def test_depth_pictures_their_points_and_frames_where_they_are_heard(
-    place: Place, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_depth_pictures_are_computed_only_for_subscribers(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     taken: list[int] = []
     picture = DepthCamera.picture
     monkeypatch.setattr(DepthCamera, "picture", lambda *args: (taken.append(args[1]), picture(*args))[1])
@@ -228,30 +228,34 @@ def test_depth_pictures_their_points_and_frames_where_they_are_heard(
     place.worker.start(place.config(speed="step", plan="hall", camera=camera))
     frames = far.subscribe("/tf_static", "tf2_msgs/TFMessage", latched=True)
     (message,) = far.wait(frames, 1)
-    said = {t["child_frame_id"]: t for t in message["transforms"]}
-    assert {name: t["header"]["frame_id"] for name, t in said.items()} == {
+    transforms = {t["child_frame_id"]: t for t in message["transforms"]}
+    assert {name: t["header"]["frame_id"] for name, t in transforms.items()} == {
         "laser": "base_link", "camera_link": "base_link", "camera_depth_optical_frame": "camera_link",
         "base_footprint": "base_link",
     }  # fmt: skip
     place.step(0.5)
-    assert not taken  # nobody hears
-    ends = {
+    assert not taken  # no subscribers
+    subscriptions = {
         "/camera/depth/image_rect_raw": far.subscribe("/camera/depth/image_rect_raw", "sensor_msgs/Image"),
         "/camera/depth/camera_info": far.subscribe("/camera/depth/camera_info", "sensor_msgs/CameraInfo"),
         "/camera/depth/points": far.subscribe("/camera/depth/points", "sensor_msgs/PointCloud2"),
     }
-    for topic in ends:
+    for topic in subscriptions:
         far.until_published(topic)
-    until(lambda: (place.step(0.1), all(far.wait(end, 1, 0.2) for end in ends.values()))[1], "all are heard", 20)
-    depth, info, cloud = (far.wait(end, 1)[-1] for end in ends.values())
+    until(
+        lambda: (place.step(0.1), all(far.wait(end, 1, 0.2) for end in subscriptions.values()))[1],
+        "all topics arrive",
+        20,
+    )
+    depth, info, cloud = (far.wait(end, 1)[-1] for end in subscriptions.values())
     assert depth["header"] == info["header"] == cloud["header"]
-    assert len(taken) == len(set(taken))  # one picture for both
+    assert len(taken) == len(set(taken))  # one picture for image and points
     assert (depth["width"], depth["height"], info["k"][2]) == (32, 16, 15.5)
     assert cloud["row_step"] == 32 * 12
 
 
-def test_a_camera_in_millimetres() -> None:
+def test_depths_in_millimeters() -> None:
     seen = np.array([[1.2345, np.inf, -np.inf], [np.nan, 0.0004, 64.9]], np.float32)
-    made = messages.depth(5, seen, "16UC1")
-    assert (made["encoding"], made["step"]) == ("16UC1", 6)
-    assert made["data"].view(np.uint16).tolist() == [1234, 0, 0, 0, 0, 64900]
+    image = messages.depth(5, seen, "16UC1")
+    assert (image["encoding"], image["step"]) == ("16UC1", 6)
+    assert image["data"].view(np.uint16).tolist() == [1234, 0, 0, 0, 0, 64900]

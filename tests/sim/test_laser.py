@@ -1,4 +1,4 @@
-"""The laser against brute force and against DART's own rays; what it leaves out and what the robot's own ones miss."""
+"""The laser, compared with brute force and with DART's own rays; its limits, and the robot's blind sectors."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ NOTHING = np.zeros((0, 3))
 
 
 def clutter(seed: int, count: int) -> list[Piece]:
-    """Boxes and columns around the origin, none of them over it."""
+    """Return boxes and columns around the origin, which stays free."""
     rng = np.random.default_rng(seed)
-    found: list[Piece] = []
-    while len(found) < count:
+    obstacles: list[Piece] = []
+    while len(obstacles) < count:
         x, y = rng.uniform(-12, 12, 2)
         if math.hypot(x, y) < 2:
             continue
         length, width = rng.uniform(0.1, 2, 2)
         radius = 0.3 if rng.random() < 0.2 else 0.0
-        found.append(Piece("", x, y, rng.uniform(0, math.pi), length, width, 2.0, radius))
-    return found
+        obstacles.append(Piece("", x, y, rng.uniform(0, math.pi), length, width, 2.0, radius))
+    return obstacles
 
 
 def shapes(pieces: list[Piece]) -> tuple[np.ndarray, np.ndarray]:
@@ -41,7 +41,7 @@ def shapes(pieces: list[Piece]) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize(("first", "span"), [(-math.pi, 2 * math.pi), (0.0, 2 * math.pi), (-2.0, 4.0)])
-def test_it_equals_brute_force(seed: int, first: float, span: float) -> None:
+def test_distances_equal_brute_force(seed: int, first: float, span: float) -> None:
     segments, circles = shapes(clutter(seed, 60))
     rng = np.random.default_rng(seed)
     count = 1600 if span > 6 else 271
@@ -60,7 +60,7 @@ def test_it_equals_brute_force(seed: int, first: float, span: float) -> None:
         np.testing.assert_allclose(out[np.isfinite(out)], wanted[np.isfinite(wanted)], rtol=0, atol=1e-9)
 
 
-def test_it_equals_darts_own_rays() -> None:
+def test_distances_equal_darts_ray_casts() -> None:
     pieces = clutter(11, 25)
     skeleton, nodes = bodies.fixed(pieces)
     group = dartpy.collision.BulletCollisionDetector().createCollisionGroup()
@@ -83,7 +83,7 @@ def test_it_equals_darts_own_rays() -> None:
     assert skeleton.getNumBodyNodes() == 1
 
 
-def test_noise_limits_and_lost_echoes() -> None:
+def test_noise_range_limits_and_lost_echoes() -> None:
     segments, circles = shapes(clutter(3, 60))
     mount = robot.load("r1").lasers
 
@@ -105,18 +105,18 @@ def test_noise_limits_and_lost_echoes() -> None:
 
 
 def test_the_r1s_own_scanners_are_blind_to_the_sides() -> None:
-    found = simulation(laser={"kind": "robot", "beams": 1600}).scan
-    degrees = np.degrees(found.first + np.arange(1600) * found.step)
-    blind = np.isnan(found.ranges)
+    scan = simulation(laser={"kind": "robot", "beams": 1600}).scan
+    degrees = np.degrees(scan.first + np.arange(1600) * scan.step)
+    blind = np.isnan(scan.ranges)
     assert blind[(degrees > 45) & (degrees < 110)].all()
     assert blind[(degrees > 250) & (degrees < 315)].all()
     assert blind[(degrees < 30) | (degrees > 330)].mean() < 0.1
     assert 0.45 < 1 - blind.mean() < 0.6  # 51.8 % measured with the robot's own settings in a larger room
-    assert abs(found.ranges[1] - 1.95) < 0.01
+    assert abs(scan.ranges[1] - 1.95) < 0.01
 
 
-def test_people_crates_and_closed_doors_are_seen_and_what_is_low_is_not() -> None:
-    there = simulation(
+def test_people_crates_and_closed_doors_are_seen_but_low_things_are_not() -> None:
+    sim = simulation(
         floor={
             "walls": (((1.0, -2.0), (1.0, 2.0)),),
             "doors": ({"name": "door", "line": ((1.0, -0.5), (1.0, 0.5)), "open": False},),
@@ -130,18 +130,18 @@ def test_people_crates_and_closed_doors_are_seen_and_what_is_low_is_not() -> Non
     )
 
     def ahead() -> list[float]:
-        return [round(float(there.scan.ranges[i]), 2) for i in (180, 270, 0, 90)]  # front, left, behind, right
+        return [round(float(sim.scan.ranges[i]), 2) for i in (180, 270, 0, 90)]  # front, left, back, right
 
     assert ahead() == [0.97, 1.3, math.inf, 1.3]
-    there.world.open("door", is_open=True)
-    there.run(0.1)
+    sim.world.open("door", is_open=True)
+    sim.run(0.1)
     assert ahead()[0] == math.inf
-    there.world.people["eve"].send([(3.0, -1.5)])
-    drive(there, 0.5, 0.0)
+    sim.world.people["eve"].send([(3.0, -1.5)])
+    drive(sim, 0.5, 0.0)
     assert ahead()[3] == math.inf
 
 
-def test_a_plan_is_seen_where_it_is() -> None:
+def test_distances_to_the_walls_of_a_plan() -> None:
     hall = load_plan("hall")
-    there = simulation(floor={"walls": hall.floors["hall"].walls}, laser={"beams": 4})
-    np.testing.assert_allclose(there.scan.ranges, [9.95, 6.95, 9.95, 6.95], atol=1e-9)
+    sim = simulation(floor={"walls": hall.floors["hall"].walls}, laser={"beams": 4})
+    np.testing.assert_allclose(sim.scan.ranges, [9.95, 6.95, 9.95, 6.95], atol=1e-9)

@@ -1,4 +1,4 @@
-"""How time passes: steady, caught up after a short wait, left out after a long one."""
+"""The pace of ticks: steady, caught up after a short delay, skipped after a long one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sim.simulator import Pace
 
 
 class Clock:
-    """A clock that is set by hand."""
+    """A clock that the test sets."""
 
     now = 100.0
 
@@ -19,48 +19,48 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    made = Clock()
-    monkeypatch.setattr(simulator, "time", made)
-    return made
+    fake_clock = Clock()
+    monkeypatch.setattr(simulator, "time", fake_clock)
+    return fake_clock
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 10.0])
-def test_a_second_has_so_many_ticks(clock: Clock, speed: float) -> None:
-    made, count = Pace(speed), 0
+def test_the_speed_sets_the_ticks_per_second(clock: Clock, speed: float) -> None:
+    pace, count = Pace(speed), 0
     for _ in range(100):
         clock.now += 0.01
-        count += made.due()
+        count += pace.due()
     assert count == pytest.approx(100 * speed, abs=2)
-    assert made.late == made.left_out == 0 or speed > 1
+    assert pace.late == pace.left_out == 0 or speed > 1
 
 
-def test_a_timer_that_is_early_or_late_is_no_matter(clock: Clock) -> None:
-    made, counts = Pace(1.0), []
+def test_timer_jitter_does_not_matter(clock: Clock) -> None:
+    pace, counts = Pace(1.0), []
     for moved in (0.0099, 0.0102, 0.0095, 0.0104, 0.01):
         clock.now += moved
-        counts.append(made.due())
+        counts.append(pace.due())
     assert counts[1:] == [1, 1, 1, 1]
-    assert made.late == 0
+    assert pace.late == 0
 
 
-def test_a_short_wait_is_caught_up_bit_by_bit_and_counted(clock: Clock) -> None:
-    made = Pace(1.0)
-    made.due()
+def test_a_short_delay_is_caught_up_in_parts_and_counted(clock: Clock) -> None:
+    pace = Pace(1.0)
+    pace.due()
     clock.now += 0.1
-    first = made.due()
-    second = made.due()
+    first = pace.due()
+    second = pace.due()
     assert first == 5
-    assert first + second + made.due() == 10
-    assert 8 <= made.late <= 9
-    assert not made.stood_still()
+    assert first + second + pace.due() == 10
+    assert 8 <= pace.late <= 9
+    assert not pace.stood_still()
 
 
-def test_a_long_wait_is_left_out_and_what_was_heard_in_it_too(clock: Clock) -> None:
-    made = Pace(1.0)
-    made.due()
+def test_ticks_and_messages_of_a_long_delay_are_skipped(clock: Clock) -> None:
+    pace = Pace(1.0)
+    pace.due()
     clock.now += 3.0
-    assert made.due() <= 2
-    assert 297 <= made.left_out <= 300
-    assert made.stood_still()
+    assert pace.due() <= 2
+    assert 297 <= pace.left_out <= 300
+    assert pace.stood_still()
     clock.now += 0.6
-    assert not made.stood_still()
+    assert not pace.stood_still()

@@ -1,4 +1,4 @@
-"""The simulator on YARP: the laser's stream and settings, odometry, the battery, as clients of both ages ask."""
+"""The simulator on YARP: laser, odometry, depth and battery, for clients of older and newer releases."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from yarp_compat.pythonic import Client, Reader, Received
 from yarp_compat.wire.values import Vocab
 
 
-def test_a_yarp_client_has_laser_odometry_and_battery(tmp_path: Path) -> None:
+def test_yarp_clients_receive_laser_odometry_depth_and_battery(tmp_path: Path) -> None:
     place = Place(tmp_path)
     try:
         with NameServer(port=place.port, gc_seconds=0):
@@ -32,7 +32,7 @@ def test_a_yarp_client_has_laser_odometry_and_battery(tmp_path: Path) -> None:
             place.worker.start(
                 place.config(plan="hall", start=(0.5, 0.0, 0.0), yarp="/cer", laser=section, camera=camera)
             )
-            until(lambda: connections.exists(names, "/cer/battery/rpc:i"), "the last port is there")
+            until(lambda: connections.exists(names, "/cer/battery/rpc:i"), "the last port is registered")
             until(lambda: "waiting" not in str(place.status()["ports"]), "all are open")
             streams(place, names)
             settings(names)
@@ -47,34 +47,34 @@ def test_a_yarp_client_has_laser_odometry_and_battery(tmp_path: Path) -> None:
 def streams(place: Place, names: NameClient) -> None:
     """Check the messages of all output ports."""
 
-    def heard(port: str) -> Received:
+    def receive(port: str) -> Received:
         with Reader(f"/test{port}", naming=names) as reader:
             connections.connect(names, port, f"/test{port}")
             received = until(reader.read_now, f"a message of {port}")
         assert received is not None
         return received
 
-    scan = heard("/cer/laser:o").to(LaserScan2D)
+    scan = receive("/cer/laser:o").to(LaserScan2D)
     assert (scan.angle_min, scan.angle_max, scan.range_max, scan.status) == (0.0, 360.0, 15.0, 1)
-    # from the front to the left; it settles on its casters, and so moves by 2 mm
+    # from the front to the left; the robot settles on its casters, and so moves by 2 mm
     assert all(
         abs(r - wanted) < 0.05 for r, wanted in zip(list(scan.scans)[::2], (9.45, 6.95, 10.45, 6.95), strict=True)
     )
-    depth = heard("/cer/depthCamera/depthImage:o").to(yarp.ImageFloat)
+    depth = receive("/cer/depthCamera/depthImage:o").to(yarp.ImageFloat)
     assert (depth.width(), depth.height()) == (24, 16)
     assert depth.numpy()[7, 12] == pytest.approx(9.45 - 0.1, abs=0.05)  # the wall ahead, from the camera
-    received = heard("/cer/odometry:o")
+    received = receive("/cer/odometry:o")
     odometry = received.to(OdometryData)
     assert abs(odometry.odom_x) < 0.01
     assert float(received.envelope.split()[1]) > 1.7e9
-    assert len(heard("/cer/odometer:o").values) == 2
-    assert len(heard("/cer/velocity:o").values) == 2
-    voltage, current, charge, _, status = heard("/cer/battery:o").values
+    assert len(receive("/cer/odometer:o").values) == 2
+    assert len(receive("/cer/velocity:o").values) == 2
+    voltage, current, charge, _, status = receive("/cer/battery:o").values
     assert 50 < voltage < 55
     assert current > 0
     assert 99 < charge <= 100
     assert status == 2
-    charge, voltage, current, _, status = heard("/cer/battery/data:o").values
+    charge, voltage, current, _, status = receive("/cer/battery/data:o").values
     assert (99 < charge <= 100, 50 < voltage < 55, current > 0, status == 2) == (True, True, True, True)
 
 
@@ -103,18 +103,18 @@ def devices() -> None:
     assert all(driver.isValid() for driver in drivers.values())
     for laser in (drivers["laser"].viewIRangefinder2D(), drivers["older"].viewIRangefinder2D()):
         distances, points = yarp.Vector(), list[yarp.LaserMeasurementData]()
-        until(lambda seen=laser, into=distances: seen.getRawData(into), "a scan has come")
+        until(lambda seen=laser, into=distances: seen.getRawData(into), "a scan has arrived")
         assert laser.getLaserMeasurement(points)
         assert points[2].get_cartesian() == pytest.approx((0.0, distances[2]), abs=0.01)
         assert laser.getDistanceRange()[1:] == (0.1, 15.0)
         assert laser.getDeviceStatus() is DeviceStatus.DEVICE_OK_IN_USE
-    base, here, stamp = drivers["odometry"].viewIOdometry2D(), OdometryData(), yarp.DVector()
-    until(lambda: base.getOdometry(here, stamp), "the odometry has come")
-    assert abs(here.odom_x) < 0.01
+    base, odometry, stamp = drivers["odometry"].viewIOdometry2D(), OdometryData(), yarp.DVector()
+    until(lambda: base.getOdometry(odometry, stamp), "the odometry has arrived")
+    assert abs(odometry.odom_x) < 0.01
     assert stamp[0] > 1.7e9
     assert base.resetOdometry()
     battery = drivers["battery"].viewIBattery()
-    until(battery.getBatteryCharge, "the battery's state has come")
+    until(battery.getBatteryCharge, "the battery's state has arrived")
     assert 99 < battery.getBatteryCharge() <= 100
     assert 50 < battery.getBatteryVoltage() < 55
     assert battery.getBatteryStatus() is yarp.IBattery.BATTERY_OK_IN_USE
@@ -122,7 +122,7 @@ def devices() -> None:
 
 
 def settings(names: NameClient) -> None:
-    """Check the replies of the RPC ports, in newer and older words."""
+    """Check the replies of the RPC ports, in the newer and older protocol."""
     with ServiceClient(IRangefinder2DMsgs, "/cer/laser:o/rpc:i", naming=names) as laser:
         assert laser.remote.getDistanceRange_RPC()[1:] == (0.1, 15.0)
         assert laser.remote.getScanLimits_RPC()[1:] == (0.0, 360.0)
@@ -132,14 +132,14 @@ def settings(names: NameClient) -> None:
         assert "8 beams" in laser.remote.getDeviceInfo_RPC()[1]
         assert not laser.remote.setScanRate_RPC(5.0)
     with Client("/cer/laser:o/rpc:i", naming=names) as old:
-        for words, answer in (
+        for request, answer in (
             ([Vocab("get"), Vocab("ilas"), Vocab("lsdr")], ["is", "lsdr", 0.1, 15.0]),
             ([Vocab("get"), Vocab("ilas"), Vocab("lsar")], ["is", "lsar", 0.0, 360.0]),
             ([Vocab("get"), Vocab("ilas"), Vocab("lsas")], ["is", "lsas", 45.0]),
             ([Vocab("set"), Vocab("ilas"), Vocab("lssr"), 5.0], ["fail"]),
             ([Vocab("get"), Vocab("ilas"), Vocab("what")], ["fail"]),
         ):
-            said = old.ask(words, timeout=20)
-            assert said == answer
+            reply = old.ask(request, timeout=20)
+            assert reply == answer
     with ServiceClient(IOdometry2DMsgs, "/cer/rpc", naming=names) as odometry:
         assert odometry.remote.reset_odometry_RPC()

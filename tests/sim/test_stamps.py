@@ -1,4 +1,4 @@
-"""Stamps of a simulation in real time: one tick apart also in bursts, close to the system clock, never ahead of it."""
+"""Stamps of a simulation in real time: one tick apart even in bursts, and never ahead of the system clock."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from yarp_compat.pythonic import Reader
 
 
 class Clocks(Clock):
-    """Both of a machine's clocks, set by hand."""
+    """Both of a machine's clocks, which the test sets."""
 
     wall = 1_760_000_000.0
 
@@ -39,49 +39,49 @@ class Clocks(Clock):
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clocks:
-    made = Clocks()
-    monkeypatch.setattr(simulator, "time", made)
-    monkeypatch.setattr(stamps, "time", made)
-    return made
+    fake_clocks = Clocks()
+    monkeypatch.setattr(simulator, "time", fake_clocks)
+    monkeypatch.setattr(stamps, "time", fake_clocks)
+    return fake_clocks
 
 
 def stamped(pace: Pace, wall: WallStamps) -> list[int]:
     return [wall.stamp(pace.moment()) for _ in range(pace.due())]
 
 
-def test_ticks_of_a_burst_are_a_tick_apart_and_none_is_ahead(clock: Clocks) -> None:
+def test_stamps_of_a_burst_are_one_tick_apart_and_never_ahead(clock: Clocks) -> None:
     pace, wall = Pace(1.0), WallStamps()
-    found: list[int] = []
+    stamps_ns: list[int] = []
     for passed in (0.01, 0.0085, 0.01, 0.047, 0.0004, 0.01, 0.1, 0.01, 0.01, 0.01, 0.2, 0.01, 0.01, 0.01, 0.01, 0.01):
         clock.now += passed
-        found += stamped(pace, wall)
-        assert 0 <= clock.time_ns() - found[-1] <= 250_000_000
-    assert {round((after - before) / 10) for before, after in itertools.pairwise(found)} == {TICK_NS // 10}
-    assert len(found) > 40
+        stamps_ns += stamped(pace, wall)
+        assert 0 <= clock.time_ns() - stamps_ns[-1] <= 250_000_000
+    assert {round((after - before) / 10) for before, after in itertools.pairwise(stamps_ns)} == {TICK_NS // 10}
+    assert len(stamps_ns) > 40
 
 
-def test_time_that_is_left_out_is_a_gap_of_whole_ticks(clock: Clocks) -> None:
+def test_skipped_time_is_a_gap_of_whole_ticks(clock: Clocks) -> None:
     pace, wall = Pace(1.0), WallStamps()
     clock.now += 0.01
-    found = stamped(pace, wall)
+    stamps_ns = stamped(pace, wall)
     clock.now += 3.0
-    found += stamped(pace, wall)
-    assert (found[1] - found[0]) % TICK_NS in (0, 1, TICK_NS - 1)
-    assert 0 <= clock.time_ns() - found[-1] <= 250_000_000
+    stamps_ns += stamped(pace, wall)
+    assert (stamps_ns[1] - stamps_ns[0]) % TICK_NS in (0, 1, TICK_NS - 1)
+    assert 0 <= clock.time_ns() - stamps_ns[-1] <= 250_000_000
 
 
 def test_a_pause_ends_with_a_later_stamp(clock: Clocks) -> None:
     pace, wall = Pace(1.0), WallStamps()
-    found: list[int] = []
+    stamps_ns: list[int] = []
     for _ in range(20):
-        clock.now += 0.0083  # ahead of its time, as far as a tick may be
-        found += stamped(pace, wall)
+        clock.now += 0.0083  # as early as a tick may be
+        stamps_ns += stamped(pace, wall)
         pace.begin()
-    assert all(after - before >= TICK_NS - 1 for before, after in itertools.pairwise(found))
+    assert all(after - before >= TICK_NS - 1 for before, after in itertools.pairwise(stamps_ns))
 
 
 @pytest.mark.parametrize("step", [-3600.0, 3600.0, 0.3])
-def test_stamps_follow_a_system_clock_that_is_set(clock: Clocks, step: float) -> None:
+def test_stamps_follow_steps_of_the_system_clock(clock: Clocks, step: float) -> None:
     pace, wall = Pace(1.0), WallStamps()
     clock.wall += step
     clock.now += 0.01
@@ -89,7 +89,7 @@ def test_stamps_follow_a_system_clock_that_is_set(clock: Clocks, step: float) ->
     assert abs(clock.time_ns() - stamp) < 10_000_000
 
 
-def test_an_error_of_reading_the_clocks_changes_no_stamp(clock: Clocks) -> None:
+def test_errors_of_reading_the_clocks_do_not_change_stamps(clock: Clocks) -> None:
     pace, wall = Pace(1.0), WallStamps()
     clock.now += 0.01
     first = stamped(pace, wall)[0]
@@ -100,11 +100,11 @@ def test_an_error_of_reading_the_clocks_changes_no_stamp(clock: Clocks) -> None:
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    made = Place(tmp_path)
+    rig = Place(tmp_path)
     try:
-        yield made
+        yield rig
     finally:
-        made.close()
+        rig.close()
 
 
 TOPICS = {
@@ -117,11 +117,11 @@ TOPICS = {
     "/camera/depth/image_rect_raw": ("sensor_msgs/Image", 10),
     "/camera/depth/points": ("sensor_msgs/PointCloud2", 10),
 }
-"""Types of what the simulator stamps, and ticks between two messages."""
+"""Types of the stamped topics, and ticks between two messages."""
 
 
 def hold_up(place: Place) -> None:
-    """Hold up the simulation's thread for 45 ms of every 60, as a busy machine does: it ticks in bursts."""
+    """Block the simulation's thread for 45 of every 60 ms, like a busy machine, so that it ticks in bursts."""
     running = place.worker._running
     assert running is not None
     never = threading.Event()
@@ -133,9 +133,9 @@ def stamp_ns(message: dict[str, Any]) -> int:
     return int(header["stamp"]["sec"]) * 1_000_000_000 + int(header["stamp"]["nanosec"])
 
 
-def evenly(found: list[int], every: int) -> bool:
-    """Whether stamps (ns) are some ticks apart, or a multiple of them: messages may be lost, and time left out."""
-    steps = [(after - before) / TICK_NS for before, after in itertools.pairwise(found)]
+def evenly(stamps_ns: list[int], every: int) -> bool:
+    """Return whether stamps (ns) are multiples of a period apart, since messages may be lost and time skipped."""
+    steps = [(after - before) / TICK_NS for before, after in itertools.pairwise(stamps_ns)]
     whole = all(abs(step - round(step)) < 1e-3 for step in steps)
     return (
         whole
@@ -144,52 +144,52 @@ def evenly(found: list[int], every: int) -> bool:
     )
 
 
-def test_all_that_is_stamped_in_a_burst_is_a_period_apart(place: Place) -> None:
+def test_stamps_of_all_topics_are_a_period_apart_in_bursts(place: Place) -> None:
     far = place.far
     camera = {"rate": 10.0, "width": 32, "height": 16, "noise": 0.0}
-    heard = {topic: far.subscribe(topic, kind, depth=1000) for topic, (kind, _) in TOPICS.items()}
+    subscriptions = {topic: far.subscribe(topic, kind, depth=1000) for topic, (kind, _) in TOPICS.items()}
     place.worker.start(place.config(plan="hall", camera=camera, laser={"beams": 8, "rate": 20.0}))
-    for topic, end in heard.items():
+    for topic, end in subscriptions.items():
         until(lambda end=end: far.wait(end, 1, 0.2), f"{topic} arrives", 20)
-    first = {topic: len(far.wait(end, 1)) for topic, end in heard.items()}
+    first = {topic: len(far.wait(end, 1)) for topic, end in subscriptions.items()}
     hold_up(place)
     for topic, (_, every) in TOPICS.items():
         count = max(10, 200 // every)
-        messages = far.wait(heard[topic], first[topic] + count, 30)[first[topic] :]
+        messages = far.wait(subscriptions[topic], first[topic] + count, 30)[first[topic] :]
         assert len(messages) >= count, topic
-        found = [stamp_ns(message) for message in messages]
-        assert evenly(found, every), (topic, found)
-        assert -1.0 < time.time() - found[-1] / 1e9 < 5.0, topic
+        stamps_ns = [stamp_ns(message) for message in messages]
+        assert evenly(stamps_ns, every), (topic, stamps_ns)
+        assert -1.0 < time.time() - stamps_ns[-1] / 1e9 < 5.0, topic
 
 
-def test_envelopes_of_yarp_are_a_period_apart(place: Place) -> None:
+def test_yarp_envelopes_are_a_period_apart(place: Place) -> None:
     names = NameClient(Address("127.0.0.1", place.port), namespace="/root")
     with NameServer(port=place.port, gc_seconds=0):
         place.worker.start(place.config(plan="hall", yarp="/cer"))
-        until(lambda: names.query("/cer/odometry:o"), "the port is there", 20)
-        found: list[int] = []
+        until(lambda: names.query("/cer/odometry:o"), "the port is registered", 20)
+        stamps_ns: list[int] = []
         with Reader("/test/odometry:i", naming=names) as reader:
             connections.connect(names, "/cer/odometry:o", "/test/odometry:i")
             reader.read()
             hold_up(place)
-            while len(found) < 60:
+            while len(stamps_ns) < 60:
                 envelope = reader.read().envelope
                 assert envelope is not None
-                found.append(round(float(envelope.split()[1]) * 1e9))
+                stamps_ns.append(round(float(envelope.split()[1]) * 1e9))
         place.worker.stop()
-    assert evenly(found[1:], 2)
+    assert evenly(stamps_ns[1:], 2)
 
 
-def test_a_step_in_real_time_takes_its_time(place: Place) -> None:
+def test_a_step_in_real_time_lasts_its_duration(place: Place) -> None:
     far = place.far
     joints = far.subscribe("/joint_states", "sensor_msgs/JointState", depth=1000)
     place.worker.start(place.config(plan="hall"))
     until(lambda: far.wait(joints, 1, 0.2), "joint states arrive", 20)
     assert place.call("/sim/pause", "std_srvs/SetBool", data=True)["success"]
     paused = place.status()["time"]
-    until(lambda: stamp_ns({"header": place.step(0.3)}) < time.time_ns(), "a step ends, and not in the future")
+    until(lambda: stamp_ns({"header": place.step(0.3)}) < time.time_ns(), "a step ends with a stamp in the past")
     assert place.status()["time"] == pytest.approx(paused + 0.3)
     assert place.call("/sim/pause", "std_srvs/SetBool", data=False)["success"]
-    until(lambda: place.status()["time"] > paused + 0.5, "it goes on")
-    found = [stamp_ns(message) for message in far.wait(joints, 1)]
-    assert min(after - before for before, after in itertools.pairwise(found)) >= TICK_NS - 1000
+    until(lambda: place.status()["time"] > paused + 0.5, "the simulation continues")
+    stamps_ns = [stamp_ns(message) for message in far.wait(joints, 1)]
+    assert min(after - before for before, after in itertools.pairwise(stamps_ns)) >= TICK_NS - 1000
