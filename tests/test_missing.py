@@ -96,5 +96,5 @@ def test_the_summary_is_by_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(missing, "_not_read", {ROS1: ["tests/b.py"], ROS2: ["tests/d.py", "tests/c"]})
     lines = missing.summary([f"Skipped: {ROS1}"] * 3 + ["Skipped: only root can"])
     assert [line[:5] for line in lines] == ["ROS 1", "ROS 2"]
-    assert lines[0].endswith(": 3 tests and all in tests/b.py not tried")
-    assert lines[1].endswith(": all in tests/c, tests/d.py not tried")
+    assert lines[0].endswith(": 3 tests and all in tests/b.py not run")
+    assert lines[1].endswith(": all in tests/c, tests/d.py not run")

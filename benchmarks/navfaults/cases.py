@@ -20,7 +20,7 @@ from benchmarks.navfaults.outcome import Outcome
 from benchmarks.navfaults.two_machines import TwoMachines
 from bridge.messages.actions import GoalState
 from navigation.status import Fault as Why
-from tests.support.chain import Asked, Chain
+from tests.support.chain import Chain, SentGoal
 
 Make = Callable[[Chain], AbstractContextManager[object]]
 
@@ -85,8 +85,8 @@ class Fault:
             with contextlib.suppress(AssertionError):
                 found.onward = chain.until_moving(30.0)
         chain.until(lambda: asked.ended is not None, "the goal ends", 90.0)
-        told = [why for _, why in chain.said(began) if self.says and self.says in why]
-        found.told = told[0] if told else " | ".join(dict.fromkeys(w for _, w in chain.said(began) if w))
+        told = [why for _, why in chain.statuses_since(began) if self.says and self.says in why]
+        found.told = told[0] if told else " | ".join(dict.fromkeys(w for _, w in chain.statuses_since(began) if w))
         status = asked.status or GoalState.UNKNOWN
         found.end = (
             f"{status.name}{f' ({asked.reason})' if asked.reason else ''} after {(asked.ended or over) - over:.1f} s"
@@ -102,7 +102,7 @@ class Fault:
             found.wrong = found.wrong or f"the client did not hear '{self.says}'"
 
 
-def _way_off(chain: Chain, asked: Asked) -> float:
+def _way_off(chain: Chain, asked: SentGoal) -> float:
     if asked.ended is not None:
         raise AssertionError(f"the goal ended before the fault: {asked.status} {asked.reason}")
     truth = chain.truth

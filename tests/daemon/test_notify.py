@@ -14,7 +14,7 @@ import pytest
 
 from bridge.daemon.notify import Notifier
 from tests.daemon.daemon import Daemon
-from tests.support.process import Process, stands_still
+from tests.support.process import Process, is_stopped
 from tests.support.wait import until
 
 
@@ -95,7 +95,7 @@ def test_watchdog_is_fed_and_starves_with_the_daemon(daemon: Daemon, systemd: Sy
     fed = systemd.count("WATCHDOG=1")
     until(lambda: systemd.count("WATCHDOG=1") >= fed + 3, "fed")
     process.signal(signal.SIGSTOP)
-    until(lambda: stands_still(process.pid), "it stands still")
+    until(lambda: is_stopped(process.pid), "it stands still")
     fed = systemd.count("WATCHDOG=1")
     time.sleep(1.5)  # longer than the watchdog's interval: the very case
     assert systemd.count("WATCHDOG=1") == fed

@@ -39,7 +39,7 @@ def test_a_link_that_alone_was_cut_is_made_again(hubs: QuickHub) -> None:
     with Hub.open(hubs.settings("one")) as one, Hub.open(hubs.settings("two", "two")) as two:
         until(lambda: two.zid in one.neighbours() and one.zid in two.neighbours(), "they are linked")
         received: list[bytes] = []
-        hubs.also_say(5)  # a liar is not believed
+        hubs.serve_conflicting_list(5)  # a liar is not believed
         two.serve("say", lambda params: received.append(params["word"]))
         cut(int(hubs.endpoint.rpartition(":")[2]))
         until(lambda: two.zid not in one.neighbours() or one.mesh.mended + two.mesh.mended, "the link is lost")
@@ -70,7 +70,7 @@ def test_links_are_compared_while_a_session_that_left_is_looked_for(
             until(lambda: two.zid in one.neighbours(), "they are linked")
             left = two.zid
         until(lambda: left in one.mesh.lost, "it is looked for")
-        hubs.also_has("abcd")
+        hubs.list_also("abcd")
         until(lambda: "abcd" in one.mesh.lost, "the links are compared", 30)
         assert left in one.mesh.lost
 
@@ -79,7 +79,7 @@ def test_one_that_no_link_reaches_is_given_up(hubs: QuickHub, monkeypatch: pytes
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
     monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 0.5)
     with Hub.open(hubs.settings("one")) as one:
-        hubs.also_has("abcd")
+        hubs.list_also("abcd")
         until(lambda: "abcd" in one.mesh.lost, "it is looked for")
         until(lambda: not one.mesh.lost, "it is given up")
         answered = hubs.answered

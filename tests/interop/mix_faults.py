@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from tests.interop.mix import MOVE_BASE, NAV2, Mix
 from tests.interop.mix_clients import ROS1, ROS2, SECONDS, SILENT, YARP, ZENOH, Client, RosClient, ZenohClient
 from tests.interop.mix_truth import JERK_SECONDS, UNTRUE_SECONDS, Word, stood, untrue
-from tests.support.process import stands_still
+from tests.support.process import is_stopped
 from tests.support.wait import until
 
 AWAY = 800.0
@@ -72,7 +72,7 @@ def _kill(mix: Mix) -> None:
 
 def _hang(mix: Mix) -> None:
     mix.planner.signal(signal.SIGSTOP)
-    until(lambda: stands_still(mix.planner.pid), "the planner hangs")
+    until(lambda: is_stopped(mix.planner.pid), "the planner hangs")
 
 
 def kill_workers(*workers: str) -> Callable[[Mix], None]:

@@ -33,7 +33,7 @@ class Acting:
             return
         self._server.cancel_goal.reply = {"goals_canceling": [{"goal_id": self._server.goal()["goal_id"]}]}
         until(lambda: self._server.feedback.matching_status.matching, "somebody hears of the goal", self._seconds)  # type: ignore[attr-defined]
-        self._server.tell(EXECUTING)
+        self._server.report(EXECUTING)
         if not self._held:
             self._end(ABORTED if self._outcome == "abort" else SUCCEEDED)
         elif self._server.cancel_goal.requests(1, self._seconds):

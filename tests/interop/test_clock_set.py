@@ -65,4 +65,4 @@ def test_the_robot_drives_on(tmp_path: Path, shifts: tuple[int, ...]) -> None:
             assert asked.ended is None, asked.reason
         if len(shifts) == 1 and shifts[0]:  # only once: the drive takes 20 s
             until(lambda: asked.ended, "the goal ends", 90)
-            assert chain.off("kitchen") < 0.3, asked.reason
+            assert chain.distance_to("kitchen") < 0.3, asked.reason

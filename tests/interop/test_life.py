@@ -10,7 +10,7 @@ import pytest
 from tests.interop.deployment import Deployment
 from tests.interop.test_topics import cross
 from tests.support.lane import LANE
-from tests.support.process import stands_still
+from tests.support.process import is_stopped
 from tests.support.wait import until
 
 STRING = "std_msgs/String"
@@ -68,7 +68,7 @@ def test_commands_that_piled_up_before_a_stopped_worker_are_dropped(running: Dep
         pid = running.worker(side)["pid"]
         before = len(ros1.wait(heard, 0, 0))
         os.kill(pid, signal.SIGSTOP)
-        until(lambda pid=pid: stands_still(pid), f"{side} stands still")
+        until(lambda pid=pid: is_stopped(pid), f"{side} stands still")
         for _ in range(10):
             ros2.publish(out, twist(9.0))
         # The commands must have grown old when the worker goes on.

@@ -35,7 +35,7 @@ def stands_and_says(chain: Chain, fault: str, word: str) -> None:
     since = time.monotonic()
     chain.fail(fault)
     chain.until_still(20)
-    until(lambda: any(word in why for _, why in chain.said(since)), f"the client hears of the {word}", 20)
+    until(lambda: any(word in why for _, why in chain.statuses_since(since)), f"the client hears of the {word}", 20)
     chain.until_still(20)
     chain.mend(fault)
     chain.until_moving(30)
@@ -51,7 +51,7 @@ def test_faults_on_the_way(tmp_path: Path) -> None:
         stands_and_says(chain, "laser_silent", "laser is silent")
         stands_and_says(chain, "encoders_silent", "odometry is stale")
         assert asked.ended is None
-        until(lambda: chain.said(asked.began)[-1][0] == "moving", "the client hears that it goes on", 20)
+        until(lambda: chain.statuses_since(asked.began)[-1][0] == "moving", "the client hears that it goes on", 20)
 
         killed = chain.kill("robot_path_planner")
         chain.until_still(20)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tests.interop.deployment import Deployment
 from tests.support.ports import free_port
 from tests.support.wait import until
-from tests.support.yarp_script import said, start
+from tests.support.yarp_script import output_lines, start
 
 
 def test_a_script_is_heard_by_ros1_and_ros2_and_hears_either(deployment: Deployment) -> None:
@@ -23,7 +23,7 @@ def test_a_script_is_heard_by_ros1_and_ros2_and_hears_either(deployment: Deploym
             for peer, heard in velocity.items():
                 assert peer.wait(heard, 1, 30)[0]["angular"]["z"] == -1.5
             until(lambda s=sender, g=goal, r=script: s.publish(g, pose) or r.poll() is not None, "it hears", 30, 0.1)
-            assert said(script) == ["map 0 3.5 1.0"]
+            assert output_lines(script) == ["map 0 3.5 1.0"]
         finally:
             script.kill()
             script.wait()

@@ -80,7 +80,7 @@ def test_real_programs_and_every_dialect(programs: dict[str, Any], deployment: D
         name = f"/{from_}_{to}_map"
         out = programs[from_].advertise(f"/json{name}" if from_ == "json" else name, GRID, latched=True, depth=1)
         if from_ != "ros2dds":
-            programs[from_].until_heard_of(out)
+            programs[from_].until_subscribed(out)
         programs[from_].publish(out, MAP)
         deployment.until_route(to, name, "out", messages=1)
         late = programs[to].subscribe(name, GRID, latched=True, depth=1)

@@ -14,7 +14,7 @@ PERIOD = 0.05
 WATCHDOG = 0.5
 """Seconds without a command after which the base brakes, like the driver of a real one."""
 TURN_RAMP = 4.0
-"""A base with a ramp of 1 m/s² changes its rotation by so many rad/s²."""
+"""Angular acceleration, rad/s², of a base with a ramp of 1 m/s²."""
 
 
 class Body:

@@ -1,4 +1,4 @@
-"""Servers and calls in the test's own process, by fields; with the words of `tests.support.peer`."""
+"""Servers and calls in the test's own process, by fields; parameters as in `tests.support.peer`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bridge.messages.registry import Registry
 
 
 class Serving:
-    """A server that gives one answer to all: the fields of a reply, or an error; held until it is released."""
+    """A server with one answer to all requests: a reply's fields, or an error; optionally held until `release`."""
 
     def __init__(self, registry: Registry, type_name: str, params: dict[str, Any]) -> None:
         self._registry, self._type = registry, type_name
@@ -53,7 +53,7 @@ class Serving:
 
 
 class Calling:
-    """One call, and how it ended."""
+    """One call, and its outcome."""
 
     def __init__(self, registry: Registry, type_name: str, request: dict[str, Any], call: Call) -> None:
         self._registry, self._type = registry, type_name

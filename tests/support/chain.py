@@ -1,6 +1,7 @@
-"""The whole way from a goal to the wheels: `midspan run` with simulator, base control, localizer, planner and gateway.
+"""The whole chain from a goal to the wheels: `midspan run` with simulator, controllers, planner and gateway.
 
-One machine, Midspan alone. Who asks is a program of its own on the hub; where the robot truly is says the simulator.
+Everything is part of Midspan, on one machine. The client is a separate program on the hub; the simulator publishes the
+true pose.
 """
 
 from __future__ import annotations
@@ -39,12 +40,12 @@ MODULES = ("base_control", "map2d_server", "localization_server", "robot_goto", 
 NAVIGATE, STATUS = "nav2_msgs/action/NavigateToPose", "midspan_msgs/msg/NavigationStatus"
 _KEPT = Qos(durability=Durability.TRANSIENT_LOCAL, depth=10)
 _STILL = 0.01
-"""m/s and rad/s below which wheels stand still."""
+"""m/s and rad/s below which the robot counts as standing."""
 
 
 @dataclass
 class Truth:
-    """Where the robot truly is: seconds of the simulation (of the machine at speed 1), meters, rad, m/s, rad/s."""
+    """The robot's true state: seconds of the simulation (of the machine at speed 1), meters, rad, m/s, rad/s."""
 
     time: float
     x: float
@@ -55,13 +56,13 @@ class Truth:
 
     @property
     def still(self) -> bool:
-        """Whether it stands."""
+        """Whether the robot stands."""
         return self.speed < _STILL and abs(self.turning) < _STILL
 
 
 @dataclass
-class Asked:
-    """A goal that the client sent, and what it heard of it."""
+class SentGoal:
+    """A goal of the client, with its feedback and result."""
 
     began: float = field(default_factory=time.monotonic)
     accepted: bool | None = None
@@ -74,7 +75,7 @@ class Asked:
 
 
 class Client:
-    """A program on the hub that gives goals and listens."""
+    """A program on the hub that sends goals and calls services."""
 
     def __init__(self, settings: HubSettings) -> None:
         self._loop = EventLoop("client")
@@ -84,46 +85,46 @@ class Client:
         self._action = self.node.action_client("/navigate_to_pose", NAVIGATE)
         self._services: dict[str, Any] = {}
 
-    def goto(self, x: float, y: float, degrees: float, *, seconds: float = 30.0) -> Asked:
-        """Send a goal, once there is somebody to send it to."""
-        until(lambda: self._action.ready, "the gateway is there", seconds)
+    def goto(self, x: float, y: float, degrees: float, *, seconds: float = 30.0) -> SentGoal:
+        """Send a goal once the action is available."""
+        until(lambda: self._action.ready, "the gateway serves the action", seconds)
         half = math.radians(degrees) / 2
         turn = {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
         pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
-        asked = Asked()
+        sent_goal = SentGoal()
 
-        def ended(sent: Any, result: Mapping[str, Any] | None, why: str) -> None:
-            asked.ended = time.monotonic()
-            asked.reason = str((result or {}).get("error_msg", "")) or why
-            asked.code = int((result or {}).get("error_code", 0))
-            asked.status = sent.status
+        def ended(sent: Any, result: Mapping[str, Any] | None, reason: str) -> None:
+            sent_goal.ended = time.monotonic()
+            sent_goal.reason = str((result or {}).get("error_msg", "")) or reason
+            sent_goal.code = int((result or {}).get("error_code", 0))
+            sent_goal.status = sent.status
 
         def send() -> None:
             goal = {"pose": {"header": {"frame_id": "map"}, "pose": pose}}
-            asked.sent = self._action.send(goal, ended, asked.feedback.append)
+            sent_goal.sent = self._action.send(goal, ended, sent_goal.feedback.append)
 
         self._loop.call(send)
-        return asked
+        return sent_goal
 
-    def cancel(self, asked: Asked) -> None:
+    def cancel(self, sent_goal: SentGoal) -> None:
         """Cancel a goal."""
-        self._loop.call(asked.sent.cancel)
+        self._loop.call(sent_goal.sent.cancel)
 
     def call(self, name: str, kind: str, /, *, patience: float = 20.0, **request: Any) -> dict[str, Any]:
         """Call a service."""
         client = self._services.get(name)
         if client is None:
             client = self._services[name] = self._loop.call(lambda: self.node.client(name, kind))
-        until(lambda: client.ready, f"{name} is there", 40)
-        done, found = threading.Event(), []
+        until(lambda: client.ready, f"{name} is served", 40)
+        done, replies = threading.Event(), []
 
         def replied(reply: dict[str, Any] | CallError) -> None:
-            found.append(reply)
+            replies.append(reply)
             done.set()
 
         self._loop.call(lambda: client.call(request, replied))
-        assert done.wait(patience), f"{name} has not answered"
-        reply = found[0]
+        assert done.wait(patience), f"no reply from {name}"
+        reply = replies[0]
         assert not isinstance(reply, CallError), f"{name}: {reply}"
         return reply
 
@@ -135,13 +136,13 @@ class Client:
 
 
 class Chain:
-    """The deployment, and a client that watches.
+    """The deployment, and a client that records its status.
 
     Args:
-        folder: for its files.
+        folder: for the deployment's files.
         speed: of the simulation.
-        sim: more of the section ``sim``.
-        sections: others of the configuration.
+        sim: further keys of the section ``sim``.
+        sections: further sections of the configuration.
     """
 
     def __init__(
@@ -187,10 +188,10 @@ class Chain:
         self.daemon: Process | None = None
         self._clients: list[Client] = []
         self.truth: Truth | None = None
-        self.heard: list[tuple[float, str, str]] = []
+        self.statuses: list[tuple[float, str, str]] = []
 
     def start(self) -> None:
-        """Start the daemon, and hear what it says."""
+        """Start the daemon, and a client that records its status."""
         self.write()
         command = [sys.executable, "-m", "bridge.cli.main", "run", "--config", self.file]
         self.daemon = Process(command, imports=DAEMON)
@@ -198,12 +199,12 @@ class Chain:
         self.listen(self.client, self.client)
 
     def listen(self, client: Client, watcher: Client) -> None:
-        """Hear what the client is told, and where the robot truly is from whoever watches it."""
+        """Record the status as the client receives it, and the true pose as the watcher does."""
         watcher.node.subscription("/ground_truth", "nav_msgs/msg/Odometry", self._true, Qos(depth=1))
-        client.node.subscription("/navigation/status", STATUS, self._told, _KEPT)
+        client.node.subscription("/navigation/status", STATUS, self._on_status, _KEPT)
 
     def output(self) -> str:
-        """The last of the log."""
+        """Return the end of the daemon's log."""
         return self.daemon.output()[-8000:] if self.daemon else ""
 
     def write(self) -> None:
@@ -211,13 +212,13 @@ class Chain:
         self.file.write_text(yaml.safe_dump(self.config))
 
     def join(self, name: str, router: str = "") -> Client:
-        """A client on the hub, as soon as that is there; with a router's endpoint over that alone."""
+        """Return a client on the hub once it runs; with a router's endpoint, only through that router."""
         zenoh = {"mode": "client"} if router else None
         router = router or f"tcp/127.0.0.1:{self.port}"
         settings = HubSettings(router=router, zenoh=zenoh, node=name, daemon="far", worker=name, shared_memory=False)
-        made: Client = until(lambda: _opened(settings), "the hub is there", 40, every=0.2)
-        self._clients.append(made)
-        return made
+        client: Client = until(lambda: _opened(settings), "the hub runs", 40, every=0.2)
+        self._clients.append(client)
+        return client
 
     def _true(self, message: dict[str, Any]) -> None:
         pose, twist, stamp = message["pose"]["pose"], message["twist"]["twist"], message["header"]["stamp"]
@@ -231,64 +232,64 @@ class Chain:
             twist["angular"]["z"],
         )
 
-    def _told(self, message: dict[str, Any]) -> None:
-        self.heard.append((time.monotonic(), message["state"], message["reason"]))
+    def _on_status(self, message: dict[str, Any]) -> None:
+        self.statuses.append((time.monotonic(), message["state"], message["reason"]))
 
-    # what is done to it
+    # -- actions
 
-    def goto(self, name: str, **more: Any) -> Asked:
-        """Have it drive to a place of the plan."""
+    def goto(self, name: str, **more: Any) -> SentGoal:
+        """Send the robot to a place of the plan."""
         return self.client.goto(*self.places[name], **more)
 
-    def off(self, name: str) -> float:
-        """Meters from the robot to a place."""
+    def distance_to(self, name: str) -> float:
+        """Return the robot's distance to a place, in meters."""
         truth = self.truth
         return math.inf if truth is None else math.dist((truth.x, truth.y), self.places[name][:2])
 
     def fail(self, name: str) -> None:
-        """Have a sensor fail."""
+        """Inject a sensor fault."""
         assert self.client.call("/sim/fail", "midspan_msgs/srv/Named", name=name)["success"]
 
     def mend(self, name: str) -> None:
-        """Have it work again."""
+        """Remove a sensor fault."""
         assert self.client.call("/sim/mend", "midspan_msgs/srv/Named", name=name)["success"]
 
     def teleport(self, x: float, y: float, degrees: float) -> None:
-        """Stand the robot elsewhere."""
+        """Move the robot to a pose."""
         pose = {"x": x, "y": y, "theta": math.radians(degrees)}
         reply = self.client.call("/sim/teleport", "midspan_msgs/srv/Teleport", pose=pose)
         assert reply["success"], reply
 
     def kill(self, worker: str) -> int:
-        """End a worker's process as if it crashed; its process id."""
+        """Kill a worker's process, and return its process id."""
         pid = int(self.status(worker)["pid"])
         os.kill(pid, signal.SIGKILL)
         return pid
 
-    # what is seen of it
+    # -- observations
 
     def status(self, name: str) -> dict[str, Any]:
-        """What a module or worker tells of itself; nothing where it does not answer."""
+        """Return the status of a module or worker; empty if it does not reply."""
         answers = self.client.hub.ask("status", {}, worker=name, timeout=2.0)
         return next((a.value for a in answers if isinstance(a.value, dict)), {})
 
     def until(self, condition: Callable[[], Any], what: str, seconds: float = 30.0) -> float:
-        """Wait for something; the seconds that it took."""
+        """Wait for a condition, and return the seconds that it took."""
         began = time.monotonic()
         until(condition, what, seconds, every=0.01)
         return time.monotonic() - began
 
     def until_moving(self, seconds: float = 40.0) -> float:
-        """Until it drives."""
+        """Wait until the robot drives."""
         return self.until(lambda: self.truth is not None and self.truth.speed > 0.1, "the robot drives", seconds)
 
     def until_still(self, seconds: float = 20.0) -> float:
-        """Until the wheels stand."""
+        """Wait until the robot stands."""
         return self.until(lambda: self.truth is not None and self.truth.still, "the robot stands", seconds)
 
-    def said(self, since: float) -> list[tuple[str, str]]:
-        """States and reasons that the client heard since a time (monotonic)."""
-        return [(state, why) for at, state, why in self.heard if at >= since]
+    def statuses_since(self, since: float) -> list[tuple[str, str]]:
+        """Return the states and reasons that the client has received since a time (monotonic)."""
+        return [(state, reason) for received_at, state, reason in self.statuses if received_at >= since]
 
     def __enter__(self) -> Self:
         return self

@@ -17,7 +17,7 @@ _CONFIG = """<CycloneDDS><Domain>
 <Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>120</MaxAutoParticipantIndex>
 <Peers><Peer address="127.0.0.1"/></Peers></Discovery>
 </Domain></CycloneDDS>"""
-"""This machine only. Midspan's participant has a number above 31, which Cyclone DDS by itself would not try."""
+"""This machine only. Midspan's participant index is above 31, which Cyclone DDS does not try by default."""
 
 
 class CyclonePeer(Peer):
@@ -30,23 +30,23 @@ class CyclonePeer(Peer):
         super().__init__(PROGRAM, Path(sys.executable), env)
 
     def serve(self, service: str, type_: str, reply: bytes) -> int:
-        """Serve with one reply for all; the server's id."""
+        """Serve with one reply for all requests; return the server's id."""
         return int(self.ask("serve", service=service, type=type_, reply=reply.hex())["id"])
 
     def act(self, action: str, type_: str, reply: bytes = b"\0\1\0\0\1") -> int:
-        """Serve the three services and two topics of an action; the id of its servers."""
+        """Serve the three services and two topics of an action; return the id of its servers."""
         return int(self.ask("act", action=action, type=type_, reply=reply.hex())["id"])
 
     def requests(self, server: int) -> list[bytes]:
-        """All requests as they came, with whatever header they have."""
+        """Return all requests as received, with their headers."""
         return _payloads(self.ask("requests", id=server))
 
     def call(self, service: str, type_: str, request: bytes) -> int:
-        """Call a service; the call's id."""
+        """Call a service; return the call's id."""
         return int(self.ask("call", service=service, type=type_, request=request.hex())["id"])
 
     def reply(self, call: int, seconds: float = 20.0) -> bytes:
-        """The reply to a call, b"" if none comes in time."""
+        """Return the reply to a call, b"" if none arrives in time."""
         return bytes.fromhex(self.ask("result", id=call, seconds=seconds)["reply"])
 
     def put(self, endpoint: int, payload: bytes) -> None:
@@ -54,7 +54,7 @@ class CyclonePeer(Peer):
         self.ask("publish", id=endpoint, payload=payload.hex())
 
     def received(self, endpoint: int, count: int, seconds: float = 20.0) -> list[bytes]:
-        """All messages of a subscription as CDR, once ``count`` have come or the time is over."""
+        """Return all messages of a subscription as CDR, after ``count`` have arrived or the time is over."""
         return _payloads(self.ask("wait", id=endpoint, count=count, seconds=seconds))
 
 

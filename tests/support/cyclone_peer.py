@@ -39,11 +39,11 @@ LATCHED = Qos(Policy.Durability.TransientLocal, base=RELIABLE)
 
 
 class Bytes(bytes):
-    """A payload; the wheel sets ``sample_info`` on what it takes."""
+    """A payload; the wheel sets ``sample_info`` on samples."""
 
 
 def raw_type(name: str) -> Any:
-    """A type of this DDS name whose samples are bytes."""
+    """Return a type with this DDS name whose samples are bytes."""
 
     @dataclass
     class Raw(IdlStruct, typename=name):
@@ -59,7 +59,7 @@ def raw_type(name: str) -> Any:
 
 
 def dds_type(name: str, kind: str) -> str:
-    """``package::msg::dds_::Name_`` of ``package/Name``, with the kind that it does not name."""
+    """Return ``package::msg::dds_::Name_`` of ``package/Name``; ``kind`` is used if the name has none."""
     package, *middle, short = name.split("/")
     return f"{package}::{middle[0] if middle else kind}::dds_::{short}_"
 
@@ -83,7 +83,7 @@ class Reader(Listener):  # type: ignore[misc]
                 self._received(bytes(payload))
 
     def wait(self, count: int, seconds: float) -> list[bytes]:
-        """All payloads, once there are ``count`` or the time is over."""
+        """Return all payloads, after ``count`` have arrived or the time is over."""
         with self._arrived:
             self._arrived.wait_for(lambda: len(self.payloads) >= count, seconds)
             return list(self.payloads)
@@ -102,7 +102,7 @@ class Writer:
         self.end.write(self._make(byte=payload))
 
     def matched(self) -> int:
-        """How many readers have matched."""
+        """Return the number of matched readers."""
         return len(self.end.get_matched_subscriptions())
 
 
@@ -137,19 +137,19 @@ class Client:
         self.writer.write(request[:4] + self._header + request[4:])
 
     def reply(self, seconds: float) -> bytes:
-        """The reply without its header, b"" without one."""
+        """Return the reply without its header, b"" if none arrives."""
         end = time.monotonic() + seconds
         count = 0
         while True:
             payloads = self._reader.wait(count + 1, max(0.0, end - time.monotonic()))
-            own = [payload for payload in payloads if payload[HEADER] == self._header]
-            if own or len(payloads) == count:
-                return own[0][:4] + own[0][HEADER.stop :] if own else b""
+            matching = [payload for payload in payloads if payload[HEADER] == self._header]
+            if matching or len(payloads) == count:
+                return matching[0][:4] + matching[0][HEADER.stop :] if matching else b""
             count = len(payloads)
 
 
 class Peer:
-    """The participant and the commands on it."""
+    """The participant, and the commands that use it."""
 
     def __init__(self, domain: int) -> None:
         self.participant = DomainParticipant(domain)
@@ -158,7 +158,7 @@ class Peer:
         self._count = 0
 
     def topic(self, name: str, type_: str) -> Topic:
-        """The topic, described once."""
+        """Return the topic, which is created once."""
         if name not in self._topics:
             self._topics[name] = Topic(self.participant, name, raw_type(type_))
         return self._topics[name]
@@ -187,7 +187,7 @@ class Peer:
     def requests(self, id: int) -> dict[str, Any]:  # noqa: A002
         server = self._ends[id]
         servers = server if isinstance(server, list) else [server]
-        return {"payloads": [request.hex() for one in servers for request in one.reader.wait(0, 0)]}
+        return {"payloads": [request.hex() for served in servers for request in served.reader.wait(0, 0)]}
 
     def act(self, action: str, type: str, reply: str) -> dict[str, Any]:  # noqa: A002
         services = {"send_goal": f"{type}_SendGoal", "get_result": f"{type}_GetResult"}
@@ -208,8 +208,8 @@ class Peer:
         return {"reply": self._ends[id].reply(seconds).hex()}
 
 
-def obey(peer: Peer, command: Mapping[str, Any]) -> dict[str, Any]:
-    """Carry out one command."""
+def execute(peer: Peer, command: Mapping[str, Any]) -> dict[str, Any]:
+    """Execute one command."""
     params = dict(command)
     try:
         return {"ok": True, **getattr(peer, params.pop("do"))(**params)}
@@ -218,13 +218,13 @@ def obey(peer: Peer, command: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Obey the commands on standard input until it ends."""
+    """Execute the commands from standard input until it ends."""
     peer = Peer(int(os.environ["ROS_DOMAIN_ID"]))
     for line in sys.stdin:
         command = json.loads(line)
         if command["do"] == "exit":
             break
-        print(json.dumps(obey(peer, command)), flush=True)
+        print(json.dumps(execute(peer, command)), flush=True)
 
 
 if __name__ == "__main__":

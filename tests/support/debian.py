@@ -1,4 +1,4 @@
-"""A fresh Debian or Ubuntu in a folder: debootstrap makes it, and its own systemd runs in namespaces as process 1."""
+"""A fresh Debian or Ubuntu in a folder: debootstrap creates it, and its own systemd runs in namespaces as process 1."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.support.process import Process
 from tests.support.wait import until
 
 CACHE = Path(__file__).resolve().parents[2] / ".cache" / "debootstrap"
-"""Packages that debootstrap got, kept between runs; and what it makes, for a day: more than one test begins with it."""
+"""Cache of debootstrap's packages, and for a day of the systems it created, since several tests begin with one."""
 
 DAY = 24 * 3600  # seconds
 
@@ -32,7 +32,7 @@ umount "$2"
 shift 2
 exec "$@"
 """
-"""In a cgroup of its own, wherever this machine has them mounted."""
+"""Runs a command in a new cgroup, wherever this machine has cgroups mounted."""
 
 _BOOT = r"""
 tree=$1
@@ -60,29 +60,29 @@ pivot_root . .
 umount -l .
 exec env -i container=lxc PATH=/usr/sbin:/usr/bin:/sbin:/bin /sbin/init
 """
-"""What systemd expects of who starts a container: https://systemd.io/CONTAINER_INTERFACE"""
+"""Starts systemd in a container as https://systemd.io/CONTAINER_INTERFACE demands."""
 
 _REMOVE_CGROUP = r"""
 mount --make-rprivate /
 mount -t cgroup2 cgroup2 "$2"
 until find "$2/$1" -depth -type d -exec rmdir {} + 2>/dev/null || [ ! -e "$2/$1" ]; do
-    sleep 0.1 # what was killed is not gone yet
+    sleep 0.1 # killed processes are still exiting
 done
 """
 
 
 class Root:
-    """The files of a fresh system in a folder: what debootstrap takes for the smallest one, and certificates.
+    """The files of a fresh system in a folder: debootstrap's minimal variant, and certificates.
 
     Args:
-        folder: where to make it.
-        suite: the release; Ubuntu's signatures are not looked at.
+        folder: where it is created.
+        suite: the release; Ubuntu's signatures are not checked.
     """
 
     def __init__(self, folder: Path, suite: str) -> None:
         self.folder = folder
         folder.mkdir()
-        self._call(["mount", "-t", "tmpfs", "-o", "mode=755", "tmpfs", folder], 10)  # dpkg and the end are quicker
+        self._call(["mount", "-t", "tmpfs", "-o", "mode=755", "tmpfs", folder], 10)  # speeds up dpkg and the removal
         CACHE.mkdir(parents=True, exist_ok=True)
         packed = CACHE / f"{suite}.tar"
         with (CACHE / f"{suite}.lock").open("w") as lock:
@@ -98,7 +98,7 @@ class Root:
 
     def _debootstrap(self, suite: str) -> None:
         command = ["debootstrap", "--variant=minbase", f"--cache-dir={CACHE}", "--include=ca-certificates"]
-        if suite == "noble":  # Debian's debootstrap may know neither the name nor the keys
+        if suite == "noble":  # Debian's debootstrap may have neither the suite nor its keys
             command += ["--components=main,universe", "--no-check-gpg"]
             last = ["http://archive.ubuntu.com/ubuntu", "/usr/share/debootstrap/scripts/gutsy"]
         else:
@@ -116,15 +116,15 @@ class Root:
         return done.stdout
 
     def chroot(self, *words: str, seconds: float = 300) -> str:
-        """Run a program on its files, with this machine's network."""
+        """Run a program in a chroot, with this machine's network."""
         return self._call(["chroot", str(self.folder), *words], seconds)
 
     def files(self) -> set[str]:
-        """All paths on its disk."""
+        """Return all paths of the system."""
         return set(self._call(["find", self.folder, "-xdev", "-printf", "/%P\n"], 60).splitlines())
 
     def close(self) -> None:
-        """Remove it."""
+        """Remove the system."""
         with contextlib.suppress(AssertionError):
             self._call(["umount", "--lazy", self.folder], 30)
 
@@ -138,29 +138,29 @@ class Root:
 
 
 def proxies() -> dict[str, str]:
-    """This machine's variables of that kind."""
+    """Return this machine's proxy variables."""
     return {name: value for name, value in os.environ.items() if name.lower().endswith("_proxy")}
 
 
 def _archive(suite: str) -> list[str]:
-    """Where apt here is set up for the release; else debootstrap knows one."""
-    asked = ["apt-get", "indextargets", "--format", "$(SITE)", "Identifier: Packages", f"Codename: {suite}"]
-    return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.split()[:1]
+    """Return the archive that this machine's apt uses for the release; empty: debootstrap's default."""
+    command = ["apt-get", "indextargets", "--format", "$(SITE)", "Identifier: Packages", f"Codename: {suite}"]
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()[:1]
 
 
 def inner(process: Process) -> str:
-    """The process id of what ``unshare --fork`` starts."""
+    """Return the process id of the child of ``unshare --fork``."""
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
 
     def started() -> list[str]:
         assert process.popen.poll() is None, process.output()
         return children.read_text().split()
 
-    return until(started, "it has started")[0]
+    return until(started, "the child has started")[0]
 
 
 class Tree(Root):
-    """A system that runs by itself; nothing of it is on this machine's network then."""
+    """A system with its own systemd, isolated from this machine's network."""
 
     def __init__(self, folder: Path, suite: str) -> None:
         super().__init__(folder, suite)
@@ -172,11 +172,11 @@ class Tree(Root):
         self.chroot("apt-get", "install", "-y", "--no-install-recommends", "dbus", "systemd", "systemd-sysv")
 
     def boot(self) -> None:
-        """Start its systemd, and wait until that has started everything."""
+        """Start systemd, and wait until all units have started."""
         mount = self.folder.parent / "mount"
-        apart = ["unshare", "--mount", "sh", "-ec", _CGROUP, "sh", self._name, mount]
-        own = ["unshare", "--mount", "--pid", "--fork", "--uts", "--ipc", "--cgroup", "--kill-child=SIGKILL"]
-        self._init = Process(self.machine.command(*apart, *own, "sh", "-ec", _BOOT, "sh", self.folder))
+        cgroup = ["unshare", "--mount", "sh", "-ec", _CGROUP, "sh", self._name, mount]
+        namespaces = ["unshare", "--mount", "--pid", "--fork", "--uts", "--ipc", "--cgroup", "--kill-child=SIGKILL"]
+        self._init = Process(self.machine.command(*cgroup, *namespaces, "sh", "-ec", _BOOT, "sh", self.folder))
         until(self._is_up, "systemd runs in the tree", 60)
 
     def _is_up(self) -> bool:
@@ -192,11 +192,11 @@ class Tree(Root):
         return ["nsenter", f"--target={inner(self._init)}", *kinds]
 
     def run(self, *words: str, seconds: float = 120, code: int = 0) -> str:
-        """Run a program in it, as root."""
+        """Run a program in the system, as root."""
         return self._call([*self._enter(), *words], seconds, code)
 
     def close(self) -> None:
-        """End all of it, and remove it."""
+        """Kill the system's processes, and remove the system."""
         if self._init is not None:
             self._init.signal(signal.SIGKILL)
             self._init.stop()

@@ -1,4 +1,4 @@
-"""This process without a single file descriptor left."""
+"""Exhausts this process's file descriptors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def no_descriptors() -> Iterator[None]:
-    """While it is entered, whatever needs a new descriptor fails with EMFILE."""
+    """Let all attempts to open a new descriptor fail with EMFILE inside the context."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     held = [os.open(os.devnull, os.O_RDONLY)]
     try:

@@ -1,4 +1,4 @@
-"""What a program of a side and one or two hubs say to each other through two daemons, and that it comes once."""
+"""An exchange between a program of a side and one or two hubs through two daemons, without loss and duplicates."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ STRING = "std_msgs/String"
 
 
 def exchange(
-    program: Any, out: int, heard: int, far: Sequence[HubSide], settled: Callable[[], bool] = lambda: True
+    program: Any, out: int, received: int, far: Sequence[HubSide], settled: Callable[[], bool] = lambda: True
 ) -> list[int]:
-    """Have all say twenty things on ``/both``; everybody hears each once, and nothing of his own comes back.
+    """Publish 20 messages from each participant on ``/both``; each arrives once everywhere, and none is looped back.
 
-    ``settled`` tells whether the daemons keep the ports that they have now.
+    ``settled`` returns whether the daemons' ports are final.
 
     Returns:
         the hubs' publishers.
@@ -24,9 +24,9 @@ def exchange(
     at_far = [end.subscribe("/both", STRING) for end in far]
     from_far = [end.advertise("/both", STRING) for end in far]
     ends = list(zip(far, from_far, at_far, strict=True))
-    until_all_hear(program, out, heard, ends)
-    until(settled, "all have the ports that they keep")
-    until_all_hear(program, out, heard, ends)
+    until_all_receive(program, out, received, ends)
+    until(settled, "the daemons' ports are final")
+    until_all_receive(program, out, received, ends)
     for number in range(20):
         program.publish(out, {"data": f"program {number}"})
         for which, (end, sender, _) in enumerate(ends):
@@ -34,16 +34,16 @@ def exchange(
     from_program = [f"program {n}" for n in range(20)]
     from_hubs = [f"far {which} {n}" for which in range(len(far)) for n in range(20)]
     try:
-        until(lambda: set(from_hubs) <= _texts(program, heard), "the program heard everything")
+        until(lambda: set(from_hubs) <= _texts(program, received), "the program receives everything")
         for end, _, subscription in ends:
-            until(lambda e=end, s=subscription: set(from_program) <= _texts(e, s), "a hub heard everything")
+            until(lambda e=end, s=subscription: set(from_program) <= _texts(e, s), "a hub receives everything")
     except AssertionError as error:
-        error.add_note(f"at the program: {sorted(m['data'] for m in program.wait(heard, 1, 0.1))}")
+        error.add_note(f"at the program: {sorted(m['data'] for m in program.wait(received, 1, 0.1))}")
         for end, _, subscription in ends:
             error.add_note(f"at a hub: {sorted(_texts(end, subscription))}; its bridges: {_routes(end)}")
         raise
-    got = sorted(m["data"] for m in program.wait(heard, 10_000, 0.5) if "probe" not in m["data"])
-    # the programs of one network hear each other, themselves among them
+    got = sorted(m["data"] for m in program.wait(received, 10_000, 0.5) if "probe" not in m["data"])
+    # on the program's network it also receives its own messages
     assert got == sorted(from_hubs + from_program)
     for end, _, subscription in ends:
         got = sorted(m["data"] for m in end.wait(subscription, 10_000, 0.2) if m["data"].startswith("program"))
@@ -51,37 +51,37 @@ def exchange(
     return from_far
 
 
-def _texts(end: Any, heard: int) -> set[str]:
-    return {m["data"] for m in end.wait(heard, 1, 0.1)}
+def _texts(end: Any, subscription: int) -> set[str]:
+    return {m["data"] for m in end.wait(subscription, 1, 0.1)}
 
 
 def _routes(end: HubSide) -> list[Any]:
-    """What the bridges of a hub say of their routes, and of what they dropped."""
-    said = [answer.value for answer in end.hub.ask("status", {}) if isinstance(answer.value, dict)]
-    return [{key: one.get(key) for key in ("worker", "state", "lease", "routes")} for one in said]
+    """Return the bridges' status on a hub: routes and dropped messages."""
+    statuses = [answer.value for answer in end.hub.ask("status", {}) if isinstance(answer.value, dict)]
+    return [{key: status.get(key) for key in ("worker", "state", "lease", "routes")} for status in statuses]
 
 
-def until_all_hear(program: Any, out: int, heard: int, far: list[tuple[HubSide, int, int]]) -> None:
-    """Until a new probe of the program is at every hub, and one of every hub at the program."""
-    mark = f"probe {len(program.wait(heard, 0))}"
+def until_all_receive(program: Any, out: int, received: int, far: list[tuple[HubSide, int, int]]) -> None:
+    """Wait until a new probe of the program arrives at every hub, and one of every hub at the program."""
+    mark = f"probe {len(program.wait(received, 0))}"
 
     missing: set[str] = set()
 
-    def once() -> bool:
+    def probes_arrived() -> bool:
         missing.clear()
         program.publish(out, {"data": mark})
         for which, (end, sender, subscription) in enumerate(far):
             end.publish(sender, {"data": f"{mark} {which}"})
             if mark not in _texts(end, subscription):
                 missing.add(f"the program's at hub {which}")
-        at_program = _texts(program, heard)
+        at_program = _texts(program, received)
         missing.update(
             f"hub {which}'s at the program" for which in range(len(far)) if f"{mark} {which}" not in at_program
         )
         return not missing
 
     try:
-        until(once, "probes cross", 30)
+        until(probes_arrived, "probes arrive", 30)
     except AssertionError as error:
         error.add_note(f"missing: {sorted(missing)}")
         raise

@@ -1,4 +1,4 @@
-"""An edge on a network in memory, for tests of the engine alone. Payloads are CDR; names are ROS 2's."""
+"""An edge on an in-memory network, for tests of only the engine. Payloads are CDR; names are ROS 2's."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bridge.routing.edge import Deliver, Edge, EdgeListener, Endpoint, Kind, Mad
 
 @dataclass(eq=False)
 class Writer:
-    """A publisher on the fake network; what it retains goes to late joiners while it lives."""
+    """A publisher on the fake network; late joiners receive its retained messages while it exists."""
 
     endpoint: Endpoint
     retained: dict[str, bytes] = field(default_factory=dict)
@@ -61,7 +61,7 @@ class FakeNetwork:
         self._watchers.append(changed)
 
     def restart(self, identity: str | None) -> None:
-        """The network goes away (None) or comes back under another identity, without its native endpoints."""
+        """Remove the network (None) or restart it with another identity, without its native endpoints."""
         with self._lock:
             self.identity = identity
             self._writers = [w for w in self._writers if w.endpoint.made_by is MadeBy.MIDSPAN]
@@ -70,7 +70,7 @@ class FakeNetwork:
         self._changed()
 
     def retained(self) -> list[bytes]:
-        """What latched writers keep for late readers."""
+        """Return the messages that latched writers retain for late readers."""
         with self._lock:
             return [payload for writer in self._writers for payload in writer.retained.values()]
 
@@ -215,8 +215,8 @@ class FakeEdge(Edge):
         listener.graph_changed()
 
     def stop(self) -> None:
-        for made in self._made:
-            made.close()
+        for endpoint in self._made:
+            endpoint.close()
         self._made = []
 
     def network(self) -> str | None:
@@ -252,8 +252,8 @@ class FakeEdge(Edge):
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> _Subscription:
         native: Deliver = lambda payload, source, time_ns: self._if_native(payload, source, time_ns, deliver)  # noqa: E731
         reader = self._network.read_from(topic, side_type.name, qos, MadeBy.MIDSPAN, "/midspan", native)
-        self._made.append(made := _Subscription(self._network, reader))
-        return made
+        self._made.append(subscription := _Subscription(self._network, reader))
+        return subscription
 
     def _if_native(self, payload: bytes, source: str, time_ns: int | None, deliver: Deliver) -> None:
         if any(e.id == source and e.made_by is MadeBy.NATIVE for e in self._network.endpoints()):
@@ -261,8 +261,8 @@ class FakeEdge(Edge):
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> _Publisher:
         writer = self._network.write_on(topic, side_type.name, qos, MadeBy.MIDSPAN, "/midspan")
-        self._made.append(made := _Publisher(self._network, writer))
-        return made
+        self._made.append(publisher := _Publisher(self._network, writer))
+        return publisher
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
         return self._same_service(endpoint.type, "")
@@ -277,10 +277,10 @@ class FakeEdge(Edge):
 
     def caller(self, name: str, side_type: SideType) -> _Caller:
         del side_type
-        self._made.append(made := _Caller(self._network, name))
-        return made
+        self._made.append(caller := _Caller(self._network, name))
+        return caller
 
     def serve(self, name: str, side_type: SideType, call: Call) -> _Server:
         server = self._network.serve(name, side_type.name, MadeBy.MIDSPAN, "/midspan", call)
-        self._made.append(made := _Server(self._network, server))
-        return made
+        self._made.append(served := _Server(self._network, server))
+        return served

@@ -1,4 +1,4 @@
-"""A TCP proxy that is a bad network: it loses, stalls, delays, slows down, goes half-open, and cuts connections."""
+"""A TCP proxy that simulates a bad network: loss, stalls, delay, low bandwidth, half-open and cut connections."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from typing import Self
 
 TICK = 0.005
 RETRANSMISSION = 0.2
-"""Seconds after which Linux sends a lost piece again at the earliest (TCP_RTO_MIN)."""
+"""Seconds until Linux retransmits a lost segment at the earliest (TCP_RTO_MIN)."""
 BUFFER = 64 << 10
-"""Bytes under way in one direction, as on a network of short queues."""
+"""Maximum bytes in flight per direction, as on a network with short queues."""
 
 
 class FaultProxy:
-    """Passes connections on to a port of loopback. ``up`` is from who connects, ``down`` is to them.
+    """Forwards connections to a port of loopback. ``up`` is the direction from the client, ``down`` to it.
 
     Attributes:
-        port: where it listens on 127.0.0.1.
-        delay: seconds that every byte takes more.
-        loss: share of the pieces that are lost; as TCP sends them again, they come `RETRANSMISSION` late, and hold up
-            all that is behind them.
-        lost: pieces that were.
-        rate: bytes a second and direction, None for as many as will.
-        frozen: directions in which nothing moves; connections stay, and new ones are accepted.
+        port: the proxy's port on 127.0.0.1.
+        delay: additional latency of every byte, seconds.
+        loss: share of lost segments; as TCP retransmits them, they arrive `RETRANSMISSION` late, and hold up all later
+            ones.
+        lost: number of lost segments.
+        rate: bytes per second and direction, None for unlimited.
+        frozen: directions in which nothing is forwarded; connections stay open, and new ones are accepted.
     """
 
     def __init__(self, to: int) -> None:
@@ -47,15 +47,15 @@ class FaultProxy:
         self._threads[0].start()
 
     def freeze(self, *directions: str) -> None:
-        """Let nothing through that way; without a direction, in neither."""
+        """Stop forwarding in these directions; by default in both."""
         self.frozen = frozenset(directions or ("up", "down"))
 
     def thaw(self) -> None:
-        """Let it through again, with what waited."""
+        """Resume forwarding, including the queued data."""
         self.frozen = frozenset()
 
     def cut(self) -> None:
-        """Close all connections; who connects again gets through."""
+        """Close all connections; new ones are forwarded."""
         with self._lock:
             links, self._links = self._links, []
         for sock in (sock for link in links for sock in link):
@@ -63,7 +63,7 @@ class FaultProxy:
                 sock.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Stop."""
+        """Close all connections, and wait for the threads."""
         self._open = False
         self.thaw()
         self.cut()
@@ -109,11 +109,11 @@ class FaultProxy:
                     data = source.recv(4096)
                     if not data:
                         return
-                    again = 0.0
+                    retransmission = 0.0
                     if random.random() < self.loss:
                         self.lost += 1
-                        again = RETRANSMISSION
-                    waiting.append((time.monotonic() + self.delay + again, data))
+                        retransmission = RETRANSMISSION
+                    waiting.append((time.monotonic() + self.delay + retransmission, data))
                     held += len(data)
                 elif held >= BUFFER:
                     time.sleep(TICK)
@@ -126,7 +126,7 @@ class FaultProxy:
 
 
 class _Ends:
-    """Both sockets of a connection, closed when both of its directions have ended."""
+    """Both sockets of a connection, closed once both directions have ended."""
 
     def __init__(self, *sockets: socket.socket) -> None:
         self._sockets = sockets

@@ -1,9 +1,10 @@
-"""Forks programs of the tests from a process that has imported what they import; `tests.support.forks` asks it.
+"""Forks test programs from a process that has already imported their modules, for `tests.support.forks`.
 
-Argument: the descriptor of a socket of packets. A request is ``{"args": .., "env": .., "cwd": .., "imports": [..]}`` in
-JSON, with four descriptors: the program's standard input, output and error, and a socket that is told the number of its
-process, and later its exit code. ``args`` are those of Python: a file and its arguments, or ``-m``, a module and these.
-It ends, and all its programs with it, once nobody can ask it any more. It runs with Python's standard library alone.
+Argument: the descriptor of a packet socket. A request is ``{"args": .., "env": .., "cwd": .., "imports": [..]}`` in
+JSON, with four descriptors: the program's standard input, output and error, and a socket that receives the program's
+process id and later its exit code. ``args`` are Python's arguments: a file and its arguments, or ``-m``, a module and
+its arguments. The server exits with all its programs once the packet socket is closed. It needs only Python's standard
+library.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _seen: set[Path] = set()
 
 
 def main() -> None:
-    """Serve; go on as the program in each process that is forked."""
+    """Serve requests; in each forked process, run the requested program."""
     control = socket.socket(fileno=int(sys.argv[1]))
     request = Server(control).run()
     if request is not None:
@@ -41,17 +42,17 @@ def main() -> None:
 
 
 class Server:
-    """The process from which the others are forked: it has one thread, and uses nothing of what it imports."""
+    """The process from which programs are forked; it has one thread, and does not use the modules that it imports."""
 
     def __init__(self, control: socket.socket) -> None:
         self._control = control
         self._poll = select.poll()
         self._poll.register(control, select.POLLIN)
         self._programs: dict[int, tuple[int, socket.socket]] = {}
-        """By the descriptor that tells its end: each process, and whom to tell."""
+        """Process id and notified socket of each program, by its pidfd."""
 
     def run(self) -> dict[str, Any] | None:
-        """Serve until nobody asks any more, and return None; in each forked process, return its request."""
+        """Serve until the control socket is closed, and return None; in each forked process, return its request."""
         while True:
             for descriptor, _ in self._poll.poll():
                 if descriptor in self._programs:
@@ -65,26 +66,26 @@ class Server:
                     return request
 
     def _fork(self, request: dict[str, Any], passed: list[int]) -> bool:
-        """Make a process for a program; True in that process."""
+        """Fork a process for a program; return True in that process."""
         prepare(request)
         gc.collect()
-        gc.freeze()  # or the collector of each process would write to what they share
+        gc.freeze()  # otherwise each process's collector writes to shared pages
         wait_for_quiet(request)
-        mine, told = os.getpid(), socket.socket(fileno=passed[3])
+        mine, owner = os.getpid(), socket.socket(fileno=passed[3])
         process = os.fork()
         if process:
             for descriptor in passed[:3]:
                 os.close(descriptor)
             ends = os.pidfd_open(process)
-            self._programs[ends] = process, told
+            self._programs[ends] = process, owner
             self._poll.register(ends, select.POLLIN)
             return False
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != mine:
-            os._exit(1)  # it ended before this process asked to be ended with it
+            os._exit(1)  # the server exited before prctl took effect
         os.setsid()
-        tell(told, {"pid": os.getpid()})  # signals reach the group from now on
-        told.close()
+        send(owner, {"pid": os.getpid()})  # signals reach the group from now on
+        owner.close()
         self._control.close()
         for descriptor, (_, other) in self._programs.items():
             os.close(descriptor)
@@ -95,43 +96,43 @@ class Server:
         return True
 
     def _ended(self, descriptor: int) -> None:
-        process, told = self._programs.pop(descriptor)
+        process, owner = self._programs.pop(descriptor)
         self._poll.unregister(descriptor)
         os.close(descriptor)
         _, status = os.waitpid(process, 0)
-        tell(told, {"code": os.waitstatus_to_exitcode(status)})
-        told.close()
+        send(owner, {"code": os.waitstatus_to_exitcode(status)})
+        owner.close()
 
 
-def tell(who: socket.socket, what: dict[str, Any]) -> None:
-    """Say something to who asked for a program, and may have forgotten it."""
+def send(owner: socket.socket, message: dict[str, Any]) -> None:
+    """Send a message to a program's owner, who may have closed the socket."""
     with contextlib.suppress(OSError):
-        who.send(json.dumps(what).encode())
+        owner.send(json.dumps(message).encode())
 
 
 def prepare(request: dict[str, Any]) -> None:
-    """Import what a program will: what it names, and what its file and those beside it import at their tops."""
+    """Import a program's modules: those requested, and those that its file and files next to it import at the top."""
     names = list(request["imports"])
     if request["args"][0] != "-m":
         names += imported(Path(request["args"][0]))
     for name in names:
-        with contextlib.suppress(Exception):  # the program says itself what it cannot import
+        with contextlib.suppress(Exception):  # the program reports its own import errors
             importlib.import_module(name)
 
 
 def wait_for_quiet(request: dict[str, Any]) -> None:
-    """No other thread may hold a lock: Python has none, and those of a tracer that is not there (LTTng) sleep."""
+    """Wait until no other thread may hold a lock: Python has none, and those of an absent tracer (LTTng) sleep."""
     deadline = time.monotonic() + 10.0
     while time.monotonic() < deadline and threading.active_count() == 1:
         tasks = [task for task in Path("/proc/self/task").iterdir() if task.name != str(os.getpid())]
         if all((task / "stat").read_text().rpartition(") ")[2].startswith("S") for task in tasks):
             return
         time.sleep(0.001)
-    sys.exit(f"{request['args']} imports something that starts threads, and cannot be forked after that")
+    sys.exit(f"{request['args']} cannot be forked, because one of its imports starts threads")
 
 
 def imported(file: Path) -> list[str]:
-    """Modules that a program imports, and those of the files beside it, but not these: other programs have others."""
+    """Return the modules that a program and its sibling files import, but not these files: other programs differ."""
     if file in _seen:
         return []
     _seen.add(file)
@@ -141,13 +142,13 @@ def imported(file: Path) -> list[str]:
         if isinstance(node, ast.ImportFrom) and node.module and not node.level:
             modules = [node.module]
         for module in modules:
-            beside = file.with_name(f"{module.partition('.')[0]}.py")
-            names += imported(beside) if beside.is_file() else [module]
+            sibling = file.with_name(f"{module.partition('.')[0]}.py")
+            names += imported(sibling) if sibling.is_file() else [module]
     return names
 
 
 def become(request: dict[str, Any]) -> None:
-    """Run the program in this process, as Python would that had just been started with it."""
+    """Run the program in this process, as a newly started Python would."""
     os.environ.clear()
     os.environ.update(request["env"])
     os.chdir(request["cwd"])
@@ -164,7 +165,7 @@ def become(request: dict[str, Any]) -> None:
         sys.path.insert(0, str(Path(args[0]).parent))
         module.__file__ = args[0]
         code = compile(Path(args[0]).read_bytes(), args[0], "exec")
-    sys.argv, sys.orig_argv = args, [sys.executable, *request["args"]]  # what a program runs itself again with
+    sys.argv, sys.orig_argv = args, [sys.executable, *request["args"]]  # used by programs that restart themselves
     sys.modules["__main__"] = module
     assert code is not None
     exec(code, module.__dict__)

@@ -1,8 +1,8 @@
-"""Python programs of the tests, forked where they would be started: most of a start goes into what they import.
+"""Forks Python test programs instead of starting them, because imports take most of a start.
 
-For each interpreter and environment that Python or the dynamic linker read at a start, one process imports what the
-programs import (`tests.support.fork_server`), and is forked for each of them. A program has its own environment,
-session, output and exit code, and nothing of another: the process that is forked uses nothing of what it imports.
+For each interpreter and start environment (what Python or the dynamic linker read), one process imports the programs'
+modules (`tests.support.fork_server`), and is forked for each program. A program has its own environment, session,
+output and exit code, and shares no state with others: the forked process does not use the modules that it imports.
 """
 
 from __future__ import annotations
@@ -25,35 +25,35 @@ from typing import IO
 SERVER = Path(__file__).with_name("fork_server.py")
 _TESTS = SERVER.parents[1]
 PYTHONS = (sys.executable, "/usr/bin/python3")
-"""Midspan's own, and ROS 1's."""
+"""Midspan's interpreter, and that of ROS 1."""
 
 DAEMON = ("bridge.config.load", "bridge.daemon.process", "bridge.daemon.supervisor")
-"""What `midspan run` and a worker that runs alone import. A daemon that is forked starts its workers as any does."""
+"""Imports of `midspan run` and of a single worker. A forked daemon starts its workers as usual."""
 
 _AT_START = ("PYTHON", "LD_", "_ROS_WHEELS", "MALLOC_", "GLIBC_", "MIDSPAN_")
-"""Beginnings of the names of variables that Python, the linker or Midspan read as they start or are imported."""
+"""Prefixes of variables that Python, the linker or Midspan read at a start or import."""
 
 _servers: dict[tuple[str, ...], Server] = {}
 _lock = threading.Lock()
-_names: dict[int, str] = {}
+_commands: dict[int, str] = {}
 
 
-def possible(args: Sequence[str]) -> bool:
-    """Whether such a command is a program of the tests in Python; others are started as their users start them."""
+def can_fork(args: Sequence[str]) -> bool:
+    """Return whether a command is a Python test program; other commands are started as usual."""
     return len(args) > 1 and args[0] in PYTHONS and Path(args[1]).is_relative_to(_TESTS)
 
 
 def close() -> None:
-    """End all that was forked."""
+    """End all forked programs."""
     with _lock:
         for server in _servers.values():
             server.close()
         _servers.clear()
 
 
-def name_of(pid: int) -> str:
-    """The command of a program that was forked, whose own process does not show it."""
-    return _names.get(pid, "")
+def command_of(pid: int) -> str:
+    """Return the command of a forked program, which its process does not show."""
+    return _commands.get(pid, "")
 
 
 class Server:
@@ -74,21 +74,21 @@ class Server:
             )
 
     def ask(self, request: bytes, descriptors: Sequence[int]) -> None:
-        """Have a program forked."""
+        """Request that a program is forked."""
         packed = array.array("i", descriptors)
         self._control.sendmsg([request], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, packed)])
 
     def output(self) -> str:
-        """What it says where it fails."""
+        """Return the server's error output."""
         return Path(self._log.name).read_text(errors="replace")
 
     @property
     def ended(self) -> bool:
-        """Whether it is no more."""
+        """Whether the process has exited."""
         return self._process.poll() is not None
 
     def close(self) -> None:
-        """End it, and with it all its programs."""
+        """End the process with all its programs."""
         self._control.close()
         self._process.wait()
         assert self._process.stdin is not None
@@ -97,7 +97,7 @@ class Server:
 
 
 def server_for(python: str, env: Mapping[str, str]) -> Server:
-    """The process to fork from."""
+    """Return the process to fork from."""
     early = {name: value for name, value in env.items() if name.startswith(_AT_START)}
     key = (python, *(f"{name}={early[name]}" for name in sorted(early)))
     with _lock:
@@ -105,7 +105,7 @@ def server_for(python: str, env: Mapping[str, str]) -> Server:
         if server is None or server.ended:
             if server is not None:
                 server.close()
-            # the rest is as the tests' own, for what tells them from other processes
+            # other variables stay those of the test process, which mark it
             others = {name: value for name, value in os.environ.items() if not name.startswith((*_AT_START, "ROS_"))}
             server = _servers[key] = Server(python, {**others, **early})
         return server
@@ -117,9 +117,9 @@ class Forked:
     Args:
         args: the interpreter; a file or ``-m`` and a module; its arguments.
         env: its environment.
-        log: where its standard error goes, and its output where that is not piped.
+        log: file for standard error, and for the output unless piped.
         pipes: whether its input and output are pipes of text.
-        imports: modules to import beforehand, beside those that a file imports at its top.
+        imports: modules to import beforehand, in addition to those that a file imports at its top.
     """
 
     def __init__(
@@ -136,7 +136,7 @@ class Forked:
         self.stdin: IO[str] | None = None
         self.stdout: IO[str] | None = None
         request = {"args": self.args[1:], "env": dict(env), "cwd": str(Path.cwd()), "imports": list(imports)}
-        self._told, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._owner, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with contextlib.ExitStack() as passed:
             passed.enter_context(theirs)
             if pipes:
@@ -148,44 +148,44 @@ class Forked:
             passed.callback(os.close, writes)
             server = server_for(self.args[0], env)
             server.ask(json.dumps(request).encode(), [reads, writes, log.fileno(), theirs.fileno()])
-        said = self._hear(None)
-        if not said or "pid" not in said:
-            for end in (self._told, self.stdin, self.stdout):
+        started = self._receive(None)
+        if not started or "pid" not in started:
+            for end in (self._owner, self.stdin, self.stdout):
                 if end is not None:
                     end.close()
             msg = f"{' '.join(self.args)} was not forked: {server.output()}"
             raise AssertionError(msg)
-        self.pid = said["pid"]
-        _names[self.pid] = " ".join(self.args)
+        self.pid = started["pid"]
+        _commands[self.pid] = " ".join(self.args)
 
-    def _hear(self, seconds: float | None) -> dict[str, int] | None:
-        """What is told of the process: None where nothing is in so many seconds, empty where nobody tells any more."""
+    def _receive(self, seconds: float | None) -> dict[str, int] | None:
+        """Return the server's next message about the process: None on a time-out, empty if the server has exited."""
         waiting = select.poll()
-        waiting.register(self._told, select.POLLIN)
+        waiting.register(self._owner, select.POLLIN)
         if not waiting.poll(None if seconds is None else max(0.0, seconds) * 1000):
             return None
-        data = self._told.recv(1 << 10)
-        said: dict[str, int] = json.loads(data) if data else {}
-        return said
+        data = self._owner.recv(1 << 10)
+        message: dict[str, int] = json.loads(data) if data else {}
+        return message
 
     def poll(self) -> int | None:
-        """The exit code, None while it runs."""
+        """Return the exit code, None while it runs."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.wait(0.0)
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for its end; the exit code. Raises `subprocess.TimeoutExpired`."""
+        """Wait for the exit, and return the exit code; raises `subprocess.TimeoutExpired`."""
         if self.returncode is None:
-            said = self._hear(timeout)
-            if said is None:
+            message = self._receive(timeout)
+            if message is None:
                 assert timeout is not None
                 raise subprocess.TimeoutExpired(self.args, timeout)
-            self.returncode = said.get("code", -signal.SIGKILL)  # who told is dead, and its programs with it
-            self._told.close()
+            self.returncode = message.get("code", -signal.SIGKILL)  # the server died, and its programs with it
+            self._owner.close()
         return self.returncode
 
     def kill(self) -> None:
-        """SIGKILL, where it still runs."""
+        """Send SIGKILL if it still runs."""
         if self.poll() is None:
             os.kill(self.pid, signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""A Python in which all is hidden that Windows does not have, and what files are called there."""
+"""Hides what Python lacks on Windows; rules for file names on Windows."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import warnings
 from pathlib import PureWindowsPath
 
 HIDE = """
-import asyncio, concurrent.futures, http.client, logging.handlers, multiprocessing, numpy, os, select, selectors
-import shutil, signal, socket, subprocess, sys, tempfile, time, urllib.request, uuid  # Windows has its own of these
+import asyncio, concurrent.futures, http.client, logging.handlers, multiprocessing, numpy, os, select, selectors import
+shutil, signal, socket, subprocess, sys, tempfile, time, urllib.request, uuid  # imported first: their code for Windows
+differs
 
 for name in ("fcntl", "pwd", "grp", "resource", "termios", "tty", "pty", "syslog", "posix", "_posixsubprocess"):
     sys.modules[name] = None
@@ -41,7 +42,7 @@ def socketpair(*_):
 socket.socket, socket.socketpair = Socket, socketpair
 selectors.DefaultSelector = selectors.SelectSelector
 """
-"""Run in a process before anything of ours is imported."""
+"""Run this in a process before Midspan is imported."""
 
 LIBRARIES = """
 import cryptography.x509, numpy, psutil, pydantic, rich.console, rosbags.typesys, ruamel.yaml, xxhash, yaml, zenoh
@@ -52,16 +53,16 @@ vars(whole).update(vars(os))
 for module in (psutil, psutil._common, psutil._pslinux, psutil._psposix):
     module.os = whole
 """
-"""Run before `HIDE` where the bridge itself is run: what has a form of its own on Windows that is not here."""
+"""Run this before `HIDE` if the bridge itself runs: libraries with a separate implementation for Windows."""
 
 NAME = """
 sys.platform = "win32"
 """
-"""Run after it: the system's name, by which the bridge knows what not to ask for."""
+"""Run this after `HIDE`: the platform's name, which the bridge checks."""
 
 
 def is_windows_name(name: str) -> bool:
-    """Whether a file in a folder can have the name there, as `pathlib` and Microsoft's rules say."""
+    """Return whether Windows allows a file name in a folder, by `pathlib` and Microsoft's rules."""
     path = PureWindowsPath("C:/maps") / name
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)

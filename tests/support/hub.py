@@ -33,12 +33,12 @@ class HubNetwork:
 
     Args:
         domain: the hub's domain.
-        zenoh: configuration laid over that of the sessions.
-        router_zenoh: the same for the router.
+        zenoh: zenoh configuration that overrides that of the sessions.
+        router_zenoh: zenoh configuration that overrides that of the router.
         protocol: ``tcp`` or ``tls``.
         run: whether the router runs from the start.
         door: the configuration's ``hub.open``.
-        routing: its ``routing``.
+        routing: the configuration's ``routing``.
     """
 
     def __init__(
@@ -64,17 +64,17 @@ class HubNetwork:
             self.start_router()
 
     def settings(self, node: str, worker: str = "test", daemon: str = "test", **more: Any) -> HubSettings:
-        """Settings of a session on this hub."""
+        """Return settings for a session on this hub."""
         values: dict[str, Any] = {"domain": self.domain, "router": self.endpoint, "zenoh": self._zenoh, **more}
         return HubSettings(node=node, worker=worker, daemon=daemon, **values)
 
     def config(self, **more: Any) -> dict[str, Any]:
-        """The ``hub`` section of a configuration file for this hub."""
+        """Return the ``hub`` section of a configuration for this hub."""
         section = {"domain": self.domain, "listen": self.endpoint, "zenoh": self._zenoh, **more}
         return {key: str(value) if isinstance(value, Path) else value for key, value in section.items()}
 
     def start_router(self) -> None:
-        """Run the router; returns when it listens."""
+        """Start the router, and wait until it listens."""
         hub = self.config(router=True, open=self.door)
         over = self._router_zenoh
         hub["router_zenoh"] = str(over) if isinstance(over, Path) else over
@@ -86,7 +86,7 @@ class HubNetwork:
         assert router.popen.poll() is None, router.output()
 
     def stop_router(self) -> None:
-        """End the router; the other sessions of the hub stay open."""
+        """Stop the router; the other sessions of the hub stay open."""
         if self._router is not None:
             self._router.stop()
             self._router = None

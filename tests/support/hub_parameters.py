@@ -1,4 +1,4 @@
-"""A native node of the hub with parameters: the six services that each rmw_zenoh node declares, in a test's process."""
+"""A native hub node with parameters, in the test's process: the six services that each rmw_zenoh node declares."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _KINDS: dict[type, tuple[int, str]] = {
 
 
 class HubParameters:
-    """The parameters of one hub node, whose full name is ``node``; it closes the node in the end.
+    """The parameters of one hub node, whose full name is ``node``; `stop` also closes the node.
 
     Attributes:
         values: the current values by name.
@@ -28,18 +28,18 @@ class HubParameters:
     def __init__(self, hub: Hub, node: str, registry: Registry, values: Mapping[str, Any]) -> None:
         self.hub, self.values = hub, dict(values)
         self._lock = threading.Lock()
-        self.services = [self._serve(f"{node}/{word}", registry, word, kind) for word, kind in _SERVICES]
+        self.services = [self._serve(f"{node}/{method}", registry, method, kind) for method, kind in _SERVICES]
 
     def stop(self) -> None:
         """Leave the hub."""
         self.hub.close()
 
-    def _serve(self, name: str, registry: Registry, word: str, kind: str) -> str:
+    def _serve(self, name: str, registry: Registry, method: str, kind: str) -> str:
         codec = ServiceCodec(registry, f"rcl_interfaces/srv/{kind}")
 
         def call(request: bytes, done: Done) -> Abandon:
             with self._lock:
-                reply = getattr(self, f"_{word}")(codec.request_value(request))
+                reply = getattr(self, f"_{method}")(codec.request_value(request))
             done(codec.response(reply))
             return lambda: None
 

@@ -1,10 +1,10 @@
-"""A Midspan hub session in a process of its own, under a test's control. See `tests.support.peer` for the form.
+"""A Midspan hub session in a separate process, controlled by a test. See `tests.support.peer` for the format.
 
 Argument: the settings in JSON. Commands: ``publisher`` and ``subscription`` topic, latched, depth -> id; ``put`` id,
-text; ``drum`` id, rate, size: put the numbers from 1 on, without end; ``wait`` id, count, seconds -> texts; ``way`` id
--> way, why, settled, lost; ``exhaust`` on: take all file descriptors, or give them back; ``drop`` id; ``origin`` side,
+text; ``drum`` id, rate, size: put numbers from 1 on, endlessly; ``wait`` id, count, seconds -> texts; ``way`` id
+-> way, why, settled, lost; ``exhaust`` on: use up all file descriptors, or release them; ``drop`` id; ``origin`` side,
 network, daemon; ``serve`` name, type, hash, hold: answer each request with itself, or never; ``requests`` -> count;
-``call`` name, type, hash: ask, and wait for nothing; ``exit``.
+``call`` name, type, hash: call without waiting for the reply; ``exit``.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class HubPeer:
         self._hub = hub
         self._endpoints: list[HubPublisher | HubSubscription] = []
         self._texts: dict[int, list[str]] = {}
-        self._came = threading.Condition()
+        self._arrived = threading.Condition()
         self._requests = 0
         self._none = ExitStack()
 
@@ -48,12 +48,12 @@ class HubPeer:
     def subscription(self, params: dict[str, Any]) -> dict[str, Any]:
         texts: list[str] = []
 
-        def heard(sample: HubSample) -> None:
-            with self._came:
+        def on_sample(sample: HubSample) -> None:
+            with self._arrived:
                 texts.append(sample.data().decode())
-                self._came.notify_all()
+                self._arrived.notify_all()
 
-        self._endpoints.append(self._hub.subscription(params["topic"], TYPE, HASH, qos(params), heard))
+        self._endpoints.append(self._hub.subscription(params["topic"], TYPE, HASH, qos(params), on_sample))
         number = len(self._endpoints) - 1
         self._texts[number] = texts
         return {"id": number}
@@ -80,8 +80,8 @@ class HubPeer:
 
     def wait(self, params: dict[str, Any]) -> dict[str, Any]:
         texts = self._texts[params["id"]]
-        with self._came:
-            self._came.wait_for(lambda: len(texts) >= params["count"], params["seconds"])
+        with self._arrived:
+            self._arrived.wait_for(lambda: len(texts) >= params["count"], params["seconds"])
             return {"texts": list(texts)}
 
     def way(self, params: dict[str, Any]) -> dict[str, Any]:
@@ -126,7 +126,7 @@ class HubPeer:
 
 
 def qos(params: dict[str, Any]) -> Qos:
-    """Quality of service of a command."""
+    """Return a command's quality of service."""
     latched = Durability.TRANSIENT_LOCAL if params.get("latched") else Durability.VOLATILE
     return Qos(durability=latched, depth=params.get("depth", 1))
 

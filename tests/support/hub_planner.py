@@ -1,4 +1,4 @@
-"""A planner on the hub, at the place of Midspan's own, whose robot is a point that the stand-in moves."""
+"""A planner on the hub in place of Midspan's own; its robot is a point, which the stand-in moves."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from navigation.messages import NAVIGATE
 from tests.navigation.gateway.rig import Program, pose
 
 SPEED, PATIENCE, UNREACHABLE = 2.0, 0.5, 900.0
-"""m/s; seconds until a goal of so great an x, meters, is given up."""
+"""m/s; seconds until an unreachable goal is aborted; x in meters from which goals are unreachable."""
 
 
 class HubPlanner(Program):
-    """A planner on the hub that drives as the other stand-ins do."""
+    """A planner on the hub that drives like the other stand-ins."""
 
     def __init__(self, settings: Any, name: str) -> None:
         super().__init__(settings)
         self.x, self._since = 0.0, 0.0
         self._goal: Goal | None = None
         self.on(
-            lambda: self.node.action_server(f"/planner/{name}/navigate_to_pose", NAVIGATE, self._take, self._cancel)
+            lambda: self.node.action_server(f"/planner/{name}/navigate_to_pose", NAVIGATE, self._accept, self._cancel)
         )
         self.loop.every(0.1, self._step)
 
-    def _take(self, goal: Goal) -> bool:
+    def _accept(self, goal: Goal) -> bool:
         if self._goal is not None:
-            self._goal.canceled({"error_msg": "another goal took its place"})
+            self._goal.canceled({"error_msg": "preempted by another goal"})
         self._goal = goal
         self._since = time.monotonic()
         goal.execute()
@@ -49,7 +49,7 @@ class HubPlanner(Program):
         if x >= UNREACHABLE:
             if time.monotonic() - self._since > PATIENCE:
                 self._goal = None
-                goal.abort({"error_code": 9006, "error_msg": "no way leads there"})
+                goal.abort({"error_code": 9006, "error_msg": "no path to the goal"})
             return
         self.x += math.copysign(min(abs(left), 0.1 * SPEED), left)
         goal.feedback({"current_pose": pose(self.x), "distance_remaining": abs(left)})

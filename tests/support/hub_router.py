@@ -1,4 +1,4 @@
-"""Runs the hub's router alone, with the configuration given as JSON, until SIGTERM."""
+"""Runs only the hub's router, with a configuration in JSON, until SIGTERM."""
 
 from __future__ import annotations
 

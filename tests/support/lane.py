@@ -1,4 +1,4 @@
-"""Whether the daemons of the suites have the lane: ``MIDSPAN_TEST_LANE=off`` runs any suite without it."""
+"""Whether the test daemons use the local transport (lane): ``MIDSPAN_TEST_LANE=off`` runs any suite without it."""
 
 from __future__ import annotations
 

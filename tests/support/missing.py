@@ -25,44 +25,44 @@ PROMETHEUS = f"{_MARK}Prometheus and promtool (apt install prometheus; in CI scr
 NGINX = f"{_MARK}nginx (apt install nginx; in CI scripts/setup.sh unpacks it)"
 OCTOMAP = f"{_MARK}OctoMap's programs (apt install octomap-tools)"
 CYCLONE = f"{_MARK}Cyclone DDS (`make setup` installs the cyclonedds wheel on Linux with x86_64)"
-DEBIAN = f"{_MARK}root with debootstrap and lintian, to try the Debian package (apt install debootstrap lintian)"
+DEBIAN = f"{_MARK}root with debootstrap and lintian, to test the Debian package (apt install debootstrap lintian)"
 
 _PACKAGES = {
     "rospy": ROS1, "rosgraph": ROS1, "genpy": ROS1, "rclpy": ROS2, "rosidl_parser": ROS2, "dartpy": DART,
     "cyclonedds": CYCLONE,
 }  # fmt: skip
-"""What a test that cannot import one of these lacks."""
+"""What is missing if a test cannot import one of these packages."""
 
 _not_read: dict[str, list[str]] = {}
 """Files and folders that could not be imported, by what is missing."""
 
 
 def has_ros1() -> bool:
-    """Whether Debian's ROS 1 is here."""
+    """Return whether Debian's ROS 1 is installed."""
     return bool(shutil.which("roscore", path="/usr/bin")) and Path("/usr/lib/python3/dist-packages/rospy").is_dir()
 
 
 def prometheus_tool(name: str) -> Path | None:
-    """``prometheus`` or ``promtool``: installed, or unpacked by scripts/setup.sh; None if missing."""
+    """Return ``prometheus`` or ``promtool``: installed, or unpacked by scripts/setup.sh; None if missing."""
     return _program(name, "prometheus", "bin")
 
 
 def nginx() -> Path | None:
-    """nginx: installed, or unpacked by scripts/setup.sh; None if missing."""
+    """Return nginx: installed, or unpacked by scripts/setup.sh; None if missing."""
     return _program("nginx", "nginx", "sbin")
 
 
 def _program(name: str, package: str, folder: str) -> Path | None:
     unpacked = Path(__file__).parents[2] / ".cache" / package / "usr" / folder
     places = (None, "/usr/sbin", str(unpacked))
-    found = next(filter(None, (shutil.which(name, path=place) for place in places)), None)
-    return Path(found) if found else None
+    program = next(filter(None, (shutil.which(name, path=place) for place in places)), None)
+    return Path(program) if program else None
 
 
 @functools.cache
 def lacking() -> frozenset[str]:
-    """What this machine lacks, as reasons."""
-    there = {
+    """Return what this machine lacks, as skip reasons."""
+    available = {
         ROS1: has_ros1(),
         ROS2: find_spec("rclpy") is not None,
         DART: find_spec("dartpy") is not None,
@@ -74,7 +74,7 @@ def lacking() -> frozenset[str]:
         OCTOMAP: shutil.which("convert_octree") is not None,
         DEBIAN: os.geteuid() == 0 and bool(shutil.which("debootstrap") and shutil.which("lintian")),
     }
-    return frozenset(reason for reason, found in there.items() if not found)
+    return frozenset(reason for reason, present in available.items() if not present)
 
 
 def need(reason: str) -> None:
@@ -84,12 +84,12 @@ def need(reason: str) -> None:
 
 
 def needs(reason: str) -> pytest.MarkDecorator:
-    """The same as a marker."""
+    """Return a marker that skips tests if this machine lacks something."""
     return pytest.mark.skipif(reason in lacking(), reason=reason)
 
 
 def cause(error: BaseException | None) -> str:
-    """The reason for which something could not be imported or built; empty if the fault is ours."""
+    """Return why something could not be imported or built; empty if the error is in Midspan."""
     while error is not None:
         if isinstance(error, ModuleNotFoundError) and error.name:
             return _PACKAGES.get(error.name.partition(".")[0], "")
@@ -100,21 +100,21 @@ def cause(error: BaseException | None) -> str:
 
 
 def judge(report: pytest.TestReport | pytest.CollectReport, error: BaseException | None) -> str:
-    """Make such a failure a skip, and in CI a skip of this kind a failure; the reason, or empty."""
+    """Turn such a failure into a skip, and in CI such a skip into a failure; return the reason, or empty."""
     reason = cause(error) if report.failed else ""
     if report.skipped and isinstance(report.longrepr, tuple):
-        told = str(report.longrepr[2]).removeprefix("Skipped: ")
-        reason = told if told.startswith(_MARK) else ""
+        skipped = str(report.longrepr[2]).removeprefix("Skipped: ")
+        reason = skipped if skipped.startswith(_MARK) else ""
     if reason and os.environ.get("CI"):
-        report.outcome, report.longrepr = "failed", f"{reason}: in CI everything is tried"
-    elif reason:  # of one place, so pytest's list of skips has one line for all of them
+        report.outcome, report.longrepr = "failed", f"{reason}: required in CI"
+    elif reason:  # with one location, so that pytest lists them on one line
         report.outcome, report.longrepr = "skipped", (__file__, 1, f"Skipped: {reason}")
     return reason
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
-    """A file that imports what this machine lacks is skipped, and a folder whose conftest does."""
+    """Skip files and folders that import what this machine lacks."""
     report: Any = yield
     call = getattr(report, "call", None)
     if reason := judge(report, call.excinfo.value if call and call.excinfo else None):
@@ -124,7 +124,7 @@ def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(call: pytest.CallInfo[None]) -> Iterator[None]:
-    """A test that lacks something of this machine is skipped; in CI it fails."""
+    """Skip tests that need what this machine lacks; in CI they fail."""
     report: Any = yield
     judge(report, call.excinfo.value if call.excinfo else None)
     return report
@@ -138,12 +138,12 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: object, error: object) -> None:
-    """Each process has read all files."""
+    """Collect what a worker could not import; each worker reads all files."""
     _not_read.update(getattr(node, "workeroutput", {}).get("not_read", {}))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Tell what was not tried, by what is missing."""
+    """Print the tests that were not run, by what is missing."""
     skipped = [report for report in terminalreporter.getreports("skipped") if isinstance(report, pytest.TestReport)]
     if lines := summary([str(report.longrepr[2]) for report in skipped if isinstance(report.longrepr, tuple)]):
         terminalreporter.section("not on this machine")
@@ -152,12 +152,12 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def summary(skips: Sequence[str]) -> list[str]:
-    """Summarize what was not tried, from the reasons of all skipped tests."""
+    """Summarize the tests that were not run, from the reasons of all skipped tests."""
     reasons = [reason.removeprefix("Skipped: ") for reason in skips]
     tests = Counter(reason for reason in reasons if reason.startswith(_MARK))
     lines = []
     for reason in sorted({*tests, *_not_read}):
         parts = [f"{tests[reason]} tests"] if tests[reason] else []
         parts += [f"all in {', '.join(sorted(_not_read[reason]))}"] if reason in _not_read else []
-        lines.append(f"{reason.removeprefix(_MARK)}: {' and '.join(parts)} not tried")
+        lines.append(f"{reason.removeprefix(_MARK)}: {' and '.join(parts)} not run")
     return lines

@@ -1,4 +1,4 @@
-"""Machines of a test's own: network namespaces joined by veth links, with addresses that exist in them alone."""
+"""Simulated machines: network namespaces joined by veth links, with addresses that exist only in them."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ def ip(*words: str) -> None:
 
 
 def need_namespaces() -> None:
-    """Skip the test where this machine makes no network namespaces; fail in continuous integration."""
+    """Skip the test if this machine cannot create network namespaces; in CI it fails."""
     name = f"midspan-try-{os.getpid()}"
     try:
         ip("netns", "add", name)
     except OSError as err:
-        why = f"network namespaces cannot be made here (they need iproute2 and root): {err}"
+        reason = f"cannot create network namespaces (they need iproute2 and root): {err}"
         if os.environ.get("CI"):
-            pytest.fail(why)
-        pytest.skip(why)
+            pytest.fail(reason)
+        pytest.skip(reason)
     ip("netns", "delete", name)
 
 
@@ -41,7 +41,7 @@ class Machine:
     """A network namespace with loopback.
 
     Args:
-        name: what its programs call it; the namespace's name has the process's id besides.
+        name: the machine's name; the namespace's name also contains the process id.
     """
 
     def __init__(self, name: str) -> None:
@@ -52,17 +52,17 @@ class Machine:
         ip("-n", self.namespace, "link", "set", "lo", "up")
 
     def hosts(self, **addresses: str) -> None:
-        """Names that this machine resolves; `ip netns exec` lays the file over /etc/hosts."""
+        """Set the names that this machine resolves; `ip netns exec` mounts the file over /etc/hosts."""
         self._files.mkdir(parents=True, exist_ok=True)
         lines = ["127.0.0.1 localhost", *(f"{address} {name}" for name, address in addresses.items())]
         (self._files / "hosts").write_text("\n".join(lines) + "\n")
 
     def command(self, *words: str | Path) -> list[str]:
-        """A command line that runs on this machine."""
+        """Return a command line that runs a program on this machine."""
         return ["ip", "netns", "exec", self.namespace, *map(str, words)]
 
     def run(self, *words: str | Path, env: Mapping[str, str] | None = None, seconds: float = 30) -> str:
-        """Run a program to its end; what it printed."""
+        """Run a program until it exits; return its output."""
         done = subprocess.run(
             self.command(*words), env=env, capture_output=True, text=True, timeout=seconds, check=False
         )
@@ -74,7 +74,7 @@ class Machine:
         return Process(self.command(*words), env)
 
     def close(self) -> None:
-        """Remove it with its links."""
+        """Remove the namespace with its links."""
         with contextlib.suppress(OSError):
             ip("netns", "delete", self.namespace)
         shutil.rmtree(self._files, ignore_errors=True)
@@ -104,11 +104,11 @@ class Cable:
             ip("-n", machine.namespace, "link", "set", f"eth{net}", "up")
 
     def cut(self) -> None:
-        """Pull it out: nothing gets through."""
+        """Take the link down."""
         ip("-n", self._end[0], "link", "set", self._end[1], "down")
 
     def mend(self) -> None:
-        """Put it back."""
+        """Take the link up."""
         ip("-n", self._end[0], "link", "set", self._end[1], "up")
 
     def __enter__(self) -> Self:

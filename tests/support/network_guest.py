@@ -1,6 +1,6 @@
-"""A zenoh peer with a certificate that nobody trusts: it tries to be linked to, and to drive.
+"""A zenoh peer with an untrusted certificate, which tries to join the hub and to publish velocities.
 
-Usage: network_guest.py KEYS DOOR LISTEN. Prints JSON: where it is linked to, and the topics of the hub that it sees.
+Usage: network_guest.py KEYS DOOR LISTEN. Prints JSON: the peer's links, and the hub topics that it discovers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ TWIST = "geometry_msgs/msg/Twist"
 
 
 def main(keys: Path, door: str, listen: str) -> None:
-    """Join within ten seconds, forge for two, tell."""
+    """Try to join for ten seconds, publish forged commands for two, and print the result."""
     tree = session_tree(door, shared_memory=False, max_payload=1 << 20)
     tls = {
         "root_ca_certificate": str(keys / "ca.pem"),
@@ -39,9 +39,9 @@ def main(keys: Path, door: str, listen: str) -> None:
         number = 0
         while time.monotonic() < end:
             number += 1
-            said = pack_attachment(number, time.time_ns(), bytes(16))
+            attachment = pack_attachment(number, time.time_ns(), bytes(16))
             for key in (f"0/cmd_vel/geometry_msgs::msg::dds_::Twist_/{type_hash}", "0/cmd_vel/**", "**"):
-                session.put(key, forged, attachment=said)
+                session.put(key, forged, attachment=attachment)
             time.sleep(0.1)
         links = sorted({str(link.dst) for link in session.info.links()})
         tokens = [str(reply.ok.key_expr) for reply in session.liveliness().get("@ros2_lv/**") if reply.ok]

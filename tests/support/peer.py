@@ -1,29 +1,33 @@
-"""A real ROS 1 or ROS 2 program that a test drives by JSON lines on its standard input and output.
+"""A real ROS 1 or ROS 2 program that a test controls by JSON lines on its standard input and output.
 
-One command a line, one answer a line, in order. Commands (``do``):
+Each line is a command, and is answered by one line, in order. Commands (``do``):
 
 ``advertise`` topic, type, latched, best_effort, depth -> id; ``publish`` id, message (a dict of the fields), times;
-``subscribe`` topic, type, latched, best_effort, depth -> id; ``wait`` id, count, seconds, since -> messages (all so
-far but ``since`` first ones, after ``count`` have come or the time is over); ``drop`` id; ``graph`` -> topics {name:
+``subscribe`` topic, type, latched, best_effort, depth -> id; ``wait`` id, count, seconds, since -> messages (all so far
+except the first ``since``, after ``count`` have arrived or the time is over); ``drop`` id; ``graph`` -> topics {name:
 [types]}, publishers {topic: [nodes]}, subscriptions {topic: [nodes]}; ``count`` id, first, count, rate: publish
-``count`` ``std_msgs/String`` with numbers from ``first`` on, ``rate`` a second, on a thread;
-``counted`` id, now: wait for its end (or end it now) -> sent; ``tally`` id, since -> received, distinct numbers,
-``last``: ``time.monotonic()`` at the last arrival, ``silence``: the longest time between two arrivals from ``since``
-on; ``silence`` id, since: those two of any type; ``broadcast`` id, child, rate (ROS 1): transforms from ``map`` to
+``count`` ``std_msgs/String`` with numbers from ``first`` on, ``rate`` a second, on a thread; ``counted`` id, now: wait
+until it has finished (or stop it now) -> sent; ``tally`` id, since -> received, distinct numbers, ``last``:
+``time.monotonic()`` at the last arrival, ``silence``: the longest time between two arrivals from ``since`` on;
+``silence`` id, since: those two of any type; ``broadcast`` id, child, rate (ROS 1): transforms from ``map`` to
 ``child`` until ``counted``; ``exit``.
+
 An answer has ``ok``; when false, ``error``.
-Services: ``serve`` service, type, reply (fields of the response), error (a text: it fails with that), held (it answers
-only after ``release`` id) -> id; ``requests`` id, count, seconds -> requests (all so far, after ``count`` have come or
-the time is over); ``call`` service, type, request, persistent (ROS 1) -> id: a call that runs on a thread;
+
+Services: ``serve`` service, type, reply (fields of the response), error (a text with which calls fail), held (it
+answers only after ``release`` id) -> id; ``requests`` id, count, seconds -> requests (all so far, after ``count`` have
+arrived or the time is over); ``call`` service, type, request, persistent (ROS 1) -> id: a call that runs on a thread;
 ``result`` id, seconds -> done, reply (None if it failed), error (its text, else ""), at (``time.monotonic()``).
-ROS 2: ``requests`` of ``call`` makes many at once (``replies`` of ``result``), ``echo`` of ``serve`` copies fields
-of the request into the reply ({to: from}), a server with ``error`` never answers. Actions: ``act`` action, type,
-feedback (a list; ``times`` over, one round each ``period`` seconds), result, outcome (``succeed``, ``abort``,
-``reject``), held, keeps (it refuses to cancel) -> id;
-``goals`` id, count, seconds -> goals; ``send_goal`` action, type, goal -> id; ``goal`` id, until (fields that must be
-so), seconds -> accepted, feedback, status, result, cancel ([return_code, goals]), ends (how many ends were reported),
-``ended_at`` (``time.monotonic()`` of the last one);
-``ask_result`` id (ROS 2): ask for it again; ``cancel`` id.
+
+ROS 2: ``requests`` of ``call`` makes several calls at once (``replies`` of ``result``), ``echo`` of ``serve`` copies
+fields of the request into the reply ({to: from}), a server with ``error`` never answers.
+
+Actions: ``act`` action, type, feedback (a list; ``times`` over, one round each ``period`` seconds), result, outcome
+(``succeed``, ``abort``, ``reject``), held, keeps (it rejects cancels) -> id; ``goals`` id, count, seconds -> goals;
+``send_goal`` action, type, goal -> id; ``goal`` id, until (required values of fields), seconds -> accepted, feedback,
+status, result, cancel ([return_code, goals]), ends (how many ends were reported), ``ended_at`` (``time.monotonic()`` of
+the last one); ``ask_result`` id (ROS 2): request the result again; ``cancel`` id.
+
 Types are spelled ``package/Name`` on every side.
 """
 
@@ -46,7 +50,7 @@ class Peer(Process):
         super().__init__([python, program, *args], env, pipes=True)
 
     def ask(self, do: str, **params: Any) -> dict[str, Any]:
-        """Send one command and return its answer; fails with the program's own words."""
+        """Send one command, and return its answer; fails with the program's error."""
         assert self.popen.stdin is not None
         assert self.popen.stdout is not None
         self.popen.stdin.write(json.dumps({"do": do, **params}) + "\n")
@@ -58,19 +62,19 @@ class Peer(Process):
         return answer
 
     def advertise(self, topic: str, type_: str, **qos: Any) -> int:
-        """Advertise; the endpoint's id."""
+        """Advertise a topic, and return the endpoint's id."""
         return int(self.ask("advertise", topic=topic, type=type_, **qos)["id"])
 
     def subscribe(self, topic: str, type_: str, **qos: Any) -> int:
-        """Subscribe; the endpoint's id."""
+        """Subscribe to a topic, and return the endpoint's id."""
         return int(self.ask("subscribe", topic=topic, type=type_, **qos)["id"])
 
     def publish(self, endpoint: int, message: dict[str, Any], times: int = 1) -> None:
-        """Publish one message, given by its fields; ``times`` in a row."""
+        """Publish a message, given by its fields, ``times`` in a row."""
         self.ask("publish", id=endpoint, message=message, times=times)
 
     def wait(self, endpoint: int, count: int, seconds: float = 40.0, since: int = 0) -> list[dict[str, Any]]:
-        """All messages so far but the first ``since``, once ``count`` have come or the time is over."""
+        """Return all messages so far except the first ``since``, after ``count`` have arrived or the time is over."""
         answer = self.ask("wait", id=endpoint, count=count, seconds=seconds, since=since)
         messages: list[dict[str, Any]] = answer["messages"]
         return messages
@@ -80,17 +84,17 @@ class Peer(Process):
         self.ask("drop", id=endpoint)
 
     def graph(self) -> dict[str, Any]:
-        """What the peer sees of its side's graph."""
+        """Return the side's graph as the peer sees it."""
         return self.ask("graph")
 
     def end(self) -> None:
-        """Tell the program to end by itself, and do not wait for it."""
+        """Let the program exit by itself, without waiting for it."""
         if self.popen.stdin is not None:
             with contextlib.suppress(OSError):
                 self.popen.stdin.close()
 
     def stop(self, seconds: float = 6.0) -> int:
-        """Let the program end by itself, so that it cleans up; with no ``seconds`` it is killed at once."""
+        """Let the program exit by itself, so that it cleans up; with 0 ``seconds`` kill it at once."""
         if seconds > 0 and self.popen.poll() is None:
             self.end()
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -99,7 +103,7 @@ class Peer(Process):
 
 
 def stop_all(things: Sequence[Any]) -> None:
-    """Stop programs, workers and sessions, the last one first; rospy's take their time, so programs end all at once."""
+    """Stop programs, workers and sessions, the last one first; programs exit concurrently, because rospy's are slow."""
     for thing in things:
         if isinstance(thing, Peer):
             thing.end()

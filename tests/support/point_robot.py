@@ -1,4 +1,4 @@
-"""A robot without a body on the hub: it goes as ``/cmd_vel`` says, tells its frames, and its laser sees nothing."""
+"""A point robot on the hub: it follows ``/cmd_vel``, and publishes its transforms and empty laser scans."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ BEAMS = 90
 
 
 class PointRobot:
-    """Begins at (0, 0) of the map, looking along x. The map is free and as large as it is told.
+    """Starts at (0, 0) of the map, facing along x; publishes a free map.
 
     Args:
         settings: of its session.
-        size: of the map, meters along x and y; the robot begins 5 m from its left border, in the middle of y.
+        size: of the map, meters along x and y; the robot starts 5 m from its left border, in the middle of y.
     """
 
     def __init__(self, settings: HubSettings, size: tuple[float, float]) -> None:
@@ -38,11 +38,11 @@ class PointRobot:
         self._scan = node.publisher("/scan", "sensor_msgs/msg/LaserScan", Qos(depth=5))
         self._map = node.publisher("/map", "nav_msgs/msg/OccupancyGrid", _KEPT)
         self._map.publish(_free(size))
-        node.subscription("/cmd_vel", "geometry_msgs/msg/Twist", self._hear, Qos(depth=1))
+        node.subscription("/cmd_vel", "geometry_msgs/msg/Twist", self._on_velocity, Qos(depth=1))
         self._count = 0
         self._loop.every(PERIOD, self._step)
 
-    def _hear(self, message: dict[str, Any]) -> None:
+    def _on_velocity(self, message: dict[str, Any]) -> None:
         self._speed, self._turn, self._silent = message["linear"]["x"], message["angular"]["z"], 0.0
 
     def _step(self) -> None:

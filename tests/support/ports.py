@@ -8,17 +8,17 @@ import random
 import socket
 
 _FIRST, _EACH, _SHARES = 14_000, 2_000, 8
-"""Below what Linux gives to connections going out (from 32768 on): one of those would take it before it is opened."""
+"""Below Linux's ephemeral ports (from 32768 on), which outgoing connections could occupy before a test opens one."""
 
 _share = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % _SHARES
-_begin = random.SystemRandom().randrange(_EACH)  # other processes of the same test take some, too
+_begin = random.SystemRandom().randrange(_EACH)  # other processes of the same test use this function, too
 _numbers = itertools.count(_begin)
 
 
 def free_port(room: int = 0) -> int:
-    """A TCP port on 127.0.0.1 that nothing listens on now, and that this process was not given lately.
+    """Return a free TCP port on 127.0.0.1 that this process has not recently received.
 
-    ``room``: so many ports above it are free as well, and given to nobody else: a YARP name server hands them out.
+    The next ``room`` ports above it are free and reserved, too, for a YARP name server that assigns them.
     """
     for _ in range(_EACH):
         number = next(_numbers) % _EACH
@@ -27,7 +27,7 @@ def free_port(room: int = 0) -> int:
             for _ in range(room):
                 next(_numbers)
             return port
-    msg = f"all {_EACH} ports of this worker of pytest are taken"
+    msg = f"all {_EACH} ports of this pytest worker are in use"
     raise RuntimeError(msg)
 
 

@@ -24,7 +24,7 @@ _running: weakref.WeakSet[Process] = weakref.WeakSet()
 class Process:
     """A process with its own process group, whose stderr (and stdout, unless piped) goes to a file.
 
-    A program of the tests is forked, and so is one for which ``imports`` names modules to import before the fork; see
+    Test programs, and programs with ``imports`` (modules to import before the fork), are forked; see
     `tests.support.forks`. Other programs are started.
     """
 
@@ -40,7 +40,7 @@ class Process:
     ) -> None:
         self._log: IO[bytes] = tempfile.NamedTemporaryFile(prefix="midspan-test-", suffix=".log")  # noqa: SIM115
         self.args = [str(a) for a in args]
-        if imports or forks.possible(self.args):
+        if imports or forks.can_fork(self.args):
             self.popen = Forked(self.args, os.environ if env is None else env, self._log, pipes=pipes, imports=imports)
             _running.add(self)
             return
@@ -102,7 +102,7 @@ def outputs() -> list[tuple[str, str]]:
     return sections
 
 
-def stands_still(pid: int) -> bool:
-    """Whether all threads of a process are stopped: some continue for a moment after SIGSTOP."""
+def is_stopped(pid: int) -> bool:
+    """Return whether all threads of a process are stopped; some continue for a moment after SIGSTOP."""
     stats = [file.read_text() for file in Path(f"/proc/{pid}/task").glob("*/stat")]
     return all(stat.rpartition(") ")[2].startswith("T") for stat in stats)

@@ -13,11 +13,11 @@ from tests.support.hub import HubNetwork
 
 
 class QuickHub(HubNetwork):
-    """See `tests.support.hub.HubNetwork`. Its router lists its sessions, as Midspan's does.
+    """A `tests.support.hub.HubNetwork` whose router lists its sessions like Midspan's router.
 
     Attributes:
-        unanswered: number of further requests for the list that get no answer.
-        answered: number of requests that got one.
+        unanswered: number of further requests for the list to leave unanswered.
+        answered: number of answered requests.
     """
 
     unanswered = answered = 0
@@ -26,7 +26,7 @@ class QuickHub(HubNetwork):
     _control: Control
 
     def start_router(self) -> None:
-        """Run the router."""
+        """Start the router."""
         session = zenoh.open(make_config(router_tree([self.endpoint], max_payload=MAX_PAYLOAD), None))
         self._session, self._control = session, Control(session, self.domain, "quick", "router")
         self._control.serve(MEMBERS, lambda _: self._members(session))
@@ -40,18 +40,18 @@ class QuickHub(HubNetwork):
         peers = [*(str(zid) for zid in session.info.peers_zid()), *self._others]
         return {"zid": str(session.zid()), "members": members, "peers": peers}
 
-    def also_say(self, members: Any) -> None:
-        """Answer requests for the list of sessions a second time, in the router's name."""
+    def serve_conflicting_list(self, members: Any) -> None:
+        """Also answer requests for the list of sessions with these members, in the router's name."""
         assert self._session is not None
         router = str(self._session.info.zid())
         self._control.serve(MEMBERS, lambda _: {"zid": router, "members": members})
 
-    def also_has(self, *zids: str) -> None:
+    def list_also(self, *zids: str) -> None:
         """Also list peers that do not exist."""
         self._others = zids
 
     def stop_router(self) -> None:
-        """End the router."""
+        """Stop the router."""
         session, self._session = self._session, None
         if session is not None:
             session.close()

@@ -1,4 +1,4 @@
-"""A node that serves ``NavigateToPose`` on the hub as rmw_zenoh's nodes do, without Midspan's endpoints."""
+"""A node that serves ``NavigateToPose`` on the hub like an rmw_zenoh node, without Midspan's endpoints."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ Handler = Callable[[zenoh.Query, dict[str, Any]], None]
 class RmwActionServer:
     """The node with its five endpoints, each with a liveliness token and a queryable or publisher.
 
-    It accepts goals until the test ends them. Its endpoints can be closed one by one and declared again while its goals
-    are being executed: that is what a killed worker of a planner's side is to the gateway.
+    Accepted goals run until the test ends them. Its endpoints can be closed one by one and declared again while goals
+    are being executed, which is what the gateway observes if the worker of a planner's side is killed.
 
     Attributes:
-        goals: the ids of goals that were accepted, the oldest first.
-        canceled: the ids of goals that a client asked to cancel; zeros for all.
+        goals: ids of accepted goals, the oldest first.
+        canceled: ids of goals that clients requested to cancel; zeros for all goals.
         rejects: whether it rejects goals.
-        cancels: whether it ends a goal that a client asks to cancel.
-        lists: whether it publishes its goal list when it is declared, as Midspan's servers do and those of rcl do not.
+        cancels: whether it ends goals that a client requests to cancel.
+        lists: whether it publishes its goal list when it is declared, as Midspan's servers do, but rcl's do not.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class RmwActionServer:
         self.serve()
 
     def serve(self, *, feedback: bool = True) -> None:
-        """Declare all endpoints, or all except that of the feedback."""
+        """Declare all endpoints, optionally without feedback."""
         parts, kinds = names(self._action), types(NAVIGATE)
         self._kinds = {parts.send_goal: kinds.send_goal, parts.get_result: kinds.get_result, parts.cancel_goal: CANCEL}
         self._serve("send_goal", parts.send_goal, self._accept)
@@ -66,7 +66,7 @@ class RmwActionServer:
             self.tell()
 
     def withdraw(self) -> None:
-        """Close all endpoints; calls that wait for a reply fail, and the goals go on."""
+        """Close all endpoints; pending calls fail, and goals continue."""
         for part in list(self._parts):
             self.close_part(part)
 
@@ -80,13 +80,13 @@ class RmwActionServer:
             declared.close() if isinstance(declared, RmwPublisher) else declared.undeclare()
 
     def end(self, status: GoalState, code: int = 0, why: str = "") -> None:
-        """End the last goal: publish the list, then answer with the result."""
+        """End the last goal: publish the list, then reply with the result."""
         self._statuses[self.goals[-1]] = status
         self.tell()
         self.answer(status, code, why)
 
     def answer(self, status: GoalState, code: int = 0, why: str = "") -> None:
-        """Answer with the result of the last goal, without publishing the list; `GoalState.UNKNOWN`: it is lost."""
+        """Reply with the result of the last goal, without publishing the list; `GoalState.UNKNOWN` for a lost goal."""
         goal = self.goals[-1]
         if status.ended:
             self._statuses[goal] = status
@@ -99,15 +99,15 @@ class RmwActionServer:
         self._statuses[goal] = status
 
     def forget(self) -> None:
-        """Forget all goals, as a new process has none."""
+        """Drop all goals, as a restart does."""
         self._statuses.clear()
 
     def waits(self, goal: bytes) -> bool:
-        """Whether a client waits for the result of a goal."""
+        """Return whether a client waits for the result of a goal."""
         return goal in self._waiting
 
     def executes(self, goal: bytes) -> bool:
-        """Whether a goal has not ended."""
+        """Return whether a goal is still active."""
         return not self._statuses[goal].ended
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""A ROS 1 network of a test's own: a real roscore on a free port, and the environment of real ROS 1 programs."""
+"""A ROS 1 network for a test: a real roscore on a free port, and the environment of real ROS 1 programs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.support.process import Process
 from tests.support.wait import until
 
 ROS1_PEER = Path(__file__).with_name("ros1_peer.py")
-"""The peer program of `tests.support.peer` for ROS 1; runs on the system's Python alone."""
+"""The peer program of `tests.support.peer` for ROS 1; runs on the system's Python."""
 
 ROS1_CORE = Path(__file__).with_name("ros1_core.py")
 
@@ -30,7 +30,7 @@ needs_ros1 = needs(ROS1)
 
 
 def ros1_environment(master: str = "", environ: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """Environment for real ROS 1 programs: the system's own Python packages and libraries, loopback only."""
+    """Return an environment for real ROS 1 programs: the system's Python packages and libraries, loopback only."""
     unset = ("PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "VIRTUAL_ENV", "ROS_HOSTNAME", "AMENT_PREFIX_PATH")
     env = {k: v for k, v in environ.items() if k not in unset and not k.startswith("ROS_")}
     env["ROS_IP"] = "127.0.0.1"
@@ -41,9 +41,9 @@ def ros1_environment(master: str = "", environ: Mapping[str, str] = os.environ) 
 
 
 class RosMaster:
-    """A roscore (master, parameters, rosout) on a port of its own, which it keeps when it is started anew.
+    """A roscore (master, parameters, rosout) on its own port, which stays the same when it is restarted.
 
-    The same programs without roscore's launcher, but where ``command`` asks for the very command.
+    The programs run without roscore's launcher, unless ``command`` requests the real command.
     """
 
     def __init__(self, *, command: bool = False) -> None:
@@ -60,9 +60,9 @@ class RosMaster:
         self._process: Process | None = None
 
     def start(self) -> None:
-        """Start roscore and wait until it answers."""
+        """Start roscore, and wait until it replies."""
         self._process = Process([ROS1_PYTHON, *self._program, str(self.port)], self.env)
-        until(lambda: self._ready(), "roscore answers", 30.0)
+        until(lambda: self._ready(), "roscore replies", 30.0)
 
     def stop(self) -> None:
         """Stop roscore; its nodes stay."""
@@ -71,14 +71,14 @@ class RosMaster:
             self._process = None
 
     def signal(self, number: int) -> None:
-        """Send roscore a signal."""
+        """Send a signal to roscore."""
         assert self._process is not None
         self._process.signal(number)
 
     def kill(self) -> None:
-        """Kill roscore, whose command takes a second to stop by itself; its nodes stay."""
+        """Kill roscore, because its command takes a second to stop by itself; its nodes stay."""
         if self._process is not None:
-            # the command's master and rosout are in sessions of their own
+            # the command's master and rosout have their own sessions
             parts = psutil.Process(self._process.pid).children() if self._process.popen.poll() is None else []
             self._process.stop(0)
             for part in parts:
@@ -91,27 +91,27 @@ class RosMaster:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def call(self, method: str, *params: Any) -> Any:
-        """Call the master's API; the value of its answer, None where it did not succeed."""
+        """Call the master's API; return the value of the answer, None if the call failed."""
         with ServerProxy(self.uri) as proxy:
             code, _, value = getattr(proxy, method)("/test", *params)
         return value if code == 1 else None
 
     def state(self) -> dict[str, dict[str, list[str]]]:
-        """The master's state: publishers, subscribers and services, each by name with its nodes."""
+        """Return the master's state: publishers, subscribers and services, each by name with its nodes."""
         kinds = self.call("getSystemState")
         names = ("publishers", "subscribers", "services")
         return {n: {name: sorted(nodes) for name, nodes in kind} for n, kind in zip(names, kinds, strict=True)}
 
     def nodes(self) -> set[str]:
-        """All nodes that the master knows."""
+        """Return all nodes that are registered at the master."""
         return {n for kind in self.state().values() for nodes in kind.values() for n in nodes}
 
     def parameters(self) -> set[str]:
-        """Names of all parameters."""
+        """Return the names of all parameters."""
         return set(self.call("getParamNames"))
 
     def peer(self, name: str = "peer") -> Peer:
-        """A real rospy program on this network; ``name`` is its node's."""
+        """Return a real rospy program on this network, with a node of this name."""
         return Peer(ROS1_PEER, ROS1_PYTHON, self.env, name)
 
     def _ready(self) -> bool:

@@ -19,7 +19,7 @@ STATUSES = {
 
 
 def part(type_, name):
-    """One of an action's message classes."""
+    """Return one of an action's message classes."""
     return message_class(type_ + name)
 
 
@@ -87,7 +87,7 @@ class Acting:
 
 
 class Goal:
-    """A goal of an action client, and what arrived for it."""
+    """A goal of an action client, with its feedback and result."""
 
     def __init__(self, client, goal, plain):
         self.plain, self.news, self.handle = plain, threading.Condition(), None
@@ -137,11 +137,11 @@ class Goal:
             return dict(self.state)
 
     def unregister(self):
-        """Its client stays."""
+        """Do nothing: the client stays for other goals."""
 
 
 class Actions:
-    """The commands; a part of the peer."""
+    """The action commands of the peer."""
 
     def __init__(self, fill, plain):
         self.fill, self.plain, self.clients = fill, plain, {}

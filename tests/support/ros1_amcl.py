@@ -1,6 +1,6 @@
-"""A stand-in for ROS 1's amcl, whose robot's odometry never drifts from the map.
+"""A stand-in for ROS 1's amcl, for a robot whose odometry never drifts from the map.
 
-As amcl it tells ``/amcl_pose`` rarely: at the start, and after each ``/initialpose``; where the robot is is in /tf.
+Like amcl it publishes ``/amcl_pose`` rarely: at the start, and after each ``/initialpose``; the current pose is in /tf.
 """
 # ruff: noqa: ANN202  # it runs without Midspan
 
@@ -10,7 +10,7 @@ from tf2_msgs.msg import TFMessage
 
 PERIOD = 0.05
 VARIANCES = {0: 0.04, 7: 0.09, 35: 0.01}
-"""Of x, y and yaw, by their places in the covariance."""
+"""Variances of x, y and yaw, by their indices in the covariance."""
 
 
 def main():
@@ -18,18 +18,18 @@ def main():
     frames = rospy.Publisher("tf", TFMessage, queue_size=10)
     poses = rospy.Publisher("amcl_pose", PoseWithCovarianceStamped, queue_size=2, latch=True)
 
-    def started(told):
-        said = PoseWithCovarianceStamped()
-        said.header.frame_id, said.header.stamp = "map", rospy.Time.now()
-        said.pose.pose = told.pose.pose
+    def publish_pose(initial):
+        pose = PoseWithCovarianceStamped()
+        pose.header.frame_id, pose.header.stamp = "map", rospy.Time.now()
+        pose.pose.pose = initial.pose.pose
         for place, variance in VARIANCES.items():
-            said.pose.covariance[place] = variance
-        poses.publish(said)
+            pose.pose.covariance[place] = variance
+        poses.publish(pose)
 
-    rospy.Subscriber("initialpose", PoseWithCovarianceStamped, started, queue_size=2)
+    rospy.Subscriber("initialpose", PoseWithCovarianceStamped, publish_pose, queue_size=2)
     first = PoseWithCovarianceStamped()
     first.pose.pose.orientation.w = 1.0
-    started(first)
+    publish_pose(first)
     while not rospy.is_shutdown():
         frame = TransformStamped()
         frame.header.frame_id, frame.header.stamp = "map", rospy.Time.now()

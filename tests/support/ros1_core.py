@@ -13,13 +13,13 @@ from rosmaster.main import configure_logging
 from rosmaster.master import Master
 
 ROSOUT = "/usr/lib/rosout/rosout"
-"""Debian's."""
+"""The path in Debian's package."""
 
 ME = "/roslaunch"
 
 
 def main():
-    """Run until a signal ends it; rosout is in the same group, and ends with this process."""
+    """Run until a signal arrives; rosout is in the same process group, and ends with this process."""
     configure_logging()
     master = Master(int(sys.argv[1]))
     master.start()

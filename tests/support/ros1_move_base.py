@@ -1,12 +1,12 @@
 """A stand-in for ROS 1's move_base: a real actionlib server on rospy, which drives the base of `ros1_base.py`.
 
-It behaves as a real move_base was measured to (navigation 1.17, Noetic): an unknown frame, or one with a slash, stays
-ACTIVE for ever; a new goal preempts the old one; ``/move_base_simple/goal`` becomes a goal on ``/move_base/goal``; the
-texts are move_base's; it comes up once it has the pose of the base. RECALLED by stamps, repeated ids, cancel-all, long
-lists of statuses and results that are not latched come from actionlib's server.
+It copies the measured behavior of move_base (navigation 1.17, Noetic): a goal in an unknown frame, or one with a slash,
+stays ACTIVE forever; a new goal preempts the old one; ``/move_base_simple/goal`` becomes a goal on ``/move_base/goal``;
+the texts are move_base's; it starts once it has received the pose of the base. RECALLED by stamps, repeated ids,
+cancel-all, long lists of statuses and results that are not latched come from actionlib's server.
 
 Goals with x of 900 and more are unreachable. Runs on the system's Python. It starts the base as a process, unless the
-argument ``there`` is given: that base goes on when the stand-in is killed or stopped.
+argument ``there`` is given; such a base continues when the stand-in is killed or stopped.
 It prints ``ended`` and ``time.monotonic()`` when it ends a goal by itself.
 Usage: ros1_move_base.py SPEED PATIENCE [there [CYCLE]], CYCLE: seconds between two control cycles
 """
@@ -27,7 +27,7 @@ from tf2_msgs.msg import TFMessage
 
 PERIOD = float(sys.argv[4]) if len(sys.argv) > 4 else 0.1
 NEAR, GAIN = 0.05, 5.0
-"""It is there within so many meters; before that it goes so many m/s slower for each meter less."""
+"""Distance at which the goal is reached, meters; speed per meter of distance before it, 1/s."""
 UNREACHABLE = 900.0
 FRAMES = ("map", "odom", "base_link")
 ACCEPTED = "This goal has been accepted by the simple action server"
@@ -52,7 +52,7 @@ class MoveBase:
         self.server = actionlib.ActionServer(
             "move_base", MoveBaseAction, self.on_goal, self.on_cancel, auto_start=False
         )
-        self.lock = self.server.lock  # it calls us under its own: a second one would be taken in both orders
+        self.lock = self.server.lock  # the server calls us with its lock held: a second lock could deadlock
 
     def on_transforms(self, message):
         for frame in message.transforms:
@@ -69,11 +69,11 @@ class MoveBase:
         if self.current is not None:
             raise rospy.ServiceException("")
         answer = GetPlanResponse()
-        answer.plan.poses = [request.start, request.goal]  # its header's frame stays empty
+        answer.plan.poses = [request.start, request.goal]  # the frame of its header stays empty
         return answer
 
     def on_goal(self, handle):
-        """A goal came; actionlib has looked at its id and stamp already."""
+        """Handle a goal, whose id and stamp actionlib has already checked."""
         with self.lock:
             before = self.current
             if before is not None:
@@ -90,7 +90,7 @@ class MoveBase:
             self.target.publish(handle.get_goal().target_pose)
 
     def on_cancel(self, handle):
-        """It is given up at the next control cycle."""
+        """Mark the goal as canceled; the next control cycle ends it."""
         with self.lock:
             if handle == self.current:
                 self.cancelled = True
@@ -102,7 +102,7 @@ class MoveBase:
         getattr(handle, how)(MoveBaseResult(), text)
 
     def step(self):
-        """One control cycle."""
+        """Run one control cycle."""
         with self.lock:
             if self.current is None:
                 return

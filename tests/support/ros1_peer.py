@@ -26,12 +26,12 @@ import genpy.message
 import rosgraph
 import rospy
 from ros1_actions import Actions
-from ros1_leave import leave
+from ros1_shutdown import shut_down
 from ros1_types import define, message_class, service_type
 
 
 def to_plain(value):
-    """A message or field as JSON can carry it."""
+    """Return a message or field as JSON values."""
     if isinstance(value, genpy.Message):
         return {name: to_plain(getattr(value, name)) for name in value.__slots__}
     if isinstance(value, (genpy.Time, genpy.Duration)):
@@ -54,7 +54,7 @@ def fill(message, fields):
 
 
 def to_field(slot, value, default):
-    """A field's value from JSON."""
+    """Return a field's value from JSON."""
     base, bracket, _ = slot.partition("[")
     if bracket:
         if base in ("uint8", "char"):
@@ -70,12 +70,12 @@ def to_field(slot, value, default):
 
 
 def full(name):
-    """A type's full name."""
+    """Return a type's full name."""
     return "std_msgs/Header" if name == "Header" else name
 
 
 class Subscriber:
-    """Keeps what came in."""
+    """A subscriber that stores all messages."""
 
     def __init__(self, topic, cls, queue):
         self.messages, self.times, self.headers, self.ready = [], [], {}, threading.Condition()
@@ -96,7 +96,7 @@ class Subscriber:
 
 
 class Serving:
-    """A service that gives one answer to all."""
+    """A service with one answer to all requests."""
 
     def __init__(self, service, cls, reply, error, held):
         self.cls, self.reply, self.error = cls, reply, error
@@ -129,7 +129,7 @@ class Serving:
 
 
 class Calling:
-    """A call on a thread."""
+    """A service call on a thread."""
 
     def __init__(self, proxy, request):
         self.reply, self.error, self.at = None, "", 0.0
@@ -149,7 +149,7 @@ class Calling:
 
 
 class Counting:
-    """Publishes numbers, one a message, on a thread."""
+    """Publishes numbers, one per message, on a thread."""
 
     def __init__(self, publish, first, count, rate):
         self.publish, self.sent, self.stopping = publish, 0, False
@@ -171,7 +171,7 @@ class Counting:
 
 
 class Peer:
-    """Carries out the commands."""
+    """Executes the commands."""
 
     def __init__(self):
         self.endpoints, self.countings, self.proxies = {}, {}, {}
@@ -322,17 +322,17 @@ class Peer:
 
 def main():
     answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # what rospy prints is not an answer
+    os.dup2(2, 1)  # rospy's own output must not mix with the answers
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     rospy.init_node(sys.argv[1], disable_signals=True)
     try:
         serve(answers)
     finally:
-        leave()
+        shut_down()
 
 
 def serve(answers):
-    """Carry out commands until the input ends."""
+    """Execute commands until the input ends."""
     peer = Peer()
     for line in sys.stdin:
         command = json.loads(line)

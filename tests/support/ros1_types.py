@@ -1,4 +1,4 @@
-"""Classes of ROS 1 types that are not installed, for real rospy programs: genpy makes them from definitions."""
+"""Creates classes for ROS 1 types that are not installed, for real rospy programs, with genpy."""
 
 import atexit
 import hashlib
@@ -15,14 +15,14 @@ DEFINED = {}
 
 
 def define(name, definition):
-    """Make a type's class from its full definition, and remember it with all that it nests; a service has a ``---``."""
-    made = {name: service_class(name, definition)} if "\n---\n" in definition else message_classes(name, definition)
-    DEFINED.update(made)
-    return made[name]
+    """Create and store the classes of a type and its nested types from its full definition; a service has a ``---``."""
+    classes = {name: service_class(name, definition)} if "\n---\n" in definition else message_classes(name, definition)
+    DEFINED.update(classes)
+    return classes[name]
 
 
 def message_class(name):
-    """Return a message's class: a defined one, else an installed one."""
+    """Return a message's class: a defined one, otherwise an installed one."""
     cls = DEFINED.get(name) or roslib.message.get_message_class(name)
     if cls is None:
         raise ValueError(f"no type {name}: install its package, or define it")
@@ -30,34 +30,34 @@ def message_class(name):
 
 
 def service_type(name):
-    """Return a service's class: a defined one, else an installed one."""
+    """Return a service's class: a defined one, otherwise an installed one."""
     return DEFINED.get(name) or roslib.message.get_service_class(name)
 
 
 def message_classes(name, definition):
-    """Of a message and all that it nests, by name; of a full text as connection headers have it.
+    """Return the classes of a message and its nested types by name, from a full definition as in connection headers.
 
-    The folder that genpy writes is deleted at once, not only if the program ends by itself.
+    The folder that genpy writes is deleted at once, so that it does not remain if the program is killed.
     """
     with tempfile.TemporaryDirectory() as folder, mock.patch.object(tempfile, "tempdir", folder):
-        made = genpy.dynamic.generate_dynamic(name, definition)
+        classes = genpy.dynamic.generate_dynamic(name, definition)
     atexit.unregister(shutil.rmtree)
-    return made
+    return classes
 
 
 def service_class(name, definition):
-    """Of a service: the full texts of request and response with a line ``---`` between them."""
+    """Return a service's class, from the full definitions of request and response separated by a line ``---``."""
     kinds, texts = [], []
     for part, text in zip(("Request", "Response"), definition.split("\n---\n"), strict=True):
         classes = message_classes(name + part, text)
         kinds.append(classes[name + part])
         context = genmsg.MsgContext.create_default()
-        for one, cls in classes.items():
-            context.register(one, cls._spec)
+        for nested, cls in classes.items():
+            context.register(nested, cls._spec)
         texts.append(compute_md5_text(context, kinds[-1]._spec))
     md5 = hashlib.md5("".join(texts).encode()).hexdigest()
     request, response = kinds
-    words = {"_type": name, "_md5sum": md5, "_request_class": request, "_response_class": response}
+    attributes = {"_type": name, "_md5sum": md5, "_request_class": request, "_response_class": response}
     for kind in kinds:
         kind._md5sum = md5
-    return type(name.rpartition("/")[2], (), words)
+    return type(name.rpartition("/")[2], (), attributes)

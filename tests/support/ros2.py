@@ -1,4 +1,4 @@
-"""ROS 2 for the tests: a domain of the process's own, and the environment of real rclpy programs on it."""
+"""ROS 2 for the tests: a domain for each test process, and the environment of real rclpy programs on it."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ ROS2_PEER = Path(__file__).with_name("ros2_peer.py")
 """The program that `tests.support.peer.Peer` drives on the ROS 2 side; run it with `sys.executable`."""
 
 SHORT_LEASE = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("short_lease.xml"))}
-"""Environment of a program whose death is noticed after 2 s; Fast DDS's default is 20."""
+"""Environment of a program whose death is detected after 2 s; Fast DDS's default is 20 s."""
 
 _held: list[socket.socket] = []
 
 
 @functools.cache
 def ros2_domain() -> int:
-    """This test process's ROS domain."""
+    """Return this test process's ROS domain."""
     return new_domain()
 
 
 def new_domain() -> int:
-    """A ROS domain that no other test process and no demo uses, held until this process ends."""
+    """Return a ROS domain that no other test process or demo uses, reserved until this process exits."""
     hold, domain = hold_domain()
     _held.append(hold)
     return domain
 
 
 def ros2_environment(**extra: str) -> dict[str, str]:
-    """Environment of a native ROS 2 program on this process's domain: stock settings, this machine only."""
-    own: Mapping[str, str] = os.environ
-    env = worker_environment(Config.model_validate({"ros2": {"domain": ros2_domain()}}), own)
+    """Return an environment for native ROS 2 programs on this process's domain: default settings, this machine only."""
+    environment: Mapping[str, str] = os.environ
+    env = worker_environment(Config.model_validate({"ros2": {"domain": ros2_domain()}}), environment)
     for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "PYTHONPATH"):
         env.pop(name, None)
     logs = Path(tempfile.gettempdir()) / f"midspan-test-ros2-log-{os.getuid()}"
@@ -54,6 +54,6 @@ def ros2_environment(**extra: str) -> dict[str, str]:
 
 
 def ros2_python() -> Path:
-    """The interpreter that has rclpy; skips the test where none has."""
+    """Return the interpreter with rclpy; skips the test if there is none."""
     need(ROS2)
     return Path(sys.executable)

@@ -1,4 +1,4 @@
-"""A real rclpy program, driven as `tests.support.ros2_peer`, whose endpoints have the QoS BEST_AVAILABLE."""
+"""A real rclpy program like `tests.support.ros2_peer`, whose endpoints have the QoS BEST_AVAILABLE."""
 
 from __future__ import annotations
 

@@ -17,13 +17,13 @@ Plain = Callable[[Any], Any]
 
 
 def type_class(name: str, folder: str) -> Any:
-    """The class of a service or action spelled ``package/Name``."""
+    """Return the class of a service or action spelled ``package/Name``."""
     package, _, short = name.rpartition("/")
     return getattr(importlib.import_module(f"{package}.{folder}"), short)
 
 
 class Serving:
-    """A service that gives one answer to all; one with ``error`` gives none, as ROS 2 has no other way to fail."""
+    """A service with one answer to all requests, or none if it has an ``error``, as ROS 2 has no error replies."""
 
     def __init__(self, node: Any, params: dict[str, Any], profile: Any, fill: Fill, plain: Plain) -> None:
         self.node, self.fill, self.plain = node, fill, plain
@@ -62,14 +62,14 @@ class Serving:
     def release(self) -> None:
         if not self.error and not self.held.done():
             self.held.set_result(None)
-            self.node.executor.wake()  # who awaits a future is not woken by its result
+            self.node.executor.wake()  # setting a future's result does not wake the executor
 
     def drop(self) -> None:
         self.node.destroy_service(self.handle)
 
 
 class Calling:
-    """Calls of one service, made at once; their replies in the order of the calls."""
+    """Concurrent calls of one service, with their replies in the order of the calls."""
 
     def __init__(self, client: Any, requests: list[Any], plain: Plain) -> None:
         self.plain = plain
@@ -79,9 +79,9 @@ class Calling:
         self.lock = threading.Lock()
         self.futures = [client.call_async(request) for request in requests]
         for future in self.futures:
-            future.add_done_callback(self.one)
+            future.add_done_callback(self.on_reply)
 
-    def one(self, _future: Any) -> None:
+    def on_reply(self, _future: Any) -> None:
         with self.lock:
             self.left -= 1
             if not self.left:
@@ -94,11 +94,11 @@ class Calling:
         return {"done": done, "reply": replies[0], "replies": replies, "error": "", "at": self.at}
 
     def drop(self) -> None:
-        """Its client stays."""
+        """Do nothing: the client stays for other calls."""
 
 
 def depths(profile: Any, *parts: str) -> dict[str, Any]:
-    """One profile for each of these parts of an action."""
+    """Return a profile for each of these parts of an action."""
     return {f"{part}_qos_profile": profile for part in parts}
 
 
@@ -171,7 +171,7 @@ class Acting:
         wait = self.waits.setdefault(goal, Future())
         if not wait.done():
             wait.set_result(None)
-        self.node.executor.wake()  # who awaits a future is not woken by its result
+        self.node.executor.wake()  # setting a future's result does not wake the executor
 
     def wait(self, count: int, seconds: float) -> list[Any]:
         with self.arrived:
@@ -189,10 +189,10 @@ class Acting:
 
 
 def on_executor(node: Any, work: Callable[[], None]) -> None:
-    """Do something on the thread that takes replies, and wait for it.
+    """Run a function on the thread that handles replies, and wait for it.
 
-    rclpy's action client (7.1) sends a request before it knows that it waits for the reply: one that comes in between,
-    to another thread, is dropped as unexpected, and the request never ends.
+    rclpy's action client (7.1) sends a request before it registers that it waits for the reply. If another thread
+    handles the reply in between, it is dropped as unexpected, and the request never completes.
     """
     done = threading.Event()
 
@@ -207,7 +207,7 @@ def on_executor(node: Any, work: Callable[[], None]) -> None:
 
 
 class Goal:
-    """A goal of an action client, and what arrived for it."""
+    """A goal of an action client, with its feedback and result."""
 
     def __init__(self, node: Any, client: ActionClient, goal: Any, plain: Plain) -> None:
         self.node, self.plain = node, plain
@@ -236,12 +236,12 @@ class Goal:
             self.ask()
 
     def ask(self) -> None:
-        """Ask for the result."""
+        """Request the result."""
         self.handle.get_result_async().add_done_callback(self.ended)
 
     def ended(self, future: Any) -> None:
         answer = future.result()
-        changed = answer.status != self.state["status"]  # the same result may be asked for again
+        changed = answer.status != self.state["status"]  # the same result may be requested again
         at = time.monotonic() if changed else self.state["ended_at"]
         ends = self.state["ends"] + changed
         self.update(status=answer.status, result=self.plain(answer.result), ends=ends, ended_at=at)
@@ -265,11 +265,11 @@ class Goal:
             return dict(self.state)
 
     def drop(self) -> None:
-        """Its client stays."""
+        """Do nothing: the client stays for other calls."""
 
 
 class Calls:
-    """The commands; a part of the peer."""
+    """The service and action commands of the peer."""
 
     def __init__(self, node: Any, profile: Callable[[dict[str, Any]], Any], fill: Fill, plain: Plain) -> None:
         self.node, self.profile, self.fill, self.plain = node, profile, fill, plain

@@ -4,12 +4,12 @@ They follow the public sources (ros-navigation/navigation2, branch jazzy: contro
 simple_action_server.hpp, timed_behavior.hpp and the behavior plugins):
 
 - A new path replaces the old one without a stop; the old goal ends ABORTED without a code.
-- A canceled path goes on for ``--braking`` seconds, as with a controller that brakes by itself; then the goal ends, and
+- A canceled path continues for ``--braking`` seconds, like a controller that brakes by itself; then the goal ends, and
   zero velocity follows. Without transforms the robot is stopped, and the goal ends ABORTED with 102.
-- A behavior stops the robot first, and ends then. A second goal of a behavior ends the first one ABORTED.
+- A behavior first stops the robot, then ends. A second goal of a behavior ends the first one ABORTED.
 - assisted_teleop repeats the last velocity of ``/cmd_vel_teleop`` until the next one.
 
-The path's last pose is what counts. A behavior's target of 0 means: until its time is over.
+Only the path's last pose matters. A behavior with a target of 0 runs until its time is over.
 Usage: ros2_controller.py controller_server|behavior_server SPEED [--braking S] [--tf-tolerance S]
 """
 
@@ -33,7 +33,7 @@ from ros2_transforms import Pose, Transforms  # run as a file, it imports from i
 
 PERIOD = 0.05
 NEAR, GAIN = 0.05, 5.0
-"""The goal is reached within so many meters; before that, each meter less takes so many m/s off the speed."""
+"""Distance at which the goal is reached, meters; speed per meter of distance before it, 1/s."""
 TURN = 1.0
 TF_ERROR, INVALID_PATH = 102, 103
 
@@ -45,7 +45,7 @@ def twist(x: float = 0.0, y: float = 0.0, turn: float = 0.0) -> Twist:
 
 
 class Server:
-    """One action of Nav2: a goal is executed on a thread, a newer one preempts it."""
+    """One action of Nav2; each goal runs on a thread, and is preempted by a newer one."""
 
     def __init__(self, node: Driving, type_: Any, action: str) -> None:
         self.node, self.type = node, type_
@@ -72,7 +72,7 @@ class Server:
             time.sleep(PERIOD)
 
     def step(self, handle: Any, start: Pose | None, seconds: float) -> int | None:
-        """One control cycle; the result's code if the goal ended."""
+        """Run one control cycle; return the result's code if the goal ended."""
         raise NotImplementedError
 
 
@@ -108,8 +108,8 @@ class Path(Server):
             return 0
         speed = min(self.node.options.speed, GAIN * left)
         handle.publish_feedback(FollowPath.Feedback(distance_to_goal=left, speed=speed))
-        way = math.atan2(dy, dx) - pose[2]
-        self.node.velocity.publish(twist(speed * math.cos(way), speed * math.sin(way)))
+        heading = math.atan2(dy, dx) - pose[2]
+        self.node.velocity.publish(twist(speed * math.cos(heading), speed * math.sin(heading)))
         return None
 
 

@@ -167,7 +167,7 @@ class Navigator(Node):
             time.sleep(PERIOD)
 
     def step(self, handle: Any, began: float, *, plans: bool) -> int | None:
-        """One control cycle; an error code if the goal failed, -1 if it was reached."""
+        """Run one control cycle; return an error code if the goal failed, -1 if it was reached."""
         goal = handle.request.pose
         if self.following is not None and self.transforms is not None:
             pose = self.transforms.pose()
@@ -188,7 +188,7 @@ class Navigator(Node):
         return self.follow(goal, plans=plans) if self.following is not None else self.move(goal, left)
 
     def follow(self, goal: PoseStamped, *, plans: bool) -> int | None:
-        """Have controller_server drive."""
+        """Drive by controller_server."""
         assert self.following is not None
         if plans:
             start = PoseStamped(header=goal.header)

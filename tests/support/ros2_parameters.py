@@ -24,11 +24,13 @@ class ParameterPeer(Peer):
         self._node = node
         self._refused: set[str] = set()
         self._clients: dict[str, Any] = {}
-        node.add_on_set_parameters_callback(self._asked)
+        node.add_on_set_parameters_callback(self._on_set)
 
-    def _asked(self, parameters: Any) -> Any:
-        wrong = [one.name for one in parameters if one.name in self._refused]
-        return SetParametersResult(successful=not wrong, reason=f"{', '.join(wrong)} stays" if wrong else "")
+    def _on_set(self, parameters: Any) -> Any:
+        wrong = [parameter.name for parameter in parameters if parameter.name in self._refused]
+        return SetParametersResult(
+            successful=not wrong, reason=f"{', '.join(wrong)} cannot be changed" if wrong else ""
+        )
 
     def declare(self, params: dict[str, Any]) -> dict[str, Any]:
         for name, value in params["parameters"].items():
@@ -52,12 +54,12 @@ class ParameterPeer(Peer):
     def get_of(self, params: dict[str, Any]) -> dict[str, Any]:
         got = self._wait(self._client(params["node"]).get_parameters(params["names"]))
         values = [parameter_value_to_python(value) for value in got.values]
-        return {"values": [list(one) if hasattr(one, "typecode") else one for one in values]}
+        return {"values": [list(entry) if hasattr(entry, "typecode") else entry for entry in values]}
 
     def set_of(self, params: dict[str, Any]) -> dict[str, Any]:
         wanted = [Parameter(name, value=value) for name, value in params["parameters"].items()]
         done = self._wait(self._client(params["node"]).set_parameters(wanted))
-        return {"reasons": ["" if one.successful else one.reason or "refused" for one in done.results]}
+        return {"reasons": ["" if result.successful else result.reason or "refused" for result in done.results]}
 
     def list_of(self, params: dict[str, Any]) -> dict[str, Any]:
         return {"names": list(self._wait(self._client(params["node"]).list_parameters()).result.names)}

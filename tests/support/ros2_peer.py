@@ -1,4 +1,4 @@
-"""A real rclpy program that a test drives by JSON lines; see `tests.support.peer`. It knows nothing of Midspan."""
+"""A real rclpy program that a test controls by JSON lines; see `tests.support.peer`. It does not use Midspan."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Endpoint:
 
 
 class Counting:
-    """Publishes numbers, one a message, on a thread."""
+    """Publishes numbers, one per message, on a thread."""
 
     def __init__(self, endpoint: Endpoint, first: int, count: int, rate: float) -> None:
         self.endpoint, self.sent, self.stopping = endpoint, 0, False
@@ -93,7 +93,7 @@ class Counting:
 
 
 class Peer:
-    """The node and the commands on it."""
+    """The node, and the commands that use it."""
 
     def __init__(self, node: Any) -> None:
         self.node = node
@@ -173,8 +173,8 @@ class Peer:
         return self._add(self.calls.call(params))
 
     def result(self, params: dict[str, Any]) -> dict[str, Any]:
-        found: dict[str, Any] = self.endpoints[params["id"]].result(params.get("seconds", 40.0))
-        return found
+        outcome: dict[str, Any] = self.endpoints[params["id"]].result(params.get("seconds", 40.0))
+        return outcome
 
     def act(self, params: dict[str, Any]) -> dict[str, Any]:
         return self._add(self.calls.act(params))
@@ -218,7 +218,7 @@ class Peer:
 
 
 def qos(params: dict[str, Any]) -> Any:
-    """The profile that a command asks for; deep enough for a burst, else, that a starved program takes late."""
+    """Return the profile for a command; by default deep enough for bursts that a busy program handles late."""
     profile: Any = QoSProfile(  # type: ignore[no-untyped-call]
         depth=params.get("depth") or (10 if params.get("latched") else 100),
         durability=DurabilityPolicy.TRANSIENT_LOCAL if params.get("latched") else DurabilityPolicy.VOLATILE,
@@ -228,16 +228,16 @@ def qos(params: dict[str, Any]) -> Any:
 
 
 class EndedError(Exception):
-    """SIGTERM arrived; the shared memory must still be released."""
+    """Raised by SIGTERM, so that the shared memory is released."""
 
 
 def end(_number: int, _frame: Any) -> None:
-    """The handler of SIGTERM."""
+    """Handle SIGTERM."""
     raise EndedError
 
 
-def obey(peer: Peer, answers: TextIO) -> None:
-    """Carry out commands until ``exit`` or the end of the input."""
+def execute(peer: Peer, answers: TextIO) -> None:
+    """Execute commands until ``exit`` or the end of the input."""
     for line in sys.stdin:
         params = json.loads(line)
         if params["do"] == "exit":
@@ -252,9 +252,9 @@ def obey(peer: Peer, answers: TextIO) -> None:
 
 
 def main(make: Callable[[Any], Peer] = Peer) -> None:
-    """Obey the commands on standard input until it ends."""
+    """Execute the commands from standard input until it ends."""
     answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # what Fast DDS prints, of a port's lock for example, is not an answer
+    os.dup2(2, 1)  # Fast DDS's own output, such as on port locks, must not mix with the answers
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node: Any = rclpy.create_node(sys.argv[1] if len(sys.argv) > 1 else "peer")
     executor = SingleThreadedExecutor()
@@ -263,7 +263,7 @@ def main(make: Callable[[Any], Peer] = Peer) -> None:
     spinner.start()
     with contextlib.suppress(EndedError):
         signal.signal(signal.SIGTERM, end)
-        obey(make(node), answers)
+        execute(make(node), answers)
     executor.shutdown(1.0)
     spinner.join(2)
     node.destroy_node()

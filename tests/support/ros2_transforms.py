@@ -1,4 +1,4 @@
-"""The robot's pose for the stand-ins for Nav2's servers, from ``/tf``."""
+"""The robot's pose from ``/tf``, for the stand-ins for Nav2's servers."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ Pose = tuple[float, float, float]
 
 
 class Transforms:
-    """Follows ``map`` to ``base_link``, directly or by ``odom``; rotations in the plane only.
+    """Tracks the transform from ``map`` to ``base_link``, directly or by ``odom``; rotations in the plane only.
 
-    A transform's age counts from its arrival: stamps of a busy machine are late by themselves.
+    A transform's age counts from its arrival, because stamps on a busy machine are already late.
     """
 
     def __init__(self, node: Node, tolerance: float, group: Any = None) -> None:
@@ -36,7 +36,7 @@ class Transforms:
             time.sleep(0.05)
 
     def pose(self) -> Pose | None:
-        """x, y and yaw on the map; None if a transform is missing, or older than the tolerance."""
+        """Return x, y and yaw on the map; None if a transform is missing, or older than the tolerance."""
         x, y, yaw, frame = 0.0, 0.0, 0.0, "base_link"
         while frame != "map":
             if frame not in self.frames:

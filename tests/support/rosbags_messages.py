@@ -1,4 +1,4 @@
-"""Messages as dicts of their fields, by rosbags: ROS 1 bytes, CDR, md5 and RIHS01 that owe nothing to our own code."""
+"""Messages as dicts of their fields, by rosbags: ROS 1 bytes, CDR, md5 and RIHS01 independent of Midspan's code."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ _TF = "geometry_msgs/TransformStamped[] transforms\n"
 
 
 class Messages:
-    """The messages of one world.
+    """The messages of ROS 1 or ROS 2.
 
     Args:
-        ros1: ROS 1 Noetic's, else ROS 2 Jazzy's.
-        folders: of further ``.msg`` files, as ``<folder>/<package>/msg/<Name>.msg`` or ``<package>/<Name>.msg``.
+        ros1: whether to use ROS 1 Noetic's messages; otherwise ROS 2 Jazzy's.
+        folders: further ``.msg`` files, as ``<folder>/<package>/msg/<Name>.msg`` or ``<package>/<Name>.msg``.
         texts: further definitions by name, ``package/Name``.
-        texts: further definitions by name.
     """
 
     def __init__(
@@ -40,26 +39,26 @@ class Messages:
                     self.store.register(get_types_from_msg(file.read_text(), name))
 
     def full(self, name: str) -> str:
-        """``package/Name`` -> ``package/msg/Name``."""
+        """Return ``package/msg/Name`` for ``package/Name``."""
         package, _, short = name.rpartition("/")
         return name if package.endswith("/msg") else f"{package}/msg/{short}"
 
     def type_id(self, name: str) -> str:
-        """The md5 of a ROS 1 type, the RIHS01 of a ROS 2 type."""
+        """Return the md5 of a ROS 1 type, or the RIHS01 of a ROS 2 type."""
         if self.ros1:
             md5: str = self.store.generate_msgdef(self.full(name), ros_version=1)[1]
             return md5
         return str(self.store.hash_rihs01(self.full(name)))
 
     def encode(self, name: str, values: dict[str, Any]) -> bytes:
-        """A message's bytes on its wire; fields that are not given are zero."""
+        """Return a message's wire bytes; missing fields are zero."""
         message = self._message(self.full(name), values)
         if self.ros1:
             return bytes(self.store.serialize_ros1(message, self.full(name)))
         return bytes(self.store.serialize_cdr(message, self.full(name)))
 
     def decode(self, name: str, data: bytes) -> dict[str, Any]:
-        """The fields of a message."""
+        """Return the fields of a message."""
         read = self.store.deserialize_ros1 if self.ros1 else self.store.deserialize_cdr
         fields: dict[str, Any] = _plain(read(data, self.full(name)))
         return fields

@@ -1,4 +1,4 @@
-"""The router of a daemon that a test has killed: it outlives the daemon by design."""
+"""Ends routers of killed daemons, which outlive the daemon by design."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which process of pytest-xdist runs which file. What needs a core of its own comes last, two tests at a time."""
+"""Distributes test files to the processes of pytest-xdist; tests that need a whole core run last, two at a time."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from xdist.scheduler import LoadFileScheduling
 from tests.support.tiers import alone
 
 _ALONE = "@alone"
-"""Stands behind the name of a file, whose tests of this marker are a part of their own."""
+"""Suffix for the separate work unit of a file's tests with this marker."""
 
 _BY_SIDE = "tests/contract/"
-"""Long files whose tests share nothing: the tests of one side are a part of their own, or all wait for the last."""
+"""Folder of long files with independent tests, split into one work unit per side, so that no process is last."""
 
 TOGETHER = min(2, len(os.sched_getaffinity(0)))
-"""So many tests run at a time once only those with the marker `alone` are left: each has a core."""
+"""Number of concurrent tests once only those with the marker `alone` are left, so that each has a core."""
 
 
 class Scheduler(LoadFileScheduling):
-    """Gives files to the processes from both ends; the last processes that work go on with the tests to run alone.
+    """Assigns files to the processes from both ends; the last busy processes continue with the `alone` tests.
 
-    Two processes at most take files from the front, where those are that start programs: there are two cores.
+    At most two processes receive files from the front, which start programs, because there are two cores.
     """
 
     def _split_scope(self, nodeid: str) -> str:
@@ -36,7 +36,7 @@ class Scheduler(LoadFileScheduling):
         waiting = [unit for unit in self.workqueue if not unit.endswith(_ALONE)]
         if not waiting:
             if len(self.assigned_work) > TOGETHER:
-                return  # others still work; `remove_node` looks again
+                return  # others are still busy; `remove_node` checks again
             waiting = list(self.workqueue)
         unit = waiting[0 if node.gateway.id in self._from_the_front() else -1]
         self.workqueue.move_to_end(unit, last=False)
@@ -48,7 +48,7 @@ class Scheduler(LoadFileScheduling):
     def _reschedule(self, node: Any) -> None:
         if self.workqueue and all(unit.endswith(_ALONE) for unit in self.workqueue) and not node.shutting_down:
             if sum(other is not node and not other.shutting_down for other in self.nodes) >= TOGETHER:
-                node.shutdown()  # after what it has to do
+                node.shutdown()  # after its assigned work
                 return
             if len(self.assigned_work) > TOGETHER:
                 return

@@ -1,4 +1,4 @@
-"""A system clock that tests set, for processes that they start: no test may touch the clock of the machine."""
+"""A system clock that tests set for the processes that they start, since no test may set the machine's clock."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ time_t time(time_t *now) {
 
 
 class ShiftedClock:
-    """The machine's clock plus whole seconds, in processes that have `environment` and their children (Linux)."""
+    """The machine's clock plus whole seconds, for processes with `environment` and their children (Linux)."""
 
     def __init__(self, folder: Path, seconds: int = 0) -> None:
         self._file, self._library = folder / "clock_shift", folder / "shifted_clock.so"
@@ -57,10 +57,10 @@ class ShiftedClock:
 
     @property
     def environment(self) -> dict[str, str]:
-        """The environment of this process, and what shifts the clock."""
+        """Return the environment of this process with the variables that shift the clock."""
         return {**os.environ, "LD_PRELOAD": str(self._library), "CLOCK_SHIFT": str(self._file)}
 
     def set(self, seconds: int) -> None:
-        """Set the clock to the machine's plus seconds."""
+        """Set the clock to the machine's clock plus seconds."""
         with self._file.open("r+b") as file:
             file.write(struct.pack("q", seconds))

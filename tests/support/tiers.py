@@ -1,4 +1,4 @@
-"""What a test file says of its tests, without importing it: whether they are fast, and which run alone."""
+"""Classifies test files without importing them: whether their tests are fast, and which have the marker `alone`."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ MIDDLEWARE = (
     "subprocess", "zenoh",
 )  # fmt: skip
 DRIVING = ("benchmarks.closedloop.drive", "tests.navigation.robot_goto.scene")
-"""Who imports one of these, by itself or by another file of the tests, is not fast: programs, and robots that drive."""
+"""Test files that import one of these or of `MIDDLEWARE`, directly or indirectly, are not fast."""
 
 _FOLLOWED = {"benchmarks", "examples", "tests"}
-"""Packages whose files tests use; what the product imports is not looked into."""
+"""Packages whose imports are followed; the product's imports are not."""
 
 _IMPORT = re.compile(r"^\s*(?:from (\S+) import (\([^)]*\)|.*)|import (.*))", re.MULTILINE)
 
 
 def is_fast(file: Path) -> bool:
-    """Whether a test file has nothing to do with a middleware or another process, its helpers included."""
+    """Return whether a test file and its helpers use neither a middleware nor another process."""
     seen: set[Path] = set()
     ahead = [file]
     while ahead:
-        here = ahead.pop()
-        if here in seen:
+        current = ahead.pop()
+        if current in seen:
             continue
-        seen.add(here)
-        modules = imports(here)
+        seen.add(current)
+        modules = imports(current)
         if any(f"{module}.".startswith(f"{name}.") for module in modules for name in (*MIDDLEWARE, *DRIVING)):
             return False
         ahead += [path for module in modules for path in _files(module)]
@@ -40,16 +40,16 @@ def is_fast(file: Path) -> bool:
 
 @functools.cache
 def imports(file: Path) -> frozenset[str]:
-    """Modules that a file imports anywhere; of ``from a import b`` both ``a`` and ``a.b``, which may be one."""
-    found: set[str] = set()
+    """Return the modules that a file imports anywhere; for ``from a import b`` both ``a`` and ``a.b``."""
+    result: set[str] = set()
     for package, names, modules in _IMPORT.findall(file.read_text(encoding="utf-8")):
-        listed = [words.split()[0] for words in re.sub(r"[()]|#.*", "", names or modules).split(",") if words.split()]
-        found |= {package, *(f"{package}.{name}" for name in listed)} if package else set(listed)
-    return frozenset(found)
+        listed = [entry.split()[0] for entry in re.sub(r"[()]|#.*", "", names or modules).split(",") if entry.split()]
+        result |= {package, *(f"{package}.{name}" for name in listed)} if package else set(listed)
+    return frozenset(result)
 
 
 def _files(module: str) -> list[Path]:
-    """The file of a module that is followed."""
+    """Return the file of a module whose imports are followed."""
     if module.partition(".")[0] not in _FOLLOWED:
         return []
     path = ROOT.joinpath(*module.split("."))
@@ -58,7 +58,7 @@ def _files(module: str) -> list[Path]:
 
 @functools.cache
 def alone(file: Path) -> frozenset[str]:
-    """Names of the file's test functions with the marker `alone`, by decorator or for the whole file."""
+    """Return the file's test functions with the marker `alone`, by decorator or for the whole file."""
     text = file.read_text(encoding="utf-8")
     if "mark.alone" not in text:
         return frozenset()

@@ -1,4 +1,4 @@
-"""A kernel's source run as Python, beside its compiled form."""
+"""Loads a kernel's source as uncompiled Python, in addition to its compiled form."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bridge import kernels
 
 @cache
 def uncompiled(name: str) -> ModuleType:
-    """The module of a kernel, executed from its ``.py``; the one that imports find stays as it is.
+    """Return a kernel's module executed from its ``.py``; the imported module stays compiled.
 
     Args:
         name: one of `bridge.kernels.KERNELS`.
@@ -23,6 +23,6 @@ def uncompiled(name: str) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[other] = module  # dataclasses look their module up
+    sys.modules[other] = module  # dataclasses look up their module
     spec.loader.exec_module(module)
     return module

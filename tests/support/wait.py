@@ -9,12 +9,11 @@ from typing import TypeVar
 T = TypeVar("T")
 
 _LONG, _PATIENCE = 10.0, 60.0
-"""Seconds: who waits for so long does not measure but wants to know that something hangs, which a machine that computes
-beside makes known late."""
+"""Seconds from which a wait only detects hangs and may be extended, because a busy machine is slow."""
 
 
 def until(condition: Callable[[], T], what: str, seconds: float = 40.0, every: float = 0.02) -> T:
-    """Return the condition's first true value; fail with ``what`` after ``seconds``, or a minute if these are many."""
+    """Return the condition's first true value; fail with ``what`` after ``seconds``, which are extended if long."""
     seconds = max(seconds, _PATIENCE) if seconds >= _LONG else seconds
     end = time.monotonic() + seconds
     while True:

@@ -47,17 +47,17 @@ class RealNameServer:
         class Handler(socketserver.StreamRequestHandler):
             def handle(self) -> None:
                 for request in self.rfile:
-                    with contextlib.suppress(ConnectionError):  # the client may disconnect after its answer
+                    with contextlib.suppress(ConnectionError):  # the client may disconnect after the reply
                         self.wfile.write("".join(f"{line}\r\n" for line in self._reply(request.decode())).encode())
 
             def _reply(self, request: str) -> list[str]:
                 """Reply in the carrier of the request: the name server's, or ``CONNACK`` as a port does."""
-                carrier, _, rest = request.strip().partition(" ")
+                carrier, _, remainder = request.strip().partition(" ")
                 if carrier == "CONNACK":
-                    return [f"Welcome {rest}"]
+                    return [f"Welcome {remainder}"]
                 if carrier == "d":
                     return []
-                answer = outer.answer(from_text(rest.replace('"', "") if carrier == "NAME_SERVER" else request))
+                answer = outer.answer(from_text(remainder.replace('"', "") if carrier == "NAME_SERVER" else request))
                 return answer if carrier == "NAME_SERVER" else [*answer[:-1], "<ACK>"]
 
         class Server(socketserver.ThreadingTCPServer):

@@ -1,8 +1,8 @@
-"""An RPC client as YARP's C++ library makes one (``yarp::os::RpcClient``, 3.9), by bare sockets and bytes.
+"""An RPC client that behaves like YARP's C++ library (``yarp::os::RpcClient``, 3.9), on plain sockets.
 
-What it copies (``PortCore.cpp``, 3.9 and 4.0): it connects once, when it is told to; it notices the end of a connection
-only when it writes; that call fails, the connection is gone, and it never connects again by itself; until then it lists
-a dead connection as one of its own. An ``[add]`` takes the place of a former connection between the same ports.
+It copies this behavior (``PortCore.cpp``, 3.9 and 4.0): it connects once, on request. It detects a closed connection
+only when it writes; that call fails, the connection is removed, and it never reconnects by itself. Until then it lists
+the dead connection. An ``[add]`` replaces an earlier connection between the same ports.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ _CALL = bytes.fromhex("00000000 7e640001")
 
 
 class NativeClient:
-    """One port, registered and listening; `call` says what it was answered.
+    """One registered and listening port, which makes calls.
 
     Args:
-        name: the port's.
+        name: the port's name.
         naming: the name server.
-        seconds: for which a reply is waited for.
+        seconds: time-out for replies.
     """
 
     def __init__(self, name: str, naming: NameClient, seconds: float = 10.0) -> None:
@@ -38,7 +38,7 @@ class NativeClient:
         self._thread.start()
 
     def connect(self, target: str) -> bool:
-        """Connect to a port, as ``Network::connect`` does, once."""
+        """Connect to a port once, like ``Network::connect``; return whether it succeeded."""
         contact = self._naming.query(target)
         if contact is None:
             return False
@@ -54,8 +54,8 @@ class NativeClient:
         return False
 
     def call(self, request: bytes) -> bytes | None:
-        """The reply to a request, a payload too; None where the call failed."""
-        with self._lock:  # ``PortCore::sendHelper`` has one too: nobody is answered meanwhile
+        """Call with a request's payload, and return the reply's payload; None if the call failed."""
+        with self._lock:  # ``PortCore::sendHelper`` holds a lock, too: administrative commands wait
             if self._link is None:
                 return None
             try:
@@ -70,7 +70,7 @@ class NativeClient:
             return reply.removesuffix(_ACK)
 
     def close(self) -> None:
-        """End it in good order."""
+        """Close and unregister the port."""
         self._server.shutdown(socket.SHUT_RDWR)
         self._thread.join()
         self._server.close()
@@ -91,29 +91,29 @@ class NativeClient:
             threading.Thread(target=self._serve, args=[peer], daemon=True).start()
 
     def _serve(self, peer: socket.socket) -> None:
-        """Answer a tool's administrative commands, by ``text_ack``."""
+        """Reply to a tool's administrative commands, by ``text_ack``."""
         with peer, contextlib.suppress(OSError), peer.makefile("rwb") as lines:
             peer.settimeout(self._seconds)
             lines.write(lines.readline().replace(b"CONNACK", b"Welcome"))
             lines.flush()
             while (key := lines.readline().strip()) not in (b"", b"q"):
-                words = lines.readline().decode().replace('"', "").split() if key == b"a" else []
-                lines.write(self._administer(words).encode() + b"\r\n<ACK>\r\n")
+                command = lines.readline().decode().replace('"', "").split() if key == b"a" else []
+                lines.write(self._administer(command).encode() + b"\r\n<ACK>\r\n")
                 lines.flush()
 
-    def _administer(self, words: list[str]) -> str:
-        if words[:1] == ["[add]"]:
-            target = "/" + words[1].partition("//")[2]
+    def _administer(self, command: list[str]) -> str:
+        if command[:1] == ["[add]"]:
+            target = "/" + command[1].partition("//")[2]
             done = self.connect(target)
             return f'0 "Added connection from {self.name} to {target}"' if done else f'-1 "no {target}"'
         with self._lock:
-            return self._said(words)
+            return self._reply(command)
 
-    def _said(self, words: list[str]) -> str:
-        if words[:2] == ["[list]", "[out]"]:
-            linked = self._link is not None and self._target in words[2:]
+    def _reply(self, command: list[str]) -> str:
+        if command[:2] == ["[list]", "[out]"]:
+            linked = self._link is not None and self._target in command[2:]
             return f'(from "{self.name}") (to "{self._target}") (carrier tcp)' if linked else ""
-        return '1 "" 4711' if words == ["getPid"] else '[fail] "send [help] for list of valid commands"'
+        return '1 "" 4711' if command == ["getPid"] else '[fail] "send [help] for list of valid commands"'
 
 
 def _some(link: socket.socket) -> bytes:

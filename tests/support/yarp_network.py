@@ -1,4 +1,4 @@
-"""The network of a script, in the test's own process: what `yarp.Network` and `yarp.PolyDriver` use."""
+"""The YARP network of a script that runs in the test's process, for `yarp.Network` and `yarp.PolyDriver`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from yarp_compat.os.runtime import RUNTIME
 
 @contextmanager
 def network_of(names: NameClient) -> Iterator[None]:
-    """Have the network be that of a name server, and close what is open of it at the end."""
+    """Use a name server's network inside the context; close everything that is still open at its end."""
     RUNTIME.use(names)
     yarp.Network.init()
     try:

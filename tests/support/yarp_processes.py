@@ -40,5 +40,5 @@ def processes(folder: Path, owners: Mapping[Address, Iterable[str]], state: str 
 def listed(address: Address) -> str:
     """Return an address as ``/proc/net/tcp`` lists it: words in the machine's byte order."""
     packed = ip_address(address[0]).packed
-    words = struct.unpack(f"={len(packed) // 4}I", packed)
-    return "".join(f"{word:08X}" for word in words) + f":{address[1]:04X}"
+    numbers = struct.unpack(f"={len(packed) // 4}I", packed)
+    return "".join(f"{number:08X}" for number in numbers) + f":{address[1]:04X}"

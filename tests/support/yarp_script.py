@@ -1,4 +1,4 @@
-"""Scripts for YARP's Python bindings, run unchanged on `yarp_compat`, each a program of its own."""
+"""Runs scripts for YARP's Python bindings unchanged on `yarp_compat`, each as a separate program."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _FOREIGN = ("YARP_", "ROS_", "AMENT_", "CMAKE_")
 
 
 def start(script: str, folder: Path, *words: str, **variables: str) -> subprocess.Popen[str]:
-    """Start a script where no ROS is known.
+    """Start a script without a ROS environment.
 
     Args:
         script: its file's name without ``.py``.
-        folder: has ``yarp.conf``; the program's working folder.
-        words: its arguments.
-        variables: of its environment.
+        folder: the program's working folder, with ``yarp.conf``.
+        words: the script's arguments.
+        variables: further environment variables.
     """
     clean = {name: value for name, value in os.environ.items() if not name.startswith(_FOREIGN)}
     return subprocess.Popen(
@@ -32,13 +32,13 @@ def start(script: str, folder: Path, *words: str, **variables: str) -> subproces
     )
 
 
-def said(program: subprocess.Popen[str], seconds: float = 60) -> list[str]:
-    """The lines that a script printed itself, at its end; the library's own begin with their level."""
+def output_lines(program: subprocess.Popen[str], seconds: float = 60) -> list[str]:
+    """Wait until a script exits, and return its output lines without those of the library's log."""
     try:
         out, err = program.communicate(timeout=seconds)
     except subprocess.TimeoutExpired:
         program.kill()
         out, err = program.communicate()
     assert program.returncode == 0, f"{out}\n{err}"
-    # two threads may print at once: a line of the library's may stand between a text and its end
+    # two threads may print at once, so a log line may split an output line
     return re.sub(r"\[[A-Z]+\] \|[^\n]*\n", "", out).splitlines()

@@ -1,7 +1,7 @@
-"""Actions behind a `tests.support.zenoh_programs.Ros2ddsBridge`: the services, topics and token that the plugin makes.
+"""Actions of a `tests.support.zenoh_programs.Ros2ddsBridge`: the services, topics and token that the plugin declares.
 
 Written from zenoh-plugin-ros2dds of August 2026: ``route_action_srv.rs``, ``route_action_cli.rs``, ``ros2_utils.rs``.
-The one action is ``tf2_msgs/action/LookupTransform``, as its definition is known everywhere.
+The only action is ``tf2_msgs/action/LookupTransform``, whose definition is available everywhere.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _STATUS = "action_msgs/GoalStatusArray"
 
 
 class ActionServer:
-    """An action server of a DDS node behind a bridge: it takes every goal and ends it when it is told, or cancelled."""
+    """An action server of a DDS node behind a bridge; it accepts all goals, which run until `end` or a cancel."""
 
     def __init__(self, bridge: Ros2ddsBridge, name: str) -> None:
         self.bridge = bridge
@@ -49,7 +49,7 @@ class ActionServer:
         self.status = ext.declare_advanced_publisher(
             session, bridge.key(f"{name}/_action/status"), cache=ext.CacheConfig(10), publisher_detection=True
         )
-        self.token = bridge.tell("AS", name, ACTION)
+        self.token = bridge.declare_token("AS", name, ACTION)
 
     def _serve(self, name: str, part: str, type_: str) -> Serving:
         key = self.bridge.key(f"{name}/_action/{part}")
@@ -58,10 +58,10 @@ class ActionServer:
         return serving
 
     def goal(self) -> dict[str, Any]:
-        """The first goal that came."""
+        """Return the first goal."""
         return self.send_goal.requests()[0]
 
-    def tell(self, status: int) -> None:
+    def report(self, status: int) -> None:
         """Publish feedback and the goal's status."""
         goal_id = self.goal()["goal_id"]
         self.feedback.put(self.bridge.encode(f"{_NAME}_FeedbackMessage", {"goal_id": goal_id}))
@@ -70,12 +70,12 @@ class ActionServer:
 
     def end(self, status: int, frame: str) -> None:
         """End the goal."""
-        self.tell(status)
+        self.report(status)
         self.get_result.reply = {"status": status, "result": {"transform": {"child_frame_id": frame}}}
         self.get_result.release()
 
     def close(self) -> None:
-        """The node ends: the plugin takes back its routes, and keeps the queries."""
+        """Close the node: the plugin undeclares its routes, but keeps pending queries."""
         self.token.undeclare()
         for serving in (self.send_goal, self.cancel_goal, self.get_result):
             serving.undeclare()
@@ -88,23 +88,23 @@ class ActionClient:
 
     def __init__(self, bridge: Ros2ddsBridge, name: str) -> None:
         self.bridge, self.name = bridge, name
-        self.token = bridge.tell("AC", name, ACTION)
+        self.token = bridge.declare_token("AC", name, ACTION)
         self.feedback: list[Any] = []
         self.statuses: list[Any] = []
         session = bridge.session
         self._changed = threading.Condition()
 
-        def hear(heard: list[Any], type_: str) -> zenoh.handlers.Callback:
+        def collect(received: list[Any], type_: str) -> zenoh.handlers.Callback:
             return zenoh.handlers.Callback(
-                lambda sample: heard.append(bridge.decode(type_, sample.payload.to_bytes())), indirect=False
+                lambda sample: received.append(bridge.decode(type_, sample.payload.to_bytes())), indirect=False
             )
 
         self._parts: list[zenoh.Subscriber | ext.AdvancedSubscriber] = [
             session.declare_subscriber(
-                bridge.key(f"{name}/_action/feedback"), hear(self.feedback, f"{_NAME}_FeedbackMessage")
+                bridge.key(f"{name}/_action/feedback"), collect(self.feedback, f"{_NAME}_FeedbackMessage")
             ),
             ext.declare_advanced_subscriber(
-                session, bridge.key(f"{name}/_action/status"), hear(self.statuses, _STATUS),
+                session, bridge.key(f"{name}/_action/status"), collect(self.statuses, _STATUS),
                 history=ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
             ),
         ]  # fmt: skip

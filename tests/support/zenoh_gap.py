@@ -1,9 +1,9 @@
-"""Two participants of a hub that reach each other through its router alone: how long do they not hear each other?
+"""Measures gaps in the traffic between two sessions of a hub that are connected only through its router.
 
 Usage: zenoh_gap.py ENDPOINT
 
-Each line on the standard input is answered by a line: the longest time in seconds between two messages that one of the
-two heard from the other since the line before, the time since the last one included.
+Each line on standard input is answered by a line: the longest time in seconds between two received messages since the
+previous line, including the time since the last message.
 """
 
 import sys
@@ -30,13 +30,13 @@ class Gap:
         self._last = time.monotonic()
         self._worst = 0.0
 
-    def heard(self, _sample: object = None) -> None:
+    def on_message(self, _sample: object = None) -> None:
         with self._lock:
             now = time.monotonic()
             self._worst = max(self._worst, now - self._last)
             self._last = now
 
-    def taken(self) -> float:
+    def reset(self) -> float:
         with self._lock:
             worst = max(self._worst, time.monotonic() - self._last)
             self._worst = 0.0
@@ -44,10 +44,10 @@ class Gap:
 
 
 def main() -> None:
-    one, other = session(sys.argv[1]), session(sys.argv[1])
+    sender, receiver = session(sys.argv[1]), session(sys.argv[1])
     gap = Gap()
-    subscriber = other.declare_subscriber(KEY, gap.heard)
-    publisher = one.declare_publisher(KEY)
+    subscriber = receiver.declare_subscriber(KEY, gap.on_message)
+    publisher = sender.declare_publisher(KEY)
     ended = threading.Event()
 
     def drum() -> None:
@@ -56,11 +56,11 @@ def main() -> None:
 
     threading.Thread(target=drum, daemon=True).start()
     for _line in sys.stdin:
-        print(gap.taken(), flush=True)
+        print(gap.reset(), flush=True)
     ended.set()
     subscriber.undeclare()
-    one.close()
-    other.close()
+    sender.close()
+    receiver.close()
 
 
 main()

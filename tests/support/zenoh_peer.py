@@ -1,8 +1,8 @@
-"""A zenoh-ros2-sdk program under a test's control: an independent participant of the hub. See `tests.support.peer`.
+"""A zenoh-ros2-sdk program that a test controls, as an independent participant of the hub; see `tests.support.peer`.
 
 Arguments: router port, ROS domain. Types are those of rosbags' Jazzy store; their definitions and hashes are passed
-explicitly, otherwise the SDK would fetch them from the network. ``topic_info`` topic -> what the SDK sees of a topic.
-Services are those of ``SERVICES``, their hashes the SDK's own; ``serve`` answers -> id and hash.
+explicitly, otherwise the SDK would fetch them from the network. ``topic_info`` topic -> the SDK's view of a topic.
+Services are those of ``SERVICES``, with the SDK's own hashes; ``serve`` -> id and hash.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ SERVICES = {"std_srvs/SetBool": ("bool data", "bool success\nstring message")}
 
 
 def full_name(name: str) -> str:
-    """``package/Name`` -> ``package/msg/Name``."""
+    """Return ``package/msg/Name`` for ``package/Name``."""
     package, _, short = name.rpartition("/")
     return name if package.endswith("/msg") else f"{package}/msg/{short}"
 
 
 def fields_of(name: str, values: dict[str, Any], store: Any) -> dict[str, Any]:
-    """Values of all of a message's fields as its class wants them; what is not given is zero."""
+    """Return the values of all fields of a message for its class; missing fields are zero."""
     _, fields = STORE.fielddefs[name]
     return {field: value_of(kind, values.get(field), store) for field, kind in fields}
 
 
 def value_of(kind: Any, value: Any, store: Any) -> Any:
-    """One field's value from JSON's."""
+    """Return a field's value from JSON."""
     node, detail = kind
     if node.name == "BASE":
         return value if value is not None else {"string": "", "bool": False}.get(detail[0], 0)
@@ -57,7 +57,7 @@ def value_of(kind: Any, value: Any, store: Any) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """A message as JSON's values."""
+    """Return a message as JSON values."""
     if hasattr(value, "__dataclass_fields__"):
         return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__ if name != "__msgtype__"}
     if isinstance(value, np.ndarray):
@@ -68,7 +68,7 @@ def plain(value: Any) -> Any:
 
 
 class Serving:
-    """A server that gives one answer to all."""
+    """A server with one answer to all requests."""
 
     def __init__(self, params: dict[str, Any], options: dict[str, Any]) -> None:
         self._reply, self._error = params.get("reply") or {}, params.get("error", "")
@@ -99,7 +99,7 @@ class Serving:
 
 
 class Calling:
-    """A call on a thread."""
+    """A service call on a thread."""
 
     def __init__(self, client: ROS2ServiceClient, request: dict[str, Any]) -> None:
         self._client, self._request = client, request
@@ -112,7 +112,7 @@ class Calling:
         try:
             reply = self._client.call(**self._request)
             if reply is None:
-                self._error = "the SDK says: no reply"  # it writes the reason to its log
+                self._error = "no reply by the SDK"  # it writes the reason to its log
             else:
                 self._reply = plain(reply)
         except Exception as err:
@@ -161,12 +161,14 @@ class ZenohPeer:
         number = len(self._messages)
         self._messages[number] = []
 
-        def heard(message: Any) -> None:
+        def on_message(message: Any) -> None:
             with self._came:
                 self._messages[number].append(plain(message))
                 self._came.notify_all()
 
-        subscriber = ROS2Subscriber(params["topic"], callback=heard, node_name="sdk_listener", **self._options(params))
+        subscriber = ROS2Subscriber(
+            params["topic"], callback=on_message, node_name="sdk_listener", **self._options(params)
+        )
         self._endpoints[number] = subscriber
         return {"id": number}
 

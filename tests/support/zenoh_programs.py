@@ -1,8 +1,8 @@
-"""Programs on a plain zenoh network, in the test's own process: bridges as the plugins of zenoh are, and JSON programs.
+"""Programs on a plain zenoh network, in the test's process: JSON programs, and bridges like zenoh's plugins.
 
 Written from the plugins' sources (zenoh-plugin-ros2dds of August 2026: ``liveliness_mgt.rs``, ``route_publisher.rs``,
 ``route_subscriber.rs``; zenoh-plugin-ros1 of May 2025: ``topic_utilities.rs``, ``discovery.rs``,
-``aloha_declaration.rs``), without code of Midspan, messages included. A peer is a bridge together with its ROS nodes,
+``aloha_declaration.rs``), without Midspan's code, including messages. A peer is a bridge together with its ROS nodes,
 which receive each other's messages. See `tests.support.peer` for the commands.
 """
 
@@ -27,13 +27,13 @@ from tests.support.zenoh_services import MD5, TYPES, Calling, Serving, Wire
 
 
 def service_texts() -> dict[str, str]:
-    """The requests and responses of services, by name and text."""
+    """Return the definitions of services' requests and responses, by name."""
     halves = ("Request", "Response")
     return {f"{name}_{half}": text for name, texts in TYPES.items() for half, text in zip(halves, texts, strict=True)}
 
 
 def open_session(endpoint: str, mode: str = "peer", **more: Any) -> zenoh.Session:
-    """A session that joins the router at an endpoint; the plugins' bridges always time-stamp."""
+    """Open a session to the router at an endpoint; with timestamps, like the plugins' bridges."""
     tree = {
         "mode": mode,
         "scouting": {"delay": 0, "multicast": {"enabled": False}},
@@ -70,7 +70,7 @@ class Router:
 
 
 class Program:
-    """The base of all these programs: numbered endpoints, and the messages that each received."""
+    """Base class of these programs: numbered endpoints with their received messages."""
 
     def __init__(self, endpoint: str) -> None:
         self.session = open_session(endpoint)
@@ -97,7 +97,7 @@ class Program:
             self._puts[number] = put
         return number
 
-    def hear(self, number: int, type_: str, data: bytes) -> None:
+    def on_message(self, number: int, type_: str, data: bytes) -> None:
         with self._changed:
             self.heard[number].append(self.decode(type_, data))
             self._changed.notify_all()
@@ -105,16 +105,16 @@ class Program:
     def listener(self, topic: str, type_: str) -> tuple[int, Callable[[zenoh.Sample], None]]:
         number = self.add(topic, type_, [])
         self.heard[number] = []
-        return number, lambda sample: self.hear(number, type_, sample.payload.to_bytes())
+        return number, lambda sample: self.on_message(number, type_, sample.payload.to_bytes())
 
     def publish(self, endpoint: int, message: dict[str, Any]) -> None:
         topic, type_, _ = self._things[endpoint]
         data = self.encode(type_, message)
         self._puts[endpoint](data)
         for number in [n for n in self.heard if self._things.get(n, ("",))[0] == topic]:
-            self.hear(number, type_, data)
+            self.on_message(number, type_, data)
 
-    def until_heard_of(self, endpoint: int) -> None:
+    def until_subscribed(self, endpoint: int) -> None:
         """Wait for a subscription to a publisher."""
         publisher = self._things[endpoint][2][-1]
         until(lambda: publisher.matching_status.matching, "a subscription exists")
@@ -129,11 +129,11 @@ class Program:
             part.undeclare()
 
     def serve(self, service: str, type_: str, params: dict[str, Any]) -> tuple[Serving, list[Any]]:
-        """A server of the dialect, and what else is to be undeclared with it."""
+        """Return a server of the dialect, and what must be undeclared with it."""
         raise NotImplementedError
 
     def call(self, service: str, type_: str, request: dict[str, Any] | bytes | None) -> Calling:
-        """A call of the dialect."""
+        """Call a server of the dialect."""
         raise NotImplementedError
 
     def ask(self, do: str, **params: Any) -> dict[str, Any]:
@@ -158,11 +158,11 @@ class Program:
     def stop(self, seconds: float = 6.0) -> int:
         session, self.session = self.session, None
         if session is not None:
-            # zenoh waits for callbacks at the end, and they for Python
+            # closing zenoh waits for callbacks, and these for Python's lock
             for number in list(self._things):
                 self.drop(number)
             for serving in self.servings.values():
-                serving.forget()
+                serving.drop_queries()
             for calling in self._callings.values():
                 calling.token.cancel()
             if self.watch is not None:
@@ -202,7 +202,7 @@ class Ros2ddsBridge(Program):
         return f"{self._namespace}/{topic[1:]}" if self._namespace else topic[1:]
 
     def token(self, letters: str, topic: str, type_: str, *, latched: bool, depth: int, best_effort: bool) -> str:
-        """The token of a topic, byte for byte."""
+        """Return the token of a topic, byte for byte."""
         type_name = self._messages.full(type_).replace("/", "§")
         qos = f":{int(not best_effort)}:{int(latched)}:0,{depth}:typehash={self._messages.type_id(type_)};"
         return f"@/{self.zid}/@ros2_lv/{letters}/{self.key(topic).replace('/', '§')}/{type_name}/{qos}"
@@ -239,14 +239,14 @@ class Ros2ddsBridge(Program):
     def _request_id(self) -> bytes:
         return b"rqh" + self._client + next(self._sequence).to_bytes(8, "little") + b"\1"
 
-    def tell(self, letters: str, name: str, type_name: str) -> zenoh.LivelinessToken:
-        """The token of a service or an action, byte for byte."""
+    def declare_token(self, letters: str, name: str, type_name: str) -> zenoh.LivelinessToken:
+        """Declare the token of a service or an action, byte for byte."""
         key, type_name = self.key(name).replace("/", "§"), type_name.replace("/", "§")
         return self.session.liveliness().declare_token(f"@/{self.zid}/@ros2_lv/{letters}/{key}/{type_name}")
 
     def serve(self, service: str, type_: str, params: dict[str, Any]) -> tuple[Serving, list[Any]]:
         serving = Serving(self.session, self.key(service), self.wire, params)
-        return serving, [self.tell("SS", service, type_.replace("/", "/srv/"))]
+        return serving, [self.declare_token("SS", service, type_.replace("/", "/srv/"))]
 
     def call(self, service: str, type_: str, request: dict[str, Any] | bytes | None) -> Calling:
         return Calling(self.session, self.key(service), self.wire, type_, request)
@@ -256,7 +256,7 @@ class Ros2ddsBridge(Program):
         return set(self._tokens)
 
     def tokens(self, topic: str, letters: str = "MP") -> list[str]:
-        """The tokens of others about a topic."""
+        """Return the tokens of other bridges for a topic."""
         part = f"/@ros2_lv/{letters}/{self.key(topic).replace('/', '§')}/"
         return sorted(t for t in self._tokens if part in t and self.zid not in t)
 
@@ -291,12 +291,12 @@ class Beacon:
             allowed_destination=zenoh.Locality.REMOTE,
         )
         self._subscriber = session.declare_subscriber(
-            key, zenoh.handlers.Callback(self._heard, indirect=False), allowed_origin=zenoh.Locality.REMOTE
+            key, zenoh.handlers.Callback(self._on_beacon, indirect=False), allowed_origin=zenoh.Locality.REMOTE
         )
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
-    def _heard(self, _sample: zenoh.Sample) -> None:
+    def _on_beacon(self, _sample: zenoh.Sample) -> None:
         self._others += 1
 
     def _run(self) -> None:
@@ -331,7 +331,7 @@ class Ros1Bridge(Program):
             f"ros1_discovery_info/*/*/*/*/{namespace}/*/**", zenoh.handlers.Callback(self._on_beacon, indirect=False)
         )
 
-    def deafen(self) -> None:
+    def ignore_beacons(self) -> None:
         """Ignore all beacons except those of its topics."""
         self.watch.undeclare()
         self.watch = self.session.declare_subscriber("nothing", zenoh.handlers.Callback(self._on_beacon))
@@ -346,12 +346,12 @@ class Ros1Bridge(Program):
         return self._messages.decode(type_, data)
 
     def key(self, topic: str, type_: str, md5: str = "") -> str:
-        """The key of a topic's samples, byte for byte."""
+        """Return the key of a topic's samples, byte for byte."""
         hex_type = type_.replace("/msg/", "/").encode().hex()
         return f"{hex_type}/{md5 or self._messages.type_id(type_)}/{self.namespace}/{topic.strip('/')}"
 
     def discovery(self, letters: str, topic: str, type_: str, md5: str = "") -> str:
-        """The key of a topic's beacon, byte for byte."""
+        """Return the key of a topic's beacon, byte for byte."""
         return f"ros1_discovery_info/*/{letters}/{self.key(topic, type_, md5)}"
 
     def advertise(
@@ -396,7 +396,7 @@ class Ros1Bridge(Program):
     def beacons(self) -> list[str]:
         """Return the keys of all beacons received in the last three periods, including its own."""
         now = time.monotonic()
-        return sorted(key for key, heard in self._beacons.items() if now - heard < 3 * self._period)
+        return sorted(key for key, received_at in self._beacons.items() if now - received_at < 3 * self._period)
 
     def graph(self) -> dict[str, Any]:
         graph: dict[str, Any] = {"publishers": {}, "subscriptions": {}}
@@ -440,6 +440,6 @@ class JsonProgram(Program):
         return Calling(self.session, service.strip("/"), self.wire, type_, request)
 
     def get(self, key: str) -> list[tuple[Any, str]]:
-        """A plain ``get``: each answer with its encoding."""
+        """Query a key, and return each answer with its encoding."""
         replies = self.session.get(key, timeout=5.0)
         return [(json.loads(r.ok.payload.to_bytes()), str(r.ok.encoding)) for r in replies if r.ok is not None]

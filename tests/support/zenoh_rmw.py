@@ -43,7 +43,7 @@ CONFIG: dict[str, Any] = {
     "queries_default_timeout": 600_000,
     "transport": {"link": {"tx": {"lease": 60_000, "keep_alive": 2}}, "shared_memory": {"enabled": False}},
 }
-"""What a node needs of rmw_zenoh_cpp's `DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`, with loopback for localhost."""
+"""The relevant part of rmw_zenoh_cpp's `DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`, with loopback for localhost."""
 
 
 def rmw_session(router: str, mode: str = "peer") -> zenoh.Session:
@@ -155,7 +155,7 @@ class RmwSubscription(_Announced):
             self._received(payload)
 
     def texts(self) -> list[str]:
-        """The payloads so far, decoded."""
+        """Return the payloads so far, decoded."""
         return [payload.decode() for payload in self.payloads]
 
     def expect(self, *texts: str, seconds: float = 40.0) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import zenoh
 
 TIMEOUT = 30.0
-"""Seconds after which a query of these programs ends; the plugins' have 5 and 10 by default."""
+"""Time-out of these programs' queries, seconds; the plugins' defaults are 5 and 10."""
 
 TYPES = {
     "std_srvs/SetBool": ("bool data\n", "bool success\nstring message\n"),
@@ -26,13 +26,13 @@ MD5 = {
 
 
 class Wire:
-    """How a dialect's requests and replies look.
+    """The format of a dialect's requests and replies.
 
     Args:
-        encode: a type's fields as bytes.
-        decode: and back.
-        failed: what a bridge replies whose server failed with a text; None: nothing, ever.
-        takes: whether it passes a request on.
+        encode: converts a type's fields to bytes.
+        decode: converts bytes to a type's fields.
+        failed: a bridge's reply if its server failed with a text; None if it never replies.
+        takes: whether a bridge forwards a request.
         attachment: of each request.
     """
 
@@ -48,7 +48,7 @@ class Wire:
 
 
 class Serving:
-    """A bridge's queryable of a service, with a server behind it that gives one answer to all."""
+    """A bridge's queryable for a service, with a server that gives one answer to all requests."""
 
     def __init__(self, session: zenoh.Session, key: str, wire: Wire, params: dict[str, Any]) -> None:
         self.key, self.wire, self.type = key, wire, params["type"]
@@ -103,15 +103,15 @@ class Serving:
             self.ended = True
             self.arrived.notify_all()
 
-    def forget(self) -> None:
-        """The session closes: zenoh waits for queries that are still held."""
+    def drop_queries(self) -> None:
+        """Drop held queries, since closing the session would wait for them."""
         waiting, self.waiting = self.waiting, []
         for query in waiting:
             query.drop()
 
 
 class Calling:
-    """One query of a bridge, and the first answer to it."""
+    """One query of a bridge, and its first reply."""
 
     def __init__(
         self, session: zenoh.Session, key: str, wire: Wire, type_: str, request: dict[str, Any] | bytes | None

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from tests.support.ports import free_port
-from tests.support.yarp_script import said, start
+from tests.support.yarp_script import output_lines, start
 from tests.yarp_compat.dev.drivers.test_cameras_and_models import Camera
 from tests.yarp_compat.dev.drivers.test_sensors import SCAN, Battery, Laser
 from tests.yarp_compat.dev.keptmaps import KeptMaps
@@ -96,7 +96,7 @@ def test_a_script_drives_a_robot_of_any_release(network: Network, version: str, 
     network.serve("/nav/rpc", Navigation2DServer(robot), generation)
     network.serve("/loc/rpc", Localization2DServer(robot), generation)
     network.serve("/maps/rpc", maps, generation)
-    assert said(start("navigate", network.folder, device)) == [
+    assert output_lines(start("navigate", network.folder, device)) == [
         "at 1.0 2.0 of flat, knows kitchen",
         "reached",
         "closed True False",
@@ -105,7 +105,7 @@ def test_a_script_drives_a_robot_of_any_release(network: Network, version: str, 
 
 
 def test_a_script_without_its_robot_says_so_and_ends(network: Network) -> None:
-    assert said(start("navigate", network.folder, "navigation2D_nwc_yarp")) == ["Cannot open the device!"]
+    assert output_lines(start("navigate", network.folder, "navigation2D_nwc_yarp")) == ["Cannot open the device!"]
 
 
 @pytest.mark.parametrize("version", ["3.12", "4"])
@@ -119,7 +119,7 @@ def test_a_robot_of_devices_some_of_which_are_missing(network: Network, version:
     network.say("/robot/battery/data:o", BatteryData(80.0, 48.0, -2.5, 31.0, 2))
     network.say("/robot/laser:o", SCAN)
     network.say("/robot/camera", image)
-    assert said(start("robot_parts", network.folder)) == [
+    assert output_lines(start("robot_parts", network.folder)) == [
         "gaze is missing: gazecontrollerclient",
         "arm is missing: batteryClient",
         "battery laser camera",

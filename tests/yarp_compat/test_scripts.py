@@ -10,7 +10,7 @@ import pytest
 
 import yarp_compat as yarp
 from tests.support.ports import free_port
-from tests.support.yarp_script import SCRIPTS, said, start
+from tests.support.yarp_script import SCRIPTS, output_lines, start
 from yarp_compat.naming.server import NameServer
 
 OUTPUTS = {
@@ -98,26 +98,26 @@ def lines(text: str) -> list[str]:
 
 @pytest.mark.parametrize("script", OUTPUTS)
 def test_a_script_does_what_it_does_on_yarp(folder: Path, script: str) -> None:
-    assert said(start(script, folder)) == lines(OUTPUTS[script])
+    assert output_lines(start(script, folder)) == lines(OUTPUTS[script])
 
 
 def test_a_program_sends_and_another_prints(folder: Path) -> None:
     sender = start("send_bottles", folder, "/send/bottles:o", "20")
     printer = start("print_bottles", folder, "/send/bottles:o", "20")
-    assert said(printer) == [f"/print/bottles:i: number {i}" for i in range(20)]
-    assert said(sender) == []
+    assert output_lines(printer) == [f"/print/bottles:i: number {i}" for i in range(20)]
+    assert output_lines(sender) == []
 
 
 def test_a_program_asks_and_another_answers(folder: Path) -> None:
     server = start("rpc_server", folder, "/rpc/server")
     client = start("rpc_client", folder, "/rpc/server")
-    assert said(client) == [
+    assert output_lines(client) == [
         "sum 1 2.5 3 -> True 6.5",
         "reverse a b c -> True (c b a)",
         "dance fast -> True unknown dance fast",
         "stop -> True [ok]",
     ]
-    assert said(server) == []
+    assert output_lines(server) == []
 
 
 def test_resources_are_found(folder: Path, tmp_path: Path) -> None:
@@ -128,7 +128,7 @@ def test_resources_are_found(folder: Path, tmp_path: Path) -> None:
     found = start(
         "resources", folder, "--speed", "0.75", YARP_DATA_DIRS=str(tmp_path), YARP_DATA_HOME=str(tmp_path / "own")
     )
-    assert said(found) == [
+    assert output_lines(found) == [
         "robot cer",
         "period 0.1",
         "speed 0.75",
@@ -156,7 +156,7 @@ def test_a_module_runs_and_stops(folder: Path, monkeypatch: pytest.MonkeyPatch, 
             assert reply.toString() == "[bye]"
         else:
             module.send_signal(signal.SIGTERM)
-    assert said(module) == ["configured", "interrupted", "closed"]
+    assert output_lines(module) == ["configured", "interrupted", "closed"]
 
 
 def test_every_script_is_run() -> None:

@@ -24,7 +24,7 @@ from actionlib_msgs.msg import GoalID
 
 sys.path.append(str(Path(__file__).parents[2] / "support"))
 
-from ros1_leave import leave
+from ros1_shutdown import shut_down
 
 OUTCOMES = ("succeed", "abort", "reject", "preempt", "hold")
 """What becomes of a goal, by its number modulo 10; any other number is held."""
@@ -278,7 +278,7 @@ def main():
         answers.write(json.dumps(answer) + "\n")
         if name == "exit":
             break
-    leave()
+    shut_down()
 
 
 main()

@@ -18,7 +18,7 @@ from tests.adapters.yarp.conftest import Place
 from tests.contract.hubside import HubSide
 from tests.contract.side import WorkerProcess
 from tests.contract.yarpside import YarpBridge
-from tests.support.exchange import exchange, until_all_hear
+from tests.support.exchange import exchange, until_all_receive
 from tests.support.ports import free_port
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
@@ -181,7 +181,7 @@ def test_several_daemons_loop_nothing_and_bring_nothing_twice(place: Place, hubs
                 states = [bridge.crossing.health().state for bridge in (first, second)]
                 assert sorted(states) == ["running", "standby"]
                 (first, second)[states.index("running")].stop()
-                until_all_hear(program, out, heard, [(far[0], from_far[0], far[0].subscribe("/both", STRING))])
+                until_all_receive(program, out, heard, [(far[0], from_far[0], far[0].subscribe("/both", STRING))])
             else:
                 names = {c.name for c in place.names.client.list("/midspan")}
                 assert {"/midspan/both:o"} < {n for n in names if n.endswith("/both:o")}

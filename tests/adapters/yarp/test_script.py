@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.adapters.yarp.conftest import Place
 from tests.support.wait import until
-from tests.support.yarp_script import said, start
+from tests.support.yarp_script import output_lines, start
 
 
 def test_a_script_publishes_and_subscribes(place: Place) -> None:
@@ -24,7 +24,7 @@ def test_a_script_publishes_and_subscribes(place: Place) -> None:
             },
         }
         until(lambda: place.far.publish(goal, pose) or script.poll() is not None, "the script ends", 20, 0.1)
-        assert said(script) == ["map 7 3.5 1.0"]
+        assert output_lines(script) == ["map 7 3.5 1.0"]
     finally:
         script.kill()
         script.wait()

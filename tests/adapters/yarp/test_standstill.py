@@ -18,7 +18,7 @@ from bridge.messages.registry import Registry
 from tests.adapters.yarp.conftest import Place
 from tests.contract.hubside import HubSide
 from tests.contract.side import WorkerProcess
-from tests.support.process import stands_still
+from tests.support.process import is_stopped
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
 from tests.support.yarp_programs import YarpProgram
@@ -35,7 +35,7 @@ def standing_still(worker: WorkerProcess, seconds: float) -> Iterator[None]:
     """A worker stands still for so long, or as long as the body takes."""
     began = time.monotonic()
     worker.process.signal(signal.SIGSTOP)
-    until(lambda: stands_still(worker.process.pid), "it stands still")
+    until(lambda: is_stopped(worker.process.pid), "it stands still")
     yield
     time.sleep(max(0.0, began + seconds - time.monotonic()))  # this is the case: that long it does nothing
     worker.process.signal(signal.SIGCONT)

@@ -178,7 +178,7 @@ def test_a_latched_message_is_put_again_for_the_first_subscriber_and_for_another
     assert first.wait(subscription, 1) == [{"data": "kept"}]
     # A beacon is lost if its session is not linked to Midspan yet, and the plugin may not send another one. The wait
     # below is for a link to Midspan, so the first program must no longer match the beacons that it subscribes to.
-    first.deafen()
+    first.ignore_beacons()
     list(first.session.liveliness().get("nothing"))  # its reply shows that the network has processed the change
     remote = zenoh.Locality.REMOTE
 

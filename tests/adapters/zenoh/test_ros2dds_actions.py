@@ -43,7 +43,7 @@ def test_from_the_hub_to_a_server_behind_a_bridge(place: Place) -> None:
     assert token == f"@/{token.split('/')[1]}/@ros2_lv/AC/lookup/tf2_msgs§action§LookupTransform"
     goal = server.goal()
     assert (goal["goal_id"]["uuid"], goal["goal"]["target_frame"]) == (list(sent.goal.id), "map")
-    until(lambda: (server.tell(2), sent.feedback)[1], "feedback comes", every=0.1)
+    until(lambda: (server.report(2), sent.feedback)[1], "feedback comes", every=0.1)
     assert not sent.ends
     server.get_result.requests()
     server.end(SUCCEEDED, "laser")

@@ -102,7 +102,7 @@ def test_invalid_replies_and_error_replies(place: Place) -> None:
                 query.reply("do", data)
 
     queryable = bridge.session.declare_queryable("do", zenoh.handlers.Callback(answer, indirect=False))
-    token = bridge.tell("SS", "/do", "std_srvs/srv/SetBool")
+    token = bridge.declare_token("SS", "/do", "std_srvs/srv/SetBool")
     place.bridge({"dialect": "ros2dds"})
     assert place.far.call("/do", SET).result()["error"] == "the arm is stuck"
     for _ in range(2):

@@ -8,7 +8,7 @@ from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from tests.adapters.zenoh.conftest import Place
 from tests.contract.hubside import HubSide
-from tests.support.exchange import exchange, until_all_hear
+from tests.support.exchange import exchange, until_all_receive
 from tests.support.quick_hub import QuickHub
 
 STRING = "std_msgs/String"
@@ -34,7 +34,7 @@ def test_nothing_loops_and_nothing_comes_twice(place: Place, dialect: str, hubs:
             if hubs == "one hub":  # whoever stands by takes over
                 active = min((first, second), key=lambda bridge: bridge.bridges[0].health().state != "running")
                 active.stop()
-                until_all_hear(program, out, heard, [(far[0], from_far[0], far[0].subscribe("/both", STRING))])
+                until_all_receive(program, out, heard, [(far[0], from_far[0], far[0].subscribe("/both", STRING))])
             second.stop()
         finally:
             for end in far[1:]:

@@ -108,7 +108,7 @@ def test_a_map_that_was_said_once_reaches_who_comes_late(ends: dict[str, Any], p
         side = f"zenoh_{to}" if to != "hub" else f"zenoh_{from_}"
         direction = "out" if to != "hub" else "in"
         if from_ in ("ros1", "json"):  # these dialects keep nothing themselves: who says it is heard once
-            ends[from_].until_heard_of(out)
+            ends[from_].until_subscribed(out)
         ends[from_].publish(out, message)
         until(
             lambda s=side, n=name, d=direction: (place.route(s, n, d) or {}).get("messages"), f"{name}", 20, every=0.1

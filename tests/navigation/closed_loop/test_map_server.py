@@ -46,7 +46,7 @@ def test_the_robot_drives_on_the_map_of_a_map_server(tmp_path: Path) -> None:
             asked = chain.goto("living_room")
             until(lambda: asked.ended, "the drive ends", 60)
             assert asked.status is GoalState.SUCCEEDED, asked
-            assert chain.off("living_room") < 0.3
+            assert chain.distance_to("living_room") < 0.3
     finally:
         if server is not None:
             server.stop()
