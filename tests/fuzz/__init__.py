@@ -1,1 +1,1 @@
-"""Fuzzers for every parser of ours; see the document docs/develop/fuzzing.md."""
+"""Fuzzers for all of Midspan's parsers; see docs/develop/fuzzing.md."""

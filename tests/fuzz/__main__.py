@@ -1,4 +1,4 @@
-"""``python -m tests.fuzz``: fuzz parsers by hand, for as long as you like; or look at one input that was found."""
+"""``python -m tests.fuzz``: fuzz parsers by hand, or run a single input."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from tests.fuzz.watch import Fuzzing
 
 
 def main() -> int:
-    """Fuzz; 1 where something was found."""
+    """Fuzz the selected targets; return 1 if there are findings."""
     args = _arguments()
     chosen = [TARGETS[name] for name in args.target or TARGETS]
     if args.file is not None:
-        return _look(chosen, args.file)
+        return _run_file(chosen, args.file)
     begun = time.monotonic()
     fuzzing = Fuzzing(shares(chosen, args.inputs), args.seed, args.jobs, args.seconds)
     fuzzing.run()
     seconds = time.monotonic() - begun
     total = bad = 0
-    print(f"{'target':<20}{'inputs':>10}{'seconds':>9}{'a second':>10}  found")
+    print(f"{'target':<20}{'inputs':>10}{'seconds':>9}{'per second':>11}  findings")
     for name, outcome in fuzzing.outcomes.items():
         total += outcome.inputs
         bad += len(outcome.findings)
         rate = outcome.inputs / outcome.seconds if outcome.seconds else 0.0
-        print(f"{name:<20}{outcome.inputs:>10}{outcome.seconds:>9.1f}{rate:>10.0f}  {len(outcome.findings) or '-'}")
-    print(f"{'all':<20}{total:>10}{seconds:>9.1f}{total / seconds:>10.0f}  {bad or '-'}   (seed {args.seed})")
+        print(f"{name:<20}{outcome.inputs:>10}{outcome.seconds:>9.1f}{rate:>11.0f}  {len(outcome.findings) or '-'}")
+    print(f"{'all':<20}{total:>10}{seconds:>9.1f}{total / seconds:>11.0f}  {bad or '-'}   (seed {args.seed})")
     for name, outcome in fuzzing.outcomes.items():
         for finding in outcome.findings.values():
             digest = hashlib.sha256(finding.content).hexdigest()[:12]
@@ -46,7 +46,7 @@ def main() -> int:
             file.write_bytes(finding.content)
             print(f"\n== {name}: {finding.signature} (seed {args.seed})\n{finding.trouble}")
             print(f"input of {len(finding.content)} bytes: {finding.content[:300]!r}")
-            print(f"again: python -m tests.fuzz --target {name} --file {file}")
+            print(f"reproduce: python -m tests.fuzz --target {name} --file {file}")
     if args.json is not None:
         args.json.write_text(
             json.dumps({n: {"inputs": o.inputs, "seconds": o.seconds} for n, o in fuzzing.outcomes.items()})
@@ -55,7 +55,7 @@ def main() -> int:
 
 
 def shares(targets: Sequence[Target], inputs: int) -> dict[Target, int]:
-    """How many inputs each target gets, at least one."""
+    """Return the number of inputs for each target, at least one."""
     whole = sum(target.share for target in targets)
     counts = {target: max(inputs * target.share // whole, 1) for target in targets}
     first = next(iter(counts))
@@ -63,14 +63,14 @@ def shares(targets: Sequence[Target], inputs: int) -> dict[Target, int]:
     return counts
 
 
-def _look(targets: Sequence[Target], file: Path) -> int:
+def _run_file(targets: Sequence[Target], file: Path) -> int:
     load()
     for target in targets:
         subject = target.make()
         warm(subject)
-        how = probe(subject, file.read_bytes())
-        print(f"{target.name}: {how or 'as promised'}")
-        if how:
+        failure = probe(subject, file.read_bytes())
+        print(f"{target.name}: {failure or 'passed'}")
+        if failure:
             return 1
     return 0
 
@@ -78,16 +78,16 @@ def _look(targets: Sequence[Target], file: Path) -> int:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument(
-        "--target", action="append", choices=list(TARGETS), metavar="NAME", help="one parser, again for more"
+        "--target", action="append", choices=list(TARGETS), metavar="NAME", help="parser to fuzz; may be repeated"
     )
-    parser.add_argument("--inputs", type=int, default=1_000_000, help="how many in all (default a million)")
-    parser.add_argument("--seconds", type=float, default=math.inf, help="of processor time for each target at most")
-    parser.add_argument("--seed", type=int, default=1, help="another seed makes other inputs (default 1)")
+    parser.add_argument("--inputs", type=int, default=1_000_000, help="total number of inputs (default a million)")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="maximum processor time per target")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the random inputs (default 1)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--file", type=Path, help="give the parser this one input and say what it does")
+    parser.add_argument("--file", type=Path, help="run the parser on this input only")
     parser.add_argument(
         "--save", type=Path, default=Path(tempfile.gettempdir()) / "midspan-fuzz", metavar="FOLDER",
-        help="where inputs go that were found (default %(default)s)",
+        help="folder for inputs that fail (default %(default)s)",
     )  # fmt: skip
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
     return parser.parse_args()

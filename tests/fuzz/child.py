@@ -1,4 +1,4 @@
-"""The process that fuzzes: takes work as JSON lines on its standard input, and answers with JSON lines."""
+"""The fuzzing process: it reads jobs as JSON lines on standard input, and replies with JSON lines."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.fuzz.targets import TARGETS
 
 
 def main() -> None:
-    """Work until the input ends."""
+    """Run jobs until the input ends."""
     logging.disable()
     load()
     journal = Journal(Path(sys.argv[1]))
@@ -39,11 +39,11 @@ def main() -> None:
             signature, content = shrunk(subjects[name], base64.b64decode(work["content"]))
             answer = {"signature": signature, "content": base64.b64encode(content).decode()}
         else:
-            found, inputs = fuzz(subjects[name], work["inputs"], work["seed"], journal.write, work["limit"])
+            findings, inputs = fuzz(subjects[name], work["inputs"], work["seed"], journal.write, work["limit"])
             answer = {
                 "inputs": inputs,
                 "seconds": time.monotonic() - begun,
-                "findings": [(f.signature, base64.b64encode(f.content).decode(), f.trouble) for f in found],
+                "findings": [(f.signature, base64.b64encode(f.content).decode(), f.trouble) for f in findings],
             }
         journal.write(JOURNAL_IDLE, b"")
         print(json.dumps(answer), file=answers, flush=True)

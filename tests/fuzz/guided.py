@@ -1,7 +1,7 @@
-"""``python -m tests.fuzz.guided NAME``: the same targets under atheris, which is guided by all of the code's branches.
+"""``python -m tests.fuzz.guided NAME``: the same targets with atheris, which is guided by branch coverage.
 
-It finds what needs several right guesses in a row, and is slower to begin with. It is no dependency of ours: ``pip
-install atheris`` (Linux). What it keeps stays in the folder, and the next run goes on from there.
+It finds inputs that need several right guesses in sequence, but is slower at first. It is not a dependency: ``pip
+install atheris`` (Linux). The corpus stays in its folder, and the next run continues with it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _INSTRUMENTED = ["bridge", "http", "json", "urllib", "xmlrpc", "yaml"]
 
 
 def main() -> None:
-    """Fuzz one target until the time is over or something is found; what was found is saved beside the corpus."""
+    """Fuzz one target until the time is over or an input fails, which is saved next to the corpus."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz.guided", description=__doc__)
     parser.add_argument("name", help="a target, as 'python -m tests.fuzz' lists them")
     parser.add_argument("--seconds", type=int, default=60)
@@ -35,24 +35,24 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for number, seed in enumerate(subject.seeds):
         (folder / f"seed-{number}").write_bytes(seed)
-    words = args.corpus / f"{args.name}.dict"
-    short = [word for word in subject.words if 0 < len(word) < 60]
-    words.write_text("".join('"' + "".join(f"\\x{byte:02x}" for byte in word) + '"\n' for word in short))
+    dictionary = args.corpus / f"{args.name}.dict"
+    short = [token for token in subject.tokens if 0 < len(token) < 60]
+    dictionary.write_text("".join('"' + "".join(f"\\x{byte:02x}" for byte in token) + '"\n' for token in short))
 
-    def one(data: bytes) -> None:
+    def run_input(data: bytes) -> None:
         try:
             subject.parse(data)
         except subject.refuses:
             return
 
     options = {
-        **({"dict": words} if short else {}),
+        **({"dict": dictionary} if short else {}),
         "max_total_time": args.seconds,
         "max_len": subject.largest,
         "timeout": 4,
         "artifact_prefix": args.corpus / f"{args.name}-found-",
     }
-    atheris.Setup([sys.argv[0], str(folder), *(f"-{key}={value}" for key, value in options.items())], one)
+    atheris.Setup([sys.argv[0], str(folder), *(f"-{key}={value}" for key, value in options.items())], run_input)
     atheris.Fuzz()
 
 

@@ -1,7 +1,7 @@
-"""``python -m tests.fuzz.machines FORM ...``: fuzz another form of the message machine than the one that is installed.
+"""``python -m tests.fuzz.machines FORM ...``: fuzz the conversion machine in another form than the installed one.
 
-As ``python`` an access out of bounds is an IndexError; ``sanitized`` it is compiled with AddressSanitizer, which ends
-the process. What follows goes to ``python -m tests.fuzz``.
+``python`` runs it uncompiled, so that an access out of bounds is an IndexError; ``sanitized`` compiles it with
+AddressSanitizer, which aborts the process. Further arguments are passed to ``python -m tests.fuzz``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _library = ctypes.CDLL(None)
 
 
 def main() -> int:
-    """Build what is asked for, and fuzz it."""
+    """Build the requested form, and fuzz it."""
     form, *arguments = sys.argv[1:] or [""]
     if form not in ("python", "sanitized"):
         sys.exit(__doc__)
@@ -37,32 +37,32 @@ def main() -> int:
 
 
 def sanitized(source: Path, folder: Path) -> Path:
-    """Compile a source of the machine with AddressSanitizer; this one kernel alone, which is why setup.py does not."""
-    code, made = folder / "machine.c", folder / "machine.abi3.so"
+    """Compile a source of the machine with AddressSanitizer; setup.py cannot compile a single kernel."""
+    code, library = folder / "machine.c", folder / "machine.abi3.so"
     cython = [sys.executable, "-m", "cython", "-3", "--module-name", _NAME, str(source), "-o", str(code)]
     compiler = [*sysconfig.get_config_var("CC").split(), "-shared", "-fPIC", *_FLAGS]
     include = f"-I{sysconfig.get_path('include')}"
-    for command in (cython, [*compiler, include, str(code), "-o", str(made)]):
+    for command in (cython, [*compiler, include, str(code), "-o", str(library)]):
         subprocess.run(command, check=True, capture_output=True)
-    return made
+    return library
 
 
 def environment(file: Path) -> dict[str, str]:
-    """What a process that fuzzes needs in its environment to take the machine from a file."""
-    said = {**os.environ, _FILE: str(file)}
+    """Return the environment of a fuzzing process that loads the machine from a file."""
+    variables = {**os.environ, _FILE: str(file)}
     if file.suffix == ".py":
-        return said
+        return variables
     library = subprocess.run(["gcc", "-print-file-name=libasan.so"], check=True, capture_output=True, text=True)
     return {
-        **said,
+        **variables,
         "LD_PRELOAD": library.stdout.strip(),
         "ASAN_OPTIONS": "detect_leaks=0:abort_on_error=1:quarantine_size_mb=16:allocator_may_return_null=1",
-        "PYTHONMALLOC": "malloc",  # each object has forbidden memory around it
+        "PYTHONMALLOC": "malloc",  # puts a red zone around each object
     }
 
 
 def load() -> None:
-    """Take the machine from the file that the environment names, before anything else imports it."""
+    """Load the machine from the file in the environment, before another module imports it."""
     file = os.environ.get(_FILE)
     if file:
         spec = importlib.util.spec_from_file_location(_NAME, file)
@@ -74,13 +74,13 @@ def load() -> None:
 
 @cache
 def is_sanitized() -> bool:
-    """Whether AddressSanitizer is in this process; it reserves more addresses than any limit allows."""
+    """Return whether this process uses AddressSanitizer, which reserves more addresses than a memory limit allows."""
     return hasattr(_library, "__asan_poison_memory_region")
 
 
 def guard(message: bytes) -> None:
-    """Forbid the NUL that Python keeps behind the bytes, so that AddressSanitizer sees the first byte out of bounds."""
-    if is_sanitized() and len(message) > 1:  # objects of one byte or none are everybody's
+    """Poison the NUL that Python appends to bytes, so that AddressSanitizer detects the first byte out of bounds."""
+    if is_sanitized() and len(message) > 1:  # shorter objects are shared
         start = ctypes.cast(message, ctypes.c_void_p).value
         assert start is not None
         _library.__asan_poison_memory_region(ctypes.c_void_p(start + len(message)), ctypes.c_size_t(1))

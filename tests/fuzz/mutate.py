@@ -1,4 +1,4 @@
-"""Makes new inputs out of good ones: flips, cuts, splices, lying lengths, deep nesting."""
+"""Derives new inputs from valid ones: flips, cuts, splices, wrong lengths, deep nesting."""
 
 from __future__ import annotations
 
@@ -42,38 +42,38 @@ _KEPT = 2000
 
 
 class Mutator:
-    """An endless source of inputs, the same for the same seed and the same calls of `keep`.
+    """An endless sequence of inputs, reproducible for the same seed and the same calls of `keep`.
 
     Args:
-        seeds: good inputs.
-        words: the format's own words.
-        largest: bytes of the longest input.
-        seed: where the dice begin.
+        seeds: valid inputs.
+        tokens: tokens of the format.
+        largest: maximum input size in bytes.
+        seed: of the random generator.
     """
 
-    def __init__(self, seeds: Sequence[bytes], words: Sequence[bytes], largest: int, seed: int | str) -> None:
+    def __init__(self, seeds: Sequence[bytes], tokens: Sequence[bytes], largest: int, seed: int | str) -> None:
         self._corpus = list(seeds) or [b""]
         self._seeds = len(self._corpus)
-        self._words = list(words)
+        self._tokens = list(tokens)
         self._largest = largest
         self._dice = random.Random(seed)
         self._steps: list[Callable[[bytearray], bytearray | None]] = [
             self._flip, self._flip, self._set, self._set, self._edge, self._edge, self._edge,
             self._cut_end, self._cut_out,
             self._double, self._splice, self._insert_noise, self._nest,
-            *((self._insert_word, self._replace_by_word) if self._words else ()),
+            *((self._insert_token, self._replace_by_token) if self._tokens else ()),
             *((self._number,) if any(_NUMBER.search(s) for s in self._corpus) else ()),
         ]  # fmt: skip
 
     def keep(self, content: bytes) -> None:
-        """An input that did something new: make others out of it, too."""
+        """Add an input with new coverage, from which others are derived."""
         if len(self._corpus) < self._seeds + _KEPT:
             self._corpus.append(content)
         else:
             self._corpus[self._dice.randrange(self._seeds, len(self._corpus))] = content
 
     def next(self) -> bytes:
-        """One more input."""
+        """Return the next input."""
         dice = self._dice
         content = bytearray(self._corpus[int(dice.random() * len(self._corpus))])
         for _ in range(1 + int(dice.random() * dice.random() * 5)):
@@ -81,24 +81,24 @@ class Mutator:
             content = step(content) or content
         return bytes(content[: self._largest])
 
-    def _at(self, content: bytearray, room: int = 1) -> int:
+    def _position(self, content: bytearray, room: int = 1) -> int:
         return int(self._dice.random() * max(len(content) - room + 1, 0))
 
     def _flip(self, content: bytearray) -> None:
         if content:
-            content[self._at(content)] ^= 1 << int(self._dice.random() * 8)
+            content[self._position(content)] ^= 1 << int(self._dice.random() * 8)
 
     def _set(self, content: bytearray) -> None:
         if content:
-            content[self._at(content)] = int(self._dice.random() * 256)
+            content[self._position(content)] = int(self._dice.random() * 256)
 
     def _edge(self, content: bytearray) -> None:
-        """Make a number of one, two, four or eight bytes what nobody expects; most often an aligned one of four."""
+        """Replace a number of one, two, four or eight bytes by an edge case; most often an aligned one of four."""
         dice = self._dice
         width = 4 if dice.random() < 0.7 else (1, 2, 8)[int(dice.random() * 3)]
         if len(content) < width:
             return
-        at = self._at(content, width)
+        at = self._position(content, width)
         if dice.random() < 0.7:
             at -= at % width
         kind = dice.random()
@@ -112,44 +112,44 @@ class Mutator:
         content[at : at + width] = (value & ((1 << 8 * width) - 1)).to_bytes(width, order)  # type: ignore[arg-type]
 
     def _cut_end(self, content: bytearray) -> None:
-        del content[self._at(content) :]
+        del content[self._position(content) :]
 
     def _cut_out(self, content: bytearray) -> None:
-        at = self._at(content)
+        at = self._position(content)
         del content[at : at + 1 + int(self._dice.random() * self._dice.random() * len(content))]
 
     def _double(self, content: bytearray) -> None:
-        at, size = self._at(content), 1 + int(self._dice.random() * 32)
+        at, size = self._position(content), 1 + int(self._dice.random() * 32)
         content[at:at] = content[at : at + size]
 
     def _splice(self, content: bytearray) -> bytearray:
         other = self._corpus[int(self._dice.random() * len(self._corpus))]
-        return content[: self._at(content)] + other[int(self._dice.random() * (len(other) + 1)) :]
+        return content[: self._position(content)] + other[int(self._dice.random() * (len(other) + 1)) :]
 
     def _insert_noise(self, content: bytearray) -> None:
-        at = self._at(content, 0)
+        at = self._position(content, 0)
         content[at:at] = self._dice.randbytes(1 + int(self._dice.random() * 16))
 
-    def _insert_word(self, content: bytearray) -> None:
-        at = self._at(content, 0)
-        content[at:at] = self._words[int(self._dice.random() * len(self._words))]
+    def _insert_token(self, content: bytearray) -> None:
+        at = self._position(content, 0)
+        content[at:at] = self._tokens[int(self._dice.random() * len(self._tokens))]
 
-    def _replace_by_word(self, content: bytearray) -> None:
-        at, word = self._at(content, 0), self._words[int(self._dice.random() * len(self._words))]
-        content[at : at + len(word)] = word
+    def _replace_by_token(self, content: bytearray) -> None:
+        at, token = self._position(content, 0), self._tokens[int(self._dice.random() * len(self._tokens))]
+        content[at : at + len(token)] = token
 
     def _number(self, content: bytearray) -> None:
-        found = list(_NUMBER.finditer(content[:4096]))
-        if found:
-            place = found[int(self._dice.random() * len(found))]
+        numbers = list(_NUMBER.finditer(content[:4096]))
+        if numbers:
+            place = numbers[int(self._dice.random() * len(numbers))]
             content[place.start() : place.end()] = _TEXT_NUMBERS[int(self._dice.random() * len(_TEXT_NUMBERS))]
 
     def _nest(self, content: bytearray) -> None:
-        """The same short piece very often: deep nesting, long names, many fields. Seldom, since it is slow."""
+        """Repeat a short piece very often: deep nesting, long names, many fields. Rare, because it is slow."""
         dice = self._dice
         if dice.random() > 0.1:
             return
-        at, size = self._at(content, 0), 1 + int(dice.random() * 24)
+        at, size = self._position(content, 0), 1 + int(dice.random() * 24)
         piece = bytes(content[at : at + size]) if dice.random() < 0.5 else _OPENERS[int(dice.random() * len(_OPENERS))]
         if piece:
             content[at:at] = piece * min(1 << int(dice.random() * 14), self._largest // len(piece))

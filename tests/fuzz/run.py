@@ -1,4 +1,4 @@
-"""Runs one target over many inputs in this very process, which may die of it: `tests.fuzz.watch` looks after it."""
+"""Runs one target on many inputs in this process, which may crash: `tests.fuzz.watch` supervises it."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from tests.fuzz.mutate import Mutator
 from tests.fuzz.target import Subject
 
 MEMORY = 64 << 20
-"""Bytes that one input may take, beyond what the process has."""
+"""Additional memory for one input, bytes."""
 
 SECONDS = 1.0
-"""Processor time that one input may take; 100 times what the slowest good ones do."""
+"""Maximum processor time for one input, seconds; 100 times that of the slowest valid ones."""
 
 JOURNAL = 1 << 20
 JOURNAL_IDLE = (1 << 64) - 1
-"""Number in the journal while no input is under way."""
+"""Number in the journal while no input is being run."""
 
 _HEAD = struct.Struct("<QQ")
 _ROUND = 2000
@@ -41,7 +41,7 @@ _DIGITS = re.compile(r"\d+|'.*'")
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """An input that a parser could not take as it promises."""
+    """An input with which a parser broke its contract."""
 
     signature: str
     content: bytes
@@ -49,26 +49,26 @@ class Finding:
 
 
 class Journal:
-    """The input under way, in memory shared with the watching process."""
+    """The current input, in memory shared with the supervising process."""
 
     def __init__(self, path: Path) -> None:
         with path.open("r+b") as file:
             self._map = mmap.mmap(file.fileno(), JOURNAL)
 
     def write(self, number: int, content: bytes) -> None:
-        """Input ``number`` begins."""
+        """Record that input ``number`` begins."""
         size = len(content)
         self._map[_HEAD.size : _HEAD.size + size] = content
         _HEAD.pack_into(self._map, 0, number, size)
 
     def read(self) -> tuple[int, bytes]:
-        """The number of the input under way, and the input."""
+        """Return the current input with its number."""
         number, size = _HEAD.unpack_from(self._map, 0)
         return number, self._map[_HEAD.size : _HEAD.size + size]
 
 
 class Fuzzed(NamedTuple):
-    """How many inputs were given, and what was not taken as promised: one for each kind of failure."""
+    """The number of inputs, and one finding for each kind of failure."""
 
     findings: list[Finding]
     inputs: int
@@ -77,10 +77,10 @@ class Fuzzed(NamedTuple):
 def fuzz(
     subject: Subject, inputs: int, seed: str, journal: Callable[[int, bytes], None], seconds: float = math.inf
 ) -> Fuzzed:
-    """Give a parser so many inputs, or fewer where these take more than so many seconds of processor time."""
+    """Run a parser on a number of inputs, or fewer if these exceed the processor time in seconds."""
     if not warm(subject):
-        return Fuzzed([Finding("no good seed", subject.seeds[0], "the target's seeds are all refused")], inputs)
-    mutator = Mutator(subject.seeds, subject.words, subject.largest, seed)
+        return Fuzzed([Finding("no good seed", subject.seeds[0], "the target rejects all seeds")], inputs)
+    mutator = Mutator(subject.seeds, subject.tokens, subject.largest, seed)
     findings: dict[str, Finding] = {}
     seen: set[Any] = set()
     end = time.process_time() + seconds
@@ -93,9 +93,9 @@ def fuzz(
                     return Fuzzed(list(findings.values()), number)
             content = mutator.next()
             journal(number, content)
-            new, found = _give(subject, content, trace=number % _TRACE_EVERY == 0)
-            if found is not None:
-                findings.setdefault(found.signature, found)
+            new, finding = _give(subject, content, trace=number % _TRACE_EVERY == 0)
+            if finding is not None:
+                findings.setdefault(finding.signature, finding)
                 if len(findings) >= _MOST_FINDINGS:
                     break
             elif not new <= seen:
@@ -107,26 +107,26 @@ def fuzz(
 
 
 def _give(subject: Subject, content: bytes, *, trace: bool) -> tuple[set[Any], Finding | None]:
-    """Give a parser one input: what is known of the way that it took, and what went wrong."""
-    way: set[Any] = set()
+    """Run a parser on one input; return its coverage, and a finding if it failed."""
+    coverage: set[Any] = set()
     begun = time.thread_time()
     try:
         if trace:
-            way = traced(subject.parse, content, subject.refuses)
+            coverage = traced(subject.parse, content, subject.refuses)
         else:
             subject.parse(content)
     except subject.refuses as err:
-        way = {way_of(err)}
+        coverage = {fingerprint_of(err)}
     except Exception as err:
-        return way, finding_of(err, content)
+        return coverage, finding_of(err, content)
     taken = time.thread_time() - begun
     if taken > SECONDS:
-        return way, Finding("slow", content, f"took {taken:.1f} s of processor time")
-    return way, None
+        return coverage, Finding("slow", content, f"took {taken:.1f} s of processor time")
+    return coverage, None
 
 
 def warm(subject: Subject) -> bool:
-    """Give a parser its good inputs, so that all is loaded before memory is limited; whether it takes any."""
+    """Run a parser on its seeds, to load its modules before memory is limited; return whether it accepts any."""
     good = [_is_good(subject, content) for content in subject.seeds]
     return any(good)
 
@@ -134,13 +134,13 @@ def warm(subject: Subject) -> bool:
 def _is_good(subject: Subject, content: bytes) -> bool:
     try:
         subject.parse(content)
-    except Exception:  # which of them it may be is seen when inputs are made of it
+    except Exception:  # checked later, on inputs derived from it
         return False
     return True
 
 
 def limit_memory(extra: int = MEMORY) -> None:
-    """Let the process have so much more than it has now; beyond, it meets MemoryError."""
+    """Limit the process to this many more bytes; beyond them, allocations raise MemoryError."""
     if is_sanitized():
         return
     pages = int(Path("/proc/self/statm").read_bytes().split()[0])
@@ -148,12 +148,12 @@ def limit_memory(extra: int = MEMORY) -> None:
 
 
 def unlimit_memory() -> None:
-    """Take the limit off again."""
+    """Remove the memory limit."""
     resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
 
 
 def finding_of(err: BaseException, content: bytes) -> Finding:
-    """An exception that should not be, told by its kind and the place where it was raised."""
+    """Return a finding for an unexpected exception, identified by its type and place."""
     frames = traceback.extract_tb(err.__traceback__)
     ours = [f for f in frames if f.filename.startswith(_ROOT)] or frames
     last = ours[-1]
@@ -161,20 +161,20 @@ def finding_of(err: BaseException, content: bytes) -> Finding:
     return Finding(signature, content, "".join(traceback.format_exception(err))[-3000:])
 
 
-def way_of(err: BaseException) -> int:
-    """What a refusal tells of the way that an input took: the lines passed on, and the words of the error."""
-    way = hash(_DIGITS.sub("", str(err)[:200]))
+def fingerprint_of(err: BaseException) -> int:
+    """Return a hash of a rejection's traceback and message, which stands for the input's code path."""
+    fingerprint = hash(_DIGITS.sub("", str(err)[:200]))
     place = err.__traceback__
     for _ in range(12):
         if place is None:
             break
-        way = hash((way, place.tb_lasti))
+        fingerprint = hash((fingerprint, place.tb_lasti))
         place = place.tb_next
-    return way
+    return fingerprint
 
 
 def traced(parse: Callable[[bytes], object], content: bytes, refuses: tuple[type[Exception], ...]) -> set[Any]:
-    """The lines of our code that an input comes along; slow, so that it is asked now and then only."""
+    """Return the lines of Midspan that an input reaches; slow, so used only for some inputs."""
     lines: set[tuple[CodeType, int]] = set()
 
     def trace(frame: FrameType, event: str, _arg: Any) -> Any:

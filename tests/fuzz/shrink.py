@@ -1,4 +1,4 @@
-"""Makes a failing input as short as it can be while it fails in the same way; each try in a process of its own."""
+"""Shortens a failing input while it fails in the same manner; each attempt runs in a separate process."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PROCESSOR_SECONDS = 4
 
 
 def shrunk(subject: Subject, content: bytes) -> tuple[str, bytes]:
-    """How the input fails ("" where it does not), and the shortest one found that does the same."""
+    """Return how an input fails ("" if it does not), and the shortest input found with the same failure."""
     warm(subject)
     signature = probe(subject, content)
     if not signature:
@@ -39,22 +39,22 @@ def shrunk(subject: Subject, content: bytes) -> tuple[str, bytes]:
 
 
 def probe(subject: Subject, content: bytes) -> str:
-    """How one input fails: an exception and its place, a signal, ``hang``; "" where it does not fail."""
+    """Return how an input fails: an exception and its place, a signal, or ``hang``; "" if it does not fail."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(reading)
         _try(subject, content, writing)
     os.close(writing)
-    with os.fdopen(reading, "rb") as told:
-        if not select.select([told], [], [], 10.0)[0]:
+    with os.fdopen(reading, "rb") as pipe:
+        if not select.select([pipe], [], [], 10.0)[0]:
             os.kill(child, signal.SIGKILL)
-        said = told.read().decode(errors="replace")
+        failure = pipe.read().decode(errors="replace")
     _, status = os.waitpid(child, 0)
     number = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
     if number in (signal.SIGXCPU, signal.SIGKILL):
         return "hang"
-    return f"signal {number}" if number else said
+    return f"signal {number}" if number else failure
 
 
 def _try(subject: Subject, content: bytes, writing: int) -> None:

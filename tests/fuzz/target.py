@@ -1,4 +1,4 @@
-"""What is fuzzed: one small target for each parser."""
+"""Fuzz targets: one for each parser."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ Parse = Callable[[bytes], object]
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """A parser made ready.
+    """A prepared parser.
 
     Attributes:
-        parse: takes any bytes; raises nothing but what ``refuses`` names, and AssertionError where a promise is broken.
-        seeds: good inputs, made by our encoders or taken from what peers really say.
+        parse: accepts any bytes; raises only the errors in ``refuses``, and AssertionError if a promise is broken.
+        seeds: valid inputs, from Midspan's encoders or recorded from peers.
         refuses: the documented errors.
-        words: what the format's own words are, to be put anywhere.
-        largest: bytes of the longest input.
+        tokens: tokens of the format, to be inserted anywhere.
+        largest: maximum input size in bytes.
     """
 
     parse: Parse
     seeds: Sequence[bytes]
     refuses: tuple[type[Exception], ...]
-    words: Sequence[bytes] = ()
+    tokens: Sequence[bytes] = ()
     largest: int = 8192
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A parser's name, its part of a million inputs, and how it is made ready in the process that fuzzes it."""
+    """A parser's name, its share of a million inputs, and a function that prepares it in the fuzzing process."""
 
     name: str
     share: int
@@ -41,14 +41,14 @@ class Target:
 
 
 def scratch() -> Path:
-    """A folder for a parser of files, which goes with the process."""
+    """Return a folder for a parser of files, removed when the process exits."""
     folder = tempfile.mkdtemp(prefix="midspan-fuzz-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
 
 
 def texts(*lines: str) -> list[bytes]:
-    """Seeds given as text."""
+    """Return texts as seeds."""
     return [line.encode() for line in lines]
 
 
@@ -56,4 +56,4 @@ JSON_WORDS = (
     b"null", b"true", b"[]", b"{}", b"-1", b"1e999", b"NaN", b'"\\ud800"', b'"\xc3\xa9"', b'"AAA="',
     b"9" * 5000, b"[" * 3000, b'{"a":' * 3000,
 )  # fmt: skip
-"""What a JSON document may hold that its reader does not expect."""
+"""JSON fragments that a reader may not expect."""

@@ -1,4 +1,4 @@
-"""What the fuzzers found stays mended: each input as short as it could be made."""
+"""Regression tests for fuzzing findings, with shortened inputs."""
 
 from __future__ import annotations
 
@@ -52,11 +52,11 @@ FOUND = [
 
 
 @pytest.mark.parametrize(("name", "content"), FOUND, ids=[f"{n}-{k}" for k, (n, _) in enumerate(FOUND)])
-def test_what_was_found_stays_mended(name: str, content: bytes) -> None:
+def test_earlier_findings_stay_fixed(name: str, content: bytes) -> None:
     assert_promises_kept(TARGETS[name].make(), content)
 
 
 def assert_promises_kept(subject: Subject, content: bytes) -> None:
-    """A target's parser asserts its promises itself; it raises nothing else but what is documented."""
+    """Run a target's parser, which asserts its promises itself and raises only documented errors."""
     with contextlib.suppress(*subject.refuses):
         subject.parse(content)

@@ -1,4 +1,4 @@
-"""A million inputs to the parsers in all, and the engine that makes them."""
+"""A million inputs for all parsers, and tests of the fuzzing engine."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ from tests.fuzz.targets import TARGETS
 ROOT = Path(__file__).parents[2]
 MILLION = 1_000_000
 BUDGET = 10.0
-"""Seconds of processor time for each target, which most do not take; together 65 s on a machine at rest."""
+"""Maximum processor time per target, seconds; all targets together need 65 s on an idle machine."""
 
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_a_million_inputs(tmp_path: Path) -> None:
+def test_all_parsers_survive_a_million_inputs(tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     command = [sys.executable, "-m", "tests.fuzz", "--inputs", str(MILLION), "--seconds", str(BUDGET)]
     command += ["--json", str(figures), "--save", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     print(done.stdout)
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
-    told = json.loads(figures.read_text())
-    assert set(told) == set(TARGETS)
+    report = json.loads(figures.read_text())
+    assert set(report) == set(TARGETS)
     for target, inputs in shares(list(TARGETS.values()), MILLION).items():
-        figure = told[target.name]
+        figure = report[target.name]
         assert figure["inputs"] >= inputs or figure["seconds"] > 0.9 * BUDGET
 
 
-def test_a_targets_time_is_over() -> None:
-    told = engine(
+def test_a_target_stops_after_its_time() -> None:
+    inputs = engine(
         "done = run.fuzz(Subject(len, [b'n'], (ValueError,)), 10**9, '1', lambda *_: None, seconds=0.3)\n"
         "print(done.inputs)"
     )
-    assert 0 < int(told) < 10**9
+    assert 0 < int(inputs) < 10**9
 
 
 def hungry(data: bytes) -> None:
-    """A parser that breaks every promise."""
+    """Break every promise of a parser, depending on the input."""
     if data.startswith(b"m"):
         bytearray(100 << 20)
     if data.startswith(b"s"):
@@ -59,7 +59,7 @@ def hungry(data: bytes) -> None:
 
 
 def engine(code: str) -> str:
-    """Run a few lines with the engine in a process of its own, which limits its memory."""
+    """Run code with the engine in a separate process, because the engine limits the memory."""
     head = (
         "from tests.fuzz import run\nfrom tests.fuzz.shrink import shrunk\nfrom tests.fuzz.target import Subject\n"
         "from tests.fuzz.test_fuzz import hungry\nrun.SECONDS = 0.02\n"
@@ -72,7 +72,7 @@ def engine(code: str) -> str:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("word", "signature"), [(b"m", "MemoryError"), (b"s", "slow"), (b"w", "KeyError")])
-def test_the_engine_finds_what_it_is_there_for(word: bytes, signature: str) -> None:
+def test_the_engine_detects_each_kind_of_failure(word: bytes, signature: str) -> None:
     code = (
         f"subject = Subject(hungry, [b'xxx'], (ValueError,), [{word!r}], 16)\n"
         "for finding in run.fuzz(subject, 500, '1', lambda number, content: None).findings:\n"
@@ -83,13 +83,13 @@ def test_the_engine_finds_what_it_is_there_for(word: bytes, signature: str) -> N
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("first", ["w", "boom"])
-def test_a_finding_is_made_short(first: str) -> None:
+def test_a_finding_is_shortened(first: str) -> None:
     code = f"print(shrunk(Subject(hungry, [b''], (ValueError,)), {first.encode()!r} + b'long' * 50)[1])\n"
     assert engine(code) == f"b'{first}'\n"
 
 
 @pytest.mark.thorough
-def test_the_same_seed_makes_the_same_inputs() -> None:
+def test_the_same_seed_yields_the_same_inputs() -> None:
     code = (
         "import hashlib\ngiven = []\n"
         "subject = Subject(hungry, [b'xyz', b'def'], (ValueError,))\n"

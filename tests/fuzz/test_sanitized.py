@@ -1,4 +1,4 @@
-"""The message machine keeps to its memory: fuzzed as Python, and compiled with AddressSanitizer."""
+"""The conversion machine stays within its buffers: fuzzed as Python, and compiled with AddressSanitizer."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ BROKEN = {
         "elif write:\n                    _copy(source, i, target, o + 2,",
     ),
 }
-"""A line of the source, and one in its stead that goes out of bounds: by one byte, where Python keeps a NUL behind what
-is read, or by two."""
+"""A line of the source, and a replacement that goes out of bounds: by one byte, where Python appends a NUL to the
+input, or by two."""
 
 CUT_SHORT = """
 from tests.fuzz.machines import load
@@ -47,12 +47,12 @@ for seed in subject.seeds:
 
 
 def form(name: str, source: Path, folder: Path) -> Path:
-    """The machine as Python, or compiled with AddressSanitizer."""
+    """Return the machine as Python, or compiled with AddressSanitizer."""
     return source if name == "python" else sanitized(source, folder)
 
 
 def run(arguments: list[str], file: Path) -> subprocess.CompletedProcess[str]:
-    """Run Python with the machine of a file."""
+    """Run Python with the machine from a file."""
     return subprocess.run(
         [sys.executable, *arguments],
         cwd=ROOT,
@@ -75,7 +75,7 @@ def test_nothing_is_read_or_written_out_of_bounds(name: str, tmp_path: Path):
 
 @pytest.mark.parametrize("broken", BROKEN)
 @pytest.mark.parametrize("name", ["python", "sanitized"])
-def test_what_goes_out_of_bounds_is_seen(name: str, broken: str, tmp_path: Path):
+def test_accesses_out_of_bounds_are_detected(name: str, broken: str, tmp_path: Path):
     good, bad = BROKEN[broken]
     text = SOURCE.read_text()
     assert text.count(good) == 1

@@ -1,4 +1,4 @@
-"""Looks after the processes that fuzz: notices crashes and hangs, and knows which input it was."""
+"""Supervises the fuzzing processes: detects crashes and hangs, and the input that caused them."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from tests.fuzz.run import JOURNAL, JOURNAL_IDLE, Finding, Journal
 from tests.fuzz.target import Target
 
 _HANG_SECONDS = 4.0
-"""Processor time after which an input counts as one that never ends."""
+"""Processor time after which an input counts as a hang, seconds."""
 
 _STUCK_SECONDS = 60.0
-"""The same in real time: something waits that nobody will wake."""
+"""Real time after which an input counts as a hang, seconds: it waits forever."""
 
 _PIECE = 150_000
 _MOST_DEATHS = 5
@@ -36,7 +36,7 @@ _MOST_DEATHS = 5
 
 @dataclass
 class Outcome:
-    """What came of one target."""
+    """The result of one target."""
 
     inputs: int = 0
     seconds: float = 0.0
@@ -44,7 +44,7 @@ class Outcome:
 
 
 class _DeadError(Exception):
-    """The process ended, or was ended, in the middle of an input."""
+    """The process exited, or was killed, during an input."""
 
     def __init__(self, how: str, number: int, content: bytes) -> None:
         super().__init__(how)
@@ -52,7 +52,7 @@ class _DeadError(Exception):
 
 
 class _Worker:
-    """One process that fuzzes."""
+    """One fuzzing process."""
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="midspan-fuzz-")
@@ -68,7 +68,7 @@ class _Worker:
         )
 
     def ask(self, work: dict[str, Any]) -> dict[str, Any]:
-        """Have some work done; raises `_DeadError`."""
+        """Run a job; raises `_DeadError` if the process dies."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         with contextlib.suppress(BrokenPipeError):
@@ -99,7 +99,7 @@ class _Worker:
         return times.user + times.system
 
     def close(self) -> None:
-        """End the process."""
+        """Stop the process."""
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 with contextlib.suppress(OSError):
@@ -110,13 +110,13 @@ class _Worker:
 
 
 class Fuzzing:
-    """Fuzzes targets on several processes, and gathers what came of each.
+    """Fuzzes targets in several processes, and collects the results.
 
     Args:
-        targets: each with its number of inputs.
-        seed: where the dice begin.
-        jobs: how many processes.
-        limit: seconds of processor time for each target; one that is slow gets fewer inputs.
+        targets: the targets with their number of inputs.
+        seed: of the random generator.
+        jobs: number of processes.
+        limit: seconds of processor time per target; a slow target runs fewer inputs.
     """
 
     def __init__(self, targets: dict[Target, int], seed: int, jobs: int, limit: float = math.inf) -> None:
@@ -128,7 +128,7 @@ class Fuzzing:
         self._work = deque(sorted(pieces, key=lambda piece: -piece[2]))
 
     def run(self) -> None:
-        """Do all of it."""
+        """Run all targets."""
         threads = [threading.Thread(target=self._job, name=f"fuzz-{n}") for n in range(self._jobs)]
         for thread in threads:
             thread.start()
@@ -149,7 +149,7 @@ class Fuzzing:
 
     def _fuzz(self, worker: _Worker, name: str, begin: int, inputs: int) -> _Worker:
         outcome = self.outcomes[name]
-        found: list[Finding] = []
+        findings: list[Finding] = []
         done = 0
         for life in range(_MOST_DEATHS):
             seed = f"{name} {self._seed} {begin}" + (f" {life}" if life else "")
@@ -158,15 +158,15 @@ class Fuzzing:
                                      "limit": self._limits[name] * (inputs - done)})  # fmt: skip
             except _DeadError as dead:
                 worker = _Worker()
-                found.append(Finding(dead.how, dead.content, f"the process ended: {dead.how}"))
+                findings.append(Finding(dead.how, dead.content, f"the process died: {dead.how}"))
                 done += 0 if dead.number == JOURNAL_IDLE else dead.number + 1
                 continue
             done += answer["inputs"]
             outcome.seconds += answer["seconds"]
-            found += [Finding(s, base64.b64decode(c), t) for s, c, t in answer["findings"]]
+            findings += [Finding(s, base64.b64decode(c), t) for s, c, t in answer["findings"]]
             break
         outcome.inputs += done
-        for finding in found:
+        for finding in findings:
             if finding.signature not in outcome.findings:
                 worker, outcome.findings[finding.signature] = self._shrink(worker, name, finding)
         return worker

@@ -8,11 +8,11 @@ from bridge.bags.bag import BagError
 from tests.fuzz.target import Subject, Target, scratch, texts
 
 _LARGEST_CHUNK = 8 << 20
-"""What a chunk may unpack to here, so that this limit is met before that of the memory."""
+"""Limit of a chunk's unpacked size, reached before the memory limit."""
 
 
 def _bags() -> Subject:
-    """A file of any format: it is read, its types become the hub's, and it is mended, which saves all that was read."""
+    """A bag of any format: it is read, its types are converted to the hub's, and its repair keeps all read messages."""
     from bridge.bags import bag as limits
     from bridge.bags import db3_reader, spans
     from bridge.bags.conversion import to_hub
@@ -36,31 +36,31 @@ def _bags() -> Subject:
                     to_hub(registry, topic)
             except BagError:
                 pass
-            if bag.kind != "db3":  # a file of SQLite takes too long to write
+            if bag.kind != "db3":  # writing SQLite files is too slow
                 mended = folder / f"mended.{bag.kind}"
                 mended.unlink(missing_ok=True)
                 saved = cut(bag, mended, mend=True).messages
                 assert saved == read if whole else saved >= read
 
-    words = texts(
+    tokens = texts(
         "cdr", "ros1", "ros2msg", "zstd", "lz4", "bz2", "none", "op=", "conn=", "time=", "topic=", "index_pos=",
         "chunk_pos=", "encryptor=x", "CREATE TABLE messages(id INTEGER PRIMARY KEY)", "- history: 3\n",
     )  # fmt: skip
-    words += [b"\x05" + b"\x20" + b"\0" * 7, b"\xff" * 8, b"\x06", b"\x89MCAP0\r\n", b"\x28\xb5\x2f\xfd"]
-    return Subject(parse, _seeds(), (BagError,), words, largest=1 << 15)
+    tokens += [b"\x05" + b"\x20" + b"\0" * 7, b"\xff" * 8, b"\x06", b"\x89MCAP0\r\n", b"\x28\xb5\x2f\xfd"]
+    return Subject(parse, _seeds(), (BagError,), tokens, largest=1 << 15)
 
 
 def _seeds() -> list[bytes]:
     from tests.bags.written import db3_folder, mcap_bytes, ros1_bag
 
     folder = scratch()
-    made = [ros1_bag(folder / f"{how}.bag", 3, how).read_bytes() for how in ("none", "lz4", "bz2")]
-    made += [mcap_bytes(3, "zstd"), mcap_bytes(3, "lz4"), mcap_bytes(3, "none"), mcap_bytes(3, "none", finished=False)]
-    return [*made, _unchunked(), (db3_folder(folder / "run", 3) / "run.db3").read_bytes()]
+    bags = [ros1_bag(folder / f"{how}.bag", 3, how).read_bytes() for how in ("none", "lz4", "bz2")]
+    bags += [mcap_bytes(3, "zstd"), mcap_bytes(3, "lz4"), mcap_bytes(3, "none"), mcap_bytes(3, "none", finished=False)]
+    return [*bags, _unchunked(), (db3_folder(folder / "run", 3) / "run.db3").read_bytes()]
 
 
 def _unchunked() -> bytes:
-    """A file of ROS 1's profile whose messages are in no chunk."""
+    """Return an MCAP file of ROS 1's profile with messages outside chunks."""
     from mcap.writer import Writer
 
     stream = io.BytesIO()

@@ -1,4 +1,4 @@
-"""The commands: messages that a user types, and documents that anybody on the hub may answer with."""
+"""The command line: messages that a user types, and documents that anyone on the hub may reply with."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.fuzz.target import JSON_WORDS, Subject, Target, texts
 
 
 def _pub() -> Subject:
-    """The fields of ``midspan topic pub``."""
+    """The fields for ``midspan topic pub``."""
     from bridge.cli.messages import yaml_fields
     from bridge.messages.json import from_json
     from bridge.messages.registry import Registry
@@ -24,15 +24,15 @@ def _pub() -> Subject:
     seeds = texts(
         "{twist: {linear: {x: 0.2}}}", "header: {frame_id: map, stamp: {sec: 1}}\ntwist:\n  angular: {z: -1e-3}\n", "{}"
     )
-    words = texts(
+    tokens = texts(
         "{", "[", ": ", "&a ", "*a", "<<: ", "!!python/object:a ", "!!set {a}", "? {a: b}", "{[a]: b}", "? ", "- ",
         ".nan", "!!timestamp 2001-01-01", "0o7", "2001-12-14 21:59:43", "!!binary x", "'", '"', "| ", "~", "\t",
     )  # fmt: skip
-    return Subject(parse, seeds, (CliError, ConversionError), words, largest=512)
+    return Subject(parse, seeds, (CliError, ConversionError), tokens, largest=512)
 
 
 def _status() -> Subject:
-    """Status documents of workers, as a terminal shows them."""
+    """Workers' status documents, as shown in a terminal."""
     from rich.console import Console
 
     from bridge.cli.inspection.status import document_of, show
@@ -62,8 +62,8 @@ def _status() -> Subject:
         )
         console.file.getvalue().encode()  # type: ignore[attr-defined]
 
-    words = [*JSON_WORDS, *texts('"\\u001b[2J"', '"[red]"', '"routes":', '"drops":', '"error":')]
-    return Subject(parse, [json.dumps([document]).encode()], (), words, largest=2048)
+    tokens = [*JSON_WORDS, *texts('"\\u001b[2J"', '"[red]"', '"routes":', '"drops":', '"error":')]
+    return Subject(parse, [json.dumps([document]).encode()], (), tokens, largest=2048)
 
 
 TARGETS = (

@@ -25,7 +25,7 @@ _WORDS = texts(
 
 
 def _config() -> Subject:
-    """A whole file as text; what is taken can be told to a worker and read back, and its rules decide."""
+    """A whole file as text; an accepted configuration can be sent to a worker, and its rules decide."""
     from bridge.config.load import loads
     from bridge.config.model import Config
     from bridge.daemon.protocol import config_json
@@ -56,7 +56,7 @@ def _file() -> Subject:
 
 
 def _peers(bridge: str) -> Callable[[], Subject]:
-    """The configuration of a peer that is turned into ours, which our own reader takes."""
+    """Return a target that converts another bridge's configuration to a valid Midspan configuration."""
 
     def make() -> Subject:
         from bridge.config.importers import domain_bridge, ros1_bridge
@@ -66,8 +66,8 @@ def _peers(bridge: str) -> Callable[[], Subject]:
 
         def parse(data: bytes) -> None:
             file.write_bytes(data)
-            made = domain_bridge.drafts(file)[0] if bridge == "domain_bridge" else [ros1_bridge.draft(file)[0]]
-            for draft in made:
+            drafts = domain_bridge.drafts(file)[0] if bridge == "domain_bridge" else [ros1_bridge.draft(file)[0]]
+            for draft in drafts:
                 loads(draft.text())
 
         return Subject(parse, _PEERS[bridge], (ConfigError,), [*_WORDS, *_PEER_WORDS], 768)

@@ -58,7 +58,7 @@ def _report() -> Subject:
 
 
 def _lines() -> Subject:
-    """A stream cut into lines, however it is cut into pieces; the first byte says where."""
+    """A stream split into lines, independently of its fragments; the first byte sets the fragments."""
     from bridge.daemon.protocol import Lines
 
     def parse(data: bytes) -> None:
@@ -96,7 +96,7 @@ def _lock() -> Subject:
 
 
 def _log() -> Subject:
-    """Log lines of a worker, with systemd's priorities before them."""
+    """Log lines of a worker, with systemd's priority prefixes."""
     from bridge.daemon.log import split_priority
 
     def parse(data: bytes) -> None:
@@ -108,7 +108,7 @@ def _log() -> Subject:
 
 
 def _record() -> Subject:
-    """What workers on one network tell each other for their election; what is read is written as the same again."""
+    """Election records of workers on one network; parsed ones are written as the same record again."""
     from bridge.routing.election import Claim, Record
 
     def parse(data: bytes) -> None:

@@ -25,7 +25,7 @@ _SEEDS = [
 
 
 def _definition() -> Subject:
-    """A full definition: read, closed, written again, fingerprinted and compiled. The first byte says whose it is."""
+    """A full definition: parsed, closed, written, fingerprinted and compiled; the first byte selects ROS 1 or ROS 2."""
     from bridge.messages.definitions.hashes import md5_sum, rihs01
     from bridge.messages.definitions.schema import World
     from bridge.messages.definitions.text import closure, full_text, parse_full
@@ -35,8 +35,8 @@ def _definition() -> Subject:
 
     def parse(data: bytes) -> None:
         world = World.ROS2 if data[:1] == b"2" else World.ROS1
-        found = parse_full(data[1:].decode(errors="replace"), names[world], world)
-        schema = closure(found[names[world]], found)
+        definitions = parse_full(data[1:].decode(errors="replace"), names[world], world)
+        schema = closure(definitions[names[world]], definitions)
         text = full_text(schema)
         again = parse_full(text, names[world], world)
         mark = rihs01 if world is World.ROS2 else md5_sum
@@ -49,7 +49,7 @@ def _definition() -> Subject:
 
 
 def _header_type() -> Subject:
-    """What a ROS 1 publisher says of its type: name, md5 and definition, one line each and the rest."""
+    """A ROS 1 publisher's type: a line with its name, a line with its md5, and the definition."""
     from bridge.messages.registry import Registry
 
     registry, since = Registry(), 0
@@ -59,8 +59,8 @@ def _header_type() -> Subject:
         if since % 300 == 0:
             registry = Registry()
         since += 1
-        name, _, rest = data.decode(errors="replace").partition("\n")
-        md5, _, definition = rest.partition("\n")
+        name, _, remainder = data.decode(errors="replace").partition("\n")
+        md5, _, definition = remainder.partition("\n")
         conversion = registry.ros1_to_hub(name, md5, definition)
         assert conversion.convert is not None
         for message in (b"", bytes(64), b"\xff" * 64):
@@ -74,7 +74,7 @@ def _header_type() -> Subject:
 
 
 def _hub_type() -> Subject:
-    """What a worker on the hub says of a type: its name and definition."""
+    """A type from a worker on the hub: its name and definition."""
     from bridge.messages.registry import Registry
 
     registry, since = Registry(), 0
@@ -86,11 +86,11 @@ def _hub_type() -> Subject:
         since += 1
         name, _, definition = data.decode(errors="replace").partition("\n")
         registry.learn_ros2(name, definition)
-        there = registry.hub_to_ros1(name).convert
-        assert there is not None
+        convert = registry.hub_to_ros1(name).convert
+        assert convert is not None
         for message in (b"\0\1\0\0", b"\0\1\0\0" + bytes(64), b"\0\1\0\0" + b"\xff" * 64):
             try:
-                there(message)
+                convert(message)
             except ConversionError:
                 continue
 
@@ -99,7 +99,7 @@ def _hub_type() -> Subject:
 
 
 def _hub_service() -> Subject:
-    """What a worker on the hub says of a service or of an action's part: its name and definition."""
+    """A service or part of an action from a worker on the hub: its name and definition."""
     from bridge.messages.registry import Registry
 
     registry, since = Registry(), 0
@@ -114,12 +114,12 @@ def _hub_service() -> Subject:
         if name.endswith("_FeedbackMessage"):
             registry.hub_to_ros1(name)
             return
-        there = registry.service_hub_to_ros1(name)
-        assert there.request_to_side is not None
+        conversion = registry.service_hub_to_ros1(name)
+        assert conversion.request_to_side is not None
         registry.hub_service_check(name)
         for message in (b"\0\1\0\0", b"\0\1\0\0" + bytes(64), b"\0\1\0\0" + b"\xff" * 64):
             try:
-                there.request_to_side(message)
+                conversion.request_to_side(message)
             except ConversionError:
                 continue
 
@@ -137,7 +137,7 @@ def _hub_service() -> Subject:
 
 
 def _service_file() -> Subject:
-    """``.srv`` and ``.action`` files; the first byte chooses which, and which part of it."""
+    """``.srv`` and ``.action`` files; the first byte selects the kind and the part."""
     from bridge.messages.definitions.parts import find_part
 
     folder = scratch()
@@ -155,7 +155,7 @@ def _service_file() -> Subject:
 
 
 def _idl() -> Subject:
-    """ROS 2's ``.idl`` files, of which rosbags has the reader."""
+    """ROS 2's ``.idl`` files, which rosbags parses."""
     from bridge.messages.definitions.sources import parse_idl
 
     def parse(data: bytes) -> None:
@@ -169,10 +169,10 @@ def _idl() -> Subject:
         " struct A { b_msgs::msg::B b; d__3 v; string<5> s;"
         " @default(value=2) int16 n; };\n};};\n",
     )
-    words = texts(
+    tokens = texts(
         "module", "struct A {", "};", "sequence<", ">", "@key", "typedef", "const", "::", "[3]", '"', "/*", "*/", "//"
     )
-    return Subject(parse, seeds, (MessageTypeError,), words, largest=600)
+    return Subject(parse, seeds, (MessageTypeError,), tokens, largest=600)
 
 
 def _mapping_rules() -> Subject:
@@ -197,7 +197,7 @@ def _mapping_rules() -> Subject:
         "- {ros1_package_name: a, ros1_action_name: S, ros2_package_name: b, ros2_action_name: T,\n"
         "   goal_fields_1_to_2: {a: b}, result_fields_1_to_2: {}}\n",
     )
-    words = texts(
+    tokens = texts(
         "- ",
         "&a ",
         "*a",
@@ -212,11 +212,11 @@ def _mapping_rules() -> Subject:
         "--- ",
         "fields_1_to_2: ",
     )
-    return Subject(parse, seeds, (MessageTypeError,), words, largest=1024)
+    return Subject(parse, seeds, (MessageTypeError,), tokens, largest=1024)
 
 
 def _any_type() -> Subject:
-    """A definition, ``~``, and a message of it: compiled, and run."""
+    """A definition, ``~``, and a message of the type, whose conversion is compiled and run."""
     from bridge.messages.json import from_json
     from bridge.messages.mapping.fields import pair_types
     from bridge.messages.mapping.rules import Rules
@@ -239,11 +239,13 @@ def _any_type() -> Subject:
         ros1 = registry.ros1_schema("a_msgs/A")
         ros2 = registry._messages.to_ros2(ros1)
         table = pair_types(ros1, ros2, rules)
-        there = compile_pair(ros1, ros2, lambda a, b: table[a, b].fields)
-        back = compile_pair(ros2, ros1, lambda a, b: [(two, one) for one, two in table[b, a].fields])
+        to_ros2 = compile_pair(ros1, ros2, lambda a, b: table[a, b].fields)
+        to_ros1 = compile_pair(
+            ros2, ros1, lambda a, b: [(ros2_field, ros1_field) for ros1_field, ros2_field in table[b, a].fields]
+        )
         guard(message)
         refusals: list[ConversionError] = []
-        for program in (there, back, compile_check(ros2)):
+        for program in (to_ros2, to_ros1, compile_check(ros2)):
             try:
                 make_vm(program).convert(message)
             except ConversionError as err:
@@ -259,8 +261,8 @@ def _any_type() -> Subject:
         convert = registry.hub_to_ros1(conversion.target.name).convert
         assert convert is not None
         seeds += [text.encode() + b"~\n" + message for message in (cdr, convert(cdr))]
-    words = [*_WORDS, b"~\n", b"\0\1\0\0", b"\3\0\0\0", b"\0\0\0\0"]
-    return Subject(parse, seeds, (MessageTypeError, ConversionError), words, 2048)
+    tokens = [*_WORDS, b"~\n", b"\0\1\0\0", b"\3\0\0\0", b"\0\0\0\0"]
+    return Subject(parse, seeds, (MessageTypeError, ConversionError), tokens, 2048)
 
 
 TARGETS = (

@@ -1,4 +1,4 @@
-"""The Foxglove server: heads of requests, of anybody who can reach its port."""
+"""The Foxglove server: request heads from any client of its port."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from tests.fuzz.target import Subject, Target, texts
 
 
 def _heads() -> Subject:
-    """What is handed on is a head again, with the same headers but for the secrets."""
+    """A forwarded head is valid again, with the same headers except the secrets."""
     from bridge.foxglove.front import RequestHead, TurnedAwayError
 
     def parse(data: bytes) -> None:
@@ -24,8 +24,8 @@ def _heads() -> Subject:
         f"GET /?token=abc%20d&x=1 HTTP/1.1\r\n{head}Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n",
         f"GET / HTTP/1.1\r\n{head}Authorization: Bearer abc\r\nCookie: a=b\r\nX: 1\r\nx: 2\r\n\r\n",
     )
-    words = texts("\r\n", "\n", ": ", "?token=", "%0d%0a", "Authorization: ", " HTTP/1.1", "\x00", "\x85", "[", "//[x")
-    return Subject(parse, seeds, (TurnedAwayError,), words, largest=20_000)
+    tokens = texts("\r\n", "\n", ": ", "?token=", "%0d%0a", "Authorization: ", " HTTP/1.1", "\x00", "\x85", "[", "//[x")
+    return Subject(parse, seeds, (TurnedAwayError,), tokens, largest=20_000)
 
 
 TARGETS = (Target("foxglove", 10_000, _heads),)

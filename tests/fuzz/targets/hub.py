@@ -1,4 +1,4 @@
-"""The hub: attachments, tokens, names, qualities of service, samples and questions of anybody on the network."""
+"""The hub: attachments, tokens, names, QoS, samples and control requests from anyone on the network."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _attachment() -> Subject:
 
 
 def _token() -> Subject:
-    """Liveliness tokens of endpoints, nodes and origins; what is read is written as the same again, or refused."""
+    """Liveliness tokens of endpoints, nodes and origins; parsed ones are written as the same token, or rejected."""
     from bridge.hub.graph.tokens import (
         NodeToken,
         endpoint_key,
@@ -61,13 +61,13 @@ def _token() -> Subject:
 
 
 def _graph() -> Subject:
-    """The graph under tokens that come and go, one a line, ``-`` before those that go; in the end nothing is left."""
+    """The graph while tokens are added and removed, one per line (``-`` removes); in the end it is empty."""
     import zenoh
 
     from bridge.hub.graph import HubGraph
 
     class Nothing:
-        """A session, its liveliness and its subscribers."""
+        """A session, its liveliness and its subscribers, which do nothing."""
 
         def __getattr__(self, _name: str) -> Any:
             return lambda *_args, **_more: self
@@ -78,8 +78,8 @@ def _graph() -> Subject:
         graph = HubGraph(Nothing(), 0, 8)  # type: ignore[arg-type]
         keys = data.decode(errors="replace").split("\n")
         for line in keys:
-            gone = line.startswith("-")
-            graph._on_sample(SimpleNamespace(key_expr=line.lstrip("-"), kind=delete if gone else put))  # type: ignore[arg-type]
+            removed = line.startswith("-")
+            graph._on_sample(SimpleNamespace(key_expr=line.lstrip("-"), kind=delete if removed else put))  # type: ignore[arg-type]
         assert len(graph.nodes()) + len(graph.endpoints()) <= 8
         for endpoint in graph.endpoints():
             graph.origin_of(endpoint.zid)
@@ -101,7 +101,7 @@ def _graph() -> Subject:
 
 
 def _qos() -> Subject:
-    """A quality of service as text; what is read is written as the same again."""
+    """A QoS as text; parsed ones are written as the same text again."""
     from bridge.hub.wire.qos import decode_qos, encode_qos
 
     def parse(data: bytes) -> None:
@@ -119,14 +119,14 @@ def _qos() -> Subject:
 
 
 def _names() -> Subject:
-    """Topic names, type names and hashes; what passes can be a part of a key of zenoh's."""
+    """Topic names, type names and hashes; accepted ones are valid in a zenoh key."""
     import zenoh
 
     from bridge.hub.wire.keys import check_topic, dds_type_name, demangle, mangle, ros_type_name, topic_key
 
     def parse(data: bytes) -> None:
-        topic, _, rest = data.decode(errors="replace").partition(" ")
-        type_name, _, type_hash = rest.partition(" ")
+        topic, _, remainder = data.decode(errors="replace").partition(" ")
+        type_name, _, type_hash = remainder.partition(" ")
         key = topic_key(0, topic, type_name, type_hash)
         assert ros_type_name(dds_type_name(type_name)) == type_name
         assert demangle(mangle(check_topic(topic))) == topic
@@ -139,7 +139,7 @@ def _names() -> Subject:
 
 
 def _question() -> Subject:
-    """Questions and answers of the control plane."""
+    """Requests and replies of the control plane."""
     from bridge.hub.control import _params, _read
 
     def parse(data: bytes) -> None:
@@ -164,7 +164,7 @@ class _Sized:
 
 
 def _samples() -> Subject:
-    """A subscription under samples, 34 bytes each: 33 of attachment, one of what is done."""
+    """A subscription that receives samples, 34 bytes each: a 33-byte attachment and an action."""
     import zenoh
 
     from bridge.hub.endpoints import subscription as module
@@ -174,7 +174,7 @@ def _samples() -> Subject:
     from bridge.hub.wire.qos import Durability, Qos
 
     class Nothing:
-        """A session, a graph, and whatever they give."""
+        """A session, a graph and their objects, which do nothing."""
 
         def __getattr__(self, _name: str) -> Any:
             return lambda *_args, **_more: self
@@ -186,11 +186,11 @@ def _samples() -> Subject:
     module.MAX_HELD_BYTES = 1000  # three samples
 
     def parse(data: bytes) -> None:
-        heard: list[Any] = []
+        received: list[Any] = []
         qos = Qos(durability=Durability.TRANSIENT_LOCAL if data[:1] == b"1" else Durability.VOLATILE, depth=5)
         some: Any = Nothing()
         context = EndpointContext(some, some, set(), some, 1000, some, some, some, lambda _closed: None)
-        subscription = HubSubscription(context, "t", "k", "/t", qos, heard.append)
+        subscription = HubSubscription(context, "t", "k", "/t", qos, received.append)
         hear = subscription._on_latched if qos.latched else subscription._on_sample
         count = 0
         for at in range(1, min(len(data), 1000), 34):
@@ -207,16 +207,18 @@ def _samples() -> Subject:
                 }[how](sample)  # type: ignore[operator]
             else:
                 hear(sample)  # type: ignore[arg-type]
-        assert len(heard) <= count
+        assert len(received) <= count
         kept = [message for source in subscription.sources.values() for message in source.held.values()]
         assert subscription._held == len(kept) * (1 + module.OVERHEAD) <= module.MAX_HELD_BYTES
         assert 0 <= subscription.lost <= 1_000_000 * count
 
-    def one(sequence: int, time_ns: int, how: bytes = b".") -> bytes:
+    def encoded(sequence: int, time_ns: int, how: bytes = b".") -> bytes:
         return pack_attachment(sequence, time_ns, bytes(range(16))) + how
 
-    seeds = [latched + b"".join(one(n, 10 + n) for n in (1, 2, 4, 3, 9)) for latched in (b"0", b"1")]
-    seeds += [b"1" + one(1, 1, b"a") + one(2, 2, b"c") + one(1, 1, b"c") + one(3, 3) + one(3, 3, b"d")]
+    seeds = [latched + b"".join(encoded(n, 10 + n) for n in (1, 2, 4, 3, 9)) for latched in (b"0", b"1")]
+    seeds += [
+        b"1" + encoded(1, 1, b"a") + encoded(2, 2, b"c") + encoded(1, 1, b"c") + encoded(3, 3) + encoded(3, 3, b"d")
+    ]
     return Subject(parse, seeds, (), largest=1000)
 
 

@@ -1,4 +1,4 @@
-"""Packages of definitions that are built for ROS 2."""
+"""Packages of interface definitions that are built for ROS 2."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from tests.fuzz.target import Subject, Target, texts
 
 
 def _package() -> Subject:
-    """A package's definitions: name, then path, one line each, and the text."""
+    """A package's definition: a line with its name, a line with its path, and the text."""
     from bridge.interfaces.definition import read_package
 
     def parse(data: bytes) -> None:
-        name, _, rest = data.decode(errors="replace").partition("\n")
-        path, _, text = rest.partition("\n")
+        name, _, remainder = data.decode(errors="replace").partition("\n")
+        path, _, text = remainder.partition("\n")
         for definition in read_package(name, {path: text}):
             assert definition.bare.isascii()
 
@@ -21,7 +21,7 @@ def _package() -> Subject:
         "a_msgs\nsrv/A.srv\nint64 a\n---\nint64 sum\n",
         "a_msgs\naction/A.action\nint64 a\n---\nint64 b\n---\nint64 c\n",
     )
-    words = texts(
+    tokens = texts(
         "---\n",
         "#",
         "=",
@@ -39,7 +39,7 @@ def _package() -> Subject:
         "A_" * 20,
         "a_" * 20,
     )
-    return Subject(parse, seeds, (BuildError,), words)
+    return Subject(parse, seeds, (BuildError,), tokens)
 
 
 TARGETS = (Target("package", 15_000, _package),)

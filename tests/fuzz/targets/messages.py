@@ -1,4 +1,4 @@
-"""The bytes of messages: the converters, the checks, and the way to and from JSON."""
+"""Message bytes: the converters, the checks, and conversion to and from JSON."""
 
 from __future__ import annotations
 
@@ -27,58 +27,58 @@ _TYPES = (
 
 
 def _machine() -> Subject:
-    """The machine itself. An input's first byte chooses the program."""
+    """The conversion machine; an input's first byte selects the program."""
     from bridge.messages.registry import Registry
     from bridge.messages.transcode.conversion import make_vm
     from tests.fuzz.machines import guard
     from tests.messages.transcode.programs import TYPES, programs
 
     registry = Registry()
-    made = [(make_vm(program), good) for name in TYPES for program, good in programs(registry, name)]
+    machines = [(make_vm(program), good) for name in TYPES for program, good in programs(registry, name)]
 
     def parse(data: bytes) -> None:
-        machine, _ = made[data[0] % len(made)] if data else made[0]
+        machine, _ = machines[data[0] % len(machines)] if data else machines[0]
         message = data[1:]
         guard(message)
         machine.convert(message)
 
-    return Subject(parse, [bytes([number]) + good for number, (_, good) in enumerate(made)], (ConversionError,))
+    return Subject(parse, [bytes([number]) + good for number, (_, good) in enumerate(machines)], (ConversionError,))
 
 
 def _convert() -> Subject:
-    """What the bridge calls; what comes out is good input of the other direction, and in its normal form."""
+    """The bridge's conversions; their output is valid input for the other direction, in normal form."""
     from bridge.messages.json import from_json
     from bridge.messages.registry import Registry
     from tests.messages.samples import sample
 
     registry = Registry()
-    ways: list[tuple[Callable[[bytes], bytes], Callable[[bytes], bytes]]] = []
+    conversions: list[tuple[Callable[[bytes], bytes], Callable[[bytes], bytes]]] = []
     seeds: list[bytes] = []
     for name in _TYPES:
         check, back = registry.hub_check(name), registry.hub_to_ros1(name)
-        there = registry.ros1_to_hub(back.target.name, back.target.type_id)
+        onward_conversion = registry.ros1_to_hub(back.target.name, back.target.type_id)
         assert back.convert is not None
-        assert there.convert is not None
+        assert onward_conversion.convert is not None
         for length in (0, 1, 3):
             cdr = from_json(registry, name, sample(registry.schema(name), length))
             goods = (cdr, back.convert(cdr), cdr)
-            seeds += [bytes([len(ways) + number]) + good for number, good in enumerate(goods)]
-        ways += [(back.convert, there.convert), (there.convert, check), (check, check)]
+            seeds += [bytes([len(conversions) + number]) + good for number, good in enumerate(goods)]
+        conversions += [(back.convert, onward_conversion.convert), (onward_conversion.convert, check), (check, check)]
 
     def parse(data: bytes) -> None:
-        convert, onward = ways[data[0] % len(ways)] if data else ways[0]
+        convert, onward = conversions[data[0] % len(conversions)] if data else conversions[0]
         out = convert(data[1:])
         try:
             again = onward(out)
         except ConversionError as err:
-            raise AssertionError(f"what came out is refused: {err}") from err
+            raise AssertionError(f"the output is rejected: {err}") from err
         assert onward is not convert or again is out, "the check's result is not in its normal form"
 
     return Subject(parse, seeds, (ConversionError,))
 
 
 def _rosbags() -> Subject:
-    """Whatever is accepted is converted to the very bytes that rosbags makes of it."""
+    """Accepted messages are converted to the same bytes as by rosbags."""
     from rosbags.typesys import Stores, get_typestore
 
     from bridge.messages.json import from_json
@@ -88,23 +88,23 @@ def _rosbags() -> Subject:
     registry, store = Registry(), get_typestore(Stores.ROS2_JAZZY)
     same = [name for name in _TYPES if not name.startswith(("rcl_interfaces", "visualization_msgs"))]
     seeds: list[bytes] = []
-    ways = []
+    conversions = []
     for name in same:
         check, back = registry.hub_check(name), registry.hub_to_ros1(name)
-        there = registry.ros1_to_hub(back.target.name, back.target.type_id).convert
+        from_ros1 = registry.ros1_to_hub(back.target.name, back.target.type_id).convert
         assert back.convert is not None
-        assert there is not None
+        assert from_ros1 is not None
         cdr = from_json(registry, name, sample(registry.schema(name)))
-        seeds += [bytes([2 * len(ways)]) + cdr, bytes([2 * len(ways) + 1]) + back.convert(cdr)]
-        ways.append((name, check, back.convert, there))
+        seeds += [bytes([2 * len(conversions)]) + cdr, bytes([2 * len(conversions) + 1]) + back.convert(cdr)]
+        conversions.append((name, check, back.convert, from_ros1))
 
     def parse(data: bytes) -> None:
-        number = data[0] % (2 * len(ways)) if data else 0
-        name, check, to_ros1, to_hub = ways[number // 2]
+        number = data[0] % (2 * len(conversions)) if data else 0
+        name, check, to_ros1, to_hub = conversions[number // 2]
         message = data[1:]
         if number % 2:
             ours = to_hub(message)
-            normal = to_ros1(ours)  # bools other than 0 and 1 are made 1, which rosbags leaves
+            normal = to_ros1(ours)  # other bools than 0 and 1 become 1; rosbags keeps them
             theirs = bytes(store.ros1_to_cdr(normal, name))
         else:
             ours = to_ros1(message)
@@ -115,7 +115,7 @@ def _rosbags() -> Subject:
 
 
 def _to_json() -> Subject:
-    """Messages for people: ``topic echo``. What JSON has is encoded to the same bytes again."""
+    """Messages as JSON, as for ``topic echo``; they are encoded to the same bytes again."""
     from bridge.messages.json import from_json, to_json
     from bridge.messages.registry import Registry
     from tests.messages.samples import sample
@@ -133,7 +133,7 @@ def _to_json() -> Subject:
 
 
 def _from_json() -> Subject:
-    """Values that people give: ``topic pub``, plain keys of zenoh."""
+    """Messages from JSON, as by ``topic pub`` and on plain zenoh keys."""
     from bridge.messages.json import from_json
     from bridge.messages.registry import Registry
     from tests.messages.samples import sample
@@ -149,7 +149,7 @@ def _from_json() -> Subject:
             return
         from_json(registry, name, value)
 
-    words = [
+    tokens = [
         b"null",
         b"true",
         b"1e400",
@@ -162,11 +162,11 @@ def _from_json() -> Subject:
         b'"header":',
         b"1.0",
     ]
-    return Subject(parse, seeds, (ConversionError,), words, largest=4096)
+    return Subject(parse, seeds, (ConversionError,), tokens, largest=4096)
 
 
 def _static_tf() -> Subject:
-    """Static transforms that are merged."""
+    """Merging of static transforms."""
     from bridge.messages.json import from_json
     from bridge.messages.registry import Registry
     from bridge.routing.rewrites import TF_TYPE, StaticTransforms

@@ -1,4 +1,4 @@
-"""Octomaps, streams and files, and clouds in files, as messages, stores and folders bring them."""
+"""Octomaps as streams and files, and point clouds in files, from messages, stores and folders."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _KINDS = ("OcTree", "ColorOcTree", "OcTreeStamped", "Other")
 
 
 def _octomap() -> Subject:
-    """A file or a stream: what is taken has leaves in their order, and is written as what says the same."""
+    """A file or a stream; accepted ones have ordered leaves, and are written as an equivalent map."""
     import numpy as np
 
     from yarp_compat.octomap import Octomap
@@ -28,8 +28,8 @@ def _octomap() -> Subject:
         assert np.array_equal(again.codes, tree.codes)
         assert np.array_equal(again.log_odds, tree.log_odds)
         assert Octomap.from_file(octomap.bt()).bt() == octomap.bt()
-        found = tree.search(*octomap.voxels().centers.T)
-        assert found.shape == (len(tree),)
+        levels = tree.search(*octomap.voxels().centers.T)
+        assert levels.shape == (len(tree),)
 
     random = np.random.default_rng(1)
     keys = np.unique(random.integers(32_768 - 6, 32_768 + 6, (300, 3)), axis=0)
@@ -37,15 +37,15 @@ def _octomap() -> Subject:
     small = OcTree.of([[0, 0, 0], [40_000, 1, 2]], [1.0, -1.0], [16, 3], resolution=1.0)
     chain = b"\0\0\0\0\1" * 16 + bytes(5)
     seeds = [b"\x01" + b"\x03\x00" * 15 + b"\x01\x00", b"\x02" + chain, b"\x06" + bytes(7) + b"\1" + bytes(8)]
-    for one in (tree, tree.pruned(), small):
-        octomap = Octomap.of(one)
-        seeds += [b"\0" + octomap.bt(), b"\0" + octomap.ot(), b"\x01" + one.binary(), b"\x02" + one.full()]
-    words = [b"\ndata\n", b"size ", b"res ", b"id ", b"\xff\xff", b"\x03\x00", b"\0\0\xc0\x7f", b"1e999", b"nan"]
-    return Subject(parse, seeds, (OctreeError,), words)
+    for variant in (tree, tree.pruned(), small):
+        octomap = Octomap.of(variant)
+        seeds += [b"\0" + octomap.bt(), b"\0" + octomap.ot(), b"\x01" + variant.binary(), b"\x02" + variant.full()]
+    tokens = [b"\ndata\n", b"size ", b"res ", b"id ", b"\xff\xff", b"\x03\x00", b"\0\0\xc0\x7f", b"1e999", b"nan"]
+    return Subject(parse, seeds, (OctreeError,), tokens)
 
 
 def _cloud() -> Subject:
-    """A file of a cloud: what is taken comes back from what is written of it."""
+    """A point cloud file; accepted clouds are equal after writing and reading."""
     import numpy as np
 
     from yarp_compat.sig.cloudfile import CloudFileError, read_cloud, write_pcd, write_ply
@@ -63,12 +63,12 @@ def _cloud() -> Subject:
     ]
     seeds = [write(cloud) for cloud in spatial for write in (write_pcd, write_ply)]
     seeds.append(write_pcd(spatial[0]).partition(b"DATA")[0] + b"DATA ascii\n1 2 3\nnan 0 1e9\n4 5 6\n")
-    words = [
+    tokens = [
         b"FIELDS x y z _", b"SIZE 4 4 4 1", b"TYPE F F F U", b"COUNT 1 1 1 16", b"WIDTH 4294967295", b"HEIGHT 0",
         b"property list uchar int v", b"format binary_big_endian 1.0", b"format ascii 1.0", b"element vertex 9999999",
         b"\n", b"1e999", b"nan",
     ]  # fmt: skip
-    return Subject(parse, seeds, (CloudFileError,), words)
+    return Subject(parse, seeds, (CloudFileError,), tokens)
 
 
 TARGETS = (Target("octomap", 10_000, _octomap), Target("cloud_file", 10_000, _cloud))

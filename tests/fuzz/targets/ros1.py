@@ -22,7 +22,7 @@ _HEADER_WORDS = texts(*(f"{name}=" for name in _FIELDS), "error=no", "=", "\x00"
 
 
 def _header() -> Subject:
-    """A connection header's fields, and what is taken out of them."""
+    """A connection header's fields, and the values that are read from them."""
     from bridge.adapters.ros1.graph.probe import Facts
     from bridge.adapters.ros1.handshake import decode, encode
 
@@ -39,7 +39,7 @@ def _header() -> Subject:
 
 @contextlib.contextmanager
 def _wire(data: bytes) -> Iterator[DeadlineSocket]:
-    """A connection on which a peer has said these bytes and says no more."""
+    """Return a connection on which a peer has sent these bytes and then closed."""
     ours, theirs = socket.socketpair()
     with theirs:
         theirs.sendall(data)
@@ -50,7 +50,7 @@ def _wire(data: bytes) -> Iterator[DeadlineSocket]:
 
 
 def _greeting() -> Subject:
-    """The same header off a connection, with its length before it."""
+    """A header received on a connection, after its length."""
     from bridge.adapters.ros1.handshake import encode, read_header
 
     def parse(data: bytes) -> None:
@@ -63,7 +63,7 @@ def _greeting() -> Subject:
 
 
 def _frames() -> Subject:
-    """A publisher's messages off a connection."""
+    """A publisher's messages received on a connection."""
     from bridge.adapters.ros1 import epoll_loop
     from bridge.adapters.ros1.topics import connection as module
 
@@ -88,7 +88,7 @@ def _frames() -> Subject:
 
 
 class _Addressed:
-    """A socket of no address as one that has one."""
+    """A socket without an address that pretends to have one."""
 
     def __init__(self, sock: socket.socket) -> None:
         self._sock = sock
@@ -106,16 +106,16 @@ class _Addressed:
 def _rpc_client() -> Any:
     from bridge.adapters.ros1_peers import XmlRpcClient
 
-    class Told(XmlRpcClient):
-        """A client whose server says what the test wants."""
+    class FakeServerClient(XmlRpcClient):
+        """A client whose server sends a given reply."""
 
-        said = b""
+        reply = b""
 
         def _exchange(self, body: bytes, _deadline: float) -> bytes:
-            servers = body.count(b"lookupService")  # asked for once the state is known, as many as that names
-            return _answer([[[1, "", "rosrpc://h:1"]]] * servers) if servers else self.said
+            servers = body.count(b"lookupService")  # one per service in the state, in a second request
+            return _answer([[[1, "", "rosrpc://h:1"]]] * servers) if servers else self.reply
 
-    return Told("http://127.0.0.1:1/", 1.0)
+    return FakeServerClient("http://127.0.0.1:1/", 1.0)
 
 
 def _answer(value: Any) -> bytes:
@@ -135,13 +135,13 @@ _XML_WORDS = texts(
 
 
 def _xmlrpc() -> Subject:
-    """One answer of a node: code, message, value; and what the handshake takes out of it."""
+    """A node's answer: code, message, value; and the values that the handshake reads from it."""
     from bridge.adapters.ros1.handshake import _address
 
     client = _rpc_client()
 
     def parse(data: bytes) -> None:
-        client.said = data
+        client.reply = data
         _address(client.call("requestTopic", "/a", "/b", [["TCPROS"]]), "http://x/")
 
     seeds = [
@@ -152,11 +152,11 @@ def _xmlrpc() -> Subject:
 
 
 def _graph() -> Subject:
-    """A master's state, as the worker reads it: registrations, types, addresses, who of Midspan is there."""
+    """A master's state as the worker reads it: registrations, types, addresses, other Midspan workers."""
     from bridge.adapters.ros1.graph.presence import NodeEntry, others, removal_calls
     from bridge.adapters.ros1.graph.state import MasterReader
 
-    own = NodeEntry("o", "d", "/midspan", "http://me/", 1)
+    own_node = NodeEntry("o", "d", "/midspan", "http://me/", 1)
     entry = {"owner": "x", "daemon": "d", "node": "/midspan2", "uri": "http://h:1/", "pid": 7}
     state = [[["/chatter", ["/a", "/b"]]], [["/chatter", ["/c"]]], [["/a/service", ["/a"]]]]
     good = [
@@ -169,14 +169,14 @@ def _graph() -> Subject:
     def parse(data: bytes) -> None:
         client = _rpc_client()
         looker = MasterReader(client, "/midspan")
-        client.said = data
+        client.reply = data
         for _ in range(2):
             with contextlib.suppress(Ros1Error):
                 look = looker.look()
-                entries = others(look, own)
+                entries = others(look, own_node)
                 removal_calls(look, entries)
                 hash((look.publishers, look.subscribers))
-        # As the answer to a question about just as many nodes, too.
+        # also as the answer to a request for the same number of nodes
         looker._nodes = ("/a", "/b", "/c")
         looker.look()
 
@@ -191,7 +191,7 @@ def _graph() -> Subject:
 
 
 def _http() -> Subject:
-    """What a node's HTTP server may say."""
+    """Responses of a node's HTTP server."""
     from bridge.adapters.ros1_peers import XmlRpcClient
 
     body = _answer([1, "", 3])
@@ -210,13 +210,13 @@ def _http() -> Subject:
         head + b"\r\n" + body,
         b"HTTP/1.0 500 Oh\r\n\r\n",
     ]
-    words = texts(
+    tokens = texts(
         "HTTP/1.1 100 Continue\r\n\r\n", "\r\n\r\n", "Content-Length: -1\r\n", "Content-Length: 99999999999\r\n",
         "Transfer-Encoding: chunked\r\n",
         "FFFFFFFFFFFF\r\n", "Connection: close\r\n", "X: " + "y" * 300 + "\r\n", "HTTP/9.9 200\r\n",
         "Content-Length: 1_0\r\n", "-5\r\n",
     )  # fmt: skip
-    return Subject(parse, seeds, (Ros1Error,), words)
+    return Subject(parse, seeds, (Ros1Error,), tokens)
 
 
 def _refuse() -> None:
@@ -224,7 +224,7 @@ def _refuse() -> None:
 
 
 def _uri() -> Subject:
-    """Addresses that a master gives of its nodes."""
+    """Node addresses from a master."""
     from bridge.adapters.ros1_peers import XmlRpcClient
 
     def parse(data: bytes) -> None:
@@ -237,7 +237,7 @@ def _uri() -> Subject:
 
 
 def _names() -> Subject:
-    """Topic names of ROS 1, made legal on the hub."""
+    """ROS 1 topic names, converted to valid hub names."""
     from bridge.adapters.ros1.names import MAX_LENGTH, NameTable, hub_name
     from bridge.hub.wire.keys import check_topic
 
@@ -256,7 +256,7 @@ def _names() -> Subject:
 
 
 def _ledger() -> Subject:
-    """The state folder's file of this daemon's ROS 1 nodes."""
+    """The file with this daemon's ROS 1 nodes in the state folder."""
     from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry
 
     folder = scratch()

@@ -1,4 +1,4 @@
-"""ROS 1 services: what clients send to a server of ours, and what a server sends to a caller of ours."""
+"""ROS 1 services: requests from clients to Midspan's server, and replies to Midspan's client."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _SIZES = [struct.pack("<I", n) for n in (0, 1, 5, 65_536, 65_537, _LIMIT, _LIMIT
 
 
 class _Plain(socket.socket):
-    """A socket pair is no TCP connection."""
+    """A socket of a pair, on which TCP options are ignored."""
 
     def setsockopt(self, *_: Any) -> None:
         pass
 
 
 class _Loop:
-    """What stands for the thread that reads all connections: the test reads one."""
+    """Stands in for the thread that reads all connections; the test reads one."""
 
     def __init__(self) -> None:
         self.reads = threading.Event()
@@ -41,15 +41,15 @@ class _Loop:
 
 
 def _drive(connection: Any, loop: _Loop) -> None:
-    """Read a connection to its end, as the common thread does; a thread of its own may read a large message."""
+    """Read a connection to its end, like the shared thread; a separate thread may read large messages."""
     connection.start()
     while not loop.over.is_set():
         if loop.reads.wait(0.001) and not loop.over.is_set():
             connection.ready()
 
 
-def _said(data: bytes) -> tuple[socket.socket, socket.socket]:
-    """A connection on which a peer has said these bytes and says no more, and the peer."""
+def _connection(data: bytes) -> tuple[socket.socket, socket.socket]:
+    """Return a connection on which a peer has sent these bytes and then closed, and the peer's socket."""
     ours, theirs = socket.socketpair()
     theirs.sendall(data)
     theirs.shutdown(socket.SHUT_WR)
@@ -61,23 +61,23 @@ def _frame(body: bytes, head: bytes = b"") -> bytes:
 
 
 def _requests() -> Subject:
-    """A client's requests on a persistent connection: each is answered before the next is read."""
+    """A client's requests on a persistent connection; each is answered before the next is read."""
     from bridge.adapters.ros1.services.server import _ClientConnection
 
     def parse(data: bytes) -> None:
-        asked: list[bytes] = []
+        requests: list[bytes] = []
 
         def call(request: bytes, done: Any) -> Any:
-            asked.append(request)
+            requests.append(request)
             done(b"ok" if len(request) % 2 else CallError("no"))
             return lambda: None
 
         loop = _Loop()
         server = SimpleNamespace(is_open=True, call=call, name="/s", gone="", left=lambda _client: loop.over.set())
-        ours, theirs = _said(data)
+        ours, theirs = _connection(data)
         with theirs:
             _drive(_ClientConnection(ours, server, loop, _LIMIT, persistent=True), loop)  # type: ignore[arg-type]
-        taken = [_frame(request) for request in asked]
+        taken = [_frame(request) for request in requests]
         assert data.startswith(b"".join(taken)) or any(size > _LIMIT for size in _announced(data))
 
     seeds = [_frame(b"\1") * 3, _frame(b""), _frame(bytes(5000)) + _frame(b"x"), _frame(bytes(66_000))]
@@ -85,7 +85,7 @@ def _requests() -> Subject:
 
 
 def _announced(data: bytes) -> list[int]:
-    """The lengths of the frames that are read, those past the limit among them."""
+    """Return the lengths of the frames that are read, including those above the limit."""
     sizes, at = [], 0
     while at + 4 <= len(data):
         (size,) = struct.unpack_from("<I", data, at)
@@ -95,14 +95,14 @@ def _announced(data: bytes) -> list[int]:
 
 
 def _replies() -> Subject:
-    """What a server answers to one request: the call ends once."""
+    """A server's reply to a request; the call ends exactly once."""
     from bridge.adapters.ros1.services.caller import _Pending, _ServerConnection
 
     def parse(data: bytes) -> None:
         ends: list[bytes | CallError] = []
         loop = _Loop()
         owner = SimpleNamespace(freed=lambda _line, **_: None, lost=lambda _line, _trouble: loop.over.set())
-        ours, theirs = _said(data)
+        ours, theirs = _connection(data)
         with theirs:
             line = _ServerConnection(ours, SimpleNamespace(node="/server"), owner, loop, _LIMIT)  # type: ignore[arg-type]
             line.begin(_Pending(b"request", ends.append, lambda _pending: None))

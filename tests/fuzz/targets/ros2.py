@@ -1,4 +1,4 @@
-"""ROS 2: the state folder's prefixes, networks told on the hub, type names and hashes told by DDS."""
+"""ROS 2: the state folder's GUID prefixes, and network identities from the hub."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from tests.fuzz.target import Subject, Target, scratch, texts
 
 
 def _prefixes() -> Subject:
-    """The state folder's file of past participants."""
+    """The file with past participants in the state folder."""
     from bridge.adapters.ros2.graph.origins import _remember
 
     file = scratch() / "prefixes"
-    own = bytes(range(12))
+    own_prefix = bytes(range(12))
 
     def parse(data: bytes) -> None:
         file.write_bytes(data)
-        past = _remember(own, file)
-        assert own in past
+        past = _remember(own_prefix, file)
+        assert own_prefix in past
         assert len(past) <= 64
         assert len(file.read_bytes()) < 64 * 8192 + 100
 
@@ -24,28 +24,28 @@ def _prefixes() -> Subject:
 
 
 def _network() -> Subject:
-    """A network's identity in another session's origin."""
+    """A network identity in another session's origin."""
     from bridge.adapters.ros2.graph.origins import Origins, is_marked
     from bridge.concurrency import DelayedCalls
 
     folder = scratch()
-    own = bytes(range(12))
-    origins = Origins(own, folder, frozenset, lambda: None, DelayedCalls("fuzz-origins"))
-    # Past its moment at once, without a timer for each.
+    own_prefix = bytes(range(12))
+    origins = Origins(own_prefix, folder, frozenset, lambda: None, DelayedCalls("fuzz-origins"))
+    # expired at once, without a timer for each
     origins._first_seen = _Seen()
 
     def parse(data: bytes) -> None:
         network = data.decode(errors="replace")
         mine = origins.is_own(network)
-        assert not mine or bytes.fromhex(network) == own
+        assert not mine or bytes.fromhex(network) == own_prefix
         is_marked(data)
 
-    seeds = [own.hex().encode(), bytes(12).hex().encode(), b"run-id-of-ros1"]
+    seeds = [own_prefix.hex().encode(), bytes(12).hex().encode(), b"run-id-of-ros1"]
     return Subject(parse, seeds, (), texts("00", " ", "\t", "g"), 200)
 
 
 class _Seen(dict[bytes, float]):
-    """Each prefix has been seen long ago."""
+    """Last-seen times in which each prefix was seen long ago."""
 
     def get(self, _prefix: bytes, _default: object = None) -> float:  # type: ignore[override]
         return 0.0

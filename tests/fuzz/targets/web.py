@@ -1,4 +1,4 @@
-"""The console: requests and frames of anybody who can reach its port, to a real worker on a real hub."""
+"""The console: requests and frames from any client of its port, to a real worker on a real hub."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _HOST = b"HOST"
 
 
 def _web() -> Subject:
-    """Up to 40 requests or frames; it takes them all, and nobody is driven whom no page holds."""
+    """Up to 40 requests or frames; the console survives them, and no robot drives unless a page holds the control."""
     from tests.web.hostile import HostileConsole
 
     console = HostileConsole(scratch())
@@ -24,7 +24,7 @@ def _web() -> Subject:
 
 
 def give(console: HostileConsole, data: bytes) -> None:
-    """Send one input."""
+    """Send one input to the console."""
     kind, *pieces = data.replace(_HOST, console.host.encode()).split(_CUT)[:41]
     if kind[:1] == b"H":
         console.ask(pieces)
@@ -33,7 +33,7 @@ def give(console: HostileConsole, data: bytes) -> None:
 
 
 def requests() -> list[bytes]:
-    """Good ones, and some that are refused."""
+    """Return valid requests, and some that are rejected."""
     head = "HTTP/1.1\r\nHost: HOST\r\n"
     some = (
         f"GET / {head}\r\n",
@@ -64,7 +64,7 @@ def requests() -> list[bytes]:
 
 
 def conversations() -> list[bytes]:
-    """Frames that a page may send, and some that it may not."""
+    """Return valid frames of a page, and some that are rejected."""
     call = 't{"op": "call", "id": 1, "verb": "%s", "args": {%s}}'
     pose = '"x": 1.0, "y": 2.0, "theta": 0.5'
     talks = (

@@ -1,4 +1,4 @@
-"""Bottles and their like: bytes in both dialects, replies in pieces, texts, stamps, files and command lines."""
+"""Bottles: bytes in both dialects, fragmented replies, texts, stamps, files and command lines."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _bottles() -> list[bytes]:
 
 
 def _binary() -> Subject:
-    """A whole Bottle of either profile; what is taken is written again, read the same, and printed."""
+    """A whole Bottle of either profile; accepted ones are written, read as equal, and printed."""
     from yarp_compat.wire.binary import decode, decode_arrays, encode
     from yarp_compat.wire.reply import recognise
     from yarp_compat.wire.text import to_text
@@ -50,7 +50,7 @@ def _binary() -> Subject:
 
 
 def _reply() -> Subject:
-    """A reply in pieces, whose end and profile are found; the first byte says how it is cut."""
+    """A fragmented reply, whose end and profile are detected; the first byte sets the fragments."""
     from yarp_compat.wire.binary import decode_prefix
     from yarp_compat.wire.reply import ReplyReader
 
@@ -75,7 +75,7 @@ def _reply() -> Subject:
 
 
 def _text() -> Subject:
-    """A Bottle's text; what it says is printed, and as bytes it is the same again."""
+    """A Bottle's text; it is printed, and encoded to equal bytes."""
     from yarp_compat.wire.binary import decode, encode
     from yarp_compat.wire.text import TextReader, from_text, is_complete, to_text
 
@@ -85,7 +85,7 @@ def _text() -> Subject:
         assert len(line) > 1000 or to_text(values) == to_text(TextReader(line).values(line, 0))
         is_complete(line)
         wire = encode(values, Profile.YARP4)
-        # as bytes: escapes may stand between the bytes of one character
+        # compared as bytes, because escapes may be between the bytes of one character
         back = to_text(decode(wire, Profile.YARP4))
         assert back.encode(errors="surrogateescape") == to_text(values).encode(errors="surrogateescape")
 
@@ -96,15 +96,15 @@ def _text() -> Subject:
         "\"a\\nb\" 'x y' hello,world",
         '(a b)c d) (e "f\\" {1} g',
     )
-    words = texts(
+    tokens = texts(
         "(" * 300, ")" * 300, "{(" * 200, '"', "\\", "\\0", "[", "]", "{", "}", ",", "\t", "\r\n", "0x", "1e", "-", "+",
         "..", "9" * 300, "1e999", "nan", "true", "null", "\0", "é",
     )  # fmt: skip
-    return Subject(parse, seeds, (WireError,), [*words, b"\xff", b"\xed\xa0\x80"], largest=4096)
+    return Subject(parse, seeds, (WireError,), [*tokens, b"\xff", b"\xed\xa0\x80"], largest=4096)
 
 
 def _stamp() -> Subject:
-    """A stamp as envelope and as message."""
+    """A stamp as an envelope and as a message."""
     from yarp_compat.os.data.stamp import Stamp
 
     def parse(data: bytes) -> None:
@@ -128,7 +128,7 @@ def _stamp() -> Subject:
 
 
 def _property() -> Subject:
-    """A configuration file's text, a message, a command line; the first byte says which."""
+    """A configuration file's text, a message or a command line; the first byte selects which."""
     from yarp_compat.os.data.bottle import Property
 
     folder = scratch()
@@ -136,29 +136,29 @@ def _property() -> Subject:
 
     def parse(data: bytes) -> None:
         line = data[1:].decode(errors="surrogateescape")
-        found = Property()
+        properties = Property()
         if data[:1] == b"f":
-            found.fromConfig(line.replace("INI", str(folder / "self.ini")))
+            properties.fromConfig(line.replace("INI", str(folder / "self.ini")))
         elif data[:1] == b"c":
-            found.fromCommand(line.split("\0"))
-            found.fromArguments(line, wipe=False)
-            found.fromQuery(line, wipe=False)
+            properties.fromCommand(line.split("\0"))
+            properties.fromArguments(line, wipe=False)
+            properties.fromQuery(line, wipe=False)
         else:
-            found.from_wire(data[1:])
-        for key in found:
-            found.find(key)
-            found.findGroup(key)
-        assert Property(found.toString()).toString() == found.toString()
+            properties.from_wire(data[1:])
+        for key in properties:
+            properties.find(key)
+            properties.findGroup(key)
+        assert Property(properties.toString()).toString() == properties.toString()
 
     seeds = [
         b'f// comment\nname /x # y\nlist (1 2\n 3)\n[G]\nk = v\nhome $HOME/x\n[LIST part]\nk 1\n[include S "INI"]\n',
         b"cprogram\0--name\0/x\0--G::a::b\0-5\0--text\0two words",
         b"m" + Property("(a 1) (G (b 2))").to_bytes(),
     ]
-    words = texts(
+    tokens = texts(
         "[", "]", "$", "${", "$(", "\\", "#", "//", '"', "\n", "=", "include ", "import a b", "--", "::", "INI", "("
     )
-    return Subject(parse, seeds, (WireError,), [*words, *_BINARY_WORDS], largest=512)
+    return Subject(parse, seeds, (WireError,), [*tokens, *_BINARY_WORDS], largest=512)
 
 
 TARGETS = (

@@ -1,4 +1,4 @@
-"""YARP's typed data and the requests and replies of its interfaces, as a peer may send them."""
+"""YARP's typed data, and requests and replies of its interfaces, from a peer."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _kinds() -> Sequence[type[Any]]:
 
 
 def _values() -> Subject:
-    """Any typed value in either dialect: what is taken is written as bytes that say the same."""
+    """Any typed value in either dialect; accepted ones are written as equivalent bytes."""
     import numpy as np
 
     from tests.yarp_compat.sig.test_portables import VALUES
@@ -73,7 +73,7 @@ def _values() -> Subject:
 
 
 def _typed() -> Subject:
-    """Typed values as a line of a text carrier."""
+    """Typed values as a line on a text carrier."""
     from tests.yarp_compat.sig.test_portables import VALUES
     from yarp_compat.wire.errors import WireError
 
@@ -94,7 +94,7 @@ def _typed() -> Subject:
 
 
 def _requests() -> Subject:
-    """Requests to a server that knows every method of navigation, and replies to its clients."""
+    """Requests to a server with all navigation methods, and replies to its clients."""
     from tests.yarp_compat.dev.interfaces import All
     from tests.yarp_compat.dev.test_transcripts import RECORDED, exchanges
     from yarp_compat.dev.returnvalue import ReturnCode, ReturnValue
@@ -136,7 +136,7 @@ def _requests() -> Subject:
 
 
 def _navigation() -> Subject:
-    """Requests and words to a navigator's port, and requests to a localizer's, which answer with devices."""
+    """Requests and plain commands to a navigator's port, and requests to a localizer's; devices answer both."""
     from tests.yarp_compat.dev.test_inavigation2d import CALLS
     from tests.yarp_compat.dev.test_robotgoto_commands import Goto
     from yarp_compat.dev.inavigation2d import INavigation2DMsgs
@@ -159,12 +159,12 @@ def _navigation() -> Subject:
             service = Goto() if data[0] & 4 else Localization2DServer(Device())
             assert Server(service, Generations(generations[data[0] % 4])).answer(data[1:], "/peer")
 
-    words = (["set", "linear_tol", 0.05], ["approach", 1, 2.0, 3], ["get", "navigation_status"], ["reset_params"])
+    requests = (["set", "linear_tol", 0.05], ["approach", 1, 2.0, 3], ["get", "navigation_status"], ["reset_params"])
     seeds = [
-        bytes([7 if kind is INavigation2DMsgs else 3]) + kind.calls()[name].request(said, Profile.YARP4)
-        for kind, name, said, _ in CALLS
+        bytes([7 if kind is INavigation2DMsgs else 3]) + kind.calls()[name].request(payload, Profile.YARP4)
+        for kind, name, payload, _ in CALLS
     ]
-    seeds += [bytes([4]) + encode(each, Profile.YARP3) for each in words]
+    seeds += [bytes([4]) + encode(request, Profile.YARP3) for request in requests]
     return Subject(parse, seeds, (), [*_NUMBERS, *_LISTS, *texts("help", "set", "obstacle_stop", "ok\0\0", "glob")])
 
 

@@ -1,4 +1,4 @@
-"""What ports send for ROS messages: nested lists, chosen fields, and YARP's own types."""
+"""ROS messages from YARP ports: nested lists, selected fields, and YARP's own types."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _WORDS = [bytes.fromhex(word) for word in ("00010000", "01010000", "0a010000", "
 
 
 def _subject(form: str) -> Subject:
-    """The first byte chooses the type, the second the profile; what is taken is a message of its type."""
+    """The first byte selects the type, the second the profile; accepted inputs become a message of the type."""
     from bridge.messages.errors import ConversionError
     from bridge.messages.json import from_json
     from bridge.messages.registry import Registry
@@ -41,7 +41,7 @@ def _subject(form: str) -> Subject:
         codec = Content(form, entries).codec(registry, name)
         codecs.append((codec, registry.hub_check(name)))
         if name in ("sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/OccupancyGrid"):
-            continue  # a sample's sizes do not fit its data
+            continue  # the sample's sizes do not fit its data
         cdr = from_json(registry, name, sample(registry.schema(name)))
         seeds.append(bytes((number, 0)) + b"".join(codec.to_yarp(cdr).payload))
     profiles = (None, *Profile)

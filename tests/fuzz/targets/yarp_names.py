@@ -1,4 +1,4 @@
-"""A YARP name server's commands, as lines and as Bottles; its files; and what clients read of it."""
+"""A YARP name server's commands, as lines and as Bottles; its files; and its replies as clients read them."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ _WORDS = texts(
 
 
 def _checked(registry: PortRegistry, answer: Command) -> None:
-    """What is promised of every answer: it can be sent, and what it says of a port can be read."""
+    """Check that an answer can be sent, and that its registrations can be parsed."""
     if answer.values[:1] == [OLD]:
-        said = lines(answer.values)
-        assert said[-1] == "*** end of message"
-        for line in said:
+        reply = lines(answer.values)
+        assert reply[-1] == "*** end of message"
+        for line in reply:
             assert "\n" not in line, line
             assert "\r" not in line, line
             if line.startswith("registration name "):
-                found = PortContact.from_registration(line)
-                assert found is not None
-                assert registry.find(found.name) == found
+                contact = PortContact.from_registration(line)
+                assert contact is not None
+                assert registry.find(contact.name) == contact
     else:
         to_text(answer.values)
         encode(answer.values, Profile.YARP4)
@@ -47,7 +47,7 @@ def _checked(registry: PortRegistry, answer: Command) -> None:
 
 
 def _remembered(registry: PortRegistry) -> None:
-    """What is written down is read as the same."""
+    """Check that the stored registry is loaded as equal."""
     data = dumps(registry)
     again = PortRegistry(_SERVER)
     loads(again, data)
@@ -55,7 +55,7 @@ def _remembered(registry: PortRegistry) -> None:
 
 
 def _lines() -> Subject:
-    """Commands, one a line, to one name server."""
+    """Commands to a name server, one per line."""
 
     def parse(data: bytes) -> None:
         registry = PortRegistry(_SERVER)
@@ -68,7 +68,7 @@ def _lines() -> Subject:
 
 
 def _bottles() -> Subject:
-    """A command as a Bottle, of any values."""
+    """A command as a Bottle of arbitrary values."""
 
     def parse(data: bytes) -> None:
         registry = PortRegistry(_SERVER)
@@ -82,7 +82,7 @@ def _bottles() -> Subject:
 
 
 def _conf() -> Subject:
-    """``yarp.conf``; what is read can be written and read again."""
+    """``yarp.conf``; a parsed address can be written and parsed again."""
 
     def parse(data: bytes) -> None:
         address = config.parse(data.decode(errors="replace"))
@@ -96,7 +96,7 @@ def _conf() -> Subject:
 
 
 def _memory() -> Subject:
-    """The file in which a name server remembers."""
+    """The file in which a name server stores its registry."""
 
     def parse(data: bytes) -> None:
         registry = PortRegistry(_SERVER)
@@ -108,12 +108,12 @@ def _memory() -> Subject:
     full = PortRegistry(_SERVER)
     for command in _COMMANDS:
         full.apply(from_text(command), "127.0.0.1")
-    words = [*JSON_WORDS, *texts('"ports"', '"next"', '"used"', '"live"', '"topics"', "[[", "99999", '"/a"')]
-    return Subject(parse, [dumps(full), dumps(PortRegistry(_SERVER))], (ValueError,), words)
+    tokens = [*JSON_WORDS, *texts('"ports"', '"next"', '"used"', '"live"', '"topics"', "[[", "99999", '"/a"')]
+    return Subject(parse, [dumps(full), dumps(PortRegistry(_SERVER))], (ValueError,), tokens)
 
 
 def _contact() -> Subject:
-    """Names of ports with carriers and addresses, and a name server's lines about them."""
+    """Port names with carriers and addresses, and a name server's lines about them."""
 
     def parse(data: bytes) -> None:
         text = data.decode(errors="surrogateescape")

@@ -1,4 +1,4 @@
-"""What YARP's connections say: introductions, messages, datagrams, lines, pages, administration."""
+"""YARP's connections: introductions, messages, datagrams, lines, pages, administration."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _WORDS = [b"YA", b"RP", b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"\0\0\0\x80",
 _LIMIT = 1 << 20
 
 
-class _Said(socket.socket):
-    """A connection on which a peer says some bytes and ends; what is said to it is counted."""
+class _FakeConnection(socket.socket):
+    """A connection on which a peer sends some bytes and then closes; it counts the bytes sent to the peer."""
 
     def __init__(self, data: bytes) -> None:
         super().__init__()
@@ -63,26 +63,26 @@ def _echo(incoming: PortMessage) -> None:
 
 
 def _port() -> PortCore:
-    """A port that is open for messages, but does not listen, and can reach nobody."""
+    """Return a port that accepts messages, but neither listens nor connects."""
     port = PortCore("/fuzzed", on_message=_echo, naming=LocalNaming(), limit=_LIMIT, is_output=False)
     port._loop = cast(PortLoop, object())
     return port
 
 
-def _conversation(kind: type[Input], carrier: carriers.Carrier, seeds: list[bytes], words: list[bytes]) -> Subject:
-    """All that comes on one connection of a carrier."""
+def _conversation(kind: type[Input], carrier: carriers.Carrier, seeds: list[bytes], tokens: list[bytes]) -> Subject:
+    """All input on one connection of a carrier."""
     port = _port()
 
     def parse(data: bytes) -> None:
-        with _Said(data) as sock:
+        with _FakeConnection(data) as sock:
             kind(port, sock, Opening(carrier, "/peer", "", 0), b"", ("127.0.0.1", 1)).take()
         assert len(port.properties) <= admin.MOST_PROPERTIES
 
-    return Subject(parse, seeds, (WireError,), words)
+    return Subject(parse, seeds, (WireError,), tokens)
 
 
 def _opening() -> Subject:
-    """An introduction; what is read is written the same again, and no beginning of a whole one is refused."""
+    """An introduction; parsed ones are written as the same bytes, and no prefix of a valid one is rejected."""
     seeds = [carriers.opening(c, "/w", q) for c in carriers.OUTPUTS for q in ("", "recv.portmonitor+type.dll")]
     seeds += texts("NAME_SERVER query /x\r\n", "GET / HTTP/1.1\r\n\r\n", "POST /form HTTP/1.1\r\n\r\n")
 
@@ -104,9 +104,9 @@ def _message() -> Subject:
     """One whole message."""
 
     def parse(data: bytes) -> None:
-        word, payload = framing.parse(data, _LIMIT)
+        head, payload = framing.parse(data, _LIMIT)
         assert len(payload) <= len(data)
-        assert len(word.key) <= 1
+        assert len(head.key) <= 1
 
     return Subject(parse, [_DATA, _REQUEST, _ADMIN, framing.QUIT, framing.words("/reader")], (WireError,), _WORDS)
 
@@ -118,7 +118,7 @@ def _binary() -> Subject:
 
 
 def _datagrams() -> Subject:
-    """Datagrams, each behind its length as a byte; a checksum of 0 is mended, so that more than checksums are tried."""
+    """Datagrams, each after a length byte; a checksum of 0 is corrected, to reach the code after the check."""
     import struct
     import zlib
 
@@ -129,16 +129,16 @@ def _datagrams() -> Subject:
             if piece[:4] == bytes(4):
                 piece = struct.pack("<I", zlib.crc32(piece[8:])) + piece[4:]
             try:
-                found = assembler.add(piece)
+                message = assembler.add(piece)
             except WireError:
                 continue
-            if found is not None:
-                framing.parse(found, _LIMIT)
+            if message is not None:
+                framing.parse(message, _LIMIT)
 
     pieces = [bytes(4) + struct.pack("<i", i) + _DATA[i * 30 : i * 30 + 30] for i in range(4)]
     whole = b"".join(bytes([len(p)]) + p for p in pieces)
-    one = b"".join(bytes([len(p)]) + p for p in split([_DATA]))
-    return Subject(parse, [whole, one, whole + one], (WireError,), _WORDS)
+    datagrams = b"".join(bytes([len(p)]) + p for p in split([_DATA]))
+    return Subject(parse, [whole, datagrams, whole + datagrams], (WireError,), _WORDS)
 
 
 _LINES = [b"d\r\n", b"D\r\n", b"do\r\n", b"a\r\n", b"q\r\n", b"*\r\n", b"?\r\n", b"D 1 2.5\r\n",
@@ -182,7 +182,7 @@ def _pages() -> Subject:
 
 
 def _json() -> Subject:
-    """A Bottle as JSON and its lines as a page: always possible, always text."""
+    """A Bottle as JSON and its lines as a page; both always succeed, and return text."""
     import json
 
     def parse(data: bytes) -> None:
@@ -193,18 +193,18 @@ def _json() -> Subject:
         assert b"<script" not in page
 
     seeds = texts("ports (port (name /a) (port_number 1)) (b 2)", "dict (a 1) (b (list 1 2))", "{1 2} 1.5 inf nan [ok]")
-    words = texts("list", "dict", "(", ")", "<script", "registration name /a ip 1 port 2 type tcp", "inf", '"', "true")
-    return Subject(parse, seeds, (WireError,), words)
+    tokens = texts("list", "dict", "(", ")", "<script", "registration name /a ip 1 port 2 type tcp", "inf", '"', "true")
+    return Subject(parse, seeds, (WireError,), tokens)
 
 
 def _admin() -> Subject:
-    """Administrative commands and those of one letter: an answer that can be written, always."""
+    """Administrative and one-letter commands; each has a reply that can be encoded."""
     port = _port()
 
     def parse(data: bytes) -> None:
         text = data.decode(errors="replace")
-        told = admin.answer(port, from_text(text))
-        assert told == [] or encode(told, Profile.YARP4)
+        reply = admin.answer(port, from_text(text))
+        assert reply == [] or encode(reply, Profile.YARP4)
         assert len(port.properties) <= admin.MOST_PROPERTIES
         assert obey(port, PortCommand(text[:1], text))
 
@@ -214,10 +214,10 @@ def _admin() -> Subject:
         "[prop] [set] k (1 2)", "[prop] [get] /fuzzed", "[set] [out] /r (a 1)", "[get] [in] /r", "[atch] [out] x",
         "[dtch] [in]",
     )  # fmt: skip
-    words = texts(
+    tokens = texts(
         "[in]", "[out]", "/r", "://", "mcast", "+", "[get]", "[set]", "/1.2.3.4:5/", ":99999999/", "()", "{1}"
     )
-    return Subject(parse, seeds, (WireError,), words, largest=1024)
+    return Subject(parse, seeds, (WireError,), tokens, largest=1024)
 
 
 TARGETS = (

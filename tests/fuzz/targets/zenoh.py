@@ -1,4 +1,4 @@
-"""The key dialects of zenoh: tokens and beacons of other bridges, and JSON on plain keys."""
+"""zenoh's key dialects: tokens and beacons of other bridges, and JSON on plain keys."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ _BEACON_WORDS = texts(
 
 
 def _ros2dds_token() -> Subject:
-    """Tokens of zenoh-plugin-ros2dds; what is read is written as the same token again."""
+    """Tokens of zenoh-plugin-ros2dds; parsed ones are written as the same token again."""
     from bridge.adapters.zenoh.ros2dds_tokens import action_key, token_key
     from bridge.adapters.zenoh.ros2dds_tokens import parse as read
 
     def parse(data: bytes) -> None:
-        told = read(data.decode(errors="replace"))
-        write = action_key if len(told) > 1 else token_key
-        assert not told or read(write(told[0])) == told
+        parsed = read(data.decode(errors="replace"))
+        write = action_key if len(parsed) > 1 else token_key
+        assert not parsed or read(write(parsed[0])) == parsed
 
     return Subject(parse, _TOKENS, (HubWireError,), _TOKEN_WORDS)
 
 
 def _ros2dds_graph() -> Subject:
-    """Such tokens coming and going, one a line, ``-`` before those that go; in the end nothing is left."""
+    """Adds and removes of these tokens, one per line (``-`` removes); in the end the graph is empty."""
     import zenoh
 
     from bridge.adapters.zenoh.ros2dds_graph import Ros2ddsGraph
@@ -49,7 +49,7 @@ def _ros2dds_graph() -> Subject:
 
     def parse(data: bytes) -> None:
         graph = Ros2ddsGraph(_Nothing(), "robot1/", lambda: None)  # type: ignore[arg-type]
-        # zenoh's keys begin with what is subscribed to
+        # zenoh's keys begin with the subscribed prefix
         lines = [line for line in data.decode(errors="replace").split("\n") if line.lstrip("-").startswith("@/")]
         for line in lines:
             kind = delete if line.startswith("-") else put
@@ -65,7 +65,7 @@ def _ros2dds_graph() -> Subject:
 
 
 class _Nothing:
-    """A session, and whatever it gives."""
+    """A session and its objects, which do nothing."""
 
     def __getattr__(self, _name: str) -> Any:
         return lambda *_args, **_more: self
@@ -75,7 +75,7 @@ class _Nothing:
 
 
 def _ros1_beacon() -> Subject:
-    """Discovery keys of zenoh-plugin-ros1; what is read is written as a key that says the same."""
+    """Discovery keys of zenoh-plugin-ros1; parsed ones are written as an equivalent key."""
     from bridge.adapters.zenoh.ros1_discovery import discovery_key
     from bridge.adapters.zenoh.ros1_discovery import parse as read
 
@@ -89,7 +89,7 @@ def _ros1_beacon() -> Subject:
 
 
 def _ros1_beacons() -> Subject:
-    """Such beacons, one a line, and then silence: nothing is left of them."""
+    """These beacons, one per line, then silence, after which the graph is empty."""
     import zenoh
 
     from bridge.adapters.zenoh.ros1_discovery import _LOST, PERIOD, Aloha
@@ -102,7 +102,7 @@ def _ros1_beacons() -> Subject:
             aloha._on_beacon(SimpleNamespace(key_expr=line, kind=put, source_info=None, timestamp=None))  # type: ignore[arg-type]
         assert len(aloha.topics()) <= data.count(b"\n") + 1
         now = time.monotonic()
-        for step in range(2 * _LOST + 2):  # in steps: while the process stands still nobody counts as silent
+        for step in range(2 * _LOST + 2):  # in steps: time during a standstill of the process does not count as silence
             aloha.tick(now + step * PERIOD)
         assert aloha.topics() == []
 
@@ -110,23 +110,23 @@ def _ros1_beacons() -> Subject:
 
 
 def _json_key() -> Subject:
-    """JSON texts on plain keys; what is taken comes back as JSON that says the same."""
+    """JSON texts on plain keys; accepted ones are converted back to equivalent JSON."""
     from bridge.adapters.zenoh.json_keys import cdr_to_text, text_to_cdr
     from bridge.messages.registry import Registry
     from tests.messages.samples import sample
 
     registry = Registry()
     names = ("geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/JointState", "std_msgs/msg/UInt8MultiArray")
-    ways = [(text_to_cdr(registry, name), cdr_to_text(registry, name)) for name in names]
+    conversions = [(text_to_cdr(registry, name), cdr_to_text(registry, name)) for name in names]
 
     def parse(data: bytes) -> None:
-        there, back = ways[data[0] % len(ways) if data else 0]
-        cdr = there(data[1:])
-        assert there(back(cdr)) == cdr
+        to_cdr, to_json = conversions[data[0] % len(conversions) if data else 0]
+        cdr = to_cdr(data[1:])
+        assert to_cdr(to_json(cdr)) == cdr
 
     seeds = [bytes([k]) + json.dumps(sample(registry.schema(name))).encode() for k, name in enumerate(names)]
-    words = [*JSON_WORDS, b"Infinity", b'"NaN"', b'"AAECAw=="', b'"header":', b"1.0", b"\xff"]
-    return Subject(parse, seeds, (ConversionError,), words, 2048)
+    tokens = [*JSON_WORDS, b"Infinity", b'"NaN"', b'"AAECAw=="', b'"header":', b"1.0", b"\xff"]
+    return Subject(parse, seeds, (ConversionError,), tokens, 2048)
 
 
 TARGETS = (
