@@ -1,4 +1,4 @@
-"""The benchmarks run, and print and write the rows that they promise; their figures mean nothing here."""
+"""The benchmarks run, and print and write the expected rows; the figures of these short runs mean nothing."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ def test_many_topics_arrive_and_are_counted(tmp_path: Path) -> None:
     file = tmp_path / "rows.json"
     many_topics.main(["--topics", "4", "--rate", "20", "--seconds", "1", "--parts", "busy", "--json", str(file)])
     rows = {row["case"]: row for row in json.loads(file.read_text())}
-    for way in ("ROS 1 to ROS 2", "ROS 2 to ROS 1"):
-        arrived = rows[f"4 at 20 Hz, {way}, arrived of sent"]
+    for direction in ("ROS 1 to ROS 2", "ROS 2 to ROS 1"):
+        arrived = rows[f"4 at 20 Hz, {direction}, arrived of sent"]
         assert arrived["ours"] == arrived["peer"] == 40
-        assert rows[f"4 at 20 Hz, {way}, p99, to the limit"]["ours"] > 0
-        assert rows[f"4 at 20 Hz, {way}, p99, to bare relays"]["peer"] > 0
+        assert rows[f"4 at 20 Hz, {direction}, p99, to the limit"]["ours"] > 0
+        assert rows[f"4 at 20 Hz, {direction}, p99, to bare relays"]["peer"] > 0
     assert rows["4 at 20 Hz, CPU of both workers, to the limit"]["ours"] > 0
 
 
@@ -33,7 +33,7 @@ def test_flood_measures_with_and_without_the_stream(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_record_compares_with_a_bare_subscriber(tmp_path: Path) -> None:
+def test_record_is_compared_with_a_plain_subscriber(tmp_path: Path) -> None:
     file = tmp_path / "rows.json"
     record.main(["--rounds", "1", "--seconds", "0.5", "--flow", "20e6", "--folder", str(tmp_path), "--json", str(file)])
     rows = {row["case"]: row for row in json.loads(file.read_text())}
@@ -43,7 +43,7 @@ def test_record_compares_with_a_bare_subscriber(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_bags_are_measured_beside_the_disk_and_zstd(tmp_path: Path) -> None:
+def test_bags_are_compared_with_the_disk_and_zstd(tmp_path: Path) -> None:
     file = tmp_path / "rows.json"
     bags.main(["--megabytes", "4", "--rounds", "1", "--cases", "images", "--json", str(file)])
     rows = {row["case"]: row for row in json.loads(file.read_text())}
@@ -53,14 +53,14 @@ def test_bags_are_measured_beside_the_disk_and_zstd(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("case", ["TFMessage of 20", "Image 1 MB"])
-def test_transcode_compares_both_ways(case: str) -> None:
+def test_transcode_is_compared_in_both_directions(case: str) -> None:
     name, values = transcode.CASES[case]
     rows = transcode.measure_case(case, name, values, rounds=1)
     assert {row.case.split(", ")[1] for row in rows} >= {"ROS 1 to CDR", "CDR to ROS 1"}
     assert len(rows) == (4 if case == "Image 1 MB" else 2)
 
 
-def test_yarp_ports_beside_bare_sockets(tmp_path: Path) -> None:
+def test_yarp_ports_are_compared_with_plain_sockets(tmp_path: Path) -> None:
     file = tmp_path / "rows.json"
     yarp_ports.main(["--rounds", "1", "--share", "0.02", "--cores", "two", "--json", str(file)])
     rows = json.loads(file.read_text())

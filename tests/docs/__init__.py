@@ -1,1 +1,1 @@
-"""What the documentation says holds."""
+"""Tests that the documentation is correct."""

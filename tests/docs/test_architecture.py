@@ -1,4 +1,4 @@
-"""Every path and name in ARCHITECTURE.md exists, and its paths stay within their limits."""
+"""Every path and name in ARCHITECTURE.md exists, and the paths of a message and a goal stay short."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def test_paths_exist(path: str) -> None:
 
 @pytest.fixture(scope="module")
 def classes() -> dict[str, set[str]]:
-    """The page's classes by name, each with its methods; only files that have one are parsed."""
+    """Return the page's classes by name, with their methods; only files that contain one are parsed."""
     kinds = "|".join({name.partition(".")[0] for name in NAMES})
-    found: dict[str, set[str]] = {}
+    result: dict[str, set[str]] = {}
     for package in house.PRODUCT:
         for path in (ROOT / package).rglob("*.py"):
             text = path.read_text(encoding="utf-8")
@@ -39,8 +39,8 @@ def classes() -> dict[str, set[str]]:
             for node in ast.walk(ast.parse(text)):
                 if isinstance(node, ast.ClassDef):
                     methods = {part.name for part in node.body if isinstance(part, ast.FunctionDef)}
-                    found[node.name] = found.get(node.name, set()) | methods
-    return found
+                    result[node.name] = result.get(node.name, set()) | methods
+    return result
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -68,7 +68,7 @@ def test_the_path_of_a_goal_is_short() -> None:
 
 
 def diagram(table: Mapping[Any, Mapping[Any, Any]], first: Enum, without: frozenset[str] = frozenset()) -> str:
-    """Return a table of transitions as a state diagram in Mermaid's language."""
+    """Return a table of transitions as a Mermaid state diagram."""
     lines = ["```mermaid", "stateDiagram-v2", f"    [*] --> {first.name}"]
     for state, row in table.items():
         events: dict[Enum, list[str]] = {}
@@ -88,5 +88,5 @@ def diagram(table: Mapping[Any, Mapping[Any, Any]], first: Enum, without: frozen
     ],
     ids=["planner", "drive", "stop"],
 )
-def test_the_gateways_states_are_drawn_as_they_are(drawn: str) -> None:
-    assert drawn in PAGE, f"ARCHITECTURE.md should have:\n{drawn}"
+def test_the_gateways_state_diagrams_match_its_tables(drawn: str) -> None:
+    assert drawn in PAGE, f"ARCHITECTURE.md must contain:\n{drawn}"

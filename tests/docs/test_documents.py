@@ -1,4 +1,4 @@
-"""Links lead somewhere, configurations load, commands are commands."""
+"""In the documentation, links resolve, configurations load, and commands parse."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ LINK = re.compile(r"\]\(([^)\s]+)")
 
 
 def blocks(language: str) -> list[tuple[str, str]]:
-    """Code blocks of one language in all pages, each with its page's path."""
-    found = [(page, name, code) for page in PAGES for name, code in BLOCK.findall(page.read_text())]
-    return [(str(page.relative_to(ROOT)), code) for page, name, code in found if name == language]
+    """Return the code blocks of a language in all pages, each with its page's path."""
+    code_blocks = [(page, name, code) for page in PAGES for name, code in BLOCK.findall(page.read_text())]
+    return [(str(page.relative_to(ROOT)), code) for page, name, code in code_blocks if name == language]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_lead_to_files(page: Path) -> None:
+def test_links_resolve(page: Path) -> None:
     links = [link for link in LINK.findall(page.read_text()) if "://" not in link]
-    assert [link for link in links if not leads_somewhere(page, link)] == []
+    assert [link for link in links if not resolves(page, link)] == []
 
 
-def leads_somewhere(page: Path, link: str) -> bool:
-    """Tell whether the file is there, and the heading in it."""
+def resolves(page: Path, link: str) -> bool:
+    """Return whether a link's file and heading exist."""
     target, _, heading = link.partition("#")
     file = page.parent / target if target else page
     return file.exists() and (not heading or heading in anchors(file))
 
 
 def anchors(page: Path) -> set[str]:
-    """The anchors of a page's headings, as GitHub makes them."""
+    """Return the anchors of a page's headings, as on GitHub."""
     titles = re.findall(r"^#+ (.*)$", BLOCK.sub("", page.read_text()), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
@@ -58,20 +58,20 @@ def test_each_page_is_in_its_index(folder: Path) -> None:
 
 
 def configurations() -> list[tuple[str, str]]:
-    """YAML blocks whose keys are a configuration's."""
-    found = []
+    """Return the YAML blocks with keys of the configuration."""
+    sections = []
     for page, code in blocks("yaml"):
         data = yaml.safe_load(code)
         if isinstance(data, dict) and set(data) <= set(Config.model_fields):
-            found.append((page, code))
-    return found
+            sections.append((page, code))
+    return sections
 
 
 @pytest.mark.parametrize(("page", "code"), configurations())
 def test_configurations_load(page: str, code: str, tmp_path: Path) -> None:
-    # Paths of somebody's robot do not exist here; everything else must hold.
-    here = re.sub(r"(?<=[\[\s])/(?:home|etc|opt)/[\w./-]+", str(tmp_path), code)
-    assert isinstance(loads(here, tmp_path / "page.md"), Config)
+    # example paths do not exist here; everything else must be valid
+    text = re.sub(r"(?<=[\[\s])/(?:home|etc|opt)/[\w./-]+", str(tmp_path), code)
+    assert isinstance(loads(text, tmp_path / "page.md"), Config)
 
 
 def test_there_are_configurations() -> None:
@@ -79,15 +79,15 @@ def test_there_are_configurations() -> None:
 
 
 def commands() -> list[tuple[str, str]]:
-    """Lines of shell blocks that call midspan."""
+    """Return the lines of shell blocks that call midspan."""
     shell = [block for language in ("", "sh", "bash") for block in blocks(language)]
     lines = [(page, line.removeprefix("$ ")) for page, code in shell for line in code.splitlines()]
     return [(page, line) for page, line in lines if line.startswith("midspan ")]
 
 
 @pytest.mark.parametrize(("page", "line"), commands())
-def test_commands_are_commands(page: str, line: str) -> None:
-    words = shlex.split(line, comments=True)[1:]
+def test_commands_parse(page: str, line: str) -> None:
+    arguments = shlex.split(line, comments=True)[1:]
     for stop in ("|", ">", "&", "&&", "||", ";"):
-        words = words[: words.index(stop)] if stop in words else words
-    assert callable(build_parser(words[:1]).parse_args(words).run)
+        arguments = arguments[: arguments.index(stop)] if stop in arguments else arguments
+    assert callable(build_parser(arguments[:1]).parse_args(arguments).run)

@@ -1,4 +1,4 @@
-"""README's first steps, run as they are written there."""
+"""Runs the first steps of the README."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CONFIG = Path("configs/navigation.yaml")
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    """A project's folder: the environment, and the configurations with free ports and a state folder of the test."""
+    """A project folder: the environment, and the configurations with free ports and a temporary state folder."""
     with tempfile.TemporaryDirectory(prefix="midspan-") as name:
         folder = Path(name)
         (folder / ".venv").symlink_to(sys.prefix)
@@ -48,15 +48,15 @@ def folder() -> Iterator[Path]:
 
 @pytest.fixture
 def environ() -> Iterator[Mapping[str, str]]:
-    """The environment of a new terminal, with ROS networks of the test."""
-    own = ("ROS_", "MIDSPAN_", "VIRTUAL_ENV", "PYTHON")
+    """The environment of a new terminal, with the test's ROS networks."""
+    prefixes = ("ROS_", "MIDSPAN_", "VIRTUAL_ENV", "PYTHON")
     held, domain = hold_domain()
     with closing(held):
         ros = {"ROS_MASTER_URI": f"http://127.0.0.1:{free_port()}", "ROS_DOMAIN_ID": str(domain)}
-        yield {name: value for name, value in os.environ.items() if not name.startswith(own)} | ros
+        yield {name: value for name, value in os.environ.items() if not name.startswith(prefixes)} | ros
 
 
-def test_all_commands_use_one_configuration_that_is_shipped() -> None:
+def test_all_commands_use_the_same_shipped_configuration() -> None:
     assert len(TERMINALS) == 2
     for terminal in TERMINALS:
         assert re.findall(r"^export MIDSPAN_CONFIG=(\S+)", terminal, re.MULTILINE) == [str(CONFIG)]

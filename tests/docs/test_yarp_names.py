@@ -20,7 +20,7 @@ def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == ("['/root'] True\nthere is no source port /robot/camera at the name server\n")
 
 
-def test_the_numbers_are_true() -> None:
+def test_the_limits_match_the_code() -> None:
     for number, text in (
         (registry.MAX_PORTS, "{:,} ports"),
         (registry.MAX_PROPERTY_CHARACTERS, "{:,}\ncharacters of properties"),

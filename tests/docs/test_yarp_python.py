@@ -1,4 +1,4 @@
-"""The examples of docs/yarp/python.md run, each a program."""
+"""The examples of docs/yarp/python.md run, each as a program."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_the_examples_run(environment: dict[str, str], example: str) -> None:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     errors = [line for line in done.stderr.splitlines() if "[ERROR]" in line and "yarp.dev.PolyDriver" not in line]
-    assert not errors, "but for devices, whose servers are elsewhere"
+    assert not errors, "except for devices, whose servers are missing"
 
 
 def test_there_are_examples() -> None:

@@ -14,16 +14,16 @@ EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
 @pytest.mark.parametrize("code", EXAMPLES, ids=range(len(EXAMPLES)))
-def test_the_examples_hold(code: str) -> None:
-    assert re.search("^assert ", code, re.MULTILINE), "an example shows what holds"
+def test_the_examples_assertions_pass(code: str) -> None:
+    assert re.search("^assert ", code, re.MULTILINE), "an example contains assertions"
     exec(compile(code, "docs/yarp/values.md", "exec", dont_inherit=True), {"__name__": "example"})
 
 
 def test_the_surprising_texts() -> None:
-    """What the table says in words."""
-    said = re.findall(r"^\| (`.*?`) \|", PAGE.split("## Text")[1].split("Printed")[0], re.MULTILINE)
-    words = [from_text(text) for row in said for text in re.findall(r"`([^`]*)`", row)]
-    assert words == [
+    """The table's descriptions are correct."""
+    rows = re.findall(r"^\| (`.*?`) \|", PAGE.split("## Text")[1].split("Printed")[0], re.MULTILINE)
+    parsed = [from_text(text) for row in rows for text in re.findall(r"`([^`]*)`", row)]
+    assert parsed == [
         ["hello", "world"], ["1.2.3"], ["1_000"], ["+inf"], [0], [1], [2026], [8], [0.0], [9223372036854775807], [31],
         [False, "b]"], ["'x", "y'"], [], ["abc def"], ["a\nb"],
     ]  # fmt: skip

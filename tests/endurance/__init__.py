@@ -1,1 +1,1 @@
-"""What lasts: endpoints that come and go, and subscribers that are slow. Longer by hand: benchmarks/."""
+"""Endurance: endpoints that are created and closed, and slow subscribers. Longer runs by hand: benchmarks/."""

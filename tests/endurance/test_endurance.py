@@ -1,4 +1,4 @@
-"""Some hundred endpoints made and destroyed on each side, and a slow subscriber on each; longer runs by benchmarks."""
+"""Some hundred endpoints created and closed on each side, and a slow subscriber on each; benchmarks run longer."""
 
 from __future__ import annotations
 
@@ -15,78 +15,78 @@ pytestmark = [pytest.mark.thorough, pytest.mark.alone]
 
 BATCHES = 2
 MOST_EACH = 60_000
-"""Bytes of memory that an endpoint may leave: zenoh keeps up to 15 kB for its keys, and a short run is uneven."""
+"""Memory that an endpoint may leave, bytes: zenoh retains up to 15 kB for its keys, and short runs vary."""
 
 ROUNDS = 4
-"""Of so many rounds one must leave as little: what waits in queues on a busy machine grows no further, a leak does."""
+"""Rounds of which one must stay within the limit: queues on a busy machine stop growing, leaks do not."""
 
 SPARE_THREADS = 8
-"""Threads that the middlewares start once and keep."""
+"""Threads that the middlewares start once."""
 
 
 @pytest.fixture(scope="module")
 def deployment() -> Iterator[Deployment]:
     """A daemon between a program of each side."""
-    with Deployment() as made:
+    with Deployment() as started:
         for side in SIDES:
-            made.program(side)
-        yield made
+            started.program(side)
+        yield started
 
 
 @pytest.mark.timeout(300)
-def test_endpoints_that_come_and_go_leave_nothing(deployment: Deployment):
+def test_closed_endpoints_leave_no_memory_or_threads(deployment: Deployment):
     churns = [churn.Churn(deployment, side) for side in SIDES]
-    # What is made once is made for the first batch.
-    for one in churns:
-        one.batch()
+    # the first batch creates what is created only once
+    for program in churns:
+        program.batch()
     first = before = settled(deployment, None)
     grown: dict[str, list[float]] = {name: [] for name in before.used}
     for _ in range(ROUNDS):
-        for one in churns:
+        for program in churns:
             for _ in range(BATCHES):
-                one.batch()
+                program.batch()
         after = settled(deployment, first)
         for name, used in before.used.items():
-            each = (after.used[name].rss - used.rss) * 1e6 / (len(SIDES) * BATCHES * churn.BATCH)
-            grown[name].append(round(each))
+            growth = (after.used[name].rss - used.rss) * 1e6 / (len(SIDES) * BATCHES * churn.BATCH)
+            grown[name].append(round(growth))
             assert after.used[name].threads <= first.used[name].threads + SPARE_THREADS, name
             assert after.used[name].descriptors <= first.used[name].descriptors + SPARE_THREADS, name
         if all(min(rounds) < MOST_EACH for rounds in grown.values()):
             return
         before = after
-    raise AssertionError(f"bytes for each endpoint, round by round: {grown}")
+    raise AssertionError(f"bytes per endpoint, by round: {grown}")
 
 
 def settled(deployment: Deployment, before: Census | None) -> Census:
-    """The daemon once only the feeds are left; idle threads go ten seconds later."""
+    """Return the daemon's census once only the feeds remain; idle threads end ten seconds later."""
     feeds = len(SIDES) * (churn.FED + churn.STREAMED)
     last: list[tuple[int, int]] = []
 
     def left() -> Census | None:
-        own = sum(deployment.routes("/churn").values()) + sum(deployment.routes("/kept").values())
+        routes = sum(deployment.routes("/churn").values()) + sum(deployment.routes("/kept").values())
         census = deployment.census()
         last.append((census.tokens, census.registrations))
-        stands = last[-2:] == [last[-1]] * 2  # tokens and registrations go a moment after the routes
+        stable = last[-2:] == [last[-1]] * 2  # tokens and registrations are removed shortly after the routes
         idle = (
-            stands
+            stable
             if before is None
             else (
                 last[-1] == (before.tokens, before.registrations)
                 and all(census.used[w].threads <= before.used[w].threads + SPARE_THREADS for w in WORKERS)
             )
         )
-        return census if not own and idle and sum(census.routes.values()) >= feeds else None
+        return census if not routes and idle and sum(census.routes.values()) >= feeds else None
 
     try:
-        return until(left, "nothing is left of the endpoints", 40, every=0.5)
+        return until(left, "the endpoints are removed", 40, every=0.5)
     except AssertionError:
         print(before, deployment.census(), deployment.routes("/churn"), deployment.routes("/kept"), sep="\n")
         raise
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_slow_subscriber_costs_bounded_memory_and_delays_nobody(deployment: Deployment, side: str) -> None:
-    """A message a second of 40 MB/s; one side at a time: two cores carry no three such streams."""
+def test_a_slow_subscriber_uses_bounded_memory_and_delays_no_other(deployment: Deployment, side: str) -> None:
+    """It reads one message per second of a 40 MB/s stream; one side at a time, because two cores carry only one."""
     (slow,) = slow_consumer.measure(deployment, [side], rate=40.0, seconds=4.0, alone=1.0)
     small, big = slow.beside[slow_consumer.SMALL], slow.beside[slow_consumer.BIG]
     assert slow.read < 15, "it is slow"
@@ -94,7 +94,7 @@ def test_a_slow_subscriber_costs_bounded_memory_and_delays_nobody(deployment: De
     assert (small.repeated, big.repeated) == (0, 0)
     if (
         side == "zenoh"
-    ):  # a link drops what a slow reader leaves in it, and large messages wait for it (docs/sides/hub.md)
+    ):  # links drop messages that a slow reader does not read, and large messages wait for it (docs/sides/hub.md)
         assert small.lost <= small.sent // 50
     else:
         assert small.lost == 0

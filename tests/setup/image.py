@@ -1,7 +1,7 @@
-"""What an image builder and a container manager do with the Containerfile, in trees that debootstrap makes.
+"""An image builder and a container manager for the Containerfile, in trees that debootstrap creates.
 
-Two things are quicker than they are elsewhere, since they cost minutes: the compiler does not optimize, and of the
-message packages that are built on this machine already one is left to build.
+Two steps that would take minutes are shortened: the compiler does not optimize, and only one of the message packages
+that are already built on this machine is built.
 """
 
 from __future__ import annotations
@@ -29,33 +29,33 @@ from tests.support.wait import until
 FILE = ROOT / "Containerfile"
 PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 BUILT = "octomap_msgs"
-"""The message package that is built: the quickest."""
+"""The message package that is built, which takes the least time."""
 
 _COMPILER = '#!/bin/sh\nexec /usr/bin/${0##*/} "$@" -O0 -g0 -w\n'
 
 
 def instructions() -> list[tuple[str, str]]:
-    """The file's instructions, each on one line, with their words in capitals."""
+    """Return the Containerfile's instructions, joined to one line each, as upper-case keyword and arguments."""
     text = re.sub(r"^#.*\n", "", FILE.read_text(encoding="utf-8"), flags=re.MULTILINE).replace("\\\n", " ")
-    found = [line.split(maxsplit=1) for line in text.splitlines() if line.strip()]
-    return [(word, " ".join(rest.split())) for word, rest in found]
+    lines = [line.split(maxsplit=1) for line in text.splitlines() if line.strip()]
+    return [(keyword, " ".join(arguments.split())) for keyword, arguments in lines]
 
 
-def last(word: str) -> str:
-    """The instruction of the final image that holds."""
-    return [rest for each, rest in instructions() if each == word][-1]
+def last(keyword: str) -> str:
+    """Return the arguments of the last instruction with a keyword, which is in force in the final image."""
+    return [arguments for name, arguments in instructions() if name == keyword][-1]
 
 
 def pip_settings() -> tuple[dict[str, str], list[str]]:
-    """This machine's settings of pip, as variables; and the files and folders that they name."""
-    told = subprocess.run([sys.executable, "-m", "pip", "config", "list"], capture_output=True, text=True, check=True)
-    found: dict[str, str] = {}
-    for name, _, value in sorted(line.partition("=") for line in told.stdout.splitlines()):  # variables come first
-        found.setdefault(f"PIP_{name.rpartition('.')[2].upper().replace('-', '_')}", ast.literal_eval(value))
-    paths = [Path(word.removeprefix("file://")) for value in found.values() for word in value.split()]
-    # an index has its files beside it
+    """Return this machine's pip settings as environment variables, and the files and folders that they name."""
+    output = subprocess.run([sys.executable, "-m", "pip", "config", "list"], capture_output=True, text=True, check=True)
+    settings: dict[str, str] = {}
+    for name, _, value in sorted(line.partition("=") for line in output.stdout.splitlines()):  # variables come first
+        settings.setdefault(f"PIP_{name.rpartition('.')[2].upper().replace('-', '_')}", ast.literal_eval(value))
+    paths = [Path(word.removeprefix("file://")) for value in settings.values() for word in value.split()]
+    # an index has its files next to it
     paths = [path.parent if path.name == "simple" else path for path in paths if path.is_absolute() and path.exists()]
-    return found, [str(path) for path in paths]
+    return settings, [str(path) for path in paths]
 
 
 _RUN = r"""
@@ -72,52 +72,52 @@ exec chroot --userspec="$user:$user" "$root" env -i "$@"
 
 
 class Stage:
-    """What is made from a `FROM` on."""
+    """A build stage, which begins with `FROM`."""
 
     def __init__(self, root: Root) -> None:
         self.root = root
         self.folder, self.user, self.environ = "/", "0", {"PATH": PATH}
 
-    def take(self, word: str, rest: str, stages: dict[str, Stage]) -> None:
-        """Do what an instruction says; those for who starts a container are left to `Container`."""
-        if word == "RUN":
-            self._run(rest)
-        elif word == "COPY":
-            *option, source, target = rest.split()
+    def execute(self, keyword: str, arguments: str, stages: dict[str, Stage]) -> None:
+        """Execute an instruction; `Container` handles those for the start of a container."""
+        if keyword == "RUN":
+            self._run(arguments)
+        elif keyword == "COPY":
+            *option, source, target = arguments.split()
             if option:
                 earlier = stages[option[0].removeprefix("--from=")].root.folder
                 subprocess.run(["cp", "-a", f"{earlier}{source}", f"{self.root.folder}{target}"], check=True)
             else:
                 dist.copy_tracked([source], self.root.folder / self.folder[1:] / target)
-        elif word == "ENV":
-            self.environ |= dict(pair.split("=", 1) for pair in shlex.split(rest))
-        elif word == "USER":
-            self.user = rest
-        elif word == "WORKDIR":
-            self.folder = rest
-            (self.root.folder / rest[1:]).mkdir(parents=True, exist_ok=True)
+        elif keyword == "ENV":
+            self.environ |= dict(pair.split("=", 1) for pair in shlex.split(arguments))
+        elif keyword == "USER":
+            self.user = arguments
+        elif keyword == "WORKDIR":
+            self.folder = arguments
+            (self.root.folder / arguments[1:]).mkdir(parents=True, exist_ok=True)
 
     def _run(self, line: str) -> None:
         settings, paths = pip_settings()
         environ = {"HOME": "/root", **proxies(), **settings, **self.environ}
-        words = ["-C", self.folder, *(f"{name}={value}" for name, value in environ.items()), "sh", "-c", line]
-        own = ["unshare", "--mount", "--pid", "--fork", "--kill-child=SIGKILL", "sh", "-ec", _RUN, "sh"]
-        with Process([*own, self.root.folder, self.user, " ".join(paths), *words]) as run:
+        command = ["-C", self.folder, *(f"{name}={value}" for name, value in environ.items()), "sh", "-c", line]
+        namespaces = ["unshare", "--mount", "--pid", "--fork", "--kill-child=SIGKILL", "sh", "-ec", _RUN, "sh"]
+        with Process([*namespaces, self.root.folder, self.user, " ".join(paths), *command]) as run:
             assert run.popen.wait(900) == 0, f"{line}: {run.output()[-4000:]}"
 
 
 def build(stack: ExitStack, folder: Path) -> Stage:
-    """The final image; all of it is removed with the stack."""
+    """Build and return the final image; the stack removes all stages."""
     stages: dict[str, Stage] = {}
-    for word, rest in instructions():
-        if word == "FROM":
-            base, _, name = rest.partition(" AS ")
+    for keyword, arguments in instructions():
+        if keyword == "FROM":
+            base, _, name = arguments.partition(" AS ")
             suite = base.removeprefix("debian:").removesuffix("-slim")
             stage = stages[name] = Stage(stack.enter_context(Root(folder / (name or "final"), suite)))
             if name:
                 _hasten(stage.root.folder)
         else:
-            stage.take(word, rest, stages)
+            stage.execute(keyword, arguments, stages)
     return stage
 
 
@@ -154,11 +154,11 @@ exec chroot "$root" "$@"
 
 
 class Container:
-    """What the image starts: its root read-only, without capabilities, as docs/start/container.md says.
+    """A container of the image with a read-only root and without capabilities, as in docs/start/container.md.
 
     Args:
-        image: of which.
-        volume: a folder to make for the volume; a manager fills a new one with what the image has there.
+        image: the image.
+        volume: folder to create for the volume; a manager fills a new volume with the image's files.
     """
 
     def __init__(self, image: Stage, volume: Path) -> None:
@@ -167,31 +167,42 @@ class Container:
         subprocess.run(["cp", "-a", f"{image.root.folder}{place}", volume], check=True)
         (image.root.folder / "etc/hosts").write_text(f"127.0.0.1 localhost {os.uname().nodename}\n")
         self.machine = Machine("container")
-        own = ["unshare", "--mount", "--pid", "--ipc", "--fork", "--kill-child=SIGKILL", "sh", "-ec", _START, "sh"]
-        words = [*json.loads(last("ENTRYPOINT")), *json.loads(last("CMD"))]
-        self.process = Process(self.machine.command(*own, image.root.folder, volume, *self._as_user(words)))
-        until(lambda: self.run("true").returncode == 0, "its own root is made")
+        namespaces = [
+            "unshare",
+            "--mount",
+            "--pid",
+            "--ipc",
+            "--fork",
+            "--kill-child=SIGKILL",
+            "sh",
+            "-ec",
+            _START,
+            "sh",
+        ]
+        command = [*json.loads(last("ENTRYPOINT")), *json.loads(last("CMD"))]
+        self.process = Process(self.machine.command(*namespaces, image.root.folder, volume, *self._as_user(command)))
+        until(lambda: self.run("true").returncode == 0, "the container's root is mounted")
 
-    def _as_user(self, words: list[str]) -> list[str]:
+    def _as_user(self, command: list[str]) -> list[str]:
         user = self.image.user
         environ = [f"{name}={value}" for name, value in self.image.environ.items()]
         bare = ["setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups", "--bounding-set=-all"]
-        return [*bare, "--no-new-privs", "env", "-i", "-C", self.image.folder, *environ, *words]
+        return [*bare, "--no-new-privs", "env", "-i", "-C", self.image.folder, *environ, *command]
 
-    def run(self, *words: str) -> subprocess.CompletedProcess[str]:
-        """A further program in it, to its end."""
+    def run(self, *command: str) -> subprocess.CompletedProcess[str]:
+        """Run another program in the container until it exits."""
         first = inner(self.process)
         enter = ["nsenter", f"--target={first}", "--mount", "--pid", "--ipc", "--net", "--root", "--wd"]
         return subprocess.run(
-            [*enter, *self._as_user(list(words))], capture_output=True, text=True, timeout=60, check=False
+            [*enter, *self._as_user(list(command))], capture_output=True, text=True, timeout=60, check=False
         )
 
     def stop(self, seconds: float) -> int:
-        """The signal of `STOPSIGNAL` to its first process; the exit code of that."""
+        """Send `STOPSIGNAL` to the container's first process, and return its exit code."""
         os.kill(int(inner(self.process)), signal.Signals[last("STOPSIGNAL")])
         return self.process.popen.wait(seconds)
 
     def close(self) -> None:
-        """End what still runs."""
+        """Kill the remaining processes."""
         self.process.stop()
         self.machine.close()

@@ -1,4 +1,4 @@
-"""Environments outside of the checkout, with wheels in them."""
+"""Virtual environments outside the checkout with installed wheels."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 HERE = Path(sysconfig.get_path("purelib"))
-"""The libraries that are installed for the tests."""
+"""The folder of the libraries that are installed for the tests."""
 
 
 class Installed:
-    """A virtual environment with wheels, whose libraries are those of the tests.
+    """A virtual environment with wheels, which uses the tests' libraries.
 
     Args:
-        folder: where to make it.
-        wheels: what is installed, without what it requires.
-        libraries: packages that it finds here; None: all. Midspan's own are found in the environment alone.
+        folder: where it is created.
+        wheels: the wheels to install, without their requirements.
+        libraries: available packages of the tests; None: all. Midspan's packages come only from the wheels.
     """
 
     def __init__(self, folder: Path, wheels: Sequence[Path], libraries: Sequence[str] | None = None) -> None:
@@ -35,7 +35,7 @@ class Installed:
         self.pip("install", "-q", "--no-index", "--no-deps", "--no-compile", *map(str, wheels))
 
     def environ(self) -> dict[str, str]:
-        """What its programs see: nothing that leads to the checkout."""
+        """The environment of its programs, without references to the checkout."""
         kept = {k: v for k, v in os.environ.items() if k in ("LANG", "LC_ALL", "MIDSPAN_TEST_RUN", "TMPDIR")}
         return {**kept, "PATH": f"{self.bin}:/usr/bin:/bin", "HOME": str(self.folder), "PYTHONDONTWRITEBYTECODE": "1"}
 
@@ -46,7 +46,7 @@ class Installed:
         assert done.returncode == 0, done.stdout + done.stderr
 
     def run(self, *words: str | Path, code: int = 0) -> str:
-        """Run a program of it in its folder; returns what that printed."""
+        """Run one of its programs in its folder, and return the output."""
         done = subprocess.run(
             [self.bin / words[0], *words[1:]],
             cwd=self.folder, env=self.environ(), capture_output=True, text=True, timeout=120, check=False,

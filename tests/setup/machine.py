@@ -1,4 +1,4 @@
-"""A pretended machine for `scripts/setup.sh`: its commands are small scripts that write down how they were called."""
+"""A fake machine for `scripts/setup.sh`, whose commands are small scripts that log their calls."""
 
 from __future__ import annotations
 
@@ -56,12 +56,12 @@ chmod +x "$3/usr/bin/promtool" "$3/usr/sbin/nginx"
 
 
 class Machine:
-    """A checkout on a pretended machine.
+    """A checkout on a fake machine.
 
     Args:
-        folder: where to put it.
+        folder: where it is created.
         apt: whether the machine has apt.
-        user: the user's number; 0 is root.
+        user: the user ID; 0 is root.
         sudo: whether the user may become root.
     """
 
@@ -90,7 +90,7 @@ class Machine:
         (self._bin / name).chmod(0o755)
 
     def setup(self, **variables: str) -> subprocess.CompletedProcess[str]:
-        """Run the set-up script; its calls are in `calls` afterwards."""
+        """Run the set-up script, whose calls are then in `calls`."""
         self._log.write_text("", encoding="utf-8")
         env = {
             "PATH": str(self._bin),
@@ -112,11 +112,11 @@ class Machine:
 
     @property
     def calls(self) -> list[str]:
-        """What the last run called, without questions to Python."""
+        """The calls of the last run, without those that only query Python."""
         lines = self._log.read_text(encoding="utf-8").splitlines()
         questions = ("python -c", "python -V", "python -P bridge/kernels.py")
         return [line for line in lines if not line.startswith(questions)]
 
-    def called(self, *words: str) -> list[str]:
-        """The calls that have all these words."""
-        return [line for line in self.calls if all(word in line for word in words)]
+    def called(self, *parts: str) -> list[str]:
+        """Return the calls that contain all these words."""
+        return [line for line in self.calls if all(part in line for part in parts)]

@@ -1,4 +1,4 @@
-"""The Debian package, in a fresh system that its own systemd runs: installed, upgraded, purged; and lintian on it."""
+"""The Debian package in a fresh system with its own systemd: installed, upgraded, purged; and checked by lintian."""
 
 from __future__ import annotations
 
@@ -24,36 +24,36 @@ from tests.support.wait import until
 
 MASTER = "http://localhost:11311"
 NEXT = "99.0.0"
-"""The version of the upgrade."""
+"""The version to upgrade to."""
 
 GAP = ROOT / "tests" / "support" / "zenoh_gap.py"
 SECOND = "name: second\nhub: {listen: tcp/127.0.0.1:7448}\nros1: {enabled: false}\nros2: {domain: 9}\n"
-"""The configuration of another daemon on the same machine."""
+"""Configuration of a second daemon on the same machine."""
 
 RELEASES = [
     "bookworm",
     pytest.param(
-        "noble", marks=pytest.mark.skipif("MIDSPAN_NOBLE" not in os.environ, reason="MIDSPAN_NOBLE=1 asks for it")
+        "noble", marks=pytest.mark.skipif("MIDSPAN_NOBLE" not in os.environ, reason="enabled by MIDSPAN_NOBLE=1")
     ),
 ]
 
 
-def test_the_manual_has_every_verb_and_nothing_that_roff_takes_for_a_request() -> None:
+def test_the_manual_has_every_verb_and_no_accidental_roff_request() -> None:
     page = manual.page(dist.version())
-    said = re.findall(r"^\.SS midspan (.+)$", page, re.MULTILINE)
-    assert {"run", "worker", "topic", "topic echo", "location add"} <= set(said)
+    verbs = re.findall(r"^\.SS midspan (.+)$", page, re.MULTILINE)
+    assert {"run", "worker", "topic", "topic echo", "location add"} <= set(verbs)
     requests = {line.split()[0] for line in page.splitlines() if line[:1] in ".'"}
     assert requests <= {".TH", ".SH", ".SS", ".TP", ".PP", ".B", ".I"}
     assert manual.roff(".start -x\\n") == "\\&.start \\-x\\en"
 
 
-def test_recommended_is_what_set_up_installs_of_ros1() -> None:
+def test_recommends_are_the_ros1_packages_that_set_up_installs() -> None:
     assert {"python3-rospy", "python3-roslaunch", "python3-tf2-ros"} <= set(deb.ros1())
 
 
 @dataclass
 class Place:
-    """A system with two versions of the package in its root's home, and lintian's report on the first."""
+    """A system with two versions of the package in root's home, and lintian's report on the first."""
 
     tree: Tree
     release: deb.Release
@@ -61,7 +61,7 @@ class Place:
     environ: dict[str, str]
 
     def install(self, version: str) -> None:
-        """By the command that people use."""
+        """Install a version with the documented command."""
         self.tree.run(
             "apt-get", "install", "-y", f"/root/midspan_{version}{self.release.suffix}_amd64.deb", seconds=900
         )
@@ -71,11 +71,11 @@ class Place:
         return self.tree.run("systemctl", "show", "--property=StatusText", "--value", "midspan")
 
     def nodes(self) -> list[str]:
-        """Those of the master; none without it."""
+        """Return the master's nodes; none without a master."""
         return self.tree.machine.run("sh", "-c", "rosnode list || true", env=self.environ).split()
 
     def joined(self) -> bool:
-        """Whether the master lists the bridge; Ubuntu 24.04's archive has no rospy, so only ROS 2 is joined there."""
+        """Return whether the master lists the bridge; on Ubuntu 24.04, which has no rospy, whether ROS 2 is joined."""
         if self.release is deb.RELEASES["noble"]:
             return "ros2 running" in self.status()
         return "/midspan" in self.nodes() and "ros1 running" in self.status()
@@ -84,11 +84,11 @@ class Place:
 OTHERS = re.compile(
     r"__pycache__|^/(var/(log|cache|lib)/(apt|dpkg|journal|systemd|ucf)|etc/(passwd|group|g?shadow)-$|root/)"
 )
-"""What other packages' programs, apt and systemd write; and where the test has put the packages."""
+"""Files of other packages' programs, apt and systemd; and the test's own packages."""
 
 
 def packages(release: deb.Release, folder: Path) -> list[Path]:
-    """This version's package, and another that differs only in its number; little compressed."""
+    """Build this version's package, and one that differs only in its version, with little compression."""
     for name, lay_out in (("yarp_compat", dist.lay_out_yarp_compat), ("midspan", dist.lay_out_midspan)):
         source = folder / name / "source"
         source.mkdir(parents=True)
@@ -105,16 +105,16 @@ def packages(release: deb.Release, folder: Path) -> list[Path]:
 
 @pytest.fixture(scope="module", params=RELEASES)
 def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    """Booted, with ours and its dependencies downloaded but not installed, and a roscore that already runs."""
+    """A booted system with the packages and their dependencies downloaded but not installed, and a running roscore."""
     for reason in (DEBIAN, COMPILER, ROS1):
         need(reason)
     release, folder = deb.RELEASES[request.param], tmp_path_factory.mktemp("deb")
     environ = {**ros1_environment(MASTER), "ROS_HOME": str(folder / "ros"), "ROS_LOG_DIR": str(folder / "ros" / "log")}
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor())
-        made = pool.submit(packages, release, folder)
+        packages_ = pool.submit(packages, release, folder)
         tree = stack.enter_context(Tree(folder / "tree", request.param))
-        both = made.result()
+        both = packages_.result()
         lintian = stack.enter_context(Process(["lintian", "--allow-root", "--fail-on", "error", both[0]]))
         for package in both:
             shutil.copy(package, tree.folder / "root" / package.name)
@@ -129,7 +129,7 @@ def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 @pytest.mark.long
 @pytest.mark.timeout(2400)
 def test_a_package_is_installed_runs_is_upgraded_and_purged(place: Place, tmp_path: Path) -> None:
-    """In one test, since each step stands on the one before."""
+    """All in one test, because each step depends on the previous one."""
     tree = place.tree
     place.install(dist.version())
     assert tree.run("systemctl", "is-active", "midspan", "midspan-router").split() == ["active", "active"]
@@ -143,7 +143,7 @@ def test_a_package_is_installed_runs_is_upgraded_and_purged(place: Place, tmp_pa
     config = tree.folder / "etc/midspan/midspan.yaml"
     config.write_text(config.read_text() + "\nstore: {enabled: true} # ours\n")
     tree.run("systemctl", "reload", "midspan")
-    until(lambda: add_kitchen(place), "the store takes a location", 60)
+    until(lambda: add_kitchen(place), "the store accepts a location", 60)
 
     second = ("midspan-router@second", "midspan@second")
     (tree.folder / "etc/midspan/second.yaml").write_text(SECOND)
@@ -185,7 +185,7 @@ def status_of(place: Place, unit: str) -> str:
 
 
 def add_kitchen(place: Place) -> bool:
-    """Once the daemon has its store, through the command line of the package."""
+    """Store a location by the package's command line; return whether it succeeded."""
     try:
         place.tree.run("midspan", "location", "add", "kitchen", "2.5", "1", "90", "--map", "house")
     except AssertionError:
@@ -194,7 +194,7 @@ def add_kitchen(place: Place) -> bool:
 
 
 def longest(gap: Process) -> float:
-    """Return the longest time in seconds without a message between the two since the last call."""
+    """Return the longest gap in seconds between two messages since the last call."""
     assert gap.popen.stdin is not None
     assert gap.popen.stdout is not None
     gap.popen.stdin.write("\n")
@@ -203,7 +203,7 @@ def longest(gap: Process) -> float:
 
 
 def left_behind(tree: Tree, installed: set[str]) -> list[str]:
-    """Files that are named for Midspan, came later than it, or belong to a user that no longer exists."""
+    """Return files that are named after Midspan, were created after its installation, or have no owner any more."""
     files = tree.files()
     left = {path for path in files if "midspan" in path and not OTHERS.search(path)}
     left |= {path for path in files - installed if not OTHERS.search(path)}
@@ -213,8 +213,8 @@ def left_behind(tree: Tree, installed: set[str]) -> list[str]:
 
 @pytest.mark.long
 @pytest.mark.timeout(2400)
-def test_lintian_finds_no_error(place: Place) -> None:
+def test_lintian_reports_no_error(place: Place) -> None:
     code = place.lintian.popen.wait(1200)
-    said = place.lintian.output()
-    assert code == 0, said[-4000:]
-    assert not re.search(r"^E: ", said, re.MULTILINE)
+    output = place.lintian.output()
+    assert code == 0, output[-4000:]
+    assert not re.search(r"^E: ", output, re.MULTILINE)

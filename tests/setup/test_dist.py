@@ -1,4 +1,4 @@
-"""What `make dist` builds: whole, without anything else of the repository, and each module in one distribution."""
+"""The distributions that `make dist` builds: complete, without other files, and each module in only one of them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tests.support.zenoh_programs import Ros2ddsBridge, Router
 
 COMPILED, PURE, COMPAT = "midspan-*-cp311-abi3-manylinux*.whl", "midspan-*-none-any.whl", "yarp_compat-*-none-any.whl"
 INNER = ("packaging/debian/", "packaging/yarp_compat/")
-"""What builds packages is in none."""
+"""Files that build packages are in no distribution."""
 
 MODULES = (kernels.SHARED, *kernels.C_MODULES, *kernels.KERNELS)
 
@@ -53,18 +53,18 @@ def test_each_module_is_in_one_distribution(tmp_path: Path) -> None:
     assert sorted(entry.name for entry in compat.iterdir()) == [
         "LICENSE", "README.md", "VERSION", "pyproject.toml", "yarp_compat",
     ]  # fmt: skip
-    told = tomllib.loads((midspan / "pyproject.toml").read_text(encoding="utf-8"))
-    assert f"yarp-compat=={dist.version()}" in told["project"]["dependencies"]
-    assert told["tool"]["setuptools"]["packages"]["find"]["include"] == ["bridge*", "navigation*", "sim*"]
-    assert not list(midspan.rglob("*.so")), "nothing that was built"
+    metadata = tomllib.loads((midspan / "pyproject.toml").read_text(encoding="utf-8"))
+    assert f"yarp-compat=={dist.version()}" in metadata["project"]["dependencies"]
+    assert metadata["tool"]["setuptools"]["packages"]["find"]["include"] == ["bridge*", "navigation*", "sim*"]
+    assert not list(midspan.rglob("*.so")), "no compiled files"
 
 
-def test_a_change_that_fits_no_one_place_is_refused() -> None:
+def test_a_change_that_matches_not_exactly_one_place_is_rejected() -> None:
     with pytest.raises(ValueError, match="2 times"):
         dist.replaced("a = 1\na = 1\n", "a = 1", "a = 2")
 
 
-def test_links_of_the_repository_are_words_on_an_index() -> None:
+def test_links_into_the_repository_become_plain_text_on_a_package_index() -> None:
     text = "See [rules](docs/rules.md#x), [zenoh](https://zenoh.io).\n![a picture](docs/a.png)\nEnd"
     assert dist.without_local_links(text) == "See rules, [zenoh](https://zenoh.io).\nEnd"
     readme = dist.without_local_links((ROOT / "README.md").read_text(encoding="utf-8"))
@@ -73,15 +73,15 @@ def test_links_of_the_repository_are_words_on_an_index() -> None:
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Sequence[Path]:
-    """All that is built."""
+    """All built files."""
     need(COMPILER)
     folder = tmp_path_factory.mktemp("dist")
     return dist.build(folder / "dist", folder / "work")
 
 
 def only(files: Sequence[Path], pattern: str) -> Path:
-    (found,) = (file for file in files if file.match(pattern))
-    return found
+    (match,) = (file for file in files if file.match(pattern))
+    return match
 
 
 def names(wheel: Path) -> set[str]:
@@ -91,7 +91,7 @@ def names(wheel: Path) -> set[str]:
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_a_wheel_has_each_file_of_its_packages_and_no_other(files: Sequence[Path]) -> None:
+def test_a_wheel_contains_exactly_the_files_of_its_packages(files: Sequence[Path]) -> None:
     share = f"midspan-{dist.version()}.data/data/share/midspan/"
     outside = {f"{share}{name}" for name in tracked("configs", "packaging") if not name.startswith(INNER)}
     outside |= {f"{share}{n}" for n in tracked("examples") if n.count("/") == 1 and not n.endswith(".md")}
@@ -107,35 +107,35 @@ def test_a_wheel_has_each_file_of_its_packages_and_no_other(files: Sequence[Path
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_what_the_distributions_say_of_themselves(files: Sequence[Path]) -> None:
+def test_the_metadata_of_the_distributions(files: Sequence[Path]) -> None:
     for file in files:
         if file.suffix == ".whl":
             with zipfile.ZipFile(file) as archive:
                 (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
-                said = message_from_string(archive.read(name).decode())
+                metadata = message_from_string(archive.read(name).decode())
         else:
             with tarfile.open(file) as archive:
                 (member,) = (m for m in archive.getmembers() if m.name.count("/") == 1 and m.name.endswith("/PKG-INFO"))
                 stored = archive.extractfile(member)
                 assert stored is not None
-                said = message_from_string(stored.read().decode())
-        assert said["Version"] == dist.version()
-        assert said["Description-Content-Type"] == "text/markdown"
-        assert said["License-Expression"] == "Apache-2.0"
-        assert not re.search(r"\]\((?!https://)", str(said.get_payload()))
-        needed = [text for text in said.get_all("Requires-Dist", []) if "extra ==" not in text]
+                metadata = message_from_string(stored.read().decode())
+        assert metadata["Version"] == dist.version()
+        assert metadata["Description-Content-Type"] == "text/markdown"
+        assert metadata["License-Expression"] == "Apache-2.0"
+        assert not re.search(r"\]\((?!https://)", str(metadata.get_payload()))
+        needed = [text for text in metadata.get_all("Requires-Dist", []) if "extra ==" not in text]
         if file.name.startswith("yarp_compat"):
             assert needed == ["numpy"]
         else:
             assert f"yarp-compat=={dist.version()}" in needed
             extras = {"ros2", "sim", "web", "foxglove", "demo", "record", "3d"}
-            assert extras <= set(said.get_all("Provides-Extra", []))
-            wanted = set(required(said.get_all("Requires-Dist", []), "demo"))
+            assert extras <= set(metadata.get_all("Provides-Extra", []))
+            wanted = set(required(metadata.get_all("Requires-Dist", []), "demo"))
             assert {"dartpy", "ros-jazzy-rclpy", "starlette", "uvicorn", "zenoh-ros2-sdk"} <= wanted
 
 
 def required(requirements: Sequence[str], extra: str) -> list[str]:
-    """Return the distributions that an extra of midspan adds, with those of the extras that it names."""
+    """Return the distributions that an extra of midspan adds, including those of extras that it names."""
     names = []
     for requirement in map(Requirement, requirements):
         if requirement.marker is None or "extra" not in str(requirement.marker):
@@ -143,7 +143,7 @@ def required(requirements: Sequence[str], extra: str) -> list[str]:
         linux = {"python_version": "3.11", "sys_platform": "linux", "platform_machine": "x86_64"}
         if requirement.marker.evaluate({**linux, "extra": extra}):
             further = sorted(requirement.extras) if requirement.name == "midspan" else []
-            names += [requirement.name, *(name for each in further for name in required(requirements, each))]
+            names += [requirement.name, *(name for nested in further for name in required(requirements, nested))]
     return names
 
 
@@ -153,14 +153,14 @@ WITHOUT = "import sys; sys.modules.update(dict.fromkeys(('dartpy', 'rclpy', 'zen
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_the_demo_without_its_extra_names_it(files: Sequence[Path], tmp_path: Path) -> None:
-    there = Installed(tmp_path / "plain", [only(files, COMPILED), only(files, COMPAT)])
-    (site,) = there.folder.glob("lib/*/site-packages")
+def test_a_demo_without_its_extra_names_the_extra(files: Sequence[Path], tmp_path: Path) -> None:
+    environment = Installed(tmp_path / "plain", [only(files, COMPILED), only(files, COMPAT)])
+    (site,) = environment.folder.glob("lib/*/site-packages")
     (site / "without.pth").write_text(WITHOUT, encoding="utf-8")
-    for what in ("rooms", "topics"):
+    for demo in ("rooms", "topics"):
         done = subprocess.run(
-            [there.bin / "midspan", "demo", what],
-            cwd=there.folder, env=there.environ(), capture_output=True, text=True, timeout=120, check=False,
+            [environment.bin / "midspan", "demo", demo],
+            cwd=environment.folder, env=environment.environ(), capture_output=True, text=True, timeout=120, check=False,
         )  # fmt: skip
         assert done.returncode == 1
         assert "needs more than this machine has" in done.stderr
@@ -171,26 +171,26 @@ def test_the_demo_without_its_extra_names_it(files: Sequence[Path], tmp_path: Pa
 @pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("wheel", [COMPILED, PURE])
-def test_midspan_runs_where_its_wheel_is_installed(files: Sequence[Path], wheel: str, tmp_path: Path) -> None:
-    there = Installed(tmp_path / "big path", [only(files, wheel), only(files, COMPAT)])
+def test_midspan_runs_from_its_wheel(files: Sequence[Path], wheel: str, tmp_path: Path) -> None:
+    environment = Installed(tmp_path / "big path", [only(files, wheel), only(files, COMPAT)])
     place = "import bridge, sim, yarp_compat; print(bridge.__file__, sim.__file__, yarp_compat.__file__, sep='\\n')"
-    assert all(line.startswith(str(there.folder)) for line in there.run("python", "-c", place).splitlines())
-    assert there.run("midspan", "--version") == f"midspan {dist.version()}\n"
-    assert "topic" in there.run("midspan", "--help")
-    share = there.folder / "share" / "midspan"
-    assert there.run("midspan", "config", "check", share / "configs" / "default.yaml")
-    kernels_told = there.run("midspan", "doctor", "--only", "kernels", code=0 if wheel == COMPILED else 1)
+    assert all(line.startswith(str(environment.folder)) for line in environment.run("python", "-c", place).splitlines())
+    assert environment.run("midspan", "--version") == f"midspan {dist.version()}\n"
+    assert "topic" in environment.run("midspan", "--help")
+    share = environment.folder / "share" / "midspan"
+    assert environment.run("midspan", "config", "check", share / "configs" / "default.yaml")
+    kernels_told = environment.run("midspan", "doctor", "--only", "kernels", code=0 if wheel == COMPILED else 1)
     assert ("all kernels are compiled" in kernels_told) == (wheel == COMPILED)
     assert ("not compiled" in kernels_told) == (wheel == PURE)
     assert ("--no-binary midspan" in kernels_told) == (wheel == PURE)
-    there.run("midspan", "install", "--root", there.folder / "root")
-    unit = (there.folder / "root/etc/systemd/system/midspan.service").read_text(encoding="utf-8")
-    assert str(there.bin / "midspan") in unit
-    assert_a_message_crosses(there)
+    environment.run("midspan", "install", "--root", environment.folder / "root")
+    unit = (environment.folder / "root/etc/systemd/system/midspan.service").read_text(encoding="utf-8")
+    assert str(environment.bin / "midspan") in unit
+    assert_a_message_crosses(environment)
 
 
 def assert_a_message_crosses(there: Installed) -> None:
-    """Bridge a message from a YARP program to zenoh-bridge-ros2dds with the daemon that is installed there."""
+    """Bridge a message from a YARP program to zenoh-bridge-ros2dds with the installed daemon."""
     with ExitStack() as stack:
         names = Names()
         stack.callback(names.stop)
@@ -202,7 +202,7 @@ def assert_a_message_crosses(there: Installed) -> None:
         stack.callback(bridge.stop)
         config = {
             "name": "there",
-            "state": stack.enter_context(TemporaryDirectory(prefix="midspan-")),  # a socket's path is short
+            "state": stack.enter_context(TemporaryDirectory(prefix="midspan-")),  # socket paths must be short
             "hub": {"listen": f"tcp/127.0.0.1:{free_port()}", "shared_memory": False},
             "ros1": {"enabled": False},
             "ros2": {"enabled": False},
@@ -212,15 +212,15 @@ def assert_a_message_crosses(there: Installed) -> None:
         file = there.folder / "midspan.yaml"
         file.write_text(yaml.safe_dump(config), encoding="utf-8")
         daemon = stack.enter_context(Process([there.bin / "midspan", "run", "--config", file], there.environ()))
-        out, heard = program.advertise("/word", "std_msgs/String"), bridge.subscribe("/word", "std_msgs/String")
+        out, subscription = program.advertise("/word", "std_msgs/String"), bridge.subscribe("/word", "std_msgs/String")
 
         def crossed() -> bool:
             assert daemon.popen.poll() is None, daemon.output()
             program.publish(out, {"data": "there"})
-            return bool(bridge.wait(heard, 1, 0.2))
+            return bool(bridge.wait(subscription, 1, 0.2))
 
         until(crossed, "a message crosses", 60)
-        assert bridge.wait(heard, 1)[0] == {"data": "there"}
+        assert bridge.wait(subscription, 1)[0] == {"data": "there"}
         daemon.signal(signal.SIGINT)
         assert daemon.popen.wait(30) == 0, daemon.output()
 
@@ -247,24 +247,24 @@ with NameServer(port=int(sys.argv[1])):
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_yarp_compat_needs_numpy_alone(files: Sequence[Path], tmp_path: Path) -> None:
-    there = Installed(tmp_path / "alone", [only(files, COMPAT)], libraries=("numpy",))
-    script = there.folder / "script.py"
+def test_yarp_compat_needs_only_numpy(files: Sequence[Path], tmp_path: Path) -> None:
+    environment = Installed(tmp_path / "alone", [only(files, COMPAT)], libraries=("numpy",))
+    script = environment.folder / "script.py"
     script.write_text(SCRIPT, encoding="utf-8")
     port = free_port()
-    (there.folder / "yarp.conf").write_text(f"127.0.0.1 {port} yarp\n", encoding="utf-8")
-    assert "with every name" in there.run("python", "-m", "yarp_compat", "--check", script)
-    assert "2.5" in there.run("python", "-m", "yarp_compat", script, str(port))
-    there.run("python", "-c", "import bridge", code=1)
+    (environment.folder / "yarp.conf").write_text(f"127.0.0.1 {port} yarp\n", encoding="utf-8")
+    assert "with every name" in environment.run("python", "-m", "yarp_compat", "--check", script)
+    assert "2.5" in environment.run("python", "-m", "yarp_compat", script, str(port))
+    environment.run("python", "-c", "import bridge", code=1)
 
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_what_is_uninstalled_leaves_the_other_whole(files: Sequence[Path], tmp_path: Path) -> None:
+def test_uninstalling_one_distribution_leaves_the_other_complete(files: Sequence[Path], tmp_path: Path) -> None:
     assert not names(only(files, COMPILED)) & names(only(files, COMPAT))
-    there = Installed(tmp_path / "both", [only(files, COMPILED), only(files, COMPAT)])
-    there.pip("uninstall", "-q", "-y", "midspan")
-    assert there.run("python", "-c", "from yarp_compat import Bottle; print(Bottle('1 2').size())") == "2\n"
-    left = [file.relative_to(there.folder).parts for file in there.folder.rglob("*") if file.is_file()]
+    environment = Installed(tmp_path / "both", [only(files, COMPILED), only(files, COMPAT)])
+    environment.pip("uninstall", "-q", "-y", "midspan")
+    assert environment.run("python", "-c", "from yarp_compat import Bottle; print(Bottle('1 2').size())") == "2\n"
+    left = [file.relative_to(environment.folder).parts for file in environment.folder.rglob("*") if file.is_file()]
     assert any("yarp_compat" in parts for parts in left)
     assert not [parts for parts in left if any(p in ("bridge", "sim") or p.startswith("midspan") for p in parts)]

@@ -1,4 +1,4 @@
-"""The lock files name exact versions of everything that is needed on each system; what is installed here is theirs."""
+"""The lock files pin all requirements on each system; the installed versions match them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ every_system = pytest.mark.parametrize("system", SYSTEMS)
 
 
 def pins(*files: str, system: str = "Linux") -> dict[str, str]:
-    """Version by name, of what the files say for a system."""
+    """Return the version of each package that the files pin for a system."""
     lines = [line for file in files for line in (ROOT / file).read_text(encoding="utf-8").splitlines()]
     lines = [line for line in lines if not line.startswith("#")]
     assert [line for line in lines if not PIN.fullmatch(line)] == []
@@ -47,7 +47,7 @@ def pins(*files: str, system: str = "Linux") -> dict[str, str]:
 
 
 def lacking(requirements: Iterable[str], locked: Mapping[str, str], system: str) -> list[str]:
-    """Which of the requirements the locked versions do not meet on a system."""
+    """Return the requirements that the locked versions do not meet on a system."""
     environment = {**SYSTEMS[system], "extra": "", "python_version": "3.11", "python_full_version": "3.11.2"}
     wanted = [r for r in map(Requirement, requirements) if r.marker is None or r.marker.evaluate(environment)]
     return [str(r) for r in wanted if not r.specifier.contains(locked.get(canonicalize_name(r.name), "none"))]
@@ -66,8 +66,8 @@ def test_every_requirement_is_locked(system: str) -> None:
 
 
 @every_system
-def test_what_the_locked_need_is_locked(system: str) -> None:
-    """By what is installed here: every version that the system shares with this one."""
+def test_requirements_of_locked_packages_are_locked(system: str) -> None:
+    """Checked by the installed metadata, for all versions that the system shares with this one."""
     locked = pins(*FILES, system=system)
     met = [name for name, version in locked.items() if installed(name) == version]
     assert len(met) > 50
@@ -75,7 +75,7 @@ def test_what_the_locked_need_is_locked(system: str) -> None:
 
 
 def test_the_docs_table_names_the_extras_of_users() -> None:
-    """All but those of developers."""
+    """All extras except those for developers."""
     page = (ROOT / "docs/start/pip.md").read_text(encoding="utf-8")
     table = page.partition("\n## Extras\n")[2].partition("\n## ")[0]
     named = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
@@ -90,7 +90,7 @@ def installed(name: str) -> str:
         return ""
 
 
-def test_ros2_wheels_are_for_linux_alone() -> None:
+def test_ros2_wheels_are_only_for_linux() -> None:
     assert pins("requirements-ros2.lock")
     assert [pins("requirements-ros2.lock", system=s) for s in SYSTEMS if s != "Linux"] == [{}, {}, {}]
 
@@ -102,6 +102,6 @@ def test_the_locked_versions_are_installed() -> None:
 
 
 def test_make_lists_its_targets() -> None:
-    told = subprocess.run(["make", "-C", ROOT], capture_output=True, text=True, check=True, timeout=100).stdout
+    output = subprocess.run(["make", "-C", ROOT], capture_output=True, text=True, check=True, timeout=100).stdout
     for target in ("demo", "test", "lint", "types", "check", "bench", "clean"):
-        assert re.search(rf"^{target}\s+\S", told, re.MULTILINE), target
+        assert re.search(rf"^{target}\s+\S", output, re.MULTILINE), target

@@ -9,13 +9,13 @@ import pytest
 from tests.setup.machine import Machine
 
 AGAIN = ["python -m compileall -q -j 2 bridge navigation sim yarp_compat", "midspan interfaces build"]
-"""What each run does: both leave alone what is there."""
+"""Commands of each run, which do nothing if everything is up to date."""
 
 
-def test_a_fresh_machine_gets_everything_once(tmp_path: Path) -> None:
+def test_a_new_machine_is_set_up_once(tmp_path: Path) -> None:
     machine = Machine(tmp_path)
     assert machine.setup().returncode == 0
-    assert not machine.called("apt-get"), "all packages are there"
+    assert not machine.called("apt-get"), "all packages are installed"
     assert [call.split()[1:3] for call in machine.called("venv")] == [["-m", "venv"]]
     installs = machine.called("pip install")
     assert ["--no-deps" in call for call in installs] == [True, True, True]
@@ -25,7 +25,7 @@ def test_a_fresh_machine_gets_everything_once(tmp_path: Path) -> None:
     assert machine.calls == AGAIN
 
 
-def test_kernels_are_compiled_once_and_where_they_cannot_be_that_is_said(tmp_path: Path) -> None:
+def test_kernels_are_compiled_once_and_a_failure_is_reported(tmp_path: Path) -> None:
     machine = Machine(tmp_path)
     assert machine.setup().returncode == 0
     assert len(machine.called("build_ext", "--inplace")) == 1
@@ -33,19 +33,19 @@ def test_kernels_are_compiled_once_and_where_they_cannot_be_that_is_said(tmp_pat
     assert not machine.called("build_ext")
     without = Machine(tmp_path / "without")
     done = without.setup(NO_COMPILER="1")
-    assert done.returncode == 0, "the rest goes on"
+    assert done.returncode == 0, "the set-up continues"
     assert "2 of 3 kernels are not compiled" in done.stderr
     assert "apt install g++" in done.stderr
     assert without.setup(NO_COMPILER="1", CI="true").returncode == 1
 
 
-def test_the_log_is_of_the_last_run_that_did_something(tmp_path: Path) -> None:
+def test_the_log_is_of_the_last_run_that_changed_something(tmp_path: Path) -> None:
     machine = Machine(tmp_path)
     machine.setup()
     log = machine.checkout / ".cache" / "setup.log"
     log.write_text("of an earlier run\n", encoding="utf-8")
     machine.setup()
-    assert "earlier" in log.read_text(encoding="utf-8"), "there was nothing to do"
+    assert "earlier" in log.read_text(encoding="utf-8"), "nothing had to be done"
     (machine.checkout / "requirements.lock").write_text("more==1.0\n", encoding="utf-8")
     machine.setup()
     assert "earlier" not in log.read_text(encoding="utf-8")
@@ -61,7 +61,7 @@ def test_a_new_lock_file_is_installed(tmp_path: Path) -> None:
     assert not machine.called("venv"), "the virtual environment stays"
 
 
-def test_a_checkout_that_was_moved_is_set_up_anew(tmp_path: Path) -> None:
+def test_a_moved_checkout_is_set_up_again(tmp_path: Path) -> None:
     machine = Machine(tmp_path)
     machine.setup()
     machine.checkout = machine.checkout.rename(tmp_path / "moved here")
@@ -124,7 +124,7 @@ LACKING: list[tuple[str, dict[str, bool | int], dict[str, str], str]] = [
 
 
 @pytest.mark.parametrize(("machine", "variables", "word"), [case[1:] for case in LACKING], ids=[c[0] for c in LACKING])
-def test_what_cannot_be_had_is_said_and_is_an_error_in_ci(
+def test_unavailable_parts_are_reported_and_are_an_error_in_ci(
     tmp_path: Path, machine: dict[str, bool], variables: dict[str, str], word: str
 ) -> None:
     at_home = Machine(tmp_path / "home", **machine)
@@ -137,7 +137,7 @@ def test_what_cannot_be_had_is_said_and_is_an_error_in_ci(
     assert in_ci.returncode != 0
 
 
-def test_apt_is_not_asked_again_for_what_it_does_not_have(tmp_path: Path) -> None:
+def test_apt_is_not_called_again_for_unavailable_packages(tmp_path: Path) -> None:
     machine = Machine(tmp_path)
     lacking = {"NOT_INSTALLED": "python3-rospy", "NOT_IN_ARCHIVE": "python3-rospy"}
     machine.setup(**lacking)
@@ -147,7 +147,7 @@ def test_apt_is_not_asked_again_for_what_it_does_not_have(tmp_path: Path) -> Non
     assert not machine.called("apt-get")
 
 
-def test_wheels_that_failed_are_tried_again(tmp_path: Path) -> None:
+def test_failed_wheels_are_installed_at_the_next_run(tmp_path: Path) -> None:
     machine = Machine(tmp_path)
     machine.setup(NO_WHEELS="1")
     machine.setup()
