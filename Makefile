@@ -5,11 +5,11 @@ BIN := .venv/bin
 .PHONY: help setup demo mix bench-peers test test-fast test-all lint types check bench screenshots dist deb lock clean
 .DEFAULT_GOAL := help
 
-# a file at a time to each process; bytecode is kept, or each process would compile all tests and all programs again
+# each process receives one file at a time; bytecode is cached, otherwise each process would compile all tests and programs
 pytest = PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX='$(CURDIR)/.cache/bytecode' $(BIN)/python -m pytest \
     -o cache_dir=.cache/pytest --dist loadfile --no-loadscope-reorder
 
-# 5: no test was chosen; 1: some failed, which run once more at the end (STRICT=1: which end it)
+# 5: no test was selected; 1: tests failed, which are rerun at the end (with STRICT=1 the run ends instead)
 go_on = case $$? in 5) ;; 1) $(if $(STRICT),exit 1,red=1) ;; *) exit 1 ;; esac
 again = [ -z "$$red" ] || $(BIN)/python scripts/unsteady.py
 forget = rm -rf .cache/pytest .cache/first-run
@@ -17,9 +17,9 @@ forget = rm -rf .cache/pytest .cache/first-run
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
 
-test test-all: export BROWSER = yes # what the console is tested with
+test test-all: export BROWSER = yes # for the tests of the console
 
-setup: ## install what is missing; done by the others
+setup: ## install what is missing; the other targets run it first
 	@scripts/setup.sh
 
 demo: setup ## a simulated R1 sent to rooms by YARP, ROS 1 and ROS 2 clients (STAY=1 stays, JSON=FILE, PNG=FILE write)
@@ -28,10 +28,10 @@ demo: setup ## a simulated R1 sent to rooms by YARP, ROS 1 and ROS 2 clients (ST
 mix: setup ## clients of all four sides over three kinds of planners (JSON=FILE writes the table)
 	@$(BIN)/python -m tests.interop.mix_table $(if $(JSON),--json '$(JSON)')
 
-test: setup ## what tells whether Midspan works here, with the real middlewares (ARGS='tests/hub -k latched' for some)
+test: setup ## test Midspan on this machine with the real middlewares (ARGS='tests/hub -k latched' for some tests)
 	@$(forget); $(pytest) -n 6 -m 'not thorough and not long' $(ARGS) || $(go_on); $(again)
 
-test-fast: setup ## what needs no middleware, for the edit loop
+test-fast: setup ## tests without middlewares, for the edit loop
 	@$(pytest) -n 4 --fast -m 'not thorough and not long and not alone' $(ARGS)
 
 test-all: setup ## all tests, including fuzzing, packages and a first run in a bare clone
@@ -47,7 +47,7 @@ types: setup ## mypy
 
 check: lint types test ## lint, types and tests
 
-bench-peers: setup ## install the libraries that benchmarks compare with
+bench-peers: setup ## install the libraries that the benchmarks compare with
 	@$(BIN)/python -m pip install -q --disable-pip-version-check -c requirements.lock $$($(BIN)/python -c \
 	    "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['bench'])")
 
@@ -60,14 +60,14 @@ dist: setup ## wheels and source distributions of midspan and yarp-compat, into 
 deb: dist ## Debian packages for Debian 12 and Ubuntu 24.04, into dist/ (ARGS=bookworm for one)
 	@$(BIN)/python scripts/deb.py $(ARGS)
 
-screenshots: ## the docs' pictures of the console, made anew; ARGS=FOLDER: all views, to be looked at
+screenshots: ## update the docs' screenshots of the console; ARGS=FOLDER: all views, for inspection
 	@$(MAKE) -s setup BROWSER=yes
 	@PYTHONPATH=. $(BIN)/python scripts/screenshots.py $(ARGS)
 
-lock: setup ## choose the newest versions that fit, and write the lock files
+lock: setup ## resolve the newest compatible versions, and write the lock files
 	@$(BIN)/python scripts/lock.py
 
-clean: ## remove the virtual environment, compiled kernels and what tools left behind (built message packages stay in their cache)
+clean: ## remove the virtual environment, compiled kernels and the tools' files (built message packages stay cached)
 	rm -rf .venv .cache build dist bridge/kernels.json *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 	find bridge navigation sim -name '*.so' -delete

@@ -1,7 +1,7 @@
-"""Compiles the kernels (`bridge.kernels`), into the tree or into a wheel; the rest stands in pyproject.toml.
+"""Compiles the kernels (`bridge.kernels`), into the tree or into a wheel; all other settings are in pyproject.toml.
 
-Only what is missing or stale is compiled in the tree. Where there is no compiler a kernel is left out and runs as
-Python; set-up and ``midspan doctor`` tell. With ``$MIDSPAN_PURE`` set none is compiled: the wheel is for any system.
+In the tree only missing or stale kernels are compiled. Without a compiler the kernels run as Python, which set-up and
+``midspan doctor`` report. With ``$MIDSPAN_PURE`` none is compiled, for a wheel for any system.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ABI3 = {"py_limited_api": True, "define_macros": [("Py_LIMITED_API", "0x030b0000
 
 
 def _load_kernels() -> ModuleType:
-    """`bridge.kernels`, without the package around it."""
+    """Load `bridge.kernels` without its package."""
     spec = importlib.util.spec_from_file_location("kernels", HERE / "bridge/kernels.py")
     assert spec is not None
     assert spec.loader is not None
@@ -47,7 +47,7 @@ def _extension(module: str) -> Extension:
 
 
 class BuildKernels(build_ext):
-    """Compiles what is not compiled yet, and writes down of what it was."""
+    """Compiles missing and stale kernels, and records the digests of their sources."""
 
     def run(self) -> None:
         """Generate C, compile it, and record it."""
@@ -55,7 +55,7 @@ class BuildKernels(build_ext):
         if in_tree:
             state = kernels.state()
             wanted = {*state.missing, *state.stale}
-            self.extensions = [one for one in self.extensions if one.name in wanted]
+            self.extensions = [extension for extension in self.extensions if extension.name in wanted]
         if self.extensions:
             self.force = True
             self._generate()
@@ -64,12 +64,12 @@ class BuildKernels(build_ext):
 
     def _generate(self) -> None:
         GENERATED.mkdir(parents=True, exist_ok=True)
-        if any(one.name == kernels.SHARED for one in self.extensions):
+        if any(extension.name == kernels.SHARED for extension in self.extensions):
             command = [sys.executable, "-m", "cython", "-3", f"--generate-shared={SHARED_C}"]
             subprocess.run(command, cwd=HERE, check=True)
-        python = [one for one in self.extensions if one.name in kernels.KERNELS]
-        rest = [one for one in self.extensions if one.name not in kernels.KERNELS]
-        self.extensions = rest + cythonize(
+        python = [extension for extension in self.extensions if extension.name in kernels.KERNELS]
+        others = [extension for extension in self.extensions if extension.name not in kernels.KERNELS]
+        self.extensions = others + cythonize(
             python,
             nthreads=min(2, len(python)),
             build_dir=str(GENERATED),
@@ -79,20 +79,20 @@ class BuildKernels(build_ext):
             language_level=3,
             shared_utility_qualified_name=kernels.SHARED,
         )
-        for one in self.extensions:  # cythonize makes new ones
-            one.optional = True
-            one._needs_stub = False
+        for extension in self.extensions:  # cythonize creates new extensions
+            extension.optional = True
+            extension._needs_stub = False
 
     def build_extension(self, ext: Extension) -> None:
-        """Compile one, and say so."""
+        """Compile a kernel, and report it."""
         sys.stderr.write(f"compiling {ext.name}\n")
         super().build_extension(ext)
 
     def _record(self, root: Path) -> None:
-        """Only what is there is written down."""
+        """Record the kernels that exist."""
         modules = (*kernels.KERNELS, *kernels.C_MODULES, kernels.SHARED)
         known = dict(kernels.record()) if root == kernels.ROOT else {}
-        names = {one.name for one in self.extensions}
+        names = {extension.name for extension in self.extensions}
         for module in modules:
             built = root / self.get_ext_filename(module)
             if not built.is_file():

@@ -34,7 +34,7 @@ from bridge.daemon.install import UNITS  # noqa: E402
 from scripts import dist, lock, manual  # noqa: E402
 
 EXTRAS = ("ros2", "web", "foxglove")
-"""Not the simulator: DART is a quarter more, and wants OpenGL's libraries on the robot."""
+"""Without the simulator: DART adds a quarter of the size, and requires OpenGL's libraries on the robot."""
 
 PRIVATE = Path("opt/midspan")
 CONFFILES = ("etc/midspan/midspan.yaml", "etc/midspan/environment")
@@ -46,9 +46,9 @@ class Release:
     """A release of Debian or Ubuntu.
 
     Attributes:
-        suffix: of the package's version.
-        python: the release's own Python 3.
-        glibc: minor number of its glibc 2, which bounds the wheels that run there.
+        suffix: suffix of the package's version.
+        python: minor version of the release's Python 3.
+        glibc: minor version of its glibc 2, which limits the usable wheels.
     """
 
     suffix: str
@@ -60,21 +60,25 @@ RELEASES = {"bookworm": Release("~deb12", 11, 36), "noble": Release("~ubuntu24.0
 
 
 def libraries() -> list[str]:
-    """Return the locked libraries of Midspan and its extras, as installed here (tests/setup/test_lock.py)."""
+    """Return the locked libraries of Midspan and its extras, in the installed versions (tests/setup/test_lock.py)."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     wanted = [*project["dependencies"], *(text for extra in EXTRAS for text in project["optional-dependencies"][extra])]
-    found: dict[str, dict[str, Any]] = {
-        canonicalize_name(one.name): {"name": one.name, "version": one.version, "requires_dist": one.requires or ()}
-        for one in importlib.metadata.distributions()
+    installed: dict[str, dict[str, Any]] = {
+        canonicalize_name(distribution.name): {
+            "name": distribution.name,
+            "version": distribution.version,
+            "requires_dist": distribution.requires or (),
+        }
+        for distribution in importlib.metadata.distributions()
     }
-    versions, missing = lock.reached(wanted, found, lock.SYSTEMS[0])
+    versions, missing = lock.reached(wanted, installed, lock.SYSTEMS[0])
     if missing:
-        raise RuntimeError(f"not installed here: {', '.join(missing)}; 'make setup' installs what is locked")
+        raise RuntimeError(f"not installed here: {', '.join(missing)}; 'make setup' installs the locked versions")
     return [f"{name}=={version}" for name, version in sorted(versions.items())]
 
 
 def stage(release: Release, wheels: Sequence[Path], root: Path) -> None:
-    """Lay out all files of the package below a folder; the wheels are Midspan's and yarp-compat's."""
+    """Write all files of the package into a folder; the wheels are those of Midspan and yarp-compat."""
     got = root.with_name(f"{root.name}-wheels")
     site = root / PRIVATE / "lib" / f"python3.{release.python}" / "site-packages"
     for wheel in (*_download(release, got), *wheels):
@@ -88,30 +92,30 @@ def stage(release: Release, wheels: Sequence[Path], root: Path) -> None:
 
 
 def _download(release: Release, to: Path) -> list[Path]:
-    """Let pip choose wheels for the release's Python; pure libraries that have only a source release are built here."""
+    """Download wheels for the release's Python by pip; pure libraries with only a source release are built here."""
     pip = [sys.executable, "-m", "pip", "-q", "--disable-pip-version-check"]
     command = [*pip, "download", "--no-deps", "-d", str(to), "--implementation", "cp"]
     command += ["--python-version", f"3.{release.python}"]
     tags = ["manylinux2014", *(f"manylinux_2_{minor}" for minor in range(5, release.glibc + 1))]
-    dist.run([*command, *(word for tag in tags for word in ("--platform", f"{tag}_x86_64")), *libraries()], ROOT)
+    dist.run([*command, *(option for tag in tags for option in ("--platform", f"{tag}_x86_64")), *libraries()], ROOT)
     for source in to.glob("*.tar.gz"):
         dist.run([*pip, "wheel", "--no-deps", "-w", str(to), str(source)], ROOT)
     return sorted(to.glob("*.whl"))
 
 
 def _unpack(wheel: Path, site: Path, prefix: Path) -> None:
-    """What pip does with a wheel, for an environment that is not here; its programs are left out.
+    """Install a wheel like pip into an environment of another machine, without its programs.
 
-    https://packaging.python.org/en/latest/specifications/binary-distribution-format/. Pip's own ``--target`` loses what
-    wheels have in ``data/lib``: all of ROS 2's libraries.
+    https://packaging.python.org/en/latest/specifications/binary-distribution-format/. Pip's own ``--target`` drops the
+    wheels' files in ``data/lib``: all of ROS 2's libraries.
     """
     with zipfile.ZipFile(wheel) as archive:
         for info in archive.infolist():
-            data, _, rest = info.filename.partition(".data/")
-            scheme, _, name = rest.partition("/")
+            data, _, inner = info.filename.partition(".data/")
+            scheme, _, name = inner.partition("/")
             if info.is_dir() or scheme in ("scripts", "headers") or "__pycache__" in info.filename:
                 continue
-            path = _parent((prefix if scheme == "data" else site) / (name if rest else data))
+            path = _parent((prefix if scheme == "data" else site) / (name if inner else data))
             path.write_bytes(archive.read(info))
             path.chmod(0o755 if info.external_attr >> 16 & 0o100 else 0o644)
     for record in site.glob(f"{wheel.name.split('-')[0]}-*.dist-info/RECORD"):
@@ -143,7 +147,7 @@ def _environment(release: Release, root: Path) -> None:
 
 
 def _system_files(root: Path) -> None:
-    """Units, user, configuration, manual and completions."""
+    """Write units, user, configuration, manual and completions."""
     for unit in UNITS:
         text = (ROOT / "packaging" / unit).read_text(encoding="utf-8")
         _write(root / "lib/systemd/system" / unit, text.replace("@MIDSPAN@", f"/{PRIVATE}/bin/midspan"))
@@ -172,11 +176,11 @@ def pack(release: Release, root: Path, to: Path, version: str | None = None, *, 
     """Build the package from the files; return its path.
 
     Args:
-        release: the release that it is for.
+        release: the target release.
         root: folder of the files; their modes are set, and dpkg's control files are added.
         to: folder for the package.
         version: without the release's suffix; default: this checkout's.
-        quick: compress it less.
+        quick: whether to compress less.
     """
     full = f"{version or dist.version()}{release.suffix}"
     _write_packed(root / "usr/share/doc/midspan/changelog.gz", _changelog(full))
@@ -204,15 +208,15 @@ def pack(release: Release, root: Path, to: Path, version: str | None = None, *, 
 
 
 def _runs(file: Path) -> bool:
-    """Whether it is a program; wheels mark libraries as such, too."""
+    """Return whether a file is a program; wheels mark libraries as executable, too."""
     return bool(file.stat().st_mode & 0o100) and ".so" not in file.suffixes and file.suffix != ".py"
 
 
 def ros1() -> list[str]:
-    """The archive's packages of ROS 1, as set-up installs them."""
-    found = re.search(r'^ros1="([^"]+)"', (ROOT / "scripts/setup.sh").read_text(encoding="utf-8"), re.MULTILINE)
-    assert found is not None
-    return found[1].split()
+    """Return the archive's ROS 1 packages that set-up installs."""
+    match = re.search(r'^ros1="([^"]+)"', (ROOT / "scripts/setup.sh").read_text(encoding="utf-8"), re.MULTILINE)
+    assert match is not None
+    return match[1].split()
 
 
 def _changelog(version: str) -> str:
@@ -223,25 +227,25 @@ def _changelog(version: str) -> str:
 
 
 def own_wheels(folder: Path) -> list[Path]:
-    """Midspan's compiled wheel and yarp-compat's in a folder, of this checkout's version."""
+    """Return Midspan's compiled wheel and that of yarp-compat in a folder, of this checkout's version."""
     version = dist.version()
-    found = [*folder.glob(f"midspan-{version}-cp311-abi3-*.whl"), *folder.glob(f"yarp_compat-{version}-*.whl")]
-    if len(found) != 2:
+    wheels = [*folder.glob(f"midspan-{version}-cp311-abi3-*.whl"), *folder.glob(f"yarp_compat-{version}-*.whl")]
+    if len(wheels) != 2:
         raise RuntimeError(f"no wheels of {version} in {folder}: run 'make dist'")
-    return found
+    return wheels
 
 
 def main() -> int:
-    """Build the packages of the releases that are named."""
+    """Build the packages of the given releases."""
     parser = argparse.ArgumentParser(description="Build the Debian packages.")
     parser.add_argument("release", nargs="*", default=sorted(RELEASES), help="default: all")
-    parser.add_argument("--folder", type=Path, default=ROOT / "dist", help="with the wheels, and where to")
+    parser.add_argument("--folder", type=Path, default=ROOT / "dist", help="folder of the wheels and the packages")
     args = parser.parse_args()
     work = ROOT / "build" / "deb"
     try:
         for name in args.release:
             shutil.rmtree(work, ignore_errors=True)
-            dist.say(f"the package for {name} (two minutes)")
+            dist.report(f"the package for {name} (two minutes)")
             stage(RELEASES[name], own_wheels(args.folder), work)
             package = pack(RELEASES[name], work, args.folder.absolute())
             sys.stdout.write(f"{package.stat().st_size / 1e6:6.2f} MB  {package}\n")

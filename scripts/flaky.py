@@ -1,4 +1,4 @@
-"""Runs the tests again and again, each time in another order, and lists those that ever failed.
+"""Runs the tests repeatedly, each time in another order, and lists the tests that failed at least once.
 
     python scripts/flaky.py 5                           `make test`, five times
     python scripts/flaky.py 20 tests/hub -k latched     some of them: arguments of pytest
@@ -30,7 +30,7 @@ _FAILED = re.compile(r"^(?:FAILED|ERROR) (?! )(.+?)(?: - .*)?$|^(LEFT BEHIND: .*
 """Lines of pytest's summary (``-ra``), and one of tests/conftest.py; a log line has more spaces after its level."""
 
 _COMPUTE = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: sum(range(100_000))"
-"""A process that computes until its parent is gone, however that ended."""
+"""A process that computes until its parent has exited in any manner."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Run:
     Attributes:
         seed: seed of its order, also its number.
         seconds: its duration.
-        failed: the tests that failed, once each, and what was left behind.
+        failed: the tests that failed, once each, and leftovers such as processes.
         last: the last line of its output.
     """
 
@@ -51,7 +51,7 @@ class Run:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run them; return 1 if anything ever failed."""
+    """Run the tests; return 1 if any run failed."""
     args, pytest = _parser().parse_known_args(arguments)
     if args.one_core:
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -79,13 +79,13 @@ def run_once(target: str, pytest: Sequence[str], seed: int, log: Path) -> Run:
     text = log.read_text(errors="replace")
     failed = dict.fromkeys(test or left for test, left in _FAILED.findall(text))
     if code and not failed:
-        failed = {f"no test: it ended with exit code {code}, see {log}": None}
+        failed = {f"no test: make ended with exit code {code}, see {log}": None}
     lines = [line.strip("= ") for line in text.splitlines() if line.strip("= ")]
     return Run(seed, time.monotonic() - began, tuple(failed), lines[-1] if lines else "")
 
 
 def ever_failed(runs: Sequence[Run]) -> list[tuple[str, list[int]]]:
-    """Return what failed, the most frequent first, each with the seeds of its runs."""
+    """Return the failed tests, the most frequent first, each with the seeds of its runs."""
     seeds: dict[str, list[int]] = defaultdict(list)
     for run in runs:
         for name in run.failed:
@@ -107,11 +107,13 @@ def busy(count: int) -> Iterator[list[subprocess.Popen[bytes]]]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="scripts/flaky.py", description="Run the tests again and again; other arguments are pytest's."
+        prog="scripts/flaky.py", description="Run the tests repeatedly; other arguments are passed to pytest."
     )
     parser.add_argument("runs", type=int, help="how often")
     parser.add_argument("--target", default="test", choices=("test", "test-fast", "test-all"), help="of make")
-    parser.add_argument("--seed", type=int, default=1, help="of the first run's order (1); each other has the next")
+    parser.add_argument(
+        "--seed", type=int, default=1, help="seed of the first run's order (1), incremented for each run"
+    )
     parser.add_argument("--busy", type=int, default=0, metavar="N", help="with N busy processes in the background")
     parser.add_argument("--one-core", action="store_true", help="with everything on one core")
     parser.add_argument("--logs", type=Path, default=ROOT / ".cache" / "flaky", help="folder for the output")

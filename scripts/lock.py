@@ -44,8 +44,8 @@ class System:
     environment: Mapping[str, str]
     marker: str
 
-    def takes(self, requirement: Requirement, extras: Iterable[str] = ()) -> bool:
-        """Whether the requirement's marker matches this system, with one of the requested extras."""
+    def matches(self, requirement: Requirement, extras: Iterable[str] = ()) -> bool:
+        """Return whether the requirement's marker matches this system, with one of the requested extras."""
         marker = requirement.marker
         return marker is None or any(marker.evaluate({**self.environment, "extra": e}) for e in ("", *extras))
 
@@ -114,7 +114,7 @@ def reached(
         requirement, extras = todo.pop()
         name = canonicalize_name(requirement.name)
         wanted = (name, frozenset(requirement.extras))
-        if wanted in seen or not system.takes(requirement, extras):
+        if wanted in seen or not system.matches(requirement, extras):
             continue
         if name not in metadata:
             missing.append(f"{requirement.name}{requirement.specifier}")
@@ -128,7 +128,7 @@ def reached(
 
 def resolve(requirements: list[str], system: System, wheels: Path) -> Versions:
     """Return the versions of all requirements and dependencies on one system."""
-    wanted = [text for text in requirements if system.takes(Requirement(text))]
+    wanted = [text for text in requirements if system.matches(Requirement(text))]
     more: list[str] = []
     while True:
         metadata = ask_pip([_without_marker(text) for text in (*wanted, *more)], system, wheels)
@@ -167,18 +167,18 @@ def main() -> None:
         for system in SYSTEMS:
             whole = resolve([*base, *extras["ros2"]], system, Path(folder))
             plain[system] = whole
-            if any(system.takes(Requirement(text)) for text in extras["ros2"]):
+            if any(system.matches(Requirement(text)) for text in extras["ros2"]):
                 without_ros2 = resolve(base, system, Path(folder))
                 same = [f"{name}=={whole[name]}" for name in without_ros2 if name in whole]
                 plain[system] = resolve([*base, *same], system, Path(folder))
             ros2[system] = {name: version for name, version in whole.items() if name not in plain[system]}
-    own = {
+    kept_markers = {
         str(canonicalize_name(r.name)): f" ; {r.marker}"
         for r in map(Requirement, [*extras["sim"], *extras["dev"]])
         if r.marker
     }
-    write("requirements.lock", plain, own)
-    write("requirements-ros2.lock", ros2, own)
+    write("requirements.lock", plain, kept_markers)
+    write("requirements-ros2.lock", ros2, kept_markers)
 
 
 if __name__ == "__main__":

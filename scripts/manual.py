@@ -1,6 +1,6 @@
-"""The man page midspan(1), generated from the parsers of the command line: `python scripts/manual.py`.
+"""Generates the man page midspan(1) from the command line's parsers: `python scripts/manual.py`.
 
-It is in man(7)'s macros. The Debian package has it (scripts/deb.py).
+It uses the man(7) macros. The Debian package contains it (scripts/deb.py).
 """
 
 from __future__ import annotations
@@ -43,24 +43,24 @@ def page(version: str) -> str:
 
 
 def roff(text: str) -> str:
-    """Escape a text so that it has no request or escape of roff (groff(7))."""
+    """Escape a text, so that it contains no roff request or escape (groff(7))."""
     text = " ".join(text.split()).replace("\\", "\\e").replace("-", "\\-")
     return re.sub(r"^(?=[.'])", "\\\\&", text)
 
 
 def verbs(parser: argparse.ArgumentParser) -> Mapping[str, argparse.ArgumentParser]:
     """Return the subparsers of a parser, by name."""
-    found = [action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    return found[0] if found else {}
+    subparsers = [action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    return subparsers[0] if subparsers else {}
 
 
-def _verb(name: str, parser: argparse.ArgumentParser, said: str) -> Iterator[str]:
+def _verb(name: str, parser: argparse.ArgumentParser, help_text: str) -> Iterator[str]:
     yield f".SS {roff(name)}"
-    yield roff(parser.description or f"{said[:1].upper()}{said[1:]}.")
+    yield roff(parser.description or f"{help_text[:1].upper()}{help_text[1:]}.")
     usage = parser.format_usage().removeprefix("usage: ")
     yield from (".PP", f".B {roff(usage)}", *_arguments(parser))
-    for below, its in verbs(parser).items():
-        yield from _verb(f"{name} {below}", its, _helps(parser).get(below, ""))
+    for subverb, subparser in verbs(parser).items():
+        yield from _verb(f"{name} {subverb}", subparser, _helps(parser).get(subverb, ""))
 
 
 def _helps(parser: argparse.ArgumentParser) -> dict[str, str]:

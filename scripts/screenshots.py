@@ -1,7 +1,7 @@
-"""Pictures of the console: every view at a phone's and a desk's width, light and dark, while the robot drives.
+"""Takes screenshots of the console: every view at phone and desktop width, light and dark, while the robot drives.
 
-`make screenshots` writes those of the docs (docs/operate/console/*.png) anew; with a FOLDER all are written there, to
-be looked at.
+`make screenshots` updates those of the docs (docs/operate/console/*.png); with a FOLDER all screenshots are written
+there for inspection.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ IN_DOCS = {
     "status": ("status", "desk", "light"),
     "topic": ("topics//scan", "desk", "dark"),
 }
-"""File in the docs: view, width and colors."""
+"""File in the docs, with view, width and color scheme."""
 GOALS = ("kitchen", "bedroom")
-"""The robot drives while its pictures are taken."""
+"""The robot's tour during the screenshots."""
 SETTLE_SECONDS = 3.0
-"""In which curves have a beginning."""
+"""Seconds after which plots have enough data."""
 
 
 @contextmanager
 def browser(folder: Path) -> Iterator[Chrome]:
-    """A Chromium without a window."""
+    """Start a headless Chromium."""
     options = ChromeOptions()
     options.binary_location = str(shutil.which("chromium"))
-    for word in ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-dev-shm-usage"):
-        options.add_argument(word)
+    for option in ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-dev-shm-usage"):
+        options.add_argument(option)
     options.add_argument(f"--user-data-dir={folder / 'profile'}")
     chrome = Chrome(options, Service(shutil.which("chromedriver")))
     try:
@@ -56,7 +56,7 @@ def browser(folder: Path) -> Iterator[Chrome]:
 
 
 def picture(chrome: Chrome, address: str, view: str, width: str, colors: str) -> Image.Image:
-    """One view."""
+    """Take a screenshot of one view."""
     across, down = WIDTHS[width]
     device = {"width": across, "height": down, "deviceScaleFactor": 1, "mobile": width == "phone"}
     chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", device)
@@ -76,9 +76,9 @@ def _keep(image: Image.Image, file: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Take them."""
+    """Take the screenshots."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", help="write all pictures there, and leave the docs alone")
+    parser.add_argument("folder", type=Path, nargs="?", help="write all screenshots there, and do not change the docs")
     folder: Path | None = parser.parse_args(arguments).folder
     with tempfile.TemporaryDirectory() as place:
         robot = WebRobot(Path(place))
@@ -86,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             robot.ready()
             with browser(Path(place)) as chrome, TestPage(robot.port) as page:
                 if folder is None:
-                    wanted = [(DOCS / f"{name}.png", *what) for name, what in IN_DOCS.items()]
+                    wanted = [(DOCS / f"{name}.png", *settings) for name, settings in IN_DOCS.items()]
                 else:
                     wanted = [
                         (folder / f"{view.partition('/')[0]}-{width}-{colors}.png", view, width, colors)
@@ -94,10 +94,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         for width in WIDTHS
                         for colors in ("light", "dark")
                     ]
-                for number, (file, *what) in enumerate(wanted):
+                for number, (file, *settings) in enumerate(wanted):
                     if number % 4 == 0:
                         page.call("goto_place", name=GOALS[number // 4 % 2])
-                    _keep(picture(chrome, robot.address, *what), file)
+                    _keep(picture(chrome, robot.address, *settings), file)
         finally:
             robot.close()
     return 0

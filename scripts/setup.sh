@@ -1,12 +1,12 @@
 #!/bin/sh
-# Makes this checkout ready: system packages, virtual environment, locked dependencies, ROS 2 message packages.
-# What is there already is left alone, so a second run takes a second. What apt, pip and the compilers print goes to
-# .cache/setup.log; here stands what is being done, how long that takes, and how far it is. Knows these variables:
-#   PYTHON         the Python to make the virtual environment with (3.11 or newer)
-#   CI=true        whatever cannot be had is an error; Prometheus and nginx, too, for tests
-#   BROWSER=yes    Chromium, too, for the tests of the console
-#   MIDSPAN_CACHE  where built message packages go; default ~/.cache/midspan/interfaces
-# Where /opt/ros/jazzy is sourced, its packages are used and no ROS 2 wheels are installed.
+# Sets up this checkout: system packages, virtual environment, locked dependencies, ROS 2 message packages.
+# Finished steps are skipped, so a second run takes a second. The output of apt, pip and the compilers goes to
+# .cache/setup.log; the terminal shows each step, its duration and its progress. Variables:
+#   PYTHON         the Python for the virtual environment (3.11 or newer)
+#   CI=true        anything unavailable is an error; also installs Prometheus and nginx for tests
+#   BROWSER=yes    also installs Chromium for the tests of the console
+#   MIDSPAN_CACHE  folder of built message packages; default ~/.cache/midspan/interfaces
+# If /opt/ros/jazzy is sourced, its packages are used and no ROS 2 wheels are installed.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -38,13 +38,13 @@ fail() {
     exit 1
 }
 
-# Reads what a command prints into the log; shows how many of its lines begin with a word, of how many.
+# Writes a command's output to the log; shows the number of lines that begin with a word, of an expected total.
 show_progress() {
     count=0 total=$2
     while IFS= read -r line || [ -n "$line" ]; do
         printf '%s\n' "$line" >>"$log"
         case "$line" in
-            *" newly installed"*) # apt: each is got, and set up
+            *" newly installed"*) # apt: each package is downloaded, and set up
                 total=${line#*, }
                 total=$((${total%% *} * 2))
                 ;;
@@ -63,14 +63,14 @@ show_progress() {
     fi
 }
 
-# Runs a command with its output in the log; where it fails, shows the end of it.
-# logged WORD TOTAL COMMAND...: its progress is told by lines that begin with the word
+# Runs a command with its output in the log; if it fails, shows the end of the log.
+# logged WORD TOTAL COMMAND...: lines that begin with the word show its progress
 logged() {
     word=$1 total=$2
     shift 2
     mkdir -p .cache
     if [ -z "$worked" ]; then
-        : >"$log" # of this run alone
+        : >"$log" # only of this run
     fi
     worked=yes
     rm -f .cache/setup-failed
@@ -84,7 +84,7 @@ logged() {
     fi
 }
 
-# Something optional is missing: an error in CI, elsewhere only said.
+# Something optional is missing: an error in CI, otherwise only a message.
 lacking() {
     if [ "${CI:-}" = true ]; then
         fail "$*"
@@ -102,7 +102,7 @@ as_root() {
     fi
 }
 
-# Of the named Debian packages, those that are not installed.
+# Prints which of the given Debian packages are not installed.
 not_installed() {
     installed=" $(dpkg-query -W -f '${db:Status-Status}:${Package}\n' "$@" 2>/dev/null | sed -n 's/^installed://p' | tr '\n' ' ')"
     for package in "$@"; do
@@ -115,7 +115,7 @@ not_installed() {
 
 system_packages() {
     if ! command -v apt-get >/dev/null || ! command -v dpkg-query >/dev/null; then
-        lacking "no apt on this system: ROS 1 (rospy) cannot be installed here; the rest goes on without it"
+        lacking "no apt on this system: ROS 1 (rospy) cannot be installed here; set-up continues without it"
         return
     fi
     # shellcheck disable=SC2086  # lists of words
@@ -123,21 +123,21 @@ system_packages() {
     if [ -z "$missing" ]; then
         return
     fi
-    if [ "$missing" = "$(cat .cache/not-to-be-had 2>/dev/null)" ]; then
-        lacking "still not to be had from apt: $missing(remove .cache/not-to-be-had to try again)"
+    if [ "$missing" = "$(cat .cache/unavailable 2>/dev/null)" ]; then
+        lacking "still unavailable from apt: $missing(remove .cache/unavailable to try again)"
         return
     fi
     if [ "$(id -u)" -ne 0 ] && ! command -v sudo >/dev/null; then
-        lacking "neither root nor sudo: ask for: apt-get install $missing"
+        lacking "neither root nor sudo: ask an administrator for: apt-get install $missing"
         return
     fi
     # shellcheck disable=SC2086  # a list of words
-    say "installing $(set -- $missing && echo $#) Debian packages and what they need (about a minute): $missing"
+    say "installing $(set -- $missing && echo $#) Debian packages and their dependencies (about a minute): $missing"
     logged "no progress" 0 as_root DEBIAN_FRONTEND=noninteractive apt-get -q update || lacking "apt-get update failed"
     known=""
     unknown=""
     for package in $missing; do
-        # of a name that others alone speak of apt-cache says nothing, and is content
+        # apt-cache succeeds without output for a name that only other packages mention
         if [ -n "$(apt-cache show "$package" 2>/dev/null)" ]; then
             known="$known $package"
         else
@@ -156,7 +156,7 @@ system_packages() {
     if [ -n "$unknown" ]; then
         mkdir -p .cache
         # shellcheck disable=SC2086
-        not_installed $tools $ros1 >.cache/not-to-be-had
+        not_installed $tools $ros1 >.cache/unavailable
     fi
 }
 
@@ -191,7 +191,7 @@ packages_in() {
     grep -c == "$1"
 }
 
-# For tests in CI: the programs of a package, unpacked into .cache. The installed package would run a service.
+# For tests in CI: unpacks the programs of a package into .cache, because the installed package would run a service.
 # unpacked PACKAGE PROGRAM MEGABYTES
 unpacked() {
     folder=.cache/$1
@@ -205,12 +205,12 @@ unpacked() {
         (cd "$folder/deb" && apt-get -q download "$1") >/dev/null 2>&1 || lacking "apt-get could not download $1"
     fi
     for file in "$folder/deb/$1"_*.deb; do
-        dpkg-deb -x "$file" "$folder" || lacking "$file cannot be unpacked"
+        dpkg-deb -x "$file" "$folder" || lacking "cannot unpack $file"
     done
     rm -rf "$folder/deb" "$folder/usr/share" "$folder/etc"
 }
 
-# The kernels compiled, of the sources that lie here; without a compiler they run as Python, which does not drive.
+# Compiles the kernels from the sources in this folder; without a compiler they run as Python, which is too slow to drive.
 kernels() {
     if .venv/bin/python -P bridge/kernels.py >/dev/null; then
         return
@@ -224,7 +224,7 @@ setup: install a C compiler and Python's headers (Debian: apt install g++ python
     fi
 }
 
-# The virtual environment with everything locked in it; remembers in a file what it was made from.
+# Creates the virtual environment with all locked packages; a file in it records what it was created from.
 environment() {
     source=$(ros2_source)
     made_for="$PWD $source"
@@ -235,30 +235,30 @@ environment() {
     rm -f .venv/midspan-setup
     if ! [ "$made_for" = "$(cat .venv/midspan-place 2>/dev/null)" ] || ! .venv/bin/python -c '' 2>/dev/null; then
         python=$(find_python)
-        say "making .venv with $python ($("$python" -V))"
+        say "creating .venv with $python ($("$python" -V))"
         "$python" -m venv --clear .venv
         printf '%s\n' "$made_for" >.venv/midspan-place
     fi
     say "installing $(packages_in requirements.lock) Python packages (half a minute)"
     pip_install "$(packages_in requirements.lock)" -r requirements.lock || fail "pip could not install requirements.lock"
     if [ "$source" != wheels ]; then
-        say "using the ROS 2 that is sourced ($AMENT_PREFIX_PATH)"
+        say "using the sourced ROS 2 ($AMENT_PREFIX_PATH)"
     elif say "installing ROS 2 Jazzy: $(packages_in requirements-ros2.lock) packages (a minute)" &&
         ! pip_install "$(packages_in requirements-ros2.lock)" -r requirements-ros2.lock; then
         lacking "the ROS 2 wheels cannot be installed here (see above): ROS 2 (DDS) is left out; or source /opt/ros/jazzy"
         made_from=""
     fi
-    kernels # before pip does it, which tells nothing
-    # compat: one line in a .pth file, which also sees packages that are added later
+    kernels # before pip, which would show no progress
+    # compat: one line in a .pth file, which also finds packages that are added later
     say "installing Midspan itself, from this folder"
     pip_install 1 --no-build-isolation --config-settings editable_mode=compat --editable . || fail "pip could not install Midspan"
     printf '%s\n' "$made_from" >.venv/midspan-setup
 }
 
-# Midspan's own bytecode, which pip compiles for its packages alone: where PYTHONDONTWRITEBYTECODE is set, each of seven
-# processes would else compile what it imports at each start (0.2 s of 0.65 s), and everywhere at the first.
+# Compiles Midspan's bytecode, because pip does so only for its packages: with PYTHONDONTWRITEBYTECODE, each of seven
+# processes would compile its imports at each start (0.2 s of 0.65 s); without it, at the first.
 bytecode() {
-    .venv/bin/python -m compileall -q -j 2 bridge navigation sim yarp_compat >/dev/null 2>&1 || true # a folder read alone
+    .venv/bin/python -m compileall -q -j 2 bridge navigation sim yarp_compat >/dev/null 2>&1 || true # the folder may be read-only
 }
 
 system_packages
@@ -268,7 +268,7 @@ environment
 kernels
 bytecode
 if .venv/bin/python -c 'import rclpy' 2>/dev/null; then
-    # tells by itself what it builds
+    # it reports its own progress
     .venv/bin/midspan interfaces build >/dev/null
 fi
 if [ -n "$worked" ]; then

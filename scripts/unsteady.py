@@ -1,7 +1,7 @@
-"""Runs the tests that failed in a run of `make test` or `make test-all` once more, one after the other.
+"""Reruns the tests that failed in `make test` or `make test-all`, one after the other.
 
-One that fails again, or a run in which many failed, is red. One that passes now is UNSTEADY: its traceback is above,
-its name at the end, with the seed of the order in which it failed. Each is a defect, of the test or of Midspan.
+The result is red if a test fails again, or if many tests failed. A test that passes now is UNSTEADY: its traceback is
+above, its name at the end, with the seed of the order in which it failed. Each is a defect, of the test or of Midspan.
 CONTRIBUTING.md ("Unsteady tests") has the rules.
 """
 
@@ -17,19 +17,19 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / ".cache" / "pytest"
-"""The ``cache_dir`` of the pytest runs before."""
+"""The ``cache_dir`` of the earlier pytest runs."""
 
 SEED = "midspan/seed"
-"""Name of the order's seed in that cache; tests/conftest.py writes it."""
+"""Name of the order's seed in that cache, written by tests/conftest.py."""
 
 MOST = 5
-"""So many failed tests of a run may be races."""
+"""Maximum number of failed tests that may be races."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run them; return 1 if one fails again."""
-    parser = argparse.ArgumentParser(prog="scripts/unsteady.py", description="Run failed tests once more.")
-    parser.add_argument("--kept", type=Path, default=KEPT, help="cache_dir of the pytest runs before")
+    """Rerun the failed tests; return 1 if one fails again."""
+    parser = argparse.ArgumentParser(prog="scripts/unsteady.py", description="Rerun failed tests.")
+    parser.add_argument("--kept", type=Path, default=KEPT, help="cache_dir of the earlier pytest runs")
     values = parser.parse_args(arguments).kept / "v"
     failed = sorted(_value(values / "cache" / "lastfailed") or ())
     if not 0 < len(failed) <= MOST:  # none: the run failed for another reason
@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if subprocess.run(pytest, cwd=ROOT, check=False).returncode:
         return 1
     order = f"--randomly-seed={_value(values / SEED)}"
-    print(f"UNSTEADY, to be mended: {len(failed)} failed in the whole run ({order}) and passed now", end="\n  ")
+    print(f"UNSTEADY, to be fixed: {len(failed)} failed in the whole run ({order}) and passed now", end="\n  ")
     print(*failed, sep="\n  ")
     return 0
 

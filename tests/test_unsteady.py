@@ -37,7 +37,7 @@ def test_one_that_passes_by_itself_is_named(tmp_path: Path) -> None:
     done = run(tmp_path, f"{test}::test_it")
     assert done.returncode == 0, done.stdout
     assert done.stdout.splitlines()[-2:] == [
-        "UNSTEADY, to be mended: 1 failed in the whole run (--randomly-seed=7) and passed now",
+        "UNSTEADY, to be fixed: 1 failed in the whole run (--randomly-seed=7) and passed now",
         f"  {test}::test_it",
     ]
 

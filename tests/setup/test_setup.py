@@ -106,7 +106,7 @@ def test_prometheus_and_nginx_are_unpacked_once_and_only_in_ci(tmp_path: Path) -
 
 LACKING: list[tuple[str, dict[str, bool | int], dict[str, str], str]] = [
     ("no apt", {"apt": False}, {}, "no apt on this system"),
-    ("no root", {"user": 1000}, {"NOT_INSTALLED": "python3-rospy"}, "ask for: apt-get install python3-rospy"),
+    ("no root", {"user": 1000}, {"NOT_INSTALLED": "python3-rospy"}, "administrator for: apt-get install python3-rospy"),
     (
         "not in the archive",
         {},
