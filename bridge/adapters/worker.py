@@ -22,6 +22,7 @@ from bridge.config.sections.routing import RoutingSection
 from bridge.config.sections.section import SideSection
 from bridge.hub import opening, shared_memory
 from bridge.hub.control import Handler
+from bridge.hub.daemons import identity_of
 from bridge.hub.diagnostics import heard
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings, follow_clock
@@ -191,6 +192,7 @@ class NetworkBridge:
                 worker=name,
                 max_payload=config.limits.message_bytes,
                 lane=lane_folder(config),
+                identity=identity_of(config),
             )
         )
         edge.clock = RunClock(simulated=config.clock.simulated)

@@ -1,8 +1,8 @@
 """The control plane: questions and answers in JSON between Midspan's own programs, as zenoh queries.
 
 A worker answers on ``@midspan/<domain>/<daemon>/<worker>/<verb>``. The answer is ``{"value": ...}`` or
-``{"error": "..."}``, with ``wire``, the version of `bridge.hub.wire.version`. Subscribers of ``**`` do
-not receive keys that start with ``@``.
+``{"error": "..."}``, with ``wire``, the version of `bridge.hub.wire.version`, and ``daemon``, its daemon's identity
+(`bridge.hub.daemons`). Subscribers of ``**`` do not receive keys that start with ``@``.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Any
 import zenoh
 
 from bridge.concurrency import WorkerPool
+from bridge.hub.daemons import DaemonIdentity, read_identity
 from bridge.hub.errors import HubError
 from bridge.hub.graph.tokens import MIDSPAN_SPACE
 from bridge.hub.wire.version import WIRE, refusal
@@ -30,6 +31,9 @@ Handler = Callable[[dict[str, Any]], Any]
 RECORDED = {"recorded": True}
 """What a recorder answers to ``halt``: it moves nothing, and keeps what led to the halt."""
 
+WHO = {"who": True}
+"""Parameters for which the answer to any verb has only the daemon's identity."""
+
 _MAX_PENDING = 64
 _MAX_QUESTION = 1 << 20
 _MAX_ANSWERS = 1000
@@ -38,20 +42,29 @@ _THREADS = 2
 
 @dataclass(frozen=True, slots=True)
 class WorkerAnswer:
-    """One worker's answer; ``error`` is "" if ``value`` is valid. ``session`` is the id of the worker's session."""
+    """One worker's answer; ``error`` is "" if ``value`` is valid.
+
+    ``session`` is the id of the worker's session, ``identity`` that of its daemon, None from an earlier release.
+    """
 
     daemon: str
     worker: str
     value: Any
     error: str = ""
     session: str = field(default="", compare=False)
+    identity: DaemonIdentity | None = field(default=None, compare=False)
 
 
 class Control:
     """Answers for one worker. Handlers run on separate threads, never on zenoh's."""
 
-    def __init__(self, session: zenoh.Session, domain: int, daemon: str, worker: str) -> None:
+    def __init__(
+        self, session: zenoh.Session, domain: int, daemon: str, worker: str, identity: DaemonIdentity | None = None
+    ) -> None:
         self._session = session
+        self._envelope: dict[str, Any] = {"wire": WIRE}
+        if identity is not None:
+            self._envelope["daemon"] = identity.as_dict()
         self._space = f"{MIDSPAN_SPACE}/{domain}"
         self._me = f"{daemon}/{worker}"
         self._pending = BoundedSemaphore(_MAX_PENDING)
@@ -69,7 +82,7 @@ class Control:
             if self._pending.acquire(blocking=False):
                 self._pool.submit(lambda: self._reply(query, key, handler))
             else:
-                _reply(query, key, _error("too many questions at once; ask again later"))
+                _reply(query, key, self._error("too many questions at once; ask again later"))
 
         asked = zenoh.handlers.Callback(enqueue, indirect=False)
         serving = self._session.declare_queryable(key, asked, complete=True)
@@ -88,9 +101,24 @@ class Control:
 
     def _reply(self, query: zenoh.Query, key: str, handler: Handler) -> None:
         try:
-            _reply(query, key, _answer(handler, query))
+            _reply(query, key, self._answer(handler, query))
         finally:
             self._pending.release()
+
+    def _answer(self, handler: Handler, query: zenoh.Query) -> bytes:
+        try:
+            params = _params(query)
+            value = None if params == WHO else handler(params)
+            return json.dumps({**self._envelope, "value": value}).encode()
+        except HubError as err:
+            return self._error(str(err))
+        except Exception as err:
+            # whatever the handler met, the asker gets an answer and the thread lives on
+            _log.warning("question %s failed", query.key_expr, exc_info=True)
+            return self._error(str(err) or type(err).__name__)
+
+    def _error(self, text: str) -> bytes:
+        return json.dumps({**self._envelope, "error": text}).encode()
 
 
 def ask(
@@ -113,21 +141,6 @@ def ask(
 
 def _session(reply: zenoh.Reply) -> str:
     return "" if reply.replier_id is None else str(reply.replier_id.zid)
-
-
-def _answer(handler: Handler, query: zenoh.Query) -> bytes:
-    try:
-        return json.dumps({"wire": WIRE, "value": handler(_params(query))}).encode()
-    except HubError as err:
-        return _error(str(err))
-    except Exception as err:
-        # whatever the handler met, the asker gets an answer and the thread lives on
-        _log.warning("question %s failed", query.key_expr, exc_info=True)
-        return _error(str(err) or type(err).__name__)
-
-
-def _error(text: str) -> bytes:
-    return json.dumps({"wire": WIRE, "error": text}).encode()
 
 
 def _params(query: zenoh.Query) -> dict[str, Any]:
@@ -160,6 +173,7 @@ def _read(sample: zenoh.Sample) -> WorkerAnswer:
         answer = json.loads(sample.payload.to_bytes())
         if why := refusal(answer.get("wire")):
             return WorkerAnswer(daemon, worker, None, f"{daemon}/{worker} cannot be understood: {why}")
-        return WorkerAnswer(daemon, worker, answer.get("value"), str(answer.get("error", "")))
+        identity = read_identity(answer.get("daemon"))
+        return WorkerAnswer(daemon, worker, answer.get("value"), str(answer.get("error", "")), identity=identity)
     except (ValueError, AttributeError, RecursionError):
         return WorkerAnswer(daemon, worker, None, "the answer is not JSON")

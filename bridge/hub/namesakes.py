@@ -1,30 +1,38 @@
-"""Other machines on the hub whose daemons have the same name as this one's, so that their keys are the same."""
+"""Several daemons on one hub with one name, so that their keys are the same."""
 
 from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import zenoh
 
-from bridge.hub.control import ask
+from bridge.hub.control import WHO, WorkerAnswer, ask
+from bridge.hub.daemons import DaemonIdentity
 from bridge.hub.links import MEMBERS
 
 _log = logging.getLogger(__name__)
 
 _EVERY = 10.0
 _ANSWER_SECONDS = 1.0
+_WHO_SECONDS = 0.5
+"""Shorter, as a worker that hangs must not delay the router's heartbeat."""
+
+Routers = dict[str, frozenset[str]]
+"""The sessions that are linked with each router, by the router's id."""
 
 
 class Namesakes:
-    """Searches the hub for routers of other daemons with this daemon's name.
+    """Searches the hub for other daemons with this daemon's name.
 
     Attributes:
-        warning: the routers found, with the cure; "" without any.
+        warning: the daemons found, with the cure; "" without any.
     """
 
-    def __init__(self, session: zenoh.Session, domain: int, daemon: str) -> None:
-        self._session, self._domain, self._daemon = session, domain, daemon
+    def __init__(self, session: zenoh.Session, domain: int, daemon: str, own: DaemonIdentity | None) -> None:
+        self._session, self._domain, self._daemon, self._own = session, domain, daemon, own
         self._due = 0.0
         self.warning = ""
 
@@ -34,22 +42,108 @@ class Namesakes:
         if now < self._due:
             return
         self._due = now + _EVERY
-        own = str(self._session.zid())
-        answers = ask(self._session, self._domain, MEMBERS, {}, self._daemon, "router", _ANSWER_SECONDS)
-        values = [answer.value for answer in answers if isinstance(answer.value, dict)]
-        routers = {str(value.get("zid")): str(value.get("machine", "")) for value in values}
-        others = [f"{machine or 'a machine'} (router {zid[:8]})" for zid, machine in routers.items() if zid != own]
-        warning = self._text(others)
+        others = sorted(self._others())
+        warning = namesake_warning(", ".join(others), self._daemon) if others else ""
         if warning and warning != self.warning:
             _log.warning("%s", warning)
         elif self.warning and not warning:
-            _log.info("no other machine on the hub has a daemon named %r now", self._daemon)
+            _log.info("no other daemon on the hub is named %r now", self._daemon)
         self.warning = warning
 
-    def _text(self, others: list[str]) -> str:
-        if not others:
-            return ""
-        return (
-            f"{', '.join(sorted(others))} on this hub also has a daemon named {self._daemon!r}: commands for one reach"
-            " both; set another 'name' in one of the configurations"
-        )
+    def _others(self) -> set[str]:
+        """Return the machines with a router of this name, and the state folders of daemons at this router."""
+        own = str(self._session.zid())
+        answers = ask(self._session, self._domain, MEMBERS, {}, self._daemon, "router", _ANSWER_SECONDS)
+        values = [answer.value for answer in answers if isinstance(answer.value, dict)]
+        machines = {str(value.get("zid")): str(value.get("machine", "")) for value in values}
+        others = {f"{machine or 'a machine'} (router {zid[:8]})" for zid, machine in machines.items() if zid != own}
+        routers = _routers(answers).get(self._daemon, {})
+        theirs = {session for zid, sessions in routers.items() if zid != own for session in sessions}
+        workers = ask(self._session, self._domain, "status", WHO, self._daemon, "*", _WHO_SECONDS)
+        here = {worker.identity for worker in workers if worker.identity and worker.session not in theirs}
+        return others | {identity.place for identity in here if self._own and identity.instance != self._own.instance}
+
+
+def namesake_warning(others: str, daemon: str) -> str:
+    """Return the text on other daemons with a daemon's name."""
+    return (
+        f"{others} on this hub also has a daemon named {daemon!r}: commands for one reach both; set another 'name' in"
+        " one of the configurations"
+    )
+
+
+class DaemonNames:
+    """Distinct names of the daemons on a hub: answers of two with one name get different ones.
+
+    The own daemon keeps its name. Another one has in addition its router's id or, at the same router, its state folder.
+
+    Args:
+        status: answers to ``status``, at least those of the routers.
+        own_session: a session at the own router.
+        own: instances that the own daemon may have, the likeliest first.
+    """
+
+    def __init__(self, status: Sequence[WorkerAnswer], own_session: str, own: Sequence[str] = ()) -> None:
+        self._routers, self._session, self._candidates = _routers(status), own_session, own
+        self._here: dict[str, dict[str, DaemonIdentity]] = {}
+        self._add(status)
+
+    def apply(self, answers: Sequence[WorkerAnswer]) -> list[WorkerAnswer]:
+        """Return the answers with distinct names of their daemons."""
+        self._add(answers)
+        return [self._named(answer) for answer in answers]
+
+    def several(self) -> dict[str, list[str]]:
+        """Return the names that several daemons have, each with the places of these daemons."""
+        places: dict[str, set[str]] = {}
+        for name in self._routers.keys() | self._here.keys():
+            routers, here = self._routers.get(name, {}), self._here.get(name, {})
+            places[name] = {f"router {zid[:8]}" for zid in routers if len(routers) > 1}
+            places[name] |= {identity.place for identity in here.values() if len(here) > 1}
+        return {name: sorted(found) for name, found in sorted(places.items()) if found}
+
+    def _add(self, answers: Iterable[WorkerAnswer]) -> None:
+        """Note the daemons, except those at other routers that have a daemon of their name."""
+        for answer in answers:
+            if answer.identity is not None and not self._router(answer):
+                self._here.setdefault(answer.daemon, {})[answer.identity.instance] = answer.identity
+
+    def _router(self, answer: WorkerAnswer) -> str:
+        """Return the router of a daemon of the same name that the own session is not at; "" for other answers."""
+        routers = self._routers.get(answer.daemon, {})
+        if len(routers) > 1:
+            for zid, sessions in routers.items():
+                if answer.session in sessions and self._session not in sessions:
+                    return zid
+        return ""
+
+    def _named(self, answer: WorkerAnswer) -> WorkerAnswer:
+        if zid := self._router(answer):
+            return replace(answer, daemon=f"{answer.daemon} (router {zid[:8]})")
+        here, identity = self._here.get(answer.daemon, {}), answer.identity
+        own = next((instance for instance in self._candidates if instance in here), "")
+        if identity is None or identity.instance == own or len(here) < 2:
+            return answer
+        return replace(answer, daemon=f"{answer.daemon} ({identity.place})")
+
+
+def own_answers(answers: Sequence[WorkerAnswer], own_session: str, own: DaemonIdentity | None) -> list[WorkerAnswer]:
+    """Return the answers to ``status`` without those of other daemons that have the own one's name."""
+    names = DaemonNames(answers, own_session, [own.instance] if own else ())
+    return [
+        answer
+        for answer, named in zip(answers, names.apply(answers), strict=True)
+        if answer.daemon == named.daemon
+        and (own is None or answer.identity is None or answer.identity.instance == own.instance)
+    ]
+
+
+def _routers(answers: Iterable[WorkerAnswer]) -> dict[str, Routers]:
+    """Return the routers by the names of their daemons, from their answers to ``status`` or ``members``."""
+    routers: dict[str, Routers] = {}
+    for answer in answers:
+        if answer.worker == "router" and isinstance(answer.value, dict) and answer.value.get("zid"):
+            zid, members = str(answer.value["zid"]), answer.value.get("members")
+            sessions = frozenset({zid, *map(str, members if isinstance(members, list) else ())})
+            routers.setdefault(answer.daemon, {})[zid] = sessions
+    return routers

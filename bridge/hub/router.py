@@ -22,6 +22,7 @@ import zenoh
 from bridge.config.model import Config
 from bridge.config.rules import commands
 from bridge.hub.control import Control
+from bridge.hub.daemons import identity_of
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.identity import ask_identity, identity, identity_key
 from bridge.hub.links import MEMBERS
@@ -134,6 +135,7 @@ class RouterWorker(Worker):
         self._session: zenoh.Session | None = None
         self._control: Control | None = None
         self._namesakes: Namesakes | None = None
+        self._watch: zenoh.Session | None = None  # in standby, at the router that is used
         self._other = ""
         self._started = time.monotonic()
         self._process = psutil.Process()
@@ -180,7 +182,8 @@ class RouterWorker(Worker):
         if session is None:
             session = self._take_over(self._config)
         if session is None:
-            return Health("standby", f"{self._other} is used{self._door_text()}")
+            warning = self._standby_warning(self._config)
+            return Health("standby", f"{self._other} is used{self._door_text()}{warning}")
         if not list(session.get(identity_key(str(session.zid())), timeout=_ANSWER_SECONDS)):
             raise TimeoutError(f"the router does not answer within {_ANSWER_SECONDS:g} s")
         if self._namesakes is not None:
@@ -191,6 +194,7 @@ class RouterWorker(Worker):
     def stop(self) -> None:
         """Close the router; its peers keep their direct links."""
         self._close_door()
+        self._close_watch()
         control, self._control = self._control, None
         session, self._session = self._session, None
         if control is not None:
@@ -250,6 +254,23 @@ class RouterWorker(Worker):
                 )
         return self._session
 
+    def _standby_warning(self, config: Config) -> str:
+        """Return what other daemons with this daemon's name are at the router that is used, for the state's text."""
+        if self._watch is None:
+            try:
+                self._watch = zenoh.open(client_session_config(config.hub.listen, config.hub.zenoh, _ANSWER_SECONDS))
+            except zenoh.ZError:  # the router has just left
+                return ""
+            self._namesakes = Namesakes(self._watch, config.hub.domain, config.name, identity_of(config))
+        assert self._namesakes is not None
+        self._namesakes.check()
+        return f"; {self._namesakes.warning}" if self._namesakes.warning else ""
+
+    def _close_watch(self) -> None:
+        watch, self._watch = self._watch, None
+        if watch is not None:
+            watch.close()  # type: ignore[no-untyped-call]
+
     def _open(self, config: Config) -> None:
         hub = config.hub
         try:
@@ -258,8 +279,10 @@ class RouterWorker(Worker):
         except HubError as err:
             raise RuntimeError(f"hub.router_zenoh: {err}") from None
         session = open_session(zenoh_config)
+        self._close_watch()
         self._session = session
-        self._control = Control(session, hub.domain, config.name, "router")
+        own = identity_of(config)
+        self._control = Control(session, hub.domain, config.name, "router", own)
         answer = identity(config.name, os.getpid())
         key = identity_key(str(session.zid()))
 
@@ -275,7 +298,7 @@ class RouterWorker(Worker):
                 "zid": zid, "members": _members(session), "peers": _members(session, peers=True), "machine": machine,
             },
         )  # fmt: skip
-        self._namesakes = Namesakes(session, hub.domain, config.name)
+        self._namesakes = Namesakes(session, hub.domain, config.name, own)
         self._control.serve("status", lambda _params: self._status(config, session))
         self._process.cpu_percent()
 

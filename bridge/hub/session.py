@@ -19,6 +19,7 @@ import zenoh
 from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE, RunClock
 from bridge.concurrency import DelayedCalls, SerialExecutor
 from bridge.hub.control import Control, Handler, WorkerAnswer, ask
+from bridge.hub.daemons import DaemonIdentity
 from bridge.hub.endpoints.calls import Call
 from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
@@ -72,6 +73,7 @@ class HubSettings:
         max_payload: bytes of the largest message.
         max_tokens: endpoints and nodes that the graph holds at most.
         lane: folder of the sockets for small messages to other sessions with the same folder; None: zenoh only.
+        identity: the daemon that the worker belongs to, None for a program outside of a daemon.
     """
 
     domain: int = 0
@@ -85,6 +87,7 @@ class HubSettings:
     max_payload: int = MAX_PAYLOAD
     max_tokens: int = 50_000
     lane: str | Path | None = None
+    identity: DaemonIdentity | None = None
 
     def __post_init__(self) -> None:
         """Refuse names that a key cannot contain."""
@@ -231,7 +234,7 @@ class Hub:
         self._spaces: list[KeySpace] = []
         self._origin: tuple[Origin, Callable[[], None]] | None = None
         self._node = NodeToken(settings.domain, self.zid, str(next(session.ids)), settings.namespace, settings.node)
-        self._control = Control(self._session, settings.domain, settings.daemon, settings.worker)
+        self._control = Control(self._session, settings.domain, settings.daemon, settings.worker, settings.identity)
         self._executor = SerialExecutor("hub-executor")
         self._asking = SerialExecutor("hub-asking")
         self._heartbeats = DelayedCalls("hub-heartbeats")

@@ -10,7 +10,9 @@ import zenoh
 
 from bridge.config.model import Config
 from bridge.hub.control import WorkerAnswer
+from bridge.hub.daemons import identity_of
 from bridge.hub.errors import HubError, zenoh_reason
+from bridge.hub.namesakes import own_answers
 from bridge.hub.session import Hub, HubSession, HubSettings
 from bridge.hub.zenoh_config import client_session_config
 from bridge.metrics.source import ASK_SECONDS
@@ -54,8 +56,9 @@ class HubLink:
             self._error = f"hub.zenoh: {err}"
             return None
         settings = HubSettings(
-            domain=hub.domain, node=f"midspan_{self._worker}", daemon=self._config.name, worker=self._worker
-        )
+            domain=hub.domain, node=f"midspan_{self._worker}", daemon=self._config.name, worker=self._worker,
+            identity=identity_of(self._config),
+        )  # fmt: skip
         node = Hub(HubSession(session, settings), settings)
         if (status := self._status) is not None:
             node.serve("status", lambda _params: status())
@@ -72,7 +75,8 @@ class HubLink:
         try:
             if not session.info.routers_zid():  # zenoh keeps reconnecting
                 raise HubError(f"the router at {self._config.hub.listen} is unreachable")
-            return hub.ask("status", {}, daemon=self._config.name, timeout=ASK_SECONDS)
+            answers = hub.ask("status", {}, daemon=self._config.name, timeout=ASK_SECONDS)
+            return own_answers(answers, hub.zid, identity_of(self._config))
         except zenoh.ZError as err:
             raise HubError(zenoh_reason(err)) from None
 

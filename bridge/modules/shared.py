@@ -5,6 +5,7 @@ from __future__ import annotations
 from threading import Lock
 
 from bridge.config.model import Config
+from bridge.hub.daemons import identity_of
 from bridge.hub.diagnostics import heard
 from bridge.hub.errors import HubClosedError
 from bridge.hub.session import Hub, HubSession, HubSettings
@@ -25,6 +26,7 @@ def hub_settings(config: Config, node: str, worker: str) -> HubSettings:
         worker=worker,
         max_payload=config.limits.message_bytes,
         lane=lane_folder(config),
+        identity=identity_of(config),
     )
 
 

@@ -15,7 +15,9 @@ from bridge.cli.messages import Types
 from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.hub.control import WorkerAnswer
+from bridge.hub.daemons import identity_of
 from bridge.hub.diagnostics import announce, heard
+from bridge.hub.namesakes import own_answers
 from bridge.messages.registry import Registry
 from bridge.metrics.endpoint import MetricsRoutes
 from bridge.metrics.source import ASK_SECONDS, Source
@@ -189,7 +191,9 @@ class Console:
 
     def _ask_workers(self) -> list[WorkerAnswer]:
         """The status of this daemon's workers, on a thread of the server's that may wait."""
-        return self.host.node.hub.ask("status", {}, daemon=self.host.config.name, timeout=ASK_SECONDS)
+        hub, config = self.host.node.hub, self.host.config
+        answers = hub.ask("status", {}, daemon=config.name, timeout=ASK_SECONDS)
+        return own_answers(answers, hub.zid, identity_of(config))
 
     def _stand(self) -> None:
         self._hold.stop()

@@ -12,6 +12,7 @@ from typing import Any
 import zenoh
 
 from bridge.config.sections.routing import RoutingSection
+from bridge.hub.daemons import DaemonIdentity
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.graph.tokens import MIDSPAN_SPACE
 from bridge.hub.session import Hub
@@ -48,8 +49,12 @@ def status(worker: str, **more: Any) -> dict[str, Any]:
 class FakeWorker:
     """Serves prepared answers to any verb of the control plane."""
 
-    def __init__(self, network: HubNetwork, worker: str, daemon: str = "robot1", **answers: Any) -> None:
-        self.hub = Hub.open(network.settings(f"midspan_{worker}", worker=worker, daemon=daemon))
+    def __init__(
+        self, network: HubNetwork, worker: str, daemon: str = "robot1", identity: DaemonIdentity | None = None,
+        **answers: Any,
+    ) -> None:  # fmt: skip
+        settings = network.settings(f"midspan_{worker}", worker=worker, daemon=daemon, identity=identity)
+        self.hub = Hub.open(settings)
         self.kept: list[Any] = []
         for verb, answer in answers.items():
             self.hub.serve(verb, answer if callable(answer) else _constant(answer))

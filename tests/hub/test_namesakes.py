@@ -1,21 +1,29 @@
-"""Two joined machines whose daemons have the same name."""
+"""Two daemons of one name: on two joined machines, and at one router."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
+import zenoh
 
-from bridge.cli.inspection.namesakes import distinct
 from bridge.config.model import Config
 from bridge.hub import namesakes
 from bridge.hub.control import WorkerAnswer
+from bridge.hub.daemons import DaemonIdentity, identity_of, read_identity
+from bridge.hub.namesakes import DaemonNames, own_answers
 from bridge.hub.router import RouterWorker
 from bridge.hub.session import Hub, HubSettings
+from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, router_tree
 from tests.support.ports import free_port
 from tests.support.wait import until
+
+
+def distinct(answers: list[WorkerAnswer], own_session: str) -> list[WorkerAnswer]:
+    return DaemonNames(answers, own_session).apply(answers)
 
 
 class Machine:
@@ -103,3 +111,88 @@ def test_another_machine_sees_both_apart() -> None:
 def test_invalid_answers_are_passed_on(value: object) -> None:
     answers = [WorkerAnswer("robot1", "router", value), WorkerAnswer("robot1", "router", {"zid": "b"})]
     assert [answer.value for answer in distinct(answers, "")] == [value, {"zid": "b"}]
+
+
+class Daemon:
+    """A daemon with its router, and a worker ``ros1`` that answers ``status``; the endpoint may be shared."""
+
+    def __init__(self, stack: ExitStack, endpoint: str, folder: Path, number: int, name: str = "robot1") -> None:
+        folder.mkdir(exist_ok=True)
+        self.config = Config.model_validate({"name": name, "state": folder, "hub": {"listen": endpoint}})
+        identity = identity_of(self.config)
+        assert identity is not None
+        self.identity = identity
+        self.router = RouterWorker()
+        self.router.start(self.config)
+        stack.callback(self.router.stop)
+        settings = HubSettings(router=endpoint, node="midspan_ros1", worker="ros1", daemon=name, identity=identity)
+        self.hub = Hub.open(settings)
+        stack.callback(self.hub.close)
+        self.hub.serve("status", lambda _params: {"number": number})
+
+    def warning(self) -> str:
+        """Return what the router reports, in its state's text in standby, else in its status document."""
+        text = self.router.health().text
+        documents = [a.value for a in self.hub.ask("status", {}, worker="router")]
+        return "; ".join([text, *(warning for document in documents for warning in document["warnings"])])
+
+    def numbers(self) -> dict[str, int]:
+        """Return the numbers that the workers ``ros1`` report, by the distinct names of their daemons."""
+        answers = self.hub.ask("status", {})
+        names = DaemonNames(answers, self.hub.zid, [self.identity.instance])
+        return {each.daemon: each.value["number"] for each in names.apply(answers) if each.worker == "ros1"}
+
+
+@pytest.mark.parametrize("router", ["Midspan's", "another"])
+def test_a_second_daemon_of_the_name_at_the_same_router(
+    router: str, stack: ExitStack, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    if router == "another":
+        foreign = zenoh.open(make_config(router_tree([endpoint], max_payload=MAX_PAYLOAD), None))
+        stack.callback(foreign.close)
+    first = Daemon(stack, endpoint, tmp_path / "a", 1)
+    with ExitStack() as inner:
+        second = Daemon(inner, endpoint, tmp_path / "b", 2)
+        for daemon, other in ((first, second), (second, first)):
+            text = until(lambda d=daemon: "named 'robot1'" in d.warning() and d.warning(), "the router warns")
+            assert "also has a daemon named 'robot1'" in text
+            assert "set another 'name'" in text
+            assert daemon is second or other.identity.place in text
+            numbers = until(lambda d=daemon: len(d.numbers()) == 2 and d.numbers(), "both workers answer")
+            own, others = {first: (1, 2), second: (2, 1)}[daemon]
+            assert numbers == {"robot1": own, f"robot1 ({other.identity.place})": others}
+            answers = daemon.hub.ask("status", {}, daemon="robot1")
+            mine = own_answers(answers, daemon.hub.zid, daemon.identity)
+            assert [answer.value["number"] for answer in mine if answer.worker == "ros1"] == [own]
+        levels = [record.levelno for record in caplog.records if record.name == "bridge.hub.namesakes"]
+        assert levels == [logging.WARNING] * 2, "one line of each router"
+    until(lambda: "robot1'" not in first.warning(), "the warning ends")
+
+
+def test_daemons_of_two_names_and_one_daemons_router_are_not_reported(stack: ExitStack, tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    first = Daemon(stack, endpoint, tmp_path / "a", 1)
+    second = Daemon(stack, endpoint, tmp_path / "a", 2, name="robot2")
+    for daemon, number in ((first, 1), (second, 2)):
+        until(lambda d=daemon: len(d.numbers()) == 2, "both workers answer")
+        assert "also has" not in daemon.warning()
+        assert daemon.numbers()[daemon.config.name] == number
+
+
+def test_workers_without_an_identity_keep_their_name() -> None:
+    a, b = (DaemonIdentity(each, "pc", f"/{each}") for each in "ab")
+    answers = [
+        WorkerAnswer("robot1", "ros1", {}, session=each, identity=of) for each, of in (("1", a), ("2", b), ("3", None))
+    ]
+    names = DaemonNames(answers, "9")
+    assert [answer.daemon for answer in names.apply(answers)] == [
+        "robot1 (state folder /a on pc)", "robot1 (state folder /b on pc)", "robot1",
+    ]  # fmt: skip
+    assert names.several() == {"robot1": ["state folder /a on pc", "state folder /b on pc"]}
+    assert own_answers(answers, "9", b) == answers[1:]
+
+
+@pytest.mark.parametrize("value", [None, [], {}, {"instance": 1, "machine": "", "folder": ""}, {"instance": "a"}])
+def test_an_invalid_identity_is_none(value: object) -> None:
+    assert read_identity(value) is None

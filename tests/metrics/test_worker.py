@@ -6,6 +6,7 @@ import http.client
 import ssl
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from prometheus_client.parser import text_string_to_metric_families as parse
 from bridge.config.document import ConfigError
 from bridge.config.load import loads
 from bridge.config.model import Config
+from bridge.hub.daemons import DaemonIdentity, identity_of
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.tokens import new_token
 from bridge.hub.session import Hub
@@ -108,6 +110,33 @@ def test_both_formats(place: Place) -> None:
     assert status == 200
     assert kind.startswith(OPENMETRICS)
     assert "midspan_route_carry_seconds" in {family.name for family in parse_openmetrics(text)}
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["both", "without its token"])
+def test_another_daemon_of_the_name_is_left_out(place: Place, tmp_path: Path, known: bool) -> None:
+    """A worker of an earlier release announces no daemon, and counts."""
+    settings = replace(place.hubs.settings("ros2", "ros2", "here"), identity=identity(tmp_path) if known else None)
+    own = Hub.open(settings)
+    (tmp_path / "other").mkdir()
+    namesake = Hub.open(replace(place.hubs.settings("yarp", "yarp", "here"), identity=identity(tmp_path / "other")))
+    try:
+        own.serve("status", lambda _params: side(route(), worker="ros2", side="ros2"))
+        namesake.serve("status", lambda _params: side(route(), worker="yarp", side="yarp"))
+        place.start().health()
+
+        def sides() -> set[str]:
+            return {sample.labels["side"] for sample in place.families().get("midspan_side_state", [])}
+
+        until(lambda: len(namesake.ask("status", {}, "here")) >= 3, "all workers answer")
+        until(lambda: "ros2" in sides(), "the own worker is exported", 20)
+        assert sides() == {"ros1", "ros2"}
+    finally:
+        own.close()
+        namesake.close()
+
+
+def identity(folder: Path) -> DaemonIdentity | None:
+    return identity_of(Config.model_validate({"name": "here", "state": folder}))
 
 
 def test_it_responds_without_a_hub_and_joins_it_later(place: Place) -> None:

@@ -108,7 +108,7 @@ def _look_at_hub(config: Config, *, here: bool) -> tuple[Config, HubSnapshot]:
 
 def snapshot(client: CliClient) -> HubSnapshot:
     """Return the hub as this client sees it."""
-    documents = [document_of(answer) for answer in distinct(client.ask("status"), client.hub.zid)]
+    documents = [document_of(answer) for answer in distinct(client, client.ask("status"))]
     client.settle()
     endpoints = [e for e in client.hub.graph.endpoints() if not e.own]
     return HubSnapshot("", documents, endpoints, _clocks(client))

@@ -13,6 +13,7 @@ from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import ASK_SECONDS, CliClient, open_client
 from bridge.cli.documents import Document, arrow, drops_text, port_lines, port_list, route_list, texts, way_text
 from bridge.cli.graph.view import Decision, absolute, decisions_in, endpoint_json, endpoint_text, known_names, unknown
+from bridge.cli.inspection.namesakes import daemon_names
 from bridge.cli.inspection.refusals import refusals
 from bridge.cli.output import CliError, clean, duration, plural, print_json, rate, side_name
 from bridge.config.model import Config
@@ -21,6 +22,7 @@ from bridge.doctor import hub_problems
 from bridge.doctor.hub_problems import Note, absence
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.graph import HubEndpoint
+from bridge.hub.namesakes import DaemonNames
 from bridge.messages.actions import split
 from bridge.routing.rules import ENTRY, RuleSet
 
@@ -71,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
 
 def explain(client: CliClient, topic: str) -> Explanation:
     """Gather the decisions, endpoints and problems of a topic; raises `CliError` if the name is unknown."""
-    answers, documents = _asked(client)
+    answers, documents, namesakes = _asked(client)
     everything = decisions_in(answers)
     decisions = _decisions(everything, topic)
     names = {topic} | {d.hub_topic for d in decisions if d.decision == "bridged"}
@@ -94,21 +96,35 @@ def explain(client: CliClient, topic: str) -> Explanation:
     if decisions or endpoints:  # nothing is decided of a port, such as a module's
         notes += _worker_notes(decisions, documents, {(answer.daemon, answer.worker) for answer in answers})
     notes += [Note(refusal.text, refusal.cure) for refusal in refusals(client, documents) if refusal.topic in names]
-    return Explanation(topic, paired, endpoints, [*planner, *notes], ports)
+    return Explanation(topic, paired, endpoints, [*planner, *notes, *namesakes], ports)
 
 
-def _asked(client: CliClient) -> tuple[list[WorkerAnswer], list[Document]]:
-    """Return the sides' answers to ``explain`` and all status documents; a worker that hangs delays both."""
+def _asked(client: CliClient) -> tuple[list[WorkerAnswer], list[Document], list[Note]]:
+    """Return the sides' answers to ``explain``, all status documents, and notes on daemons with one name.
+
+    A worker that hangs delays both answers.
+    """
     with ThreadPoolExecutor(2) as pool:
         decisions = pool.submit(client.ask, "explain", {"topic": ""})
         status = pool.submit(client.ask, "status")
         client.settle()
+        names = daemon_names(client, status.result())
         documents: list[Document] = [
             {**answer.value, "daemon": answer.daemon, "worker": answer.worker}
-            for answer in status.result()
+            for answer in names.apply(status.result())
             if isinstance(answer.value, dict)
         ]
-        return decisions.result(), documents
+        return names.apply(decisions.result()), documents, _namesakes(names)
+
+
+def _namesakes(names: DaemonNames) -> list[Note]:
+    return [
+        Note(
+            f"{len(places)} daemons on this hub are named {name!r}: {'; '.join(places)}",
+            "set another 'name' in the configuration of one of them",
+        )
+        for name, places in names.several().items()
+    ]
 
 
 def _decisions(everything: Sequence[Decision], topic: str) -> list[Decision]:

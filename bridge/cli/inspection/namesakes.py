@@ -1,33 +1,24 @@
-"""Status documents of daemons that have the same name on several machines."""
+"""Answers of daemons with one name, with distinct names."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
-from bridge.cli.documents import texts
+from bridge.cli.client import CliClient
+from bridge.daemon import units
 from bridge.hub.control import WorkerAnswer
-
-Routers = dict[str, frozenset[str]]
-"""The sessions that are linked with each router, by the router's id."""
-
-
-def distinct(answers: Sequence[WorkerAnswer], own_session: str) -> list[WorkerAnswer]:
-    """Return answers to ``status`` in which no two machines' daemons have the same name.
-
-    The daemon of the machine with ``own_session`` keeps its name; others have their router's id in addition.
-    """
-    routers: dict[str, Routers] = {}
-    for answer in answers:
-        if answer.worker == "router" and isinstance(answer.value, dict) and answer.value.get("zid"):
-            zid = str(answer.value["zid"])
-            sessions = frozenset({zid, *texts(answer.value.get("members"))})
-            routers.setdefault(answer.daemon, {})[zid] = sessions
-    return [_distinct(answer, routers.get(answer.daemon, {}), own_session) for answer in answers]
+from bridge.hub.daemons import identity_of
+from bridge.hub.namesakes import DaemonNames
 
 
-def _distinct(answer: WorkerAnswer, routers: Routers, own_session: str) -> WorkerAnswer:
-    for zid, sessions in routers.items():
-        if len(routers) > 1 and answer.session in sessions and own_session not in sessions:
-            return replace(answer, daemon=f"{answer.daemon} (router {zid[:8]})")
-    return answer
+def daemon_names(client: CliClient, status: Sequence[WorkerAnswer]) -> DaemonNames:
+    """Return the names of the hub's daemons; ``status`` are all answers to ``status``, or those of the routers."""
+    config = client.config
+    places = [config] if config.state else [config, config.model_copy(update={"state": units.STATE})]
+    own = [identity.instance for place in places if (identity := identity_of(place)) is not None]
+    return DaemonNames(status, client.hub.zid, own if client.here else ())
+
+
+def distinct(client: CliClient, status: Sequence[WorkerAnswer]) -> list[WorkerAnswer]:
+    """Return all answers to ``status`` with distinct names of their daemons."""
+    return daemon_names(client, status).apply(status)

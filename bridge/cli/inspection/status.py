@@ -84,7 +84,7 @@ def ask_status(client: CliClient) -> list[Document]:
         if state.life is Life.RUNNING:
             hint = f"The daemon {state.name} is running (process {state.pid}): 'midspan status' lists its workers."
         raise CliError(f"a router answers, but no worker of Midspan does on {client.where}.\n{hint}")
-    return [document_of(answer) for answer in distinct(answers, client.hub.zid)]
+    return [document_of(answer) for answer in distinct(client, answers)]
 
 
 def absent(report: Document, phases: Container[str] = _ABSENT, *, looping: bool = False) -> list[Document]:

@@ -10,8 +10,8 @@ from typing import Any
 
 from bridge.cli.client import CliClient
 from bridge.cli.documents import Document, dicts, route_list
-from bridge.cli.graph.view import ask_decisions
-from bridge.cli.inspection.namesakes import distinct
+from bridge.cli.graph.view import decisions_in
+from bridge.cli.inspection.namesakes import daemon_names, distinct
 from bridge.cli.inspection.status import absent, document_of
 from bridge.cli.output import CliError
 from bridge.concurrency import SerialExecutor
@@ -97,7 +97,7 @@ class StatusAsker:
 def ask_status(client: CliClient) -> dict[str, Any]:
     """Return the workers on the hub with their routes, and those that this daemon reports as not answering yet."""
     answers = client.ask("status", timeout=_ASK_SECONDS)
-    documents = [document_of(answer) for answer in distinct(answers, client.hub.zid)]
+    documents = [document_of(answer) for answer in distinct(client, answers)]
     answering = {(str(document["daemon"]), str(document["worker"])) for document in documents}
     said = ask_daemon(client.config) or {}
     silent = [worker for worker in absent(said, _NOT_HERE) if (said["daemon"], worker["worker"]) not in answering]
@@ -162,5 +162,6 @@ def list_topics(client: CliClient) -> list[dict[str, Any]]:
 
 def explain(client: CliClient, name: str) -> list[dict[str, Any]]:
     """Return why a topic, a service or an action crosses or not."""
-    decisions = ask_decisions(client, name, None)
+    names = daemon_names(client, client.ask("status", worker="router", timeout=_ASK_SECONDS))
+    decisions = decisions_in(names.apply(client.ask("explain", {"topic": name})))
     return [{"side": each.worker, **{key: getattr(each, key) for key in _DECISION}} for each in decisions]

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from bridge.hub.daemons import DaemonIdentity
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
@@ -231,3 +232,27 @@ def test_a_worker_that_hangs_is_named(midspan: Midspan, network: HubNetwork, clo
         assert "YARP (daemon robot1) did not answer within 2 s" in done.err
     finally:
         resume.set()
+
+
+def test_daemons_of_one_name_are_told_apart(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+    for folder, verdict, messages in (("/a", "bridged", 7), ("/b", "denied", 9)):
+        identity = DaemonIdentity(folder, "pc", folder)
+        decision = {"direction": "in", "topic": "/scan", "hub_topic": "/scan", "type": STRING, "decision": verdict}
+        routes = [route("/scan", type=STRING, messages=messages)]
+        closing.append(
+            FakeWorker(
+                network,
+                "ros1",
+                identity=identity,
+                explain=[{**decision, "why": "w"}],
+                status=status("ros1", routes=routes),
+            )
+        )
+    done = midspan("explain", "/scan")
+    lines = done.out.splitlines()
+    assert f"ROS 1 -> hub (daemon robot1 (state folder /a on pc)): /scan ({STRING}) crosses: w." in lines
+    assert f"ROS 1 -> hub (daemon robot1 (state folder /b on pc)): /scan ({STRING}) does not cross: w." in lines
+    assert "7 messages" in done.out
+    assert "9 messages" not in done.out, "it is the other daemon's route"
+    assert "Note: 2 daemons on this hub are named 'robot1': state folder /a on pc; state folder /b on pc." in lines
+    assert "    cure: set another 'name' in the configuration of one of them" in lines

@@ -1,0 +1,61 @@
+"""The daemon that answers on the control plane, by which two daemons with one name can be told apart."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from bridge.config.model import Config
+from bridge.state_file import state_folder
+
+_BOOT = Path("/proc/sys/kernel/random/boot_id")
+_MAX_TEXT = 200
+
+
+@dataclass(frozen=True, slots=True)
+class DaemonIdentity:
+    """A daemon, as its workers and its router describe it in their answers.
+
+    Attributes:
+        instance: identity of its state folder; only one daemon of a name can use that.
+        machine: host name.
+        folder: its state folder.
+    """
+
+    instance: str
+    machine: str
+    folder: str
+
+    @property
+    def place(self) -> str:
+        """For people."""
+        return f"state folder {self.folder} on {self.machine}"
+
+    def as_dict(self) -> dict[str, str]:
+        """Return the object in an answer."""
+        return asdict(self)
+
+
+def identity_of(config: Config) -> DaemonIdentity | None:
+    """Return the identity of a configuration's daemon, None if its state folder does not exist or is unreadable."""
+    folder = state_folder(config).absolute()
+    boot = ""
+    with contextlib.suppress(OSError):
+        boot = _BOOT.read_text().strip()
+    try:
+        status = folder.stat()
+    except OSError:
+        return None
+    machine = socket.gethostname()
+    return DaemonIdentity(f"{boot or machine}-{status.st_dev}-{status.st_ino}", machine, str(folder)[:_MAX_TEXT])
+
+
+def read_identity(value: Any) -> DaemonIdentity | None:
+    """Return the identity in an answer; None without a valid one, as from an earlier release."""
+    if not isinstance(value, dict):
+        return None
+    texts = [text[:_MAX_TEXT] for text in map(value.get, ("instance", "machine", "folder")) if isinstance(text, str)]
+    return DaemonIdentity(*texts) if len(texts) == 3 else None
