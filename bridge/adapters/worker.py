@@ -230,6 +230,7 @@ class NetworkBridge:
         """Return the engine's health; raises `TimeoutError` if the engine hangs."""
         engine = self._running()
         computes = engine.alive()
+        opening.check_pool()
         summary = engine.summary()
         self._diagnostics.publish()
         text = summary.text or engine.edge.away or f"{self.name} is unavailable"

@@ -1,7 +1,8 @@
 """Opens zenoh sessions, without shared memory if this machine has no room for it.
 
 zenoh 1.10 locks its shared memory into RAM. A session with shared memory does not open if ``/dev/shm`` is full. If a
-session's pool finds no room later, zenoh continues on the network link; but without its book-keeping, which it creates
+session's pool finds no room later, zenoh continues on the network link and never tries again: the pool's file keeps its
+full size, but has almost no memory, which `check_pool` reports. But without its book-keeping, which it creates
 for the first large message, each such message raises a Rust panic. So `open_session` creates that first, once in each
 process. A receiver that may not lock a sender's pool (``RLIMIT_MEMLOCK``) loses messages silently, and must not offer
 shared memory either (all observed with 1.10.2).
@@ -19,25 +20,33 @@ import os
 import re
 import sys
 import threading
+import time
 from pathlib import Path
 
 import zenoh
 
 from bridge.hub.errors import zenoh_reason
 from bridge.hub.shared_memory import FOLDER
-from bridge.hub.zenoh_config import without_shared_memory
+from bridge.hub.zenoh_config import POOL, without_shared_memory
 
 _log = logging.getLogger(__name__)
 
 _SWITCH = "transport/shared_memory/enabled"
 _POOL_SIZE = "transport/shared_memory/transport_optimization/pool_size"
 
+_BLOCK = 512
 _BOOKS = 2 << 20
 """Bytes for zenoh's book-keeping in each process (1.3 MB), and for the small files of a session."""
+
+_CHECK_SECONDS = 10.0
+"""Time between two checks of the pool; two must agree, as zenoh may be creating it during one."""
 
 _lock = threading.Lock()
 _books = _noted = False
 _trouble = ""
+_pool = POOL
+_check_due = 0.0
+_empty_pool: Path | None = None
 
 
 def open_session(config: zenoh.Config) -> zenoh.Session:
@@ -47,7 +56,9 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
     """
     if not json.loads(config.get_json(_SWITCH)):
         return zenoh.open(config)
-    size = int(json.loads(config.get_json(_POOL_SIZE))) + _BOOKS
+    global _pool
+    _pool = int(json.loads(config.get_json(_POOL_SIZE)))
+    size = _pool + _BOOKS
     reason = room_trouble(size)
     if not reason and (lock := lock_trouble(size)):
         _note(lock, logging.INFO)  # the default of many systems, and no trouble of this one
@@ -67,6 +78,30 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
 def trouble() -> str:
     """Return why sessions of this process have no room for their shared memory, and the cure; "" if they have."""
     return _trouble
+
+
+def check_pool() -> None:
+    """Report a pool for which zenoh found no room when this process sent its first large message."""
+    global _check_due, _empty_pool
+    now = time.monotonic()
+    with _lock:
+        if _trouble or not _books or now < _check_due:
+            return
+        _check_due = now + _CHECK_SECONDS
+        before, _empty_pool = _empty_pool, next(filter(_is_empty, _mapped_files()), None)
+        confirmed = _empty_pool is not None and _empty_pool == before
+    if confirmed:
+        reason = f"{FOLDER} had no room for the {_pool / 1e6:.0f} MB that a session needs; remove files or enlarge it"
+        _note(reason, logging.WARNING)
+
+
+def _is_empty(file: Path) -> bool:
+    """Whether a file has the size of a pool, but not the memory."""
+    try:
+        status = file.stat()
+    except OSError:
+        return False
+    return status.st_size >= _pool and status.st_blocks * _BLOCK < _pool
 
 
 def _note(reason: str, level: int) -> None:

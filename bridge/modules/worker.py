@@ -122,6 +122,7 @@ class Running:
         if host is None or module is None:
             return Health("waiting", "stopped")
         self._computes = host.loop.computes()
+        opening.check_pool()
         health = self._module_health(module)
         return Health(health.state, "; ".join(filter(None, (self._computes, health.text, host.yarp.trouble()))))
 

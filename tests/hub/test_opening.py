@@ -136,7 +136,8 @@ def test_a_verbs_session_never_uses_shared_memory() -> None:
 
 PROGRAM = """
 import json, os, sys, threading
-from bridge.hub.opening import open_session, trouble
+from bridge.hub import opening
+from bridge.hub.opening import check_pool, open_session, trouble
 from bridge.hub.zenoh_config import make_config, session_tree
 
 case, endpoint = sys.argv[1:]
@@ -161,18 +162,31 @@ receiver.declare_subscriber("large", lambda sample: arrived.release() if len(sam
 publisher = sender.declare_publisher("large")
 if case == "filled later":
     fill(17_000_000)  # room for a pool, and none for its book-keeping
+if case == "filled before the pool":
+    fill(1_000_000)
 received = 0
 for _ in range(200):
     publisher.put(bytes(1_000_000))
     received += arrived.acquire(timeout=0.1)
     if received == 20:  # zenoh creates its pool while it sends the first ones
         break
+opening._CHECK_SECONDS = 0.0
+for _ in range(3):
+    check_pool()
 print(json.dumps([received, trouble()]), flush=True)
 sender.close(), receiver.close()
 """
 
 
-@pytest.mark.parametrize(("case", "trouble"), [("full", "/dev/shm has less room"), ("filled later", "")])
+@pytest.mark.parametrize(
+    ("case", "trouble"),
+    [
+        ("full", "/dev/shm has less room"),
+        ("filled later", ""),
+        ("filled before the pool", "/dev/shm had no room for the 17 MB"),
+        ("plenty of room", ""),
+    ],
+)
 def test_large_messages_arrive_with_a_full_folder(case: str, trouble: str) -> None:
     if not shutil.which("unshare"):
         pytest.skip("needs unshare")
@@ -185,6 +199,7 @@ def test_large_messages_arrive_with_a_full_folder(case: str, trouble: str) -> No
     if ended.returncode in (1, 97) and not ended.stdout and "Traceback" not in ended.stderr:
         pytest.skip("may not mount a separate /dev/shm")
     assert ended.returncode == 0, ended.stderr
+    assert ended.stderr.count("large messages go over the network link") == bool(trouble), "the log has it once"
     received, said = json.loads(ended.stdout.splitlines()[-1])
     assert received == 20
     assert bool(said) == bool(trouble)
