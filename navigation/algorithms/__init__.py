@@ -1,1 +1,1 @@
-"""Pure functions on arrays: no input, no output, nothing of a module's."""
+"""Algorithms on arrays, without input, output or dependence on modules."""

@@ -1,9 +1,9 @@
-"""Shortest ways on a grid: A*, to eight neighbours, without cutting corners.
+"""Shortest paths on a grid: A* with eight neighbors, without cutting corners.
 
-Steps cost 70 straight and 99 diagonally, times the weight of the cell that is entered: whole numbers whose ratio is the
+Steps cost 70 straight and 99 diagonally, times the weight of the cell that is entered: integers whose ratio is the
 square root of two within 5e-5. With them the open list is a ring of buckets instead of a heap, which takes constant
-time (Dial 1969; A*: Hart, Nilsson, Raphael 1968). A diagonal step needs both cells beside it to be free, since a robot
-is no point.
+time (Dial 1969; A*: Hart, Nilsson, Raphael 1968). A diagonal step needs both adjacent cells to be free, since a robot
+is not a point.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 STRAIGHT, DIAGONAL = 70, 99
 MAX_CELLS = 2**28
-"""No grid larger than this is planned on: about 3 GB of memory."""
+"""Larger grids are rejected; this size needs about 3 GB of memory."""
 
 Cell = tuple[int, int]
 Cells = NDArray[np.int32]
@@ -32,7 +32,7 @@ _Cost: Any = cython.fused_type(cython.int, cython.longlong)
 
 @dataclass(frozen=True, eq=False)
 class GridWay:
-    """A way that was found."""
+    """A path on a grid."""
 
     cells: Cells  #: (n, 2) rows and columns, from the start to the goal, both included
     # sum of its steps, each times the weight of the cell that it enters; a straight step into weight 1 is 1
@@ -46,40 +46,40 @@ class GridWay:
 
 
 def astar(weights: Weights, start: Cell, goal: Cell) -> GridWay | None:
-    """The cheapest way from a cell to another.
+    """Return the cheapest path between two cells.
 
     Args:
-        weights: (rows, columns) what entering a cell costs, 1 for the cheapest; 0 is an obstacle.
-        start: row and column. It may lie on an obstacle: a robot stands where it stands.
+        weights: (rows, columns) the cost of entering each cell, 1 for the cheapest; 0 is an obstacle.
+        start: row and column. It may be on an obstacle, since the robot may be there.
         goal: row and column.
 
     Returns:
-        the way; None where there is none.
+        the path, or None.
 
     Raises:
-        ValueError: a cell lies outside, or the grid is empty or too large.
+        ValueError: a cell is outside the grid, or the grid is empty or too large.
     """
     rows, columns = weights.shape
     if not 0 < rows * columns <= MAX_CELLS:
-        raise ValueError(f"a grid has 1 to {MAX_CELLS} cells, not {rows} x {columns}")
+        raise ValueError(f"a grid must have 1 to {MAX_CELLS} cells, not {rows} x {columns}")
     for name, (row, column) in (("start", start), ("goal", goal)):
         if not (0 <= row < rows and 0 <= column < columns):
-            raise ValueError(f"the {name} ({row}, {column}) lies outside the grid of {rows} x {columns} cells")
+            raise ValueError(f"the {name} ({row}, {column}) is outside the grid of {rows} x {columns} cells")
     if not weights[goal]:
         return None
     padded = np.zeros((rows + 2, columns + 2), np.uint8)
     padded[1:-1, 1:-1] = weights
     heaviest = int(padded.max())
     wide = columns + 2
-    here, there = ((row + 1) * wide + column + 1 for row, column in (start, goal))
-    came = np.empty(padded.size, np.uint8).data
-    # what a way can cost at most decides how wide costs are kept
+    first, last = ((row + 1) * wide + column + 1 for row, column in (start, goal))
+    step_into = np.empty(padded.size, np.uint8).data
+    # the largest possible cost decides the width of the stored costs
     small = rows * columns * heaviest * DIAGONAL < 2**31 - 1
-    cost = _cost(padded.reshape(-1).data, wide, here, there, heaviest, small, came)
+    cost = _cost(padded.reshape(-1).data, wide, first, last, heaviest, small, step_into)
     if cost < 0:
         return None
-    cells = np.empty((_count(came, wide, here, there), 2), np.int32)
-    _track(came, wide, there, cells.data)
+    cells = np.empty((_count(step_into, wide, first, last), 2), np.int32)
+    _track(step_into, wide, last, cells.data)
     return GridWay(cells, cost / STRAIGHT)
 
 
@@ -87,37 +87,37 @@ def astar(weights: Weights, start: Cell, goal: Cell) -> GridWay | None:
 @cython.inline
 @cython.nogil
 @cython.exceptval(check=False)
-def _offset(way: cython.longlong, wide: cython.longlong) -> cython.longlong:
-    """From a cell to a neighbour of it: right, left, down, up, then the diagonals."""
-    return _down(way) * wide + _right(way)
+def _offset(direction: cython.longlong, wide: cython.longlong) -> cython.longlong:
+    """Return the offset of a neighbor: right, left, down, up, then the diagonals."""
+    return _down(direction) * wide + _right(direction)
 
 
 @cython.cfunc
 @cython.inline
 @cython.nogil
 @cython.exceptval(check=False)
-def _down(way: cython.longlong) -> cython.longlong:
-    return (way == 2) - (way == 3) if way < 4 else 1 - (way & 2)
+def _down(direction: cython.longlong) -> cython.longlong:
+    return (direction == 2) - (direction == 3) if direction < 4 else 1 - (direction & 2)
 
 
 @cython.cfunc
 @cython.inline
 @cython.nogil
 @cython.exceptval(check=False)
-def _right(way: cython.longlong) -> cython.longlong:
-    return (way == 0) - (way == 1) if way < 4 else 1 - 2 * (way & 1)
+def _right(direction: cython.longlong) -> cython.longlong:
+    return (direction == 0) - (direction == 1) if direction < 4 else 1 - 2 * (direction & 1)
 
 
 @cython.cfunc
 def _count(
-    came: cython.const[cython.uchar][::1], wide: cython.longlong, start: cython.longlong, goal: cython.longlong
+    step_into: cython.const[cython.uchar][::1], wide: cython.longlong, start: cython.longlong, goal: cython.longlong
 ) -> cython.longlong:
-    """How many cells a way has, by the steps with which each was entered."""
+    """Count the cells of a path, by the steps with which each was entered."""
     cell: cython.longlong = goal
     count: cython.longlong = 1
     with cython.nogil:
         while cell != start:
-            cell -= _offset(came[cell], wide)
+            cell -= _offset(step_into[cell], wide)
             count += 1
     return count
 
@@ -125,9 +125,9 @@ def _count(
 @cython.cfunc
 @cython.cdivision(True)
 def _track(
-    came: cython.const[cython.uchar][::1], wide: cython.longlong, goal: cython.longlong, cells: cython.int[:, ::1]
+    step_into: cython.const[cython.uchar][::1], wide: cython.longlong, goal: cython.longlong, cells: cython.int[:, ::1]
 ) -> cython.void:
-    """Its rows and columns, put into ``cells``."""
+    """Write the rows and columns of a path to ``cells``."""
     cell: cython.longlong = goal
     place: cython.Py_ssize_t
     with cython.nogil:
@@ -135,7 +135,7 @@ def _track(
             cells[place, 0] = cell // wide - 1
             cells[place, 1] = cell % wide - 1
             if place:
-                cell -= _offset(came[cell], wide)
+                cell -= _offset(step_into[cell], wide)
 
 
 @cython.cfunc
@@ -146,16 +146,16 @@ def _cost(
     goal: cython.longlong,
     heaviest: cython.longlong,
     small: cython.bint,
-    came: cython.uchar[::1],
+    step_into: cython.uchar[::1],
 ) -> cython.longlong:
-    """The cost of the cheapest way, -1 where there is none; ``came`` gets the step that entered each cell."""
+    """Return the cost of the cheapest path, -1 without one; fill ``step_into`` with the step that entered each cell."""
     ints: cython.int[::1]
     longs: cython.longlong[::1]
     if small:
         ints = np.full(weights.shape[0], 2**31 - 1, np.int32).data
-        return _search(weights, wide, start, goal, heaviest, ints, came)
+        return _search(weights, wide, start, goal, heaviest, ints, step_into)
     longs = np.full(weights.shape[0], 2**63 - 1, np.int64).data
-    return _search(weights, wide, start, goal, heaviest, longs, came)
+    return _search(weights, wide, start, goal, heaviest, longs, step_into)
 
 
 @cython.cfunc
@@ -163,7 +163,7 @@ def _cost(
 @cython.nogil
 @cython.exceptval(check=False)
 def _estimate(down: cython.longlong, right: cython.longlong) -> cython.longlong:
-    """What a way costs at least, over so many rows and columns."""
+    """Return the minimum cost of a path over a number of rows and columns."""
     down, right = abs(down), abs(right)
     if down < right:
         return _STRAIGHT * (right - down) + _DIAGONAL * down
@@ -182,22 +182,22 @@ def _search(
     goal: cython.longlong,
     heaviest: cython.longlong,
     costs: _Cost[::1],
-    came: cython.uchar[::1],
+    step_into: cython.uchar[::1],
 ) -> cython.longlong:
-    """As `_cost` says. The grid is flat, with obstacles all round, and the start is not among these.
+    """Search as described in `_cost`. The grid is flat with a border of obstacles, and the start is not on the border.
 
-    The open list is a ring of buckets by estimated total cost, each a list in a pool of entries; an entry whose cell
-    has since become cheaper is passed over when its turn comes.
+    The open list is a ring of buckets by estimated total cost, each a list in a pool of entries. An entry whose cell
+    has become cheaper meanwhile is skipped.
 
-    No index needs a check: a cell is the start or has a weight, so that it does not lie on the rim, and its neighbours
-    lie in the grid; a bucket is a remainder of what is not negative; an entry is one that was made.
+    No index needs a check: a cell is the start or has a weight, so that it is not on the border, and its neighbors are
+    in the grid; a bucket is a remainder of a non-negative number; an entry is one that was allocated.
     """
     ring: cython.longlong = _DIAGONAL * (heaviest + 1) + 1
     heads: cython.int[::1] = np.full(ring, -1, np.int32).data
     room: cython.longlong = _ENTRIES
     pool = np.empty((room, 2), np.int32)
     entries: cython.int[:, ::1] = pool.data  # cell, next entry
-    made: cython.longlong = 1
+    used: cython.longlong = 1
     spare: cython.longlong = -1
     waiting: cython.longlong = 1
     goal_row: cython.longlong = goal // wide
@@ -205,8 +205,8 @@ def _search(
     total: cython.longlong = _estimate(start // wide - goal_row, start % wide - goal_column)
     bucket: cython.longlong = total % ring
     cython.declare(entry=cython.longlong, cell=cython.longlong, other=cython.longlong, cost=cython.longlong)
-    cython.declare(found=cython.longlong, weight=cython.longlong, row=cython.longlong, column=cython.longlong)
-    cython.declare(down=cython.longlong, right=cython.longlong, place=cython.longlong, way=cython.longlong)
+    cython.declare(candidate=cython.longlong, weight=cython.longlong, row=cython.longlong, column=cython.longlong)
+    cython.declare(down=cython.longlong, right=cython.longlong, place=cython.longlong, direction=cython.longlong)
     costs[start] = 0
     entries[0, 0] = start
     entries[0, 1] = -1
@@ -229,38 +229,38 @@ def _search(
                 continue
             if cell == goal:
                 return cost
-            for way in range(8):
-                down, right = _down(way), _right(way)
+            for direction in range(8):
+                down, right = _down(direction), _right(direction)
                 other = cell + down * wide + right
                 weight = weights[other]
                 if weight == 0:
                     continue
-                if way < 4:
-                    found = cost + _STRAIGHT * weight
+                if direction < 4:
+                    candidate = cost + _STRAIGHT * weight
                 elif weights[cell + right] != 0 and weights[cell + down * wide] != 0:
-                    found = cost + _DIAGONAL * weight
+                    candidate = cost + _DIAGONAL * weight
                 else:
                     continue
-                if found >= costs[other]:
+                if candidate >= costs[other]:
                     continue
-                costs[other] = found
-                came[other] = way
-                place = (found + _estimate(row + down - goal_row, column + right - goal_column)) % ring
+                costs[other] = candidate
+                step_into[other] = direction
+                place = (candidate + _estimate(row + down - goal_row, column + right - goal_column)) % ring
                 if spare >= 0:
                     entry = spare
                     spare = entries[entry, 1]
                 else:
-                    if made == room:
+                    if used == room:
                         with cython.gil:
                             if room > _MOST_ENTRIES:
                                 raise MemoryError(
-                                    f"a way over this grid needs more than {room} open cells; use a coarser map"
+                                    f"a path on this grid needs more than {room} open cells; use a coarser map"
                                 )
                             pool = np.concatenate((pool, np.empty_like(pool)))
                             entries = pool.data
                             room *= 2
-                    entry = made
-                    made += 1
+                    entry = used
+                    used += 1
                 entries[entry, 0] = other
                 entries[entry, 1] = heads[place]
                 heads[place] = entry

@@ -1,4 +1,4 @@
-"""How far each cell is from the nearest obstacle: the exact Euclidean distance transform.
+"""The exact Euclidean distance transform: the distance of each cell to the nearest obstacle.
 
 Two passes of lower envelopes of parabolas, linear in the number of cells (Felzenszwalb and Huttenlocher, "Distance
 Transforms of Sampled Functions", Theory of Computing 8, 2012).
@@ -18,7 +18,7 @@ Distances = NDArray[np.float32]
 
 
 def distance_transform(obstacles: NDArray[np.bool_]) -> Distances:
-    """The distance of each cell's centre to the nearest obstacle's, in cells; infinite where there is none.
+    """Return the distance of each cell's center to the nearest obstacle's, in cells; infinite without obstacles.
 
     Args:
         obstacles: (rows, columns).
@@ -37,7 +37,7 @@ def distance_transform(obstacles: NDArray[np.bool_]) -> Distances:
 @cython.boundscheck(False)
 @cython.wraparound(False)
 def _count(obstacles: cython.const[cython.uchar][:, ::1], steps: cython.int[:, ::1]) -> cython.void:
-    """Steps along its column to the nearest obstacle, ``rows + columns`` for none; shapes are one, a row at least."""
+    """Count steps along the column to the nearest obstacle, ``rows + columns`` for none; at least one row."""
     rows: cython.Py_ssize_t = obstacles.shape[0]
     columns: cython.Py_ssize_t = obstacles.shape[1]
     none: cython.int = rows + columns
@@ -66,11 +66,10 @@ def _envelop(
     begins: cython.double[::1],
     squares: cython.float[:, ::1],
 ) -> cython.void:
-    """Squared distances: the lower envelope, in each row, of a parabola on each column.
+    """Compute squared distances: in each row, the lower envelope of a parabola on each column.
 
-    ``places`` and ``heights`` have room for each column, ``begins`` for one more: a column is put in once at most.
-    From the first to the last of ``begins`` they go up from -infinity to infinity, so that the place of a column is
-    found among them.
+    ``places`` and ``heights`` have room for each column, ``begins`` for one more, as a column is added at most once.
+    ``begins`` increases from -infinity to infinity, so that every column is within it.
     """
     rows: cython.Py_ssize_t = steps.shape[0]
     columns: cython.Py_ssize_t = steps.shape[1]

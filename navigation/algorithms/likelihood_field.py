@@ -1,8 +1,8 @@
-"""How well a scan fits a map at many poses: the likelihood field.
+"""The likelihood field: scores how well a scan fits a map at many poses.
 
-Each beam's end is held against the distance to the nearest wall, looked up in a table (Thrun, Burgard, Fox,
-"Probabilistic Robotics", 2005, section 6.4). A beam that ends nowhere near a wall, at a person or at a thing that the
-map does not have, costs no more than a fixed share, however many metres it is off.
+Each beam's end is scored by its distance to the nearest wall, from a table (Thrun, Burgard, Fox, "Probabilistic
+Robotics", 2005, section 6.4). A beam that ends far from walls, at a person or an unmapped object, costs at most a fixed
+share at any distance.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ if cython.compiled:
 else:
     from math import cos, isfinite, sin
 
-    from numpy import hypot  # Python's own rounds otherwise than C's
+    from numpy import hypot  # Python's hypot rounds differently from C's
 
 Floats = NDArray[np.float64]
 Field = NDArray[np.float32]
 Place = tuple[float, float, float]
 
-_THROUGH = 0.3  # metres before its end at which a beam that meets a wall went through it
+_THROUGH = 0.3  # meters before its end at which a beam that meets a wall passed through it
 
 
 class LikelihoodField:
-    """A map as tables, in a frame of its own: metres right of and above its lower left corner.
+    """A map as tables, in its own frame: meters right of and above its lower left corner.
 
     Args:
         walls: (rows, columns) whether a cell is a wall; rows from the bottom up.
-        free: (rows, columns) where a robot's middle may be.
-        resolution: metres per cell.
+        free: (rows, columns) cells in which a robot's center may be.
+        resolution: meters per cell.
 
     Attributes:
-        distances: (rows, columns) metres from each cell's middle to the nearest surface of a wall.
+        distances: (rows, columns) meters from each cell's center to the nearest surface of a wall.
         free: as given.
         resolution: as given.
     """
@@ -48,56 +48,56 @@ class LikelihoodField:
         self.distances = distances
 
     def table(self, sigma: float, hit: float) -> Field:
-        """The logarithm of each cell's likelihood as a beam's end, 0 at best.
+        """Return the logarithm of each cell's likelihood as a beam's end, at most 0.
 
         Args:
-            sigma: standard deviation of a beam's end from its wall, metres.
+            sigma: standard deviation of a beam's end from its wall, meters.
             hit: share of beams that end at walls of the map; the others may end anywhere.
         """
         near = np.exp(-0.5 * np.square(self.distances / np.float32(sigma)))
-        found: Field = np.log(np.float32(hit) * near + np.float32(1.0 - hit)).astype(np.float32)
-        return found
+        logs: Field = np.log(np.float32(hit) * near + np.float32(1.0 - hit)).astype(np.float32)
+        return logs
 
     def score(self, table: Field, worst: float, poses: Floats, points: Floats) -> Floats:
-        """The sum over all beams at each pose.
+        """Return the sum of all beams' scores at each pose.
 
         Args:
             table: of `table`.
-            worst: what a beam scores that ends off the map.
-            poses: (n, 3) x, y, theta: metres, radians.
-            points: (m, 2) the beams' ends in the robot's frame, metres.
+            worst: the score of a beam that ends outside the map.
+            poses: (n, 3) x, y, theta: meters, radians.
+            points: (m, 2) the beams' ends in the robot's frame, meters.
         """
         out = np.empty(len(poses))
         _sum(table, worst, 1.0 / self.resolution, np.ascontiguousarray(poses), np.ascontiguousarray(points), out)
         return out
 
     def agreement(self, pose: Place, points: Floats, within: float) -> tuple[float, float]:
-        """How well the map explains a scan at a pose: the share of beams that speak for it, and of those against it.
+        """Return the share of beams that support a pose, and the share that contradicts it.
 
-        For it speak those that end at a wall, against it those that went through one. The others, which ended before a
-        wall, may have met what the map does not have.
+        A beam that ends at a wall supports the pose, one that passed through a wall contradicts it. Others, which end
+        before a wall, may have met an unmapped object.
 
         Args:
-            pose: x, y, theta: metres, radians.
-            points: (m, 2) the beams' ends in the robot's frame, metres.
-            within: metres from a wall at which a beam ends at it.
+            pose: x, y, theta: meters, radians.
+            points: (m, 2) the beams' ends in the robot's frame, meters.
+            within: meters from a wall within which a beam ends at it.
         """
         if not len(points):
             return 0.0, 0.0
         scale = 1.0 / self.resolution
-        found, against = _judge(self.distances, scale, *pose, np.ascontiguousarray(points), within, _THROUGH)
-        return found / len(points), against / len(points)
+        supporting, against = _judge(self.distances, scale, *pose, np.ascontiguousarray(points), within, _THROUGH)
+        return supporting / len(points), against / len(points)
 
 
 def _surface(walls: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The cells of walls that have a neighbour that is none: no beam ends within a wall."""
+    """Return the cells of walls with a neighbor that is not a wall: no beam ends inside a wall."""
     padded = np.pad(walls, 1)
     inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
-    found: NDArray[np.bool_] = walls & ~inner
-    return found
+    surface: NDArray[np.bool_] = walls & ~inner
+    return surface
 
 
-@cython.boundscheck(False)  # shapes are checked first, and only cells of the table are looked up
+@cython.boundscheck(False)  # shapes are checked first, and only cells of the table are read
 @cython.wraparound(False)
 @cython.initializedcheck(False)
 def _sum(
@@ -108,13 +108,13 @@ def _sum(
     points: cython.const[cython.double][:, ::1],
     out: cython.double[::1],
 ) -> None:
-    """Sum up what each pose's beams score; one that is no place, or a beam that is none, ends off the map."""
+    """Sum the scores of each pose's beams; values that are not finite count as outside the map."""
     rows: cython.double = table.shape[0]
     columns: cython.double = table.shape[1]
     count: cython.Py_ssize_t = points.shape[0]
     cython.declare(n=cython.Py_ssize_t, m=cython.Py_ssize_t)
     if poses.shape[1] != 3 or points.shape[1] != 2 or out.shape[0] != poses.shape[0]:
-        raise ValueError("a scan is scored at poses (n, 3) by points (m, 2)")
+        raise ValueError("poses must be (n, 3) and points (m, 2)")
     with cython.nogil:
         for n in range(poses.shape[0]):
             theta: cython.double = poses[n, 2]
@@ -127,7 +127,7 @@ def _sum(
             for m in range(count):
                 right: cython.double = x + c * points[m, 0] - s * points[m, 1]
                 up: cython.double = y + s * points[m, 0] + c * points[m, 1]
-                # in this form it is false of what is no number, and no such one becomes an index
+                # in this form the condition is false for NaN, which so never becomes an index
                 if right >= 0.0 and up >= 0.0 and right < columns and up < rows:
                     total += float(table[cython.cast(cython.Py_ssize_t, up), cython.cast(cython.Py_ssize_t, right)])
                 else:
@@ -149,14 +149,14 @@ def _judge(
     within: cython.double,
     through: cython.double,
 ) -> tuple[int, int]:
-    """How many beams end at walls, and how many went through one so many metres before their end."""
+    """Count the beams that end at walls, and those that passed through one some meters before their end."""
     rows: cython.double = distances.shape[0]
     columns: cython.double = distances.shape[1]
-    found: cython.Py_ssize_t = 0
+    supporting: cython.Py_ssize_t = 0
     against: cython.Py_ssize_t = 0
     m: cython.Py_ssize_t
     if points.shape[1] != 2:
-        raise ValueError("a scan is judged by points (m, 2)")
+        raise ValueError("points must be (m, 2)")
     if not isfinite(theta):
         return 0, 0
     with cython.nogil:
@@ -174,16 +174,16 @@ def _judge(
                 and up < rows
                 and float(distances[cython.cast(cython.Py_ssize_t, up), cython.cast(cython.Py_ssize_t, right)]) < within
             ):
-                found += 1
+                supporting += 1
                 continue
             length: cython.double = hypot(dx, dy)
             if length <= through:
                 continue
-            gone: cython.double = 0.0
+            passed: cython.double = 0.0
             last: cython.double = length - through
-            while gone < last:
-                right = (x + dx * gone / length) * scale
-                up = (y + dy * gone / length) * scale
+            while passed < last:
+                right = (x + dx * passed / length) * scale
+                up = (y + dy * passed / length) * scale
                 if not (right >= 0.0 and up >= 0.0 and right < columns and up < rows):
                     break
                 room: cython.double = float(
@@ -192,6 +192,6 @@ def _judge(
                 if room == 0.0:
                     against += 1
                     break
-                # a wall's cell is not nearer than its middle less two halves of a cell's diagonal
-                gone += max(room - 1.42 / scale, 0.4 / scale)
-    return found, against
+                # a wall's cell is at most half a diagonal of each cell nearer than the distance of the centers
+                passed += max(room - 1.42 / scale, 0.4 / scale)
+    return supporting, against

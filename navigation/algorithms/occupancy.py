@@ -1,9 +1,9 @@
-"""Maps from laser scans: each cell's odds of being occupied, kept as logarithms.
+"""Maps from laser scans, as the log odds of each cell of being occupied.
 
-A beam makes the cells that it passes more likely free and the one where it ends more likely occupied (Moravec and
+A beam makes the cells that it passes more likely free, and the one in which it ends more likely occupied (Moravec and
 Elfes, "High Resolution Maps from Wide Angle Sonar", ICRA 1985; Thrun, Burgard, Fox, "Probabilistic Robotics", table
-9.2). Each cell counts once a scan, a hit outweighs passing beams, and a beam passes only as far as those beside it see,
-so that walls seen at a glancing angle stay: in an apartment 98 % of the walls in sight, without the last rule 87 %.
+9.2). Each cell counts once per scan, a hit outweighs passing beams, and a beam frees cells only as far as its neighbors
+reach, so that walls seen at a glancing angle stay: in an apartment 98 % of the visible walls, else 87 %.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ HIT, PASS = 0.85, -0.4
 """Added to a cell's log odds: probabilities of 0.7 and 0.4."""
 
 LEAST, MOST = -4.0, 4.0
-"""Log odds are kept within them, so that what has changed is unlearnt within some ten scans."""
+"""Log odds are limited to these values, so that about ten scans override a changed cell."""
 
-# the same for C, of the map's own kind, so that many cells are changed at once
+# the same for C, in the map's type, so that many cells are changed at once
 _HIT = cython.declare(cython.float, HIT)
 _PASS = cython.declare(cython.float, PASS)
 _LEAST = cython.declare(cython.float, LEAST)
 _MOST = cython.declare(cython.float, MOST)
 
 OCCUPIED, FREE = 0.65, 0.196
-"""Probabilities beyond which a cell counts as occupied or free, as map_server's thresholds."""
+"""Probabilities beyond which a cell counts as occupied or free, like map_server's thresholds."""
 
 
 class OccupancyMap:
@@ -45,48 +45,48 @@ class OccupancyMap:
     Args:
         rows: cells along y, the first row at the origin's y.
         columns: cells along x.
-        resolution: metres a cell.
-        origin: (x, y) of the corner of cell (0, 0), metres.
+        resolution: meters per cell.
+        origin: (x, y) of the corner of cell (0, 0), meters.
 
     Attributes:
         odds: (rows, columns).
-        marks: (rows, columns) 0, or what the scan at hand has made of a cell.
+        marks: (rows, columns) 0, or the current scan's observation of a cell.
     """
 
     def __init__(self, rows: int, columns: int, resolution: float, origin: Corner) -> None:
         if rows <= 0 or columns <= 0 or not resolution > 0.0:
-            raise ValueError(f"a map has cells, of a size above 0: not {rows} x {columns} of {resolution} m")
+            raise ValueError(f"a map must have cells of a size above 0, not {rows} x {columns} of {resolution} m")
         self.resolution, self.origin = resolution, origin
         self.odds: Odds = np.zeros((rows, columns), np.float32)
         self.marks = np.zeros((rows, columns), np.uint8)
         self._ends = np.empty((0, 2), np.int64)
 
     def grow(self, below: int, above: int, left: int, right: int) -> None:
-        """Add rows and columns of unknown cells at the four sides; what is known stays in its place."""
+        """Add rows and columns of unknown cells on the four sides; known cells keep their position."""
         around = (below, above), (left, right)
         self.odds, self.marks = np.pad(self.odds, around), np.pad(self.marks, around)
         self.origin = self.origin[0] - left * self.resolution, self.origin[1] - below * self.resolution
 
     def insert(self, pose: Place, ranges: NDArray[np.float64], first: float, step: float, farthest: float) -> int:
-        """Take a scan; raises `ValueError` if the pose is not finite, or the beams' angles are not.
+        """Add a scan; raises `ValueError` if the pose or the beams' angles are not finite.
 
         Args:
-            pose: of the laser: x, y (metres), direction (radians).
-            ranges: metres, one a beam. Infinite: nothing within ``farthest``; NaN: nothing is known.
+            pose: of the laser: x, y (meters), direction (radians).
+            ranges: meters, one per beam; infinity means no obstacle within ``farthest``, NaN means unknown.
             first: the first beam's angle from the laser's direction, radians.
             step: the angle from a beam to the next.
-            farthest: metres; what is beyond is not looked at.
+            farthest: meters up to which cells are changed.
 
         Returns:
-            the number of cells that it touched.
+            the number of changed cells.
         """
         if not all(map(math.isfinite, pose)):
-            raise ValueError(f"a scan's pose is finite, not {pose}")
+            raise ValueError(f"a scan's pose must be finite, not {pose}")
         beams = np.ascontiguousarray(ranges, np.float64)
         place = ((pose[0] - self.origin[0]) / self.resolution, (pose[1] - self.origin[1]) / self.resolution)
         reach = farthest / self.resolution
         if not all(-reach <= at <= cells + reach for at, cells in zip(place, self.odds.shape[::-1], strict=True)):
-            return 0  # no beam comes to the map
+            return 0  # no beam reaches the map
         if len(self._ends) < beams.size:
             self._ends = np.empty((beams.size, 2), np.int64)
         touched = _insert(
@@ -95,21 +95,21 @@ class OccupancyMap:
         return int(touched)
 
     def probabilities(self) -> NDArray[np.float32]:
-        """(rows, columns) each cell's probability of being occupied; 0.5 is unknown."""
+        """Return each cell's probability of being occupied, (rows, columns); 0.5 is unknown."""
         return (1.0 / (1.0 + np.exp(-self.odds))).astype(np.float32)
 
     def occupancy(self) -> NDArray[np.int8]:
-        """(rows, columns) as `nav_msgs/OccupancyGrid` says it: 100 occupied, 0 free, -1 unknown."""
-        found = np.full(self.odds.shape, -1, np.int8)
-        found[self.odds > np.log(OCCUPIED / (1.0 - OCCUPIED))] = 100
-        found[self.odds < np.log(FREE / (1.0 - FREE))] = 0
-        return found
+        """Return the cells (rows, columns) as in `nav_msgs/OccupancyGrid`: 100 occupied, 0 free, -1 unknown."""
+        values = np.full(self.odds.shape, -1, np.int8)
+        values[self.odds > np.log(OCCUPIED / (1.0 - OCCUPIED))] = 100
+        values[self.odds < np.log(FREE / (1.0 - FREE))] = 0
+        return values
 
 
 @cython.boundscheck(False)  # shapes are checked first, and only cells of the map are marked and changed
 @cython.wraparound(False)
 @cython.initializedcheck(False)
-@cython.cdivision(True)  # by the greater part of a direction, and by the resolution, which is checked
+@cython.cdivision(True)  # by the larger component of a direction, and by the resolution, which is checked
 def _insert(
     odds: cython.float[:, ::1],
     marks: cython.uchar[:, ::1],
@@ -123,10 +123,10 @@ def _insert(
     farthest: cython.double,
     resolution: cython.double,
 ) -> int:
-    """Mark what each beam passes (1) and hits (2), then change each marked cell's odds once. Lengths are in cells.
+    """Mark the cells that each beam passes (1) and hits (2), then change marked cells' odds once; lengths in cells.
 
-    A beam marks one cell of each column that it crosses, or of each row where it is steeper. It passes only as far as
-    the beams beside it: one that runs along a wall would free the cells between the places where they hit it.
+    A beam marks one cell per column that it crosses, or per row if it is steep. It marks cells only as far as its
+    neighbors reach, since a beam along a wall would otherwise free the cells between their hits.
     """
     rows: cython.longlong = odds.shape[0]
     columns: cython.longlong = odds.shape[1]
@@ -139,9 +139,9 @@ def _insert(
     cython.declare(change=cython.float, changed=cython.float)
     touched: cython.longlong = 0
     if marks.shape[0] != rows or marks.shape[1] != columns or ends.shape[0] < beams or ends.shape[1] != 2:
-        raise ValueError("a scan's marks are as many as the map's cells, and its ends as its beams")
+        raise ValueError("marks must have the map's shape, and ends the number of beams")
     if not (isfinite(direction + first + step) and resolution > 0.0):
-        raise ValueError(f"a scan's angles are finite, not {direction}, {first} and {step}")
+        raise ValueError(f"a scan's angles must be finite, not {direction}, {first} and {step}")
     with cython.nogil:
         column: cython.longlong = _cell(x, columns)
         row: cython.longlong = _cell(y, rows)
@@ -200,7 +200,7 @@ def _insert(
                         marks[at, cython.cast(cython.longlong, place)] = 1
         for hit in range(hits):
             marks[ends[hit, 0], ends[hit, 1]] = 2
-        # a line's ends are in their cells, not at their middles: what it marks lies a cell beyond them at most
+        # a line's ends are in their cells, not at the centers: it marks at most one cell beyond them
         low = max(left - 1, 0)
         high = min(right + 2, columns)
         for at in range(max(bottom - 1, 0), min(top + 2, rows)):
@@ -219,7 +219,7 @@ def _insert(
 @cython.nogil
 @cython.exceptval(check=False)
 def _cell(value: cython.double, count: cython.longlong) -> cython.longlong:
-    """The cell of a row that a place lies in: -1 before the first one, and of what is no number; count behind them."""
+    """Return the index of the cell at a coordinate: -1 before the first one or for NaN, ``count`` after the last."""
     if value < count:
         return cython.cast(cython.longlong, value) if value >= 0.0 else -1
     return count if value >= count else -1

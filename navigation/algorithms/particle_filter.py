@@ -1,7 +1,7 @@
-"""Many guesses of where a robot is: how they move, how they are drawn again by their weights, what they say together.
+"""A particle filter for a robot's pose: motion, weights, resampling and the mean.
 
-The motion models are those of Thrun, Burgard, Fox, "Probabilistic Robotics", 2005, section 5.4, for wheels that cannot
-go sideways, and amcl's for wheels that can (ROS 1, ``amcl_odom.cpp``); resampling is its section 4.3's, in one sweep.
+The motion models are that of Thrun, Burgard, Fox, "Probabilistic Robotics", 2005, section 5.4, for differential bases,
+and amcl's for holonomic ones (ROS 1, ``amcl_odom.cpp``). Resampling is low-variance sampling (section 4.3).
 """
 
 from __future__ import annotations
@@ -14,87 +14,87 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Alphas = tuple[float, float, float, float, float]
-"""How far odometry may be off: turning by turning, turning by driving, driving by driving, driving by turning, and
-sideways by driving; variances per square."""
+"""Noise of odometry: rotation by rotation, rotation by driving, driving by driving, driving by rotation, and sideways
+by driving; variances per square."""
 
-_STANDS = 0.01  # metres below which the direction of a drive says nothing
+_STANDS = 0.01  # meters below which the direction of a motion is meaningless
 _REACH = 0.75
 _TURN = math.radians(30.0)
 _TRIES = 12
 
 
 class Cluster(NamedTuple):
-    """The heaviest heap of particles."""
+    """The cluster of particles with the largest weight."""
 
-    mean: Floats  #: x, y, theta: metres, radians
-    covariance: Floats  #: (3, 3) of all particles about the mean, those of other heaps too
-    mass: float  #: its share of all weights
+    mean: Floats  #: x, y, theta: meters, radians
+    covariance: Floats  #: (3, 3) of all particles around the mean, including other clusters
+    mass: float  #: its share of the weights
 
 
 def spread(mean: Floats, covariance: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """Particles (count, 3) about a pose."""
+    """Draw particles (count, 3) around a pose."""
     values, vectors = np.linalg.eigh((covariance + covariance.T) / 2.0)
     scaled = vectors * np.sqrt(np.maximum(values, 0.0))
-    found: Floats = mean + rng.standard_normal((count, 3)) @ scaled.T
-    found[:, 2] = wrapped(found[:, 2])
-    return found
+    particles: Floats = mean + rng.standard_normal((count, 3)) @ scaled.T
+    particles[:, 2] = wrapped(particles[:, 2])
+    return particles
 
 
 def drive(
     particles: Floats, step: tuple[float, float, float], alphas: Alphas, rng: np.random.Generator, *, holonomic: bool
 ) -> None:
-    """Move all particles (n, 3), each a little otherwise, as far as odometry may be off (``alphas``).
+    """Move all particles (n, 3), with the noise of odometry (``alphas``).
 
-    The step is x, y, theta that odometry says the base went, in the frame that it had before: metres, radians.
-    ``holonomic``: it can go sideways.
+    The step is the base's motion x, y, theta by odometry, in its previous frame: meters, radians. ``holonomic``: the
+    base can move sideways.
     """
     dx, dy, turned = step
-    way = math.hypot(dx, dy)
+    distance = math.hypot(dx, dy)
     noise = rng.standard_normal((3, len(particles)))
     a1, a2, a3, a4, a5 = (math.sqrt(alpha) for alpha in alphas)
     if holonomic:
         heading = particles[:, 2] + turned / 2.0
         c, s = math.cos(turned / 2.0), math.sin(turned / 2.0)
-        along = c * dx + s * dy + noise[0] * math.hypot(a3 * way, a1 * turned)
-        aside = -s * dx + c * dy + noise[1] * math.hypot(a1 * turned, a5 * way)
+        along = c * dx + s * dy + noise[0] * math.hypot(a3 * distance, a1 * turned)
+        aside = -s * dx + c * dy + noise[1] * math.hypot(a1 * turned, a5 * distance)
         particles[:, 0] += along * np.cos(heading) - aside * np.sin(heading)
         particles[:, 1] += along * np.sin(heading) + aside * np.cos(heading)
-        particles[:, 2] += turned + noise[2] * math.hypot(a4 * turned, a2 * way)
+        particles[:, 2] += turned + noise[2] * math.hypot(a4 * turned, a2 * distance)
     else:
-        first = math.atan2(dy, dx) if way > _STANDS else 0.0
+        first = math.atan2(dy, dx) if distance > _STANDS else 0.0
         second = math.remainder(turned - first, math.tau)
-        # a drive backwards is no turn by half a circle
-        one, two = (min(abs(turn), abs(math.remainder(turn - math.pi, math.tau))) for turn in (first, second))
-        heading = particles[:, 2] + first + noise[0] * math.hypot(a1 * one, a2 * way)
-        along = way + noise[1] * math.hypot(a3 * way, a4 * one, a4 * two)
+        # driving backwards is not a rotation by half a turn
+        before, after = (min(abs(turn), abs(math.remainder(turn - math.pi, math.tau))) for turn in (first, second))
+        heading = particles[:, 2] + first + noise[0] * math.hypot(a1 * before, a2 * distance)
+        along = distance + noise[1] * math.hypot(a3 * distance, a4 * before, a4 * after)
         particles[:, 0] += along * np.cos(heading)
         particles[:, 1] += along * np.sin(heading)
-        particles[:, 2] = heading + second + noise[2] * math.hypot(a1 * two, a2 * way)
+        particles[:, 2] = heading + second + noise[2] * math.hypot(a1 * after, a2 * distance)
     particles[:, 2] = wrapped(particles[:, 2])
 
 
 def weighed(weights: Floats, logs: Floats) -> Floats:
-    """Weights after a measurement with these logarithms of likelihoods; their sum is 1."""
-    found: Floats = weights * np.exp(logs - logs.max())
-    found /= found.sum()
-    return found
+    """Return the weights after a measurement with these log likelihoods; their sum is 1."""
+    posterior: Floats = weights * np.exp(logs - logs.max())
+    posterior /= posterior.sum()
+    return posterior
 
 
 def effective(weights: Floats) -> float:
-    """How many particles of equal weight would say as much."""
+    """Return the effective number of particles."""
     return float(1.0 / np.square(weights).sum())
 
 
 def drawn(weights: Floats, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Which particles come next, each about as often as it weighs."""
+    """Resample: return the indices of particles, each about in proportion to its weight."""
     sums = np.cumsum(weights)
     places = (rng.random() + np.arange(count)) / count * sums[-1]
-    found: NDArray[np.intp] = np.minimum(np.searchsorted(sums, places), len(weights) - 1)
-    return found
+    indices: NDArray[np.intp] = np.minimum(np.searchsorted(sums, places), len(weights) - 1)
+    return indices
 
 
 def heaviest(particles: Floats, weights: Floats, rng: np.random.Generator) -> Cluster:
-    """The heaviest heap: a mean over all would lie between two heaps, where nothing is."""
+    """Return the heaviest cluster; the mean of all particles could be between two clusters."""
     seeds = particles[drawn(weights, _TRIES, rng)]
     best = max((_around(particles, weights, seed) for seed in seeds), key=lambda near: float(weights[near].sum()))
     mean = seeds[0]
@@ -107,20 +107,20 @@ def heaviest(particles: Floats, weights: Floats, rng: np.random.Generator) -> Cl
 
 
 def wrapped(angles: Floats) -> Floats:
-    """The same directions within -pi to pi."""
-    found: Floats = (angles + math.pi) % math.tau - math.pi
-    return found
+    """Return the same directions within -pi to pi."""
+    result: Floats = (angles + math.pi) % math.tau - math.pi
+    return result
 
 
 def _around(particles: Floats, weights: Floats, seed: Floats) -> NDArray[np.bool_]:
-    """Which particles are near one; at least the heaviest."""
+    """Return which particles are near a pose; at least the heaviest."""
     off = particles - seed
-    found: NDArray[np.bool_] = (
+    near: NDArray[np.bool_] = (
         (np.abs(off[:, 0]) < _REACH) & (np.abs(off[:, 1]) < _REACH) & (np.abs(wrapped(off[:, 2])) < _TURN)
     )
-    if not weights[found].any():
-        found[weights.argmax()] = True
-    return found
+    if not weights[near].any():
+        near[weights.argmax()] = True
+    return near
 
 
 def _mean(particles: Floats, weights: Floats) -> Floats:

@@ -1,7 +1,8 @@
-"""Where on a map a scan was taken, without a guess or with a bad one: all poses of a window are tried.
+"""Finds the pose of a scan on a map without a good guess, by a search of all poses in a window.
 
-First on a lattice, with a likelihood field wide enough that no peak falls between its points, then the best from each
-neighbourhood are pushed uphill (correlative scan matching: Olson, "Real-Time Correlative Scan Matching", ICRA 2009).
+It scores poses on a lattice, with a likelihood field wide enough that no peak falls between its points, and then
+improves the best pose of each neighborhood (correlative scan matching: Olson, "Real-Time Correlative Scan Matching",
+ICRA 2009).
 """
 
 from __future__ import annotations
@@ -26,23 +27,23 @@ _ANGLE = math.radians(6.0)
 _COARSE_SIGMA = 0.25
 _COARSE_BEAMS = 60
 _HIT = 0.9
-_KEPT = 16  # candidates that are pushed uphill
+_KEPT = 16  # candidates that are improved
 _APART = 0.6
 _TURNED_APART = math.radians(25.0)
 _PUSHES = ((0.1, 3.0), (0.1, 3.0), (0.05, 1.5), (0.05, 1.5), (0.025, 0.7), (0.025, 0.7))
-"""Metres and degrees of each push."""
+"""Meters and degrees of each improvement step."""
 
 _AROUND = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
 
 
 @dataclass(frozen=True)
 class SearchWindow:
-    """Where to look.
+    """The range of a search.
 
     Attributes:
-        x, y: the middle, metres.
+        x, y: the center, meters.
         theta: radians.
-        reach: metres to each side.
+        reach: meters to each side.
         turn: radians to each side.
     """
 
@@ -57,7 +58,7 @@ class PoseSearch:
     """Searches one map.
 
     Args:
-        table: of the field, as sharp as candidates are weighed by.
+        table: of the field, with the sharpness for scoring candidates.
     """
 
     def __init__(self, field: LikelihoodField, table: Field) -> None:
@@ -68,14 +69,14 @@ class PoseSearch:
         self._free = np.ascontiguousarray(field.free)
 
     def best(self, points: Floats, window: SearchWindow) -> tuple[Floats, Floats]:
-        """The poses in a window that the scan fits best, no two near each other.
+        """Return the poses in a window at which the scan fits best, no two near each other.
 
         Args:
-            points: (m, 2) the beams' ends in the robot's frame, metres.
-            window: where to look.
+            points: (m, 2) the beams' ends in the robot's frame, meters.
+            window: the range of the search.
 
         Returns:
-            (k, 3) poses, the best first, and each one's score with the sharp table; none where nothing is free.
+            (k, 3) poses, the best first, and their scores with the sharp table; none without free cells.
         """
         if not len(points):
             return np.empty((0, 3)), np.empty(0)
@@ -100,21 +101,21 @@ class PoseSearch:
             stride,
             scores,
         )
-        found = self._peaks(scores)
-        if not len(found):
+        peaks = self._peaks(scores)
+        if not len(peaks):
             return np.empty((0, 3)), np.empty(0)
         poses = np.stack(
             [
-                (low_column + found[:, 2] * stride + 0.5) * size,
-                (low_row + found[:, 1] * stride + 0.5) * size,
-                window.theta + turns[found[:, 0]],
+                (low_column + peaks[:, 2] * stride + 0.5) * size,
+                (low_row + peaks[:, 1] * stride + 0.5) * size,
+                window.theta + turns[peaks[:, 0]],
             ],
             axis=1,
         )
         return self._pushed(_apart(poses), points)
 
     def _peaks(self, scores: NDArray[np.float32]) -> NDArray[np.intp]:
-        """The places of the highest scores, the highest first."""
+        """Return the indices of the highest scores, the highest first."""
         flat = scores.ravel()
         count = min(40 * _KEPT, flat.size)
         if not count:
@@ -129,21 +130,21 @@ class PoseSearch:
         for metres, degrees in _PUSHES:
             steps = _AROUND * (metres, metres, math.radians(degrees))
             tried = (poses[:, None, :] + steps).reshape(-1, 3)
-            found = self._field.score(self._table, self._worst, tried, points).reshape(len(poses), -1)
-            best = found.argmax(axis=1)
-            poses, scores = poses + steps[best], found.max(axis=1)
+            scored = self._field.score(self._table, self._worst, tried, points).reshape(len(poses), -1)
+            best = scored.argmax(axis=1)
+            poses, scores = poses + steps[best], scored.max(axis=1)
         order = np.argsort(-scores, kind="stable")
         return poses[order], scores[order]
 
 
 def _cells(middle: float, reach: float, size: float, count: int) -> tuple[int, int]:
-    """From which cell to before which one a window reaches."""
+    """Return the first cell of a window, and the one after its last."""
     low, high = (math.floor((middle + side * reach) / size) for side in (-1.0, 1.0))
     return min(max(low, 0), count), min(max(high + 1, 0), count)
 
 
 def _apart(poses: Floats) -> Floats:
-    """The first pose of each neighbourhood."""
+    """Return the first pose of each neighborhood."""
     kept: list[Floats] = []
     for pose in poses:
         if all(
@@ -157,21 +158,21 @@ def _apart(poses: Floats) -> Floats:
     return np.array(kept)
 
 
-@cython.boundscheck(False)  # the lattice is checked to lie on the map, and only cells of the map are looked up
+@cython.boundscheck(False)  # the lattice is checked to be on the map, and only cells of the map are read
 @cython.wraparound(False)
 @cython.initializedcheck(False)
 def _sweep(
     table: cython.const[cython.float][:, ::1],  # the field's
-    worst: cython.float,  # what a beam scores that ends off the map, or that is none
-    free: cython.const[cython.uchar][:, ::1],  # where to look, as large as the table
+    worst: cython.float,  # the score of a beam that ends outside the map, or is not finite
+    free: cython.const[cython.uchar][:, ::1],  # cells to search, with the table's shape
     points: cython.const[cython.double][:, ::1],  # (m, 2) the beams' ends in the robot's frame, cells
     angles: cython.const[cython.double][::1],  # radians
     low_row: cython.Py_ssize_t,  # the lattice's first row
     low_column: cython.Py_ssize_t,  # its first column
-    stride: cython.Py_ssize_t,  # cells from one of its places to the next
-    out: cython.float[:, :, ::1],  # (angles, rows, columns) of the lattice; changed where a place is free
+    stride: cython.Py_ssize_t,  # cells between two of its points
+    out: cython.float[:, :, ::1],  # (angles, rows, columns) of the lattice; changed at free points
 ) -> None:
-    """Sums at each place of the lattice and each angle; points are in cells."""
+    """Sum the scores at each lattice point and angle; points are in cells."""
     rows: cython.Py_ssize_t = table.shape[0]
     columns: cython.Py_ssize_t = table.shape[1]
     count: cython.Py_ssize_t = points.shape[0]
@@ -181,12 +182,12 @@ def _sweep(
     right: cython.Py_ssize_t[::1] = np.empty(count, np.intp)
     cython.declare(n=cython.Py_ssize_t, m=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     if free.shape[0] != rows or free.shape[1] != columns or points.shape[1] != 2 or out.shape[0] != angles.shape[0]:
-        raise ValueError("a map is searched by points (m, 2), and its free cells are as many as its table's")
+        raise ValueError("points must be (m, 2), and free must have the table's shape")
     if high > 0 and wide > 0:
         if stride < 1 or not (0 <= low_row < rows and 0 <= low_column < columns):
-            raise ValueError("the lattice begins off the map")
+            raise ValueError("the lattice starts outside the map")
         if high - 1 > (rows - 1 - low_row) // stride or wide - 1 > (columns - 1 - low_column) // stride:
-            raise ValueError("the lattice ends off the map")
+            raise ValueError("the lattice ends outside the map")
     with cython.nogil:
         for n in range(angles.shape[0]):
             known: cython.bint = isfinite(angles[n])
@@ -217,7 +218,7 @@ def _sweep(
 @cython.nogil
 @cython.exceptval(check=False)
 def _cell(value: cython.double, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
-    """Which cell that is from another one, of so many in a row: what is farther, or no number, is off the row."""
+    """Return the index of a cell at a coordinate; outside the row if it is too far or NaN."""
     if not -count <= value < count:
         return count
     whole: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, value)

@@ -1,9 +1,9 @@
-"""A potential field on a small grid: what it costs to the goal from each cell, and the way down it.
+"""A potential field on a small grid: the cost from each cell to the goal, and the path down the field.
 
-The goal attracts by distance, obstacles repel by what it costs to pass near to them. Summed along ways instead of at
-each place by itself, the field has no minimum but the goal (navigation function NF1: Barraquand, Langlois, Latombe
-1992), where the classical one (Khatib 1986) holds a robot before every hollow. Cells that cannot be entered cost much
-instead of everything, so that a way is found even where one must wait for something to go.
+The goal attracts by distance, obstacles repel by the cost of passing near them. As costs are summed along paths, the
+field has no minimum but the goal (navigation function NF1: Barraquand, Langlois, Latombe 1992), while the classical one
+(Khatib 1986) traps a robot in front of every concave obstacle. Blocked cells have a high but finite cost, so that there
+is a path even if the robot has to wait for an obstacle to move.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ _SHORTEST = cython.declare(cython.Py_ssize_t, 4)
 _ROUNDED = cython.declare(cython.double, 0.5)  # what distances between cells are wrong by, cells
 _INFINITE = cython.declare(cython.double, math.inf)
 _NOWHERE = (math.nan, math.nan)
-_WIDEST = 1100.0  # from corner to corner of a window, cells: (1100 + 20) * 28, the dearest exit, is less than the ring
+_WIDEST = 1100.0  # diagonal of a window, cells: (1100 + 20) * 28, the most expensive exit, is less than the ring
 _FARTHEST = 2.0**40
-"""What lies farther off, in cells, is taken to lie there: nobody drives to it, and numbers stay exact."""
+"""Goals farther away, in cells, are moved to this distance, so that numbers stay exact."""
 
 Cell = tuple[int, int]
 Place = tuple[float, float]
@@ -49,31 +49,31 @@ Place = tuple[float, float]
 
 @dataclass(frozen=True)
 class Descent:
-    """The way down from where the robot is."""
+    """The path down from the robot's cell."""
 
-    # (n, 2) rows and columns, from the robot's cell to the goal's, or to the one where the window is left
+    # (n, 2) rows and columns, from the robot's cell to the goal's, or to the exit from the window
     cells: NDArray[np.int32]
-    aim: int  #: the place in ``cells`` of the farthest one to which a straight line is free
-    blocked: float  #: cells along the way to the first one that cannot be entered; infinite where there is none
-    cost: float  #: of the whole way, in cells of open floor
-    # whether a straight line to the goal itself is free; then no way is looked for, and ``cells`` is empty
+    aim: int  #: the index in ``cells`` of the farthest one to which a straight line is free
+    blocked: float  #: cells along the path to the first blocked one; infinite without any
+    cost: float  #: of the whole path, in cells of open floor
+    # whether a straight line to the goal itself is free; then no path is searched, and ``cells`` is empty
     direct: bool
 
 
 def descend(
     distances: NDArray[np.float32],  # (rows, columns) from each cell to the nearest obstacle, cells
-    unseen: NDArray[np.bool_],  # (rows, columns) where nothing is known
+    unseen: NDArray[np.bool_],  # (rows, columns) unknown cells
     start: Cell,  # the robot's row and column
-    goal: Place,  # row and column, in cells; it may lie outside
-    before: Place | None,  # where the way left the window last time: another exit must be better by 20 cells
-    radius: float,  # the robot's, cells
-    influence: float,  # from here on obstacles do not repel, cells
-    spare: float,  # what a straight line keeps beyond the radius, cells
+    goal: Place,  # row and column, in cells; it may be outside
+    before: Place | None,  # the previous exit from the window: another one must be better by 20 cells
+    radius: float,  # of the robot, cells
+    influence: float,  # distance from which obstacles do not repel, cells
+    spare: float,  # distance that a straight line keeps beyond the radius, cells
 ) -> Descent:
-    """The way down the potential.
+    """Return the path down the potential.
 
     Raises:
-        ValueError: a number is none, the window has two shapes or is too large, or the start lies outside.
+        ValueError: a number is not finite, the shapes differ or are too large, or the start is outside.
     """
     rows, columns = distances.shape
     _check(distances.shape, unseen.shape, start, (*goal, radius, influence, spare))
@@ -90,11 +90,11 @@ def descend(
     else:
         least = _length(max(0.0, -row, row - rows + 1), max(0.0, -column, column - columns + 1))
         before_row, before_column = before or _NOWHERE
-        _leave(costs.data, row, column, before_row, before_column, least)
+        _set_exit_costs(costs.data, row, column, before_row, before_column, least)
     wide = columns + 2
     begin = (start[0] + 1) * wide + start[1] + 1
     offsets = np.array((1, -1, wide, -wide, wide + 1, wide - 1, 1 - wide, -wide - 1), np.int32)
-    came = np.full(costs.size, -1, np.int32).data
+    next_cell = np.full(costs.size, -1, np.int32).data
     _spread(
         _padded(distances, np.float32),
         _padded(unseen, np.uint8),
@@ -103,33 +103,33 @@ def descend(
         radius,
         influence,
         costs.reshape(-1).data,
-        came,
+        next_cell,
     )
-    cells = np.empty((_count(came, begin), 2), np.int32)
-    blocked = _lay(grid, came, begin, radius, cells.data)
+    cells = np.empty((_count(next_cell, begin), 2), np.int32)
+    blocked = _lay(grid, next_cell, begin, radius, cells.data)
     aim = _aim(grid, cells.data, radius, spare)
     cost = float(costs[start[0] + 1, start[1] + 1]) / (_STRAIGHT * _OPEN) + least
     return Descent(cells, aim, blocked, cost, direct=False)
 
 
 def _check(shape: tuple[int, ...], unseen: tuple[int, ...], start: Cell, numbers: tuple[float, ...]) -> None:
-    """Refuse what the kernels cannot use."""
+    """Raise `ValueError` for input that the kernels cannot handle."""
     if shape != unseen or math.hypot(*shape) > _WIDEST:
         raise ValueError(
-            f"a window is at most {_WIDEST:.0f} cells from corner to corner; it is {shape}, unseen {unseen}"
+            f"a window must have a diagonal of at most {_WIDEST:.0f} cells, not the shape {shape}, unseen {unseen}"
         )
     if not (0 <= start[0] < shape[0] and 0 <= start[1] < shape[1]):
-        raise ValueError(f"the start {start} lies outside the window of {shape[0]} x {shape[1]} cells")
+        raise ValueError(f"the start {start} is outside the window of {shape[0]} x {shape[1]} cells")
     if not all(map(math.isfinite, numbers)):
-        raise ValueError(f"goal, radius, influence and spare are numbers, none of them infinite or NaN, not {numbers}")
+        raise ValueError(f"goal, radius, influence and spare must be finite numbers, not {numbers}")
 
 
 def _padded(cells: NDArray[Any], kind: Any) -> memoryview:
-    """The same with a cell all round, flat."""
+    """Return the cells with a border of one cell, flat."""
     rows, columns = cells.shape
-    made = np.zeros((rows + 2, columns + 2), kind)
-    made[1:-1, 1:-1] = cells
-    return made.reshape(-1).data
+    padded = np.zeros((rows + 2, columns + 2), kind)
+    padded[1:-1, 1:-1] = cells
+    return padded.reshape(-1).data
 
 
 @cython.cfunc
@@ -137,7 +137,7 @@ def _padded(cells: NDArray[Any], kind: Any) -> memoryview:
 @cython.nogil
 @cython.exceptval(check=False)
 def _length(rows: cython.double, columns: cython.double) -> cython.double:
-    """Cells; ``hypot`` is another function on each platform, and a last bit can turn a way."""
+    """Return a length in cells; ``hypot`` differs by platform, and a last bit can change a path."""
     return sqrt(rows * rows + columns * columns)
 
 
@@ -155,7 +155,7 @@ def _line_free(
     to_column: cython.double,
     least: cython.double,
 ) -> cython.bint:
-    """Whether a straight line stays so far from obstacles; what lies outside does."""
+    """Whether a straight line keeps a distance from obstacles; the part outside the grid does."""
     rows: cython.longlong = distances.shape[0]
     columns: cython.longlong = distances.shape[1]
     down: cython.double = to_row - row
@@ -182,7 +182,7 @@ def _line_free(
 def _weight(
     distance: cython.double, unseen: cython.bint, radius: cython.double, influence: cython.double
 ) -> cython.longlong:
-    """What a step into a cell costs, in parts of one; all numbers but the distance are finite."""
+    """Return the cost of a step into a cell, in fractions; all numbers but the distance are finite."""
     if distance < radius - _ROUNDED:
         return _BLOCKED
     if distance < radius + _ROUNDED:
@@ -195,7 +195,7 @@ def _weight(
 
 
 @cython.cfunc
-def _leave(
+def _set_exit_costs(
     costs: cython.int[:, ::1],
     goal_row: cython.double,
     goal_column: cython.double,
@@ -203,7 +203,7 @@ def _leave(
     before_column: cython.double,
     least: cython.double,
 ) -> cython.void:
-    """Give the cells of the rim what the way on costs from there to a goal outside, which is ``least`` away."""
+    """Set the cost of the border's cells to that of the path from there to a goal outside, at least ``least`` away."""
     rows: cython.Py_ssize_t = costs.shape[0] - 2
     columns: cython.Py_ssize_t = costs.shape[1] - 2
     cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
@@ -230,31 +230,31 @@ def _spread(
     radius: cython.double,
     influence: cython.double,
     costs: cython.int[::1],
-    came: cython.int[::1],
+    next_cell: cython.int[::1],
 ) -> cython.void:
-    """Dial's algorithm from the cells that have a cost to the robot's; ``came`` gets the next cell of each.
+    """Run Dial's algorithm from the cells with a cost to the robot's; fill ``next_cell`` with each cell's next one.
 
-    The grid is flat. A cell all round costs less than 0, so that no way leads there, and neighbours need no check.
+    The grid is flat. The border's cells cost less than 0, so that no path leads there, and neighbors need no check.
 
-    Its open list is a ring of buckets, each a list of entries. What waits costs less than a ring more than what is
-    next, as no exit and no step (1500 * 10) costs so much. So each cell's turn comes once, and nine entries a cell are
-    enough: one of its own and one by each neighbour.
+    The open list is a ring of buckets, each a list of entries. Waiting costs differ by less than a ring, as no exit and
+    no step (1500 * 10) costs as much. So each cell is handled once, and nine entries per cell are enough: its own, and
+    one from each neighbor.
     """
     size: cython.int = costs.shape[0]
     heads: cython.int[::1] = np.full(_RING, -1, np.int32).data
     entries: cython.int[:, ::1] = np.empty((9 * size, 2), np.int32).data  # cell, next entry
-    made: cython.int = 0
+    used: cython.int = 0
     total: cython.int = 0
-    cython.declare(waiting=cython.int, entry=cython.int, cell=cython.int, other=cython.int, way=cython.int)
+    cython.declare(waiting=cython.int, entry=cython.int, cell=cython.int, other=cython.int, direction=cython.int)
     cython.declare(cost=cython.int, weight=cython.int)
     with cython.nogil:
         for cell in range(size):
             if 0 <= costs[cell] < _UNREACHED:
-                entries[made, 0] = cell
-                entries[made, 1] = heads[costs[cell] & _IN_RING]
-                heads[costs[cell] & _IN_RING] = made
-                made += 1
-        waiting = made
+                entries[used, 0] = cell
+                entries[used, 1] = heads[costs[cell] & _IN_RING]
+                heads[costs[cell] & _IN_RING] = used
+                used += 1
+        waiting = used
         while waiting:
             entry = heads[total & _IN_RING]
             if entry < 0:
@@ -268,29 +268,29 @@ def _spread(
             if cell == begin:
                 break
             weight = _weight(distances[cell], unseen[cell], radius, influence)
-            for way in range(8):
-                other = cell + offsets[way]
-                cost = total + weight * (_STRAIGHT if way < 4 else _DIAGONAL)
+            for direction in range(8):
+                other = cell + offsets[direction]
+                cost = total + weight * (_STRAIGHT if direction < 4 else _DIAGONAL)
                 if cost >= costs[other]:
                     continue
                 costs[other] = cost
-                came[other] = cell
-                entries[made, 0] = other
-                entries[made, 1] = heads[cost & _IN_RING]
-                heads[cost & _IN_RING] = made
-                made += 1
+                next_cell[other] = cell
+                entries[used, 0] = other
+                entries[used, 1] = heads[cost & _IN_RING]
+                heads[cost & _IN_RING] = used
+                used += 1
                 waiting += 1
 
 
 @cython.cfunc
-def _count(came: cython.const[cython.int][::1], begin: cython.Py_ssize_t) -> cython.Py_ssize_t:
-    """How many cells the way from the robot's has."""
+def _count(next_cell: cython.const[cython.int][::1], begin: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    """Count the cells of the path from the robot's."""
     count: cython.Py_ssize_t = 0
     cell: cython.Py_ssize_t = begin
     with cython.nogil:
         while cell >= 0:
             count += 1
-            cell = came[cell]
+            cell = next_cell[cell]
     return count
 
 
@@ -298,12 +298,12 @@ def _count(came: cython.const[cython.int][::1], begin: cython.Py_ssize_t) -> cyt
 @cython.cdivision(True)
 def _lay(
     distances: cython.const[cython.float][:, ::1],
-    came: cython.const[cython.int][::1],
+    next_cell: cython.const[cython.int][::1],
     begin: cython.Py_ssize_t,
     radius: cython.double,
     path: cython.int[:, ::1],
 ) -> cython.double:
-    """Put the way down into ``path``; how far it is along it to what blocks it, infinite where nothing does."""
+    """Write the path down to ``path``; return the distance along it to the first blocked cell, or infinity."""
     wide: cython.Py_ssize_t = distances.shape[1] + 2
     cell: cython.Py_ssize_t = begin
     length: cython.double = 0.0
@@ -319,10 +319,10 @@ def _lay(
             if place:
                 length += _length(row - path[place - 1, 0], column - path[place - 1, 1])
             inside = distances[row, column] < radius - _ROUNDED
-            left = left or not inside  # a robot that stands too near to something is free to leave
+            left = left or not inside  # a robot that is too close to an obstacle may leave it
             if inside and left and blocked == _INFINITE:
                 blocked = length
-            cell = came[cell]
+            cell = next_cell[cell]
     return blocked
 
 
@@ -333,7 +333,7 @@ def _aim(
     radius: cython.double,
     spare: cython.double,
 ) -> cython.Py_ssize_t:
-    """The place in ``path`` of the farthest cell to which a straight line is free, at need with nothing to spare."""
+    """Return the index in ``path`` of the farthest cell with a free straight line, if necessary without spare."""
     least: cython.Py_ssize_t = min(_SHORTEST, path.shape[0] - 1)
     place: cython.Py_ssize_t
     attempt: cython.int

@@ -1,11 +1,11 @@
 # cython: boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-# The arrays of times are the grid's own squares, of a side of 1 at least; rows and columns are taken modulo it. Arrays
-# that are given are checked first, beams counted from 0 to their number, and divisors compared with 0 before.
-"""A grid that goes with a robot: what its laser saw last of each cell, and when.
+# The arrays of times are the grid's own squares, with a side of at least 1; rows and columns are taken modulo it. Array
+# arguments are checked first, beams are counted from 0 to their number, and divisors are compared with 0 before.
+"""A grid that moves with a robot and stores when its laser last saw each cell free or occupied.
 
-The grid is a torus: a cell of the world has the place (row modulo side, column modulo side), so that nothing is copied
-when the window moves on. Rows go along y, columns along x. Each cell has three times, in seconds: when a beam last
-passed through it, when one last ended in it, and since when beams have ended there without a longer break.
+The grid is a torus: a cell of the world has the index (row modulo side, column modulo side), so that nothing is copied
+when the window moves. Rows go along y, columns along x. Each cell has three times, in seconds: when a beam last passed
+through it, when one last ended in it, and since when beams have ended there without a longer break.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ else:
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 NEVER = -1e9
-"""The time at which nothing was seen."""
+"""The time of a cell that was never seen."""
 
 # the same for C
 _FREE = cython.declare(cython.int, FREE)
@@ -33,17 +33,17 @@ _NEVER = cython.declare(cython.double, NEVER)
 _INFINITY = cython.declare(cython.double, math.inf)
 _FULL_TURN = cython.declare(cython.double, 2.0 * math.pi)
 
-_FAR = cython.declare(cython.double, 2.0**52)  # cells to beyond all places: numbers are whole from there on
+_FAR = cython.declare(cython.double, 2.0**52)  # cells; beyond all positions, as numbers are integers from there on
 _SETTLED = cython.declare(cython.double, 0.5)
-"""Seconds after its last echo in which a cell counts as left: an echo after it is something that came."""
+"""Seconds after its last echo after which a cell counts as left: a later echo is a new object."""
 
 _BLIND_BEAMS = cython.declare(cython.int, 5)
 _WEDGE = cython.declare(cython.double, 0.4)
 
 _HOLD = cython.declare(cython.double, 0.35)
-"""Seconds for which an echo holds against beams that pass: with noise, a wall's cells are passed now and then."""
+"""Seconds for which an echo outweighs passing beams: with noise, beams occasionally pass through a wall's cells."""
 
-_MOVING_SECONDS = cython.declare(cython.double, 1.0)  # how long what came counts as moving
+_MOVING_SECONDS = cython.declare(cython.double, 1.0)  # how long a new object counts as moving
 
 
 @cython.cfunc
@@ -51,7 +51,7 @@ _MOVING_SECONDS = cython.declare(cython.double, 1.0)  # how long what came count
 @cython.nogil
 @cython.exceptval(check=False)
 def _floor(value: cython.double) -> cython.longlong:
-    """The whole number below; of what is no number, or farther than all places, one beyond them."""
+    """Return the integer below; for NaN, or beyond all positions, a number beyond them."""
     if not -_FAR < value < _FAR:
         value = _FAR if value > 0.0 else -_FAR
     whole: cython.longlong = cython.cast(cython.longlong, value)
@@ -63,9 +63,9 @@ def _floor(value: cython.double) -> cython.longlong:
 @cython.nogil
 @cython.exceptval(check=False)
 def _modulo(value: cython.longlong, side: cython.longlong) -> cython.longlong:
-    """Python's ``%``, which is never less than 0."""
-    rest: cython.longlong = value % side
-    return rest + side if rest < 0 else rest
+    """Compute Python's ``%``, which is never negative."""
+    remainder: cython.longlong = value % side
+    return remainder + side if remainder < 0 else remainder
 
 
 @cython.cfunc
@@ -89,20 +89,20 @@ def _shorten(
     reach: cython.double,
     aside: cython.double,
 ) -> cython.void:
-    """Let no beam be believed farther than to what it passes nearer than ``aside``."""
+    """Limit each beam's valid range to echoes that it passes nearer than ``aside``."""
     beams: cython.Py_ssize_t = ranges.shape[0]
     around: cython.bint = abs(beams * abs(step) - _FULL_TURN) < 2.0 * abs(step)
-    cython.declare(beam=cython.Py_ssize_t, other=cython.Py_ssize_t, way=cython.Py_ssize_t)
+    cython.declare(beam=cython.Py_ssize_t, other=cython.Py_ssize_t, side_index=cython.Py_ssize_t)
     for beam in range(beams):
         distance: cython.double = ranges[beam]
         if not nearest <= distance < reach:
             continue
         wide: cython.double = min(aside / distance, 0.8) if distance > 0.0 else 0.8
-        # there are no more beams than all
+        # at most all beams
         reached: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, min(beams, max(0.0, wide / abs(step))))
         for other in range(1, reached + 1):
-            for way in range(2):
-                place: cython.Py_ssize_t = beam + other if way else beam - other
+            for side_index in range(2):
+                place: cython.Py_ssize_t = beam + other if side_index else beam - other
                 if around:
                     place = _modulo(place, beams)
                 if 0 <= place < beams and believed[place] > distance:
@@ -115,15 +115,15 @@ def _shorten(
 def _leave_out(
     ranges: cython.const[cython.double][::1], begins: cython.double[::1], step: cython.double, aside: cython.double
 ) -> cython.void:
-    """From which distance on beams are believed: those beside a blind sector seem to pass through it at first."""
+    """Compute the distance from which beams are valid: next to a blind sector, they first seem to pass through it."""
     beams: cython.Py_ssize_t = ranges.shape[0]
     around: cython.bint = abs(beams * abs(step) - _FULL_TURN) < 2.0 * abs(step)
-    cython.declare(way=cython.Py_ssize_t, turn=cython.Py_ssize_t)
-    for way in range(2):
+    cython.declare(side_index=cython.Py_ssize_t, turn=cython.Py_ssize_t)
+    for side_index in range(2):
         blind: cython.Py_ssize_t = 0
         rim: cython.Py_ssize_t = beams if around else 0
         for turn in range(2 * beams if around else beams):
-            beam: cython.Py_ssize_t = _modulo(-1 - turn if way else turn, beams)
+            beam: cython.Py_ssize_t = _modulo(-1 - turn if side_index else turn, beams)
             if isnan(ranges[beam]):
                 blind += 1
                 rim = 0 if blind >= _BLIND_BEAMS else rim
@@ -137,7 +137,7 @@ def _leave_out(
 @cython.final
 @cython.cclass
 class RollingGrid:
-    """A window of cells, square, that goes with a robot.
+    """A square window of cells that moves with a robot.
 
     Raises `ValueError` if it has no cells. Its first row and column are 0 until it moves.
     """
@@ -145,15 +145,15 @@ class RollingGrid:
     _side: cython.longlong  # cells
     _row0: cython.longlong
     _column0: cython.longlong
-    _resolution: cython.double  # metres a cell
-    _memory: cython.double  # seconds for which what was seen of a cell is believed; then it is unknown again
+    _resolution: cython.double  # meters per cell
+    _memory: cython.double  # seconds for which observations are valid; afterwards a cell is unknown
     _passed: cython.double[:, ::1]
     _ended: cython.double[:, ::1]
     _since: cython.double[:, ::1]
 
     def __init__(self, side: int, resolution: float, memory: float) -> None:
         if side < 1 or not resolution > 0.0:
-            raise ValueError(f"a window of {side} cells of {resolution} m is nowhere")
+            raise ValueError(f"invalid window of {side} cells of {resolution} m")
         self._side, self._resolution, self._memory = side, resolution, memory
         self._row0 = self._column0 = 0
         self._passed, self._ended, self._since = (np.full((side, side), NEVER) for _ in range(3))
@@ -165,13 +165,13 @@ class RollingGrid:
 
     @property
     def times(self) -> tuple[Any, Any, Any]:
-        """(side, side) when a beam last passed through each cell, when one last ended there, and since when they do."""
+        """Return three times of each cell, (side, side): last passed, last echo, and since when echoes have lasted."""
         return np.asarray(self._passed), np.asarray(self._ended), np.asarray(self._since)
 
     def move(self, row0: int, column0: int) -> None:
-        """Have the window begin at this row and column; what comes into it is not known yet. Raises `ValueError`."""
+        """Move the window's corner to a row and column; new cells are unknown. Raises `ValueError`."""
         if not (-_FAR < row0 < _FAR and -_FAR < column0 < _FAR):
-            raise ValueError(f"a window from row {row0}, column {column0} is nowhere")
+            raise ValueError(f"invalid window from row {row0}, column {column0}")
         for axis, new, old in ((0, row0, self._row0), (1, column0, self._column0)):
             moved = min(abs(new - old), self._side)
             begin = old + self._side if new > old else new
@@ -194,24 +194,24 @@ class RollingGrid:
         ranges: cython.const[cython.double][::1],
         points: cython.double[:, ::1],
     ) -> int:
-        """Take up a scan that was made at (x, y, theta); returns how many points it has within the window.
+        """Add a scan made at (x, y, theta); return the number of its points within the window.
 
-        Scans of several lasers are merged as if one stood in the middle, so that beams seem to pass through corners and
-        blind sectors: one that comes nearer than ``aside`` (metres) to where another one ended is believed so far only,
-        and beside a blind sector only from where it is farther than that from its rim.
+        Scans of several lasers are merged as if from a single laser in the center, so that beams seem to pass through
+        corners and blind sectors. So a beam that passes another one's echo nearer than ``aside`` (meters) is valid only
+        up to there, and next to a blind sector only where it is farther than that from the sector's edge.
 
-        ``points`` (n, 3) gets where beams ended, x and y, and 1 where something came there lately, else 0. NaN says
-        nothing; a distance below ``nearest`` neither, but minus infinity (REP 117) is something right before the laser.
-        Raises `ValueError` if the pose or the beams' angles are not finite, there is no step, or the arrays do not fit.
+        ``points`` (n, 3) gets the echoes, x and y, and 1 for a new object, else 0. NaN and distances below ``nearest``
+        mean unknown, but minus infinity (REP 117) is an object directly in front of the laser. Raises `ValueError` if
+        the pose or the beams' angles are not finite, the step is 0, or the arrays do not fit.
         """
         side: cython.longlong = self._side
         beams: cython.Py_ssize_t = ranges.shape[0]
         cython.declare(count=cython.Py_ssize_t, beam=cython.Py_ssize_t, point=cython.Py_ssize_t)
         if points.shape[0] < beams or points.shape[1] != 3:
-            raise ValueError("a scan's points are as many as its beams, each of three numbers")
+            raise ValueError("points must have three numbers for each beam")
         if not isfinite(x + y + theta + first + step * beams) or step == 0.0:
             raise ValueError(
-                f"a scan's pose and angles are finite, with a step: not {x}, {y}, {theta}, from {first} by {step}"
+                f"a scan's pose and angles must be finite, its step not 0: {x}, {y}, {theta}, from {first} by {step}"
             )
         believed: cython.double[::1] = np.empty(beams)
         begins: cython.double[::1] = np.zeros(beams)
@@ -236,7 +236,7 @@ class RollingGrid:
             for point in range(count):
                 row: cython.longlong = _floor(points[point, 1] / self._resolution)
                 column: cython.longlong = _floor(points[point, 0] / self._resolution)
-                points[point, 2] = self._came(row, column, now)
+                points[point, 2] = self._is_new(row, column, now)
         return count
 
     def near(
@@ -248,18 +248,18 @@ class RollingGrid:
         scanned: cython.double,
         out: cython.double[:, ::1],
     ) -> int:
-        """The cells around a place that are not free, though no beam of the newest scan ended there.
+        """Return the number of cells around a point that are not free, although the newest scan had no echo there.
 
-        ``out`` (n, 3) gets their middles and `OCCUPIED` or `UNKNOWN`; returns how many. ``scanned`` is the time of the
-        newest scan. Raises `ValueError` if the place is not finite, or the arrays do not fit.
+        ``out`` (n, 3) gets their centers and `OCCUPIED` or `UNKNOWN`. ``scanned`` is the time of the newest scan.
+        Raises `ValueError` if the point is not finite, or the arrays do not fit.
         """
         side: cython.longlong = self._side
         count: cython.Py_ssize_t = 0
         cython.declare(row=cython.longlong, column=cython.longlong)
         if out.shape[1] != 3:
-            raise ValueError("cells are given as (n, 3)")
+            raise ValueError("out must be (n, 3)")
         if not isfinite(x + y):
-            raise ValueError(f"a place that is looked at is finite, not {x}, {y}")
+            raise ValueError(f"the point must be finite, not {x}, {y}")
         with cython.nogil:
             low_row: cython.longlong = max(_floor((y - reach) / self._resolution), self._row0)
             high_row: cython.longlong = min(_floor((y + reach) / self._resolution) + 1, self._row0 + side)
@@ -280,11 +280,11 @@ class RollingGrid:
         return count
 
     def states(self, now: cython.double, out: cython.uchar[:, ::1]) -> None:
-        """Put the whole window into ``out`` from its corner on; raises `ValueError` if that is not as large."""
+        """Write the states of all cells to ``out``, from the window's corner; raises `ValueError` for another size."""
         side: cython.longlong = self._side
         cython.declare(row=cython.longlong, column=cython.longlong)
         if out.shape[0] != side or out.shape[1] != side:
-            raise ValueError("a window's states are as many as its cells")
+            raise ValueError("out must have the window's shape")
         with cython.nogil:
             left: cython.longlong = _modulo(self._column0, side)
             for row in range(side):
@@ -294,13 +294,13 @@ class RollingGrid:
                     out[row, column] = _state(self._passed[r, k], self._ended[r, k], now, self._memory)
 
     def stand(self, now: cython.double, x: cython.double, y: cython.double, radius: cython.double) -> None:
-        """Where the robot stands is free, unless the laser says otherwise; `ValueError` for no finite place."""
+        """Mark the robot's own cells as free, unless the laser has echoes there; raises `ValueError` if not finite."""
         side: cython.longlong = self._side
         cython.declare(row=cython.longlong, column=cython.longlong)
         if not isfinite(x + y):
-            raise ValueError(f"a robot stands at a place that is finite, not {x}, {y}")
+            raise ValueError(f"the robot's position must be finite, not {x}, {y}")
         with cython.nogil:
-            radius = min(side * self._resolution, radius)  # so large a disc has all cells of the window
+            radius = min(side * self._resolution, radius)  # a disc of this size has all cells of the window
             low_row: cython.longlong = _floor((y - radius) / self._resolution)
             high_row: cython.longlong = _floor((y + radius) / self._resolution)
             low_column: cython.longlong = _floor((x - radius) / self._resolution)
@@ -331,7 +331,7 @@ class RollingGrid:
         ranges: cython.const[cython.double][::1],
         points: cython.double[:, ::1],
     ) -> cython.Py_ssize_t:
-        """Mark where beams ended, the first one in a direction of the window; how many did so within it."""
+        """Mark the echoes; return the number within the window."""
         side: cython.longlong = self._side
         count: cython.Py_ssize_t = 0
         beam: cython.Py_ssize_t
@@ -354,7 +354,7 @@ class RollingGrid:
             r: cython.longlong = _modulo(row, side)
             k: cython.longlong = _modulo(column, side)
             if self._ended[r, k] < now - _SETTLED:
-                # seen free just before: something came; never seen before: it was there
+                # free just before: a new object; never seen before: an old one
                 self._since[r, k] = now if now - self._passed[r, k] < _MOVING_SECONDS else _NEVER
             self._ended[r, k] = now
         return count
@@ -371,7 +371,7 @@ class RollingGrid:
         s: cython.double,
         length: cython.double,
     ) -> cython.void:
-        """Mark the cells of one beam as passed, up to the one before its end (Amanatides and Woo 1987)."""
+        """Mark the cells of a beam as passed, up to the one before its end (Amanatides and Woo 1987)."""
         side: cython.longlong = self._side
         row: cython.longlong = _floor(y / self._resolution)
         column: cython.longlong = _floor(x / self._resolution)
@@ -405,8 +405,8 @@ class RollingGrid:
     @cython.cfunc
     @cython.nogil
     @cython.exceptval(check=False)
-    def _came(self, row: cython.longlong, column: cython.longlong, now: cython.double) -> cython.double:
-        """1 where something came to a cell lately, and stands not beside what has been there for longer."""
+    def _is_new(self, row: cython.longlong, column: cython.longlong, now: cython.double) -> cython.double:
+        """Return 1 for a cell with a new object that is not next to an old one."""
         side: cython.longlong = self._side
         cython.declare(i=cython.longlong, j=cython.longlong)
         if self._since[_modulo(row, side), _modulo(column, side)] < now - _MOVING_SECONDS:

@@ -1,4 +1,4 @@
-"""A way of cells turned into few waypoints with free lines of sight between them."""
+"""Reduces a path of cells to few waypoints with free lines of sight between them."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ _INFINITE = cython.declare(cython.double, math.inf)
 
 
 def shortcut(weights: Weights, cells: Cells) -> Cells:
-    """The waypoints of a way: each sees the next one, and the straight line costs no more than the way between them.
+    """Return the waypoints of a path: each sees the next one, at no higher cost than the path between them.
 
     Args:
-        weights: (rows, columns) what entering a cell costs; 0 is an obstacle.
-        cells: (n, 2) rows and columns of a way, as `navigation.algorithms.astar.astar` gives it.
+        weights: (rows, columns) the cost of entering each cell; 0 is an obstacle.
+        cells: (n, 2) rows and columns of a path from `navigation.algorithms.astar.astar`.
 
     Returns:
-        (m, 2) some of its cells: the first, the last, and where it turns.
+        (m, 2) some of its cells: the first, the last, and the corners.
 
     Raises:
-        IndexError: a cell lies outside.
-        ValueError: the cells are no rows and columns.
+        IndexError: a cell is outside the grid.
+        ValueError: the cells are not (n, 2).
     """
     if len(cells) < 3:
         return cells
     rows, columns = weights.shape
     chosen, sums = np.empty(len(cells), np.int64), np.empty(len(cells))
     grid = np.ascontiguousarray(weights).reshape(-1)
-    own = np.array(cells, np.int32, order="C")  # what is checked is what is used
-    if own.shape != (len(cells), 2):
-        raise ValueError(f"a way's cells are (n, 2), rows and columns, not {own.shape}")
-    count = _choose(grid.data, rows, columns, own.data, sums.data, chosen.data)
+    copied = np.array(cells, np.int32, order="C")  # so that the checked values are the used ones
+    if copied.shape != (len(cells), 2):
+        raise ValueError(f"a path's cells must be (n, 2), rows and columns, not {copied.shape}")
+    count = _choose(grid.data, rows, columns, copied.data, sums.data, chosen.data)
     return cells[chosen[:count]]
 
 
 def sees(weights: Weights, one: Cell, other: Cell) -> bool:
-    """Whether the line between two cells' centres touches no obstacle but the first cell's own.
+    """Whether the line between two cells' centers touches no obstacle, apart from the first cell.
 
     Args:
-        weights: (rows, columns) what entering a cell costs; 0 is an obstacle.
+        weights: (rows, columns) the cost of entering each cell; 0 is an obstacle.
         one: row and column.
         other: row and column.
 
     Raises:
-        IndexError: a cell lies outside.
+        IndexError: a cell is outside the grid.
     """
     rows, columns = weights.shape
     for row, column in (one, other):
@@ -65,11 +65,11 @@ def sees(weights: Weights, one: Cell, other: Cell) -> bool:
 def _check(
     row: cython.longlong, column: cython.longlong, rows: cython.longlong, columns: cython.longlong
 ) -> cython.int:
-    """Refuse a cell that lies outside."""
+    """Raise `IndexError` for a cell outside the grid."""
     if 0 <= row < rows and 0 <= column < columns:
         return 0
     with cython.gil:
-        raise IndexError(f"the cell ({row}, {column}) lies outside the grid of {rows} x {columns} cells")
+        raise IndexError(f"the cell ({row}, {column}) is outside the grid of {rows} x {columns} cells")
 
 
 @cython.cfunc
@@ -83,10 +83,10 @@ def _choose(
     sums: cython.double[::1],
     chosen: cython.longlong[::1],
 ) -> cython.Py_ssize_t:
-    """Put the places of the waypoints into ``chosen``; how many they are. Doubles its steps, then halves them.
+    """Write the waypoints' indices to ``chosen``; return their number. It doubles its steps, then halves them.
 
-    ``sums`` gets what the way costs up to each of its cells. Both have as many numbers as the way has cells, which are
-    checked before they are used; each waypoint is a later cell.
+    ``sums`` gets the path's cost up to each of its cells. Both arrays have as many numbers as the path has cells, which
+    are checked before use; each waypoint is a later cell.
     """
     last: cython.Py_ssize_t = cells.shape[0] - 1
     at: cython.Py_ssize_t = 0
@@ -141,7 +141,7 @@ def _fits(
     one: cython.Py_ssize_t,
     other: cython.Py_ssize_t,
 ) -> cython.bint:
-    """Whether a straight line between two cells of a way is free, and costs no more than the way."""
+    """Whether a straight line between two cells of a path is free, at no higher cost than the path."""
     line: cython.double = _line_cost(weights, columns, cells[one, 0], cells[one, 1], cells[other, 0], cells[other, 1])
     return line <= (sums[other] - sums[one]) * (1.0 + 1e-9)
 
@@ -161,10 +161,10 @@ def _line_cost(
     to_row: cython.longlong,
     to_column: cython.longlong,
 ) -> cython.double:
-    """Length times mean weight of the cells that a line touches after its first; infinite where one is an obstacle.
+    """Return length times mean weight of the cells that a line touches after its first; infinite at an obstacle.
 
-    A line through a corner touches all four cells there. All of them lie in the rectangle of the line's ends, which
-    are in the grid: the error is less than 0 in the last column and more than 0 in the last row, up to the end.
+    A line through a corner touches all four cells there. All of them are in the rectangle of the line's ends, and so in
+    the grid: the error is less than 0 in the last column and more than 0 in the last row, up to the end.
     """
     high: cython.longlong = abs(to_row - row)
     wide: cython.longlong = abs(to_column - column)

@@ -1,12 +1,12 @@
 # cython: boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-# Each kernel checks its arrays' shapes first. Then points are counted from 0 to their number, which `slowed` finds for
-# `_struck`, and what is divided by is compared with 0 before, or is a full turn.
-"""Whether a robot that moves so can still stop before what is around it; and what lies ahead of it.
+# Each kernel checks its arrays' shapes first. Then points are counted from 0 to their number, which `slowed` determines
+# for `_struck`; divisors are compared with 0 before, or are a full turn.
+"""Whether a moving robot can still stop before the obstacles around it, and which obstacles are ahead.
 
-The robot is a disc. Its way is followed from the velocity that it has: for as long as it takes until another command
-takes hold (reaction), it goes towards what is commanded, then it brakes; linear and angular velocity change as fast as
-the base lets them. This is the dynamic window's admissibility (Fox, Burgard, Thrun 1997) with the true braking way
-instead of an arc.
+The robot is a disc. Its path is simulated from its current velocity: until the next command takes effect (reaction),
+the velocity approaches the commanded one, then the robot brakes; linear and angular velocity change as fast as the base
+allows. This is the dynamic window's admissibility (Fox, Burgard, Thrun 1997) with the true braking path instead of an
+arc.
 """
 
 from __future__ import annotations
@@ -21,48 +21,48 @@ if cython.compiled:
 else:
     from math import atan2, cos, isfinite, sin
 
-    from numpy import hypot, rint  # Python's own hypot rounds otherwise than C's
+    from numpy import hypot, rint  # Python's hypot rounds differently from C's
 
 _SCALES = cython.declare(cython.double[9], [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05, 0.0])
 _UNKNOWN = cython.declare(cython.double, 2.0)
 _STEP = cython.declare(cython.double, 0.05)
-_CLOSER = cython.declare(cython.double, 1e-4)  # metres that count as no nearer; what is allowed in each step adds up
+_CLOSER = cython.declare(cython.double, 1e-4)  # meters that do not count as nearer; the tolerance of each step adds up
 _LONGEST = cython.declare(cython.double, 600.0)
-"""Seconds for which a way to a stop is followed; whoever would need longer is not let go."""
+"""Seconds for which the path to a stop is simulated; a robot that needs longer must not move."""
 
 _PI = cython.declare(cython.double, math.pi)
 _INFINITY = cython.declare(cython.double, math.inf)
 
 
 def slowed(
-    # (n, 3) x, y, and `navigation.algorithms.rolling_grid.UNKNOWN` for the middle of a cell that nobody saw
+    # (n, 3) x, y, and `navigation.algorithms.rolling_grid.UNKNOWN` for the center of an unseen cell
     points: cython.const[cython.double][:, ::1],
-    count: cython.Py_ssize_t,  # how many of them there are
-    x: cython.double,  # of the robot, metres, in the points' frame
+    count: cython.Py_ssize_t,  # the number of points
+    x: cython.double,  # of the robot, meters, in the points' frame
     y: cython.double,  # the same
     theta: cython.double,  # its heading, radians
     has: cython.const[cython.double][::1],  # (3) vx, vy (m/s, in the robot's frame), omega (rad/s)
     wanted: cython.const[cython.double][::1],  # (3) the same
-    reaction: cython.double,  # seconds for which a command holds at least
-    linear: cython.double,  # m/s2, how fast the velocity changes
-    angular: cython.double,  # rad/s2, the same of turning
-    radius: cython.double,  # the robot's, metres
-    slow: cython.double,  # what it keeps beyond its radius when it creeps, metres
-    fast: cython.double,  # the same at its top speed
-    top: cython.double,  # that speed, m/s
-    blocker: cython.double[::1],  # (3) gets the point that did not let it go faster; its third is -1 where nothing did
+    reaction: cython.double,  # the minimum duration of a command, seconds
+    linear: cython.double,  # acceleration, m/s2
+    angular: cython.double,  # angular acceleration, rad/s2
+    radius: cython.double,  # of the robot, meters
+    slow: cython.double,  # clearance beyond the radius when creeping, meters
+    fast: cython.double,  # clearance at the top speed
+    top: cython.double,  # the top speed, m/s
+    blocker: cython.double[::1],  # (3) gets the point that limits the speed; its third value is -1 without one
 ) -> float:
-    """The greatest share of the wanted linear velocity with which the robot stops in time.
+    """Return the largest share of the wanted linear velocity with which the robot can stop in time.
 
-    It is 0 where the robot stops with none, and where a number that decides is none.
+    It is 0 if the robot cannot stop in time at any speed, and if a relevant number is not finite.
 
     Raises:
         ValueError: the arrays do not fit.
     """
     if not (0 <= count <= points.shape[0] and points.shape[1] == 3):
-        raise ValueError(f"{count} points are taken from an array (n, 3) that has them")
+        raise ValueError(f"points must be (n, 3) with at least {count} rows")
     if has.shape[0] != 3 or wanted.shape[0] != 3 or blocker.shape[0] != 3:
-        raise ValueError("velocities and what blocks them are three numbers")
+        raise ValueError("velocities and blocker must have three numbers")
     near: cython.double[:, ::1] = np.empty((count, 4))
     kept: cython.Py_ssize_t = 0
     cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
@@ -120,9 +120,9 @@ def _struck(
     fast: cython.double,
     top: cython.double,
 ) -> cython.Py_ssize_t:
-    """The first point that the robot comes too near to if it is commanded so, -1 where there is none.
+    """Return the first point that the robot comes too close to with a command, -1 without one.
 
-    ``near`` (n, 4) is x, y, `_UNKNOWN` or not, and how far the robot is from it now; what else is given is `slowed`'s.
+    ``near`` (n, 4) is x, y, `_UNKNOWN` or not, and the current distance; the other parameters are those of `slowed`.
     """
     vx: cython.double = has[0]
     vy: cython.double = has[1]
@@ -166,21 +166,21 @@ def ahead(
     blind: cython.double,
     found: cython.double[::1],
 ) -> None:
-    """What is around a robot that goes in a direction (radians, of its own frame).
+    """Measure the surroundings of a robot that drives in a direction (radians, in its own frame).
 
-    ``found`` (6) gets: how many points lie in the rectangle ahead, and how many of them came lately; the nearest point
-    that came lately within a half circle ahead (metres); the nearest point that lies not within ``blind`` radians of
-    its front (metres), and in which direction (radians); the nearest point of all (metres).
-    Points nearer than ``radius`` count as in the rectangle wherever they are ahead.
+    ``found`` (6) gets: the number of points in the rectangle ahead, and of new ones among them; the distance of the
+    nearest new point in the half circle ahead (meters); the distance of the nearest point outside ``blind`` radians of
+    its front (meters), and its direction (radians); the distance of the nearest point (meters).
+    Points ahead that are nearer than ``radius`` count as in the rectangle.
     Raises `ValueError` if the pose or the direction is not finite, or the arrays do not fit.
     """
     inside: cython.Py_ssize_t = 0
-    came: cython.Py_ssize_t = 0
+    arrived: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
     if not (0 <= count <= points.shape[0] and points.shape[1] == 3 and found.shape[0] == 6):
-        raise ValueError(f"{count} points are taken from an array (n, 3) that has them, and six numbers are found")
+        raise ValueError(f"points must be (n, 3) with at least {count} rows, and found six numbers")
     if not isfinite(x + y + theta + direction):
-        raise ValueError(f"a robot's pose and direction are finite, not {x}, {y}, {theta} and {direction}")
+        raise ValueError(f"pose and direction must be finite, not {x}, {y}, {theta} and {direction}")
     with cython.nogil:
         moving: cython.double = _INFINITY
         aside: cython.double = _INFINITY
@@ -197,7 +197,7 @@ def ahead(
             lately: cython.bint = points[i, 2] != 0.0
             if along > 0.0 and ((along < length and abs(across) < half) or away < radius):
                 inside += 1
-                came += lately
+                arrived += lately
             if lately and along > -0.17 * away:
                 moving = min(moving, away)
             nearest = min(nearest, away)
@@ -208,7 +208,7 @@ def ahead(
                     aside = away
                     angle = bearing
         found[0] = inside
-        found[1] = came
+        found[1] = arrived
         found[2] = moving
         found[3] = aside
         found[4] = angle

@@ -1,13 +1,13 @@
 # cython: boundscheck=False, wraparound=False, initializedcheck=False
-# Columns and blocks are compared with the shapes of the tables before they are looked up; each column is put into each
-# queue once at most, and a queue has a place for each.
-"""What a robot on wheels would touch, and where it would fall, as a grid: by the voxels of each column.
+# Indices of columns and blocks are checked before use; each column is added to each queue at most once, and each queue
+# has room for all columns.
+"""A grid of obstacles and drops for a wheeled robot, from the voxels of each column.
 
-The floor is followed from the robot on, from column to column: a column's floor is the surface nearest to its
-neighbour's, if it is not more than a step above or below. Where no surface is there, the column is blocked if something
-stands between the wheels' step and the robot's height, a drop if what lies below is known and is no floor, and unknown
-otherwise; behind such columns the floor is looked for at the height that it had. Columns whose floor is known are
-followed first, those that are unknown next, so that a ramp is climbed from its foot and not from its flank.
+The floor is followed from the robot, from column to column: a column's floor is the surface nearest to its neighbor's,
+if it is at most a step above or below. Without such a surface, the column is blocked if it has voxels between the
+wheels' step and the robot's height, a drop if the voxels below are known and no floor, and unknown otherwise; beyond
+such columns, the floor is expected at its last height. Columns with a known floor are followed first, unknown ones
+next, so that a ramp is climbed from its foot and not from its side.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 UNKNOWN, FLOOR, OBSTACLE, EDGE = 0, 1, 2, 3
-"""What a column is: not known, free, blocked, or at a drop or a step that wheels cannot take."""
+"""The kinds of columns: unknown, free, blocked, or next to a drop or a step that wheels cannot climb."""
 
 SPAN = 0.3
-"""Metres along which a slope is measured: about the distance of wheels."""
+"""Meters along which a slope is measured: about the distance between wheels."""
 
 _FLOOR = cython.declare(cython.uchar, FLOOR)
 _OBSTACLE = cython.declare(cython.uchar, OBSTACLE)
 _EDGE = cython.declare(cython.uchar, EDGE)
 _NONE = cython.declare(cython.longlong, -(1 << 40))
-_NOT_REACHED = 3  # worse than all queues: 0 is of columns whose floor is known, 1 of unknown, 2 of blocked ones
+_NOT_REACHED = 3  # higher than all queues: 0 has columns with a known floor, 1 unknown, 2 blocked ones
 
 
 class RobotSize(NamedTuple):
-    """What decides where a robot may drive: metres, and radians of the steepest ramp."""
+    """The robot's dimensions that decide where it can drive, in meters, and the steepest ramp in radians."""
 
     height: float
     width: float
@@ -43,14 +43,14 @@ class RobotSize(NamedTuple):
 
 
 class LayerColumns(NamedTuple):
-    """Columns of voxels: rows along y, the first one at the corner; what each is, and the height of its floor.
+    """The kinds of columns and their floors' heights; rows along y, the first one at the corner.
 
     Attributes:
-        corner: x and y of the first column's corner, metres.
+        corner: x and y of the first column's corner, meters.
         kinds: (rows, columns) uint8 of the kinds above.
-        floors: (rows, columns) float32, metres to the middle of the floor's voxel, or where it would be.
-        hits: (rows, columns, 2) float32, metres above the floor of the lowest and the highest voxel that the robot
-            would touch; NaN where it touches none.
+        floors: (rows, columns) float32, height in meters of the floor's voxel center, or its expected height.
+        hits: (rows, columns, 2) float32, meters above the floor of the lowest and highest voxel that the robot would
+            touch; NaN if there is none.
     """
 
     corner: tuple[float, float]
@@ -67,43 +67,44 @@ def columns(
     robot: RobotSize,
     largest: float,
 ) -> LayerColumns:
-    """Follow the floor from the robot on.
+    """Follow the floor from the robot.
 
     Args:
         blocks: (count, 3) keys of blocks of 8 x 8 x 8 voxels; 4096 is at 0 m.
         values: (count, 512) log odds in Morton's order; NaN is unknown.
-        resolution: metres of a voxel's side.
-        base: of the robot, on the floor, metres.
-        robot: what it touches, and what it takes.
-        largest: metres; what is farther than half of it from the robot, to a side, is left out.
+        resolution: a voxel's side, meters.
+        base: the robot's position on the floor, meters.
+        robot: its dimensions.
+        largest: the layer's side in meters; columns outside it are left out.
 
-    Raises `ValueError` if a number is not finite, or blocks have no 512 values each.
+    Raises `ValueError` if a number is not finite, or blocks do not have 512 values each.
     """
     if values.shape != (len(blocks), 512):
-        raise ValueError(f"{len(blocks)} blocks have 512 values each, not {values.shape}")
+        raise ValueError(f"{len(blocks)} blocks must have 512 values each, not {values.shape}")
     numbers = list(base) + list(robot) + [largest]  # Cython does not unpack C's tuples
     if not all(map(math.isfinite, numbers)) or not resolution > 0.0:
-        raise ValueError(f"a robot of {robot} at {base} is nowhere")
+        raise ValueError(f"invalid robot {robot} at {base}")
     side = 8 * resolution
-    own = np.array([math.floor(value / side) + 4096 for value in base])
+    robot_block = np.array([math.floor(value / side) + 4096 for value in base])
     reach = max(1, round(0.5 * largest / side))
-    near = (np.abs(blocks - own) <= reach).all(-1)
+    near = (np.abs(blocks - robot_block) <= reach).all(-1)
     slots = np.flatnonzero(near)
-    there = blocks[slots]
-    low, high = (np.vstack((there, own[None])).min(0), np.vstack((there, own[None])).max(0))
+    nearby = blocks[slots]
+    covered = np.vstack((nearby, robot_block[None]))
+    low, high = covered.min(0), covered.max(0)
     table = np.full(tuple(high - low + 1), -1, np.int32)
-    table[tuple((there - low).T)] = slots
+    table[tuple((nearby - low).T)] = slots
     count = table.shape[0] * table.shape[1] * 64
     kinds, floors = np.zeros((table.shape[1] * 8, table.shape[0] * 8), np.uint8), np.zeros(count, np.int32)
     hits = np.zeros((*kinds.shape, 2), np.int32)
-    made = _Columns(table, np.ascontiguousarray(values), kinds, floors.reshape(kinds.shape), hits)
+    builder = _Columns(table, np.ascontiguousarray(values), kinds, floors.reshape(kinds.shape), hits)
     corner = (low - 4096) * side
     x, y, z = ((value - edge) / resolution for value, edge in zip(base, corner.tolist(), strict=True))
     step = max(1, int(robot.step / resolution + 1e-6))
     top = math.ceil((robot.height + robot.margin) / resolution - 1e-6)
-    made.follow(x, y, math.floor(z), 0.5 * robot.width / resolution, step, top)
+    builder.follow(x, y, math.floor(z), 0.5 * robot.width / resolution, step, top)
     span = max(2, round(SPAN / resolution))
-    made.find_edges(span, step + round(span * math.tan(robot.slope)))
+    builder.find_edges(span, step + round(span * math.tan(robot.slope)))
     heights = (floors.reshape(kinds.shape) + 0.5) * resolution + corner[2]
     touched = np.full(hits.shape, np.nan, np.float32)
     np.multiply(hits, np.float32(resolution), out=touched, where=hits > 0)
@@ -113,7 +114,7 @@ def columns(
 @cython.final
 @cython.cclass
 class _Columns:
-    """The columns while they are made."""
+    """The columns while they are found."""
 
     _table: cython.int[:, :, ::1]
     _values: cython.const[cython.float][:, ::1]
@@ -150,7 +151,7 @@ class _Columns:
         step: cython.longlong,
         top: cython.longlong,
     ) -> None:
-        """Find the floor of all columns, from a disc about the robot on; all in voxels."""
+        """Find the floor of all columns, starting at a disc around the robot; all in voxels."""
         rows: cython.longlong = self._kinds.shape[0]
         wide: cython.longlong = self._kinds.shape[1]
         self._step, self._top = step, top
@@ -164,7 +165,7 @@ class _Columns:
                         break
                     apart: cython.double = (row + 0.5 - y) ** 2 + (column + 0.5 - x) ** 2
                     if apart <= max(radius * radius, 0.5):
-                        self._kinds[row, column] = _FLOOR  # it stands there
+                        self._kinds[row, column] = _FLOOR  # the robot is here
                         self._reach(row, column, level)
             begins_0: cython.longlong = 0
             begins_1: cython.longlong = 0
@@ -203,42 +204,42 @@ class _Columns:
                     self._reach(row, column + 1, floor)
 
     def find_edges(self, span: cython.longlong, most: cython.longlong) -> None:
-        """Make edges of floors that lie more than a step above a neighbour's.
+        """Mark floors more than a step above a neighbor's as edges.
 
-        So are those that rise by more than ``most`` voxels within ``span`` columns, by steps that can be taken.
+        The same applies to floors that rise by more than ``most`` voxels within ``span`` columns in small steps.
         """
         rows: cython.longlong = self._kinds.shape[0]
         wide: cython.longlong = self._kinds.shape[1]
-        cython.declare(row=cython.longlong, column=cython.longlong, way=cython.longlong, apart=cython.longlong)
+        cython.declare(row=cython.longlong, column=cython.longlong, axis=cython.longlong, apart=cython.longlong)
         with cython.nogil:
             for row in range(rows):
                 for column in range(wide):
                     if self._best[row * wide + column] != 0:
                         continue
-                    for way in range(2):
+                    for axis in range(2):
                         before: cython.longlong = self._floors[row, column]
                         for apart in range(1, span + 1):
-                            to_row: cython.longlong = row + apart if way else row
-                            to: cython.longlong = column if way else column + apart
+                            to_row: cython.longlong = row + apart if axis else row
+                            to: cython.longlong = column if axis else column + apart
                             if to_row >= rows or to >= wide or self._best[to_row * wide + to] != 0:
                                 break
-                            there: cython.longlong = self._floors[to_row, to]
-                            sheer: cython.bint = abs(there - before) > self._step
-                            rise: cython.longlong = there - self._floors[row, column]
-                            if (rise > most and not sheer) or (sheer and there > before and apart == 1):
+                            height: cython.longlong = self._floors[to_row, to]
+                            sheer: cython.bint = abs(height - before) > self._step
+                            rise: cython.longlong = height - self._floors[row, column]
+                            if (rise > most and not sheer) or (sheer and height > before and apart == 1):
                                 self._kinds[to_row, to] = max(self._kinds[to_row, to], _EDGE)
-                            elif (-rise > most and not sheer) or (sheer and there < before and apart == 1):
+                            elif (-rise > most and not sheer) or (sheer and height < before and apart == 1):
                                 self._kinds[row, column] = max(self._kinds[row, column], _EDGE)
                             if sheer:
                                 break
-                            before = there
+                            before = height
 
     @cython.cfunc
     @cython.inline
     @cython.nogil
     @cython.exceptval(check=False)
     def _state(self, row: cython.longlong, column: cython.longlong, level: cython.longlong) -> cython.int:
-        """0: a voxel is not known, 1: free, 2: occupied."""
+        """Return 0 for an unknown voxel, 1 for a free one, 2 for an occupied one."""
         if level < 0 or level >= 8 * self._table.shape[2]:
             return 0
         slot: cython.longlong = self._table[column >> 3, row >> 3, level >> 3]
@@ -251,7 +252,7 @@ class _Columns:
     @cython.nogil
     @cython.exceptval(check=False)
     def _surface(self, row: cython.longlong, column: cython.longlong, floor: cython.longlong) -> cython.longlong:
-        """The level of the surface that is nearest to a floor's, if it is within a step of it."""
+        """Return the level of the surface nearest to a floor's, if it is within a step."""
         apart: cython.longlong
         for apart in range(self._step + 1):
             if self._state(row, column, floor + apart) == 2 and self._state(row, column, floor + apart + 1) != 2:
@@ -264,7 +265,7 @@ class _Columns:
     @cython.nogil
     @cython.exceptval(check=False)
     def _blocked(self, row: cython.longlong, column: cython.longlong, floor: cython.longlong) -> cython.bint:
-        """Whether something is between the wheels' step and the robot's height."""
+        """Whether a voxel between the wheels' step and the robot's height is occupied."""
         level: cython.longlong
         for level in range(floor + self._step + 1, floor + self._top + 1):
             if self._state(row, column, level) == 2:
@@ -275,7 +276,7 @@ class _Columns:
     @cython.nogil
     @cython.exceptval(check=False)
     def _measure(self, row: cython.longlong, column: cython.longlong, floor: cython.longlong) -> cython.void:
-        """Note what blocks a column: its lowest and its highest voxel, counted from the floor."""
+        """Store the lowest and highest voxel that block a column, counted from the floor."""
         level: cython.longlong
         for level in range(self._step + 1, self._top + 1):
             if self._state(row, column, floor + level) == 2:
@@ -287,7 +288,7 @@ class _Columns:
     @cython.nogil
     @cython.exceptval(check=False)
     def _drops(self, row: cython.longlong, column: cython.longlong, floor: cython.longlong) -> cython.bint:
-        """Whether what lies more than a step below a floor is known."""
+        """Whether voxels more than a step below a floor are known."""
         level: cython.longlong
         for level in range(max(0, floor - self._step - self._top), floor - self._step):
             if self._state(row, column, level) != 0:
@@ -298,21 +299,21 @@ class _Columns:
     @cython.nogil
     @cython.exceptval(check=False)
     def _reach(self, row: cython.longlong, column: cython.longlong, floor: cython.longlong) -> cython.void:
-        """Queue a column for a neighbour's floor, unless it is known as well already."""
+        """Queue a column for a neighbor's floor, unless it is already known as well."""
         place: cython.longlong = row * self._kinds.shape[1] + column
         if self._settled[place] or self._best[place] == 0:
             return
-        found: cython.longlong = self._surface(row, column, floor)
+        level: cython.longlong = self._surface(row, column, floor)
         queue: cython.longlong = 0
-        if found == _NONE:
-            found = floor
+        if level == _NONE:
+            level = floor
             queue = 2 if self._blocked(row, column, floor) or self._drops(row, column, floor) else 1
         if queue >= self._best[place]:
             return
         self._best[place] = cython.cast(cython.uchar, queue)
         end: cython.longlong = self._ends[queue]
         self._queues[queue, end] = cython.cast(cython.int, place)
-        self._levels[queue, end] = cython.cast(cython.int, found)
+        self._levels[queue, end] = cython.cast(cython.int, level)
         self._ends[queue] = end + 1
 
     @cython.cfunc
@@ -321,7 +322,7 @@ class _Columns:
     def _settle(
         self, row: cython.longlong, column: cython.longlong, floor: cython.longlong, queue: cython.longlong
     ) -> cython.void:
-        """Say what a column is, whose floor is known (queue 0), or not (1), or which is blocked or drops (2)."""
+        """Set the kind of a column with a known floor (queue 0), an unknown one (1), or a block or drop (2)."""
         if self._blocked(row, column, floor):
             self._kinds[row, column] = _OBSTACLE
             self._measure(row, column, floor)
@@ -336,5 +337,5 @@ class _Columns:
 @cython.nogil
 @cython.exceptval(check=False)
 def _spread(value: cython.longlong) -> cython.longlong:
-    """The lower three bits of a number, every third one."""
+    """Spread the lower three bits of a number to every third bit."""
     return (value & 1) | ((value & 2) << 2) | ((value & 4) << 4)

@@ -1,6 +1,6 @@
 # cython: boundscheck=False, wraparound=False, initializedcheck=False
-# Places in a block are below 512, and its leaves are not more than its voxels that are known.
-"""Leaves of an octree, made of blocks of voxels (`navigation.algorithms.voxel_map`)."""
+# Indices in a block are below 512, and it has at most as many leaves as known voxels.
+"""Leaves of an octree from blocks of voxels (`navigation.algorithms.voxel_map`)."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ _BITS = 13  # of a block's key along one axis
 def leaves(
     blocks: NDArray[np.int64], values: NDArray[np.float32]
 ) -> tuple[NDArray[np.uint64], NDArray[np.uint8], NDArray[np.float32]]:
-    """Leaves of the tree as far down as blocks go: eight equal ones of a block are one.
+    """Return the leaves of the tree within blocks: eight equal ones of a block are merged.
 
     Args:
         blocks: (count, 3) keys of blocks.
         values: (count, 512) log odds in them in Morton's order; NaN is unknown.
 
     Returns:
-        (n,) codes of each one's lowest voxel in Morton's order of 48 bits (x lowest), rising; (n,) depths, from 13
-        for a block to 16 for a voxel; (n,) log odds. Raises `ValueError` if blocks have no 512 values each.
+        (n,) codes of each leaf's lowest voxel in Morton's order of 48 bits (x lowest), ascending; (n,) depths, from 13
+        for a block to 16 for a voxel; (n,) log odds. Raises `ValueError` if blocks do not have 512 values each.
     """
     if values.shape != (len(blocks), 512):
-        raise ValueError(f"{len(blocks)} blocks have 512 values each, not {values.shape}")
+        raise ValueError(f"{len(blocks)} blocks must have 512 values each, not {values.shape}")
     bits = np.arange(_BITS, dtype=np.int64)
     codes = np.zeros(len(blocks), np.int64)
     for axis in range(3):
@@ -48,7 +48,7 @@ def _leaves(
     depths: cython.uchar[::1],
     odds: cython.float[::1],
 ) -> cython.longlong:
-    """Put the leaves of all blocks in that order into the arrays; how many."""
+    """Write the leaves of all blocks in that order to the arrays; return their number."""
     count: cython.longlong = 0
     index: cython.longlong
     for index in range(order.shape[0]):
@@ -73,7 +73,7 @@ def _leaves(
 def _alike(
     values: cython.const[cython.float][:, ::1], slot: cython.longlong, place: cython.longlong
 ) -> cython.longlong:
-    """How many voxels from a place on are one leaf: the largest cube that begins there whose voxels are equal."""
+    """Return the number of voxels of the largest cube from an index on whose voxels are equal."""
     value: cython.float = values[slot, place]
     size: cython.longlong = 1
     while value == value and size < _CELLS and place % (8 * size) == 0:

@@ -1,13 +1,13 @@
 # cython: boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-# Slots are numbers of blocks that are there, places in a block below 512, places in the table taken modulo its size;
-# what is given is checked first, and divisors are compared with 0 before.
-"""Probabilities of voxels, learnt from clouds of points: the same tree as OctoMap's, kept in blocks of 8 x 8 x 8.
+# Slots are indices of existing blocks, indices in a block are below 512, and those in the table are taken modulo its
+# size; arguments are checked first, and divisors are compared with 0 before.
+"""Probabilities of voxels from point clouds: the same tree as OctoMap's, stored in blocks of 8 x 8 x 8.
 
-Where OctoMap goes down sixteen levels of its tree for each voxel of each ray, here a hash table of blocks is asked once
-a block; a tree is made of them only to be sent or saved. Keys, rays, odds and
-thresholds are OctoMap's (Hornung et al., "OctoMap", Autonomous Robots 2013; release 1.9 of its library): a voxel's key
-is its place in units of the resolution, rounded down, plus 32768; rays go from cell to cell (Amanatides and Woo 1987)
-in the same precision, so that the leaves of both are equal.
+OctoMap descends sixteen levels of its tree for each voxel of each ray; here a hash table of blocks is read once per
+block, and a tree is built only to send or save it. Keys, rays, odds and thresholds are OctoMap's (Hornung et al.,
+"OctoMap", Autonomous Robots 2013; release 1.9 of its library): a voxel's key is its position in units of the
+resolution, rounded down, plus 32768; rays go from cell to cell (Amanatides and Woo 1987) in the same precision, so
+that the leaves of both are equal.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _odds(probability: float) -> float:
 
 
 HIT, MISS, LEAST, MOST = _odds(0.7), _odds(0.4), _odds(0.1192), _odds(0.971)
-"""Log odds that OctoMap adds to a voxel, and within which it keeps them: its defaults."""
+"""Log odds that OctoMap adds to a voxel, and their limits, with its default values."""
 
 _HIT = cython.declare(cython.float, HIT)
 _MISS = cython.declare(cython.float, MISS)
@@ -49,8 +49,8 @@ _UNKNOWN = cython.declare(cython.float, math.nan)
 _INFINITY = cython.declare(cython.double, math.inf)
 _LOWER = cython.declare(cython.longlong, (1 << 39) - 1)  # bits of a hash that may be multiplied by 24 more
 _NO_ROOM = cython.declare(cython.longlong, -2)
-_BEGIN = 64  # blocks for which there is room at first
-_BYTES = 9 * CELLS + 13  # of a block
+_BEGIN = 64  # initial capacity in blocks
+_BYTES = 9 * CELLS + 13  # per block
 
 
 @cython.cfunc
@@ -66,7 +66,7 @@ def _hash(key: cython.longlong) -> cython.longlong:
 @cython.nogil
 @cython.exceptval(check=False)
 def _spread(value: cython.longlong) -> cython.longlong:
-    """The lower three bits of a key as those of one axis in a block: every third one (Morton's order)."""
+    """Spread the lower three bits of a key to every third bit, for one axis in a block (Morton's order)."""
     return (value & 1) | ((value & 2) << 2) | ((value & 4) << 4)
 
 
@@ -75,7 +75,7 @@ def _spread(value: cython.longlong) -> cython.longlong:
 @cython.nogil
 @cython.exceptval(check=False)
 def _key(coordinate: cython.float, factor: cython.double) -> cython.longlong:
-    """A key along one axis; -1 of what is outside of all keys, or no number."""
+    """Return a key along one axis; -1 outside all keys, or for NaN."""
     place: cython.double = floor(factor * coordinate) if abs(factor * coordinate) < _MIDDLE else _INFINITY
     return cython.cast(cython.longlong, place) + _MIDDLE if place < _MIDDLE else -1
 
@@ -86,10 +86,10 @@ class VoxelMap:
     """Log odds of voxels, and when each was last seen occupied.
 
     Args:
-        resolution: metres of a voxel's side.
-        most: blocks of 8 x 8 x 8 voxels, 4.6 kB each, that it holds at most.
+        resolution: a voxel's side, meters.
+        most: the maximum number of blocks of 8 x 8 x 8 voxels, 4.6 kB each.
 
-    Raises `ValueError` if it has no resolution or no block.
+    Raises `ValueError` if a parameter is not above 0.
     """
 
     resolution = cython.declare(cython.double, visibility="readonly")
@@ -98,7 +98,7 @@ class VoxelMap:
     left_out = cython.declare(cython.longlong, visibility="readonly")
     _values: cython.float[:, ::1]  # log odds by block and place; NaN: unknown
     _seen: cython.float[:, ::1]  # seconds, when a ray last ended there
-    _marks: cython.uchar[:, ::1]  # what this cloud makes of a voxel: 1 passed, 2 hit
+    _marks: cython.uchar[:, ::1]  # the current cloud's observation of a voxel: 1 passed, 2 hit
     _blocks: cython.longlong[::1]  # packed keys of the blocks
     _table: cython.int[::1]  # slots by hash, -1: none
     _touched: cython.int[::1]  # slots of blocks that have marks, the first `_marked` of them
@@ -112,59 +112,59 @@ class VoxelMap:
 
     def __init__(self, resolution: float, most: int) -> None:
         if not resolution > 0.0 or most < 1:
-            raise ValueError(f"voxels of {resolution} m in {most} blocks are none")
+            raise ValueError(f"invalid map of {most} blocks with voxels of {resolution} m")
         self.resolution, self.most = resolution, min(most, 1 << 26)
         self._ends, self._set = np.empty(0, np.int64), np.empty(0, np.int64)
         self.clear()
 
     def clear(self) -> None:
-        """Forget all."""
+        """Remove all voxels."""
         self.count = self.left_out = self._marked = 0
-        self._take(np.empty((0, CELLS), np.float32), np.empty((0, CELLS), np.float32), np.empty(0, np.int64), _BEGIN)
+        self._store(np.empty((0, CELLS), np.float32), np.empty((0, CELLS), np.float32), np.empty(0, np.int64), _BEGIN)
 
     @property
     def full(self) -> bool:
-        """Whether the last cloud had no room for all it saw."""
+        """Whether the last cloud did not fit completely."""
         return self.left_out > 0
 
     @property
     def megabytes(self) -> float:
-        """What it holds of memory, apart from what a cloud needs while it is taken."""
+        """The used memory, without the temporary memory for adding a cloud."""
         return (self._blocks.shape[0] * _BYTES + 4 * self._table.shape[0]) / 2**20
 
     @property
     def blocks(self) -> NDArray[np.int64]:
-        """(count, 3) each block's key: a voxel's one divided by 8."""
+        """Each block's key, (count, 3): a voxel's key divided by 8."""
         packed = np.asarray(self._blocks)[: self.count]
         return np.stack((packed & 0x1FFF, packed >> 13 & 0x1FFF, packed >> 26), -1)
 
     @property
     def values(self) -> NDArray[np.float32]:
-        """(count, 512) log odds by block and place, in Morton's order (x lowest); NaN is unknown. Not a copy."""
+        """The log odds by block and index, (count, 512), in Morton's order (x lowest); NaN is unknown. Not a copy."""
         return np.asarray(self._values)[: self.count]
 
     @property
     def seen(self) -> NDArray[np.float32]:
-        """(count, 512) seconds at which a ray last ended in each voxel; 0 where none has. Not a copy."""
+        """The time in seconds at which a ray last ended in each voxel, (count, 512); 0 for never. Not a copy."""
         return np.asarray(self._seen)[: self.count]
 
     def insert(
         self, points: cython.float[:, ::1], origin: tuple[float, float, float], farthest: float, now: float = 0.0
     ) -> int:
-        """Take a cloud as OctoMap's ``insertPointCloud`` does with ``discretize``; how many voxels it touched.
+        """Add a cloud like OctoMap's ``insertPointCloud`` with ``discretize``; return the number of changed voxels.
 
         Args:
-            points: (n, 3) metres; a point that is not finite, or beyond all keys, is left out.
-            origin: of the sensor. Raises `ValueError` where that is outside of all keys.
-            farthest: metres; a ray to a point beyond frees so far, and hits nothing.
+            points: (n, 3) meters; points that are not finite, or outside all keys, are ignored.
+            origin: of the sensor. Raises `ValueError` if it is outside all keys.
+            farthest: meters; a ray to a point beyond frees voxels up to this distance, and hits nothing.
             now: seconds of any clock.
         """
         if points.shape[1] != 3:
-            raise ValueError(f"points are given as (n, 3), not (n, {points.shape[1]})")
+            raise ValueError(f"points must be (n, 3), not (n, {points.shape[1]})")
         self._ox, self._oy, self._oz = origin
         factor = 1.0 / self.resolution
         if min(_key(self._ox, factor), _key(self._oy, factor), _key(self._oz, factor)) < 0 or not farthest > 0.0:
-            raise ValueError(f"a sensor at {origin} that sees {farthest} m is outside of the map")
+            raise ValueError(f"a sensor at {origin} with a range of {farthest} m is outside the map")
         room = 1 << max(4, 2 * points.shape[0] - 1).bit_length()
         if self._set.shape[0] != room:
             self._set, self._ends = np.empty(room, np.int64), np.empty(room // 2, np.int64)
@@ -176,27 +176,27 @@ class VoxelMap:
         return int(self._update(now))
 
     def log_odds(self, places: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(n,) log odds at places (n, 3), metres; NaN is unknown."""
-        found = np.full(len(places), np.nan, np.float32)
-        self._look(np.ascontiguousarray(places, np.float32), found)
-        return found
+        """Return the log odds (n,) at points (n, 3), meters; NaN is unknown."""
+        odds = np.full(len(places), np.nan, np.float32)
+        self._read(np.ascontiguousarray(places, np.float32), odds)
+        return odds
 
     def fill(self, keys: NDArray[np.int64], sides: NDArray[np.int64], values: NDArray[np.float32]) -> None:
-        """Set cubes, as the leaves of a tree are.
+        """Set cubes of voxels, such as the leaves of a tree.
 
         Args:
             keys: (n, 3) of each one's lowest voxel.
             sides: (n,) voxels along its side, a power of 2.
             values: (n,) log odds.
 
-        Raises `ValueError` if a cube is none, or there are more blocks than it may hold; some are set then.
+        Raises `ValueError` if a cube is invalid, or the map is full; some cubes may be set then.
         """
         keys, sides = np.ascontiguousarray(keys, np.int64), np.ascontiguousarray(sides, np.int64)
         if keys.size and not (
             (sides > 0).all() and (sides & sides - 1 == 0).all() and (keys % sides[:, None] == 0).all()
             and (keys >= 0).all() and (keys + sides[:, None] <= 2 * MIDDLE).all() and len(keys) == len(values)
         ):  # fmt: skip
-            raise ValueError("a cube of the tree is not within its keys, from 0 to 65535")
+            raise ValueError("a cube of the tree is outside its keys, 0 to 65535")
         blocks = float(((np.maximum(sides, SIDE) / SIDE) ** 3)[sides > SIDE].sum())
         done = 0 if blocks <= self.most else -1
         while done >= 0 and done < len(keys):
@@ -204,20 +204,18 @@ class VoxelMap:
             if 0 <= done < len(keys):
                 self._grow()
         if done < 0:
-            raise ValueError(
-                f"the tree needs more than the {self.most} blocks of {SIDE} voxels a side there is room for"
-            )
+            raise ValueError(f"the tree needs more than the {self.most} blocks of {SIDE} voxels per side that fit")
 
     def keep(self, chosen: NDArray[np.bool_]) -> None:
-        """Keep the chosen blocks, (count,) of them, and forget the others."""
+        """Remove all blocks but the chosen ones, (count,)."""
         wanted = np.flatnonzero(chosen)
-        self._take(self.values[wanted], self.seen[wanted], np.asarray(self._blocks)[wanted], len(wanted))
+        self._store(self.values[wanted], self.seen[wanted], np.asarray(self._blocks)[wanted], len(wanted))
 
     @cython.cfunc
-    def _take(
+    def _store(
         self, values: NDArray[np.float32], seen: NDArray[np.float32], blocks: NDArray[np.int64], room: int
     ) -> Any:
-        """Hold these blocks, with room for so many."""
+        """Store these blocks, with a given capacity."""
         room = min(max(room, _BEGIN), self.most)
         held = len(blocks)
         odds = np.full((room, CELLS), np.nan, np.float32)
@@ -236,15 +234,15 @@ class VoxelMap:
 
     @cython.cfunc
     def _grow(self) -> Any:
-        """Have room for twice as many blocks; marks are lost, and made anew."""
-        self._take(self.values, self.seen, np.asarray(self._blocks)[: self.count], 2 * self._blocks.shape[0])
+        """Double the capacity; marks are lost, and made again."""
+        self._store(self.values, self.seen, np.asarray(self._blocks)[: self.count], 2 * self._blocks.shape[0])
 
     @cython.cfunc
     @cython.inline
     @cython.nogil
     @cython.exceptval(check=False)
     def _find(self, key: cython.longlong) -> cython.longlong:
-        """The slot of a block, -1 where it is not there."""
+        """Return the slot of a block, or -1."""
         mask: cython.longlong = self._table.shape[0] - 1
         at: cython.longlong = _hash(key) & mask
         while self._table[at] >= 0 and self._blocks[self._table[at]] != key:
@@ -256,7 +254,7 @@ class VoxelMap:
     @cython.nogil
     @cython.exceptval(check=False)
     def _slot(self, key: cython.longlong) -> cython.longlong:
-        """The slot of a block, which is made where it is not there; -1 where there may be no more, -2: grow first."""
+        """Return the slot of an existing or new block; -1 if the map is full, -2 if it has to grow first."""
         mask: cython.longlong = self._table.shape[0] - 1
         at: cython.longlong = _hash(key) & mask
         while self._table[at] >= 0:
@@ -273,7 +271,7 @@ class VoxelMap:
     @cython.cfunc
     @cython.nogil
     @cython.exceptval(check=False)
-    def _look(self, places: cython.const[cython.float][:, ::1], found: cython.float[::1]) -> cython.void:
+    def _read(self, places: cython.const[cython.float][:, ::1], found: cython.float[::1]) -> cython.void:
         factor: cython.double = 1.0 / self.resolution
         index: cython.Py_ssize_t
         for index in range(found.shape[0]):
@@ -295,7 +293,7 @@ class VoxelMap:
         sides: cython.const[cython.longlong][::1],
         values: cython.const[cython.float][::1],
     ) -> cython.longlong:
-        """Set cubes from one on; which one there is no room for before it grows, -1: there may be none."""
+        """Set cubes from an index on; return the first one that needs more capacity, -1 if the map is full."""
         index: cython.longlong
         for index in range(done, sides.shape[0]):
             side: cython.longlong = sides[index]
@@ -325,7 +323,7 @@ class VoxelMap:
     @cython.nogil
     @cython.exceptval(check=False)
     def _collect(self, points: cython.const[cython.float][:, ::1]) -> cython.longlong:
-        """Put the voxels that points lie in into ``_ends``, each once; how many."""
+        """Write the voxels of the points to ``_ends``, each once; return their number."""
         factor: cython.double = 1.0 / self.resolution
         mask: cython.longlong = self._set.shape[0] - 1
         count: cython.longlong = 0
@@ -354,7 +352,7 @@ class VoxelMap:
     @cython.nogil
     @cython.exceptval(check=False)
     def _mark(self, count: cython.longlong, farthest: cython.double) -> cython.bint:
-        """Mark what is hit, then what rays pass that is not hit; False where there is no room for a block."""
+        """Mark the hit voxels, then those that rays pass without a hit; return False if a block does not fit."""
         index: cython.longlong
         for index in range(count):
             key: cython.longlong = self._ends[index]
@@ -411,7 +409,7 @@ class VoxelMap:
     def _ray(
         self, to_x: cython.longlong, to_y: cython.longlong, to_z: cython.longlong, farthest: cython.double
     ) -> cython.bint:
-        """Mark what the ray to a voxel's middle passes, as far as it is believed; False where there is no room."""
+        """Mark the voxels that the ray to a voxel's center passes, within range; return False if it does not fit."""
         factor: cython.double = 1.0 / self.resolution
         dx: cython.float = self._middle(to_x) - self._ox
         dy: cython.float = self._middle(to_y) - self._oy
@@ -489,7 +487,7 @@ class VoxelMap:
     def _border(
         self, key: cython.longlong, step: cython.longlong, along: cython.float, origin: cython.float
     ) -> cython.double:
-        """Metres of a ray until it leaves its first voxel along one axis."""
+        """Return the meters of a ray until it leaves its first voxel along one axis."""
         if along == 0.0:
             return _INFINITY
         half: cython.float = cython.cast(cython.float, step * self.resolution * 0.5)
@@ -500,7 +498,7 @@ class VoxelMap:
     @cython.nogil
     @cython.exceptval(check=False)
     def _update(self, now: cython.float) -> cython.longlong:
-        """Change the odds of what is marked, and take the marks away; how many voxels."""
+        """Change the odds of marked voxels, and remove the marks; return the number of voxels."""
         count: cython.longlong = 0
         index: cython.longlong
         place: cython.longlong
@@ -530,6 +528,6 @@ def _packed(x: cython.longlong, y: cython.longlong, z: cython.longlong) -> cytho
 
 
 def within(places: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(n, 3) voxels in a block of places in it, in Morton's order."""
+    """Return the voxels (n, 3) in a block for indices in Morton's order."""
     places = np.asarray(places, np.int64)
     return np.stack([(places >> a & 1) | (places >> a + 2 & 2) | (places >> a + 4 & 4) for a in range(3)], -1)

@@ -1,4 +1,4 @@
-"""Ways on grids, against Dijkstra's algorithm written out."""
+"""Paths on grids, compared with a plain Dijkstra's algorithm."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ python_lines = uncompiled("navigation.algorithms.shortcut")
 
 
 def dijkstra(weights: Grid, start: tuple[int, int], goal: tuple[int, int]) -> float:
-    """The least cost, in the same whole numbers; infinite where there is no way."""
+    """Return the lowest cost, in the same integers; infinite without a path."""
     rows, columns = weights.shape
 
     def free(row: int, column: int) -> bool:
@@ -44,10 +44,10 @@ def dijkstra(weights: Grid, start: tuple[int, int], goal: tuple[int, int]) -> fl
                 beside = free(row + down, column) and free(row, column + right)
                 if not (down or right) or not free(*there) or (down and right and not beside):
                     continue
-                found = cost + int(weights[there]) * (DIAGONAL if down and right else STRAIGHT)
-                if found < costs.get(there, math.inf):
-                    costs[there] = found
-                    heapq.heappush(waiting, (found, there))
+                lower = cost + int(weights[there]) * (DIAGONAL if down and right else STRAIGHT)
+                if lower < costs.get(there, math.inf):
+                    costs[there] = lower
+                    heapq.heappush(waiting, (lower, there))
     return math.inf
 
 
@@ -63,33 +63,33 @@ def grids(draw: st.DrawFn) -> Grid:
 
 @settings(max_examples=300)
 @given(weights=grids(), data=st.data())
-def test_ways_are_the_cheapest_and_cut_no_corner(weights: Grid, data: st.DataObject) -> None:
+def test_paths_are_the_cheapest_and_cut_no_corners(weights: Grid, data: st.DataObject) -> None:
     rows, columns = weights.shape
     start, goal = (
         (data.draw(st.integers(0, rows - 1)), data.draw(st.integers(0, columns - 1))) for _ in ("start", "goal")
     )
-    way = astar(weights, start, goal)
+    grid_path = astar(weights, start, goal)
     least = dijkstra(weights, start, goal) if weights[goal] else math.inf
     same = python.astar(weights, start, goal)
     assert sees(weights, start, goal) == python_lines.sees(weights, start, goal)
-    if way is None:
+    if grid_path is None:
         assert least == math.inf
         assert same is None
         return
-    assert way.cost == same.cost
-    np.testing.assert_array_equal(way.cells, same.cells)
-    assert way.cost == pytest.approx(least)
-    assert tuple(way.cells[0]) == start
-    assert tuple(way.cells[-1]) == goal
+    assert grid_path.cost == same.cost
+    np.testing.assert_array_equal(grid_path.cells, same.cells)
+    assert grid_path.cost == pytest.approx(least)
+    assert tuple(grid_path.cells[0]) == start
+    assert tuple(grid_path.cells[-1]) == goal
     paid = 0
-    for (row, column), (to_row, to_column) in itertools.pairwise(way.cells):
+    for (row, column), (to_row, to_column) in itertools.pairwise(grid_path.cells):
         assert weights[to_row, to_column]
         assert max(abs(to_row - row), abs(to_column - column)) == 1
         diagonal = to_row != row and to_column != column
         assert not diagonal or (weights[row, to_column] and weights[to_row, column])
         paid += int(weights[to_row, to_column]) * (DIAGONAL if diagonal else STRAIGHT)
-    assert paid / STRAIGHT == pytest.approx(way.cost)
-    check_waypoints(weights, way.cells)
+    assert paid / STRAIGHT == pytest.approx(grid_path.cost)
+    check_waypoints(weights, grid_path.cells)
 
 
 def check_waypoints(weights: Grid, cells: NDArray[np.int32]) -> None:
@@ -105,7 +105,7 @@ def check_waypoints(weights: Grid, cells: NDArray[np.int32]) -> None:
 
 
 def touched_free(weights: Grid, one: NDArray[np.int32], other: NDArray[np.int32]) -> bool:
-    """The same by sampling the line densely: every cell that it passes is free."""
+    """Check a line by dense sampling: every cell that it passes is free."""
     count = 50 * int(np.abs(other - one).max()) + 1
     points = one + (other - one) * np.linspace(0.0, 1.0, count)[:, None]
     near = np.rint(points).astype(int)
@@ -114,20 +114,20 @@ def touched_free(weights: Grid, one: NDArray[np.int32], other: NDArray[np.int32]
     return bool(weights[near[apart, 0], near[apart, 1]].all())
 
 
-def test_a_way_round_a_wall() -> None:
+def test_a_path_around_a_wall() -> None:
     weights = np.ones((21, 21), np.uint8)
     weights[5:, 10] = 0
-    way = astar(weights, (20, 0), (20, 20))
-    assert way is not None
-    points = shortcut(weights, way.cells)
+    grid_path = astar(weights, (20, 0), (20, 20))
+    assert grid_path is not None
+    points = shortcut(weights, grid_path.cells)
     assert len(points) <= 5
-    assert way.length == pytest.approx(way.cost, rel=1e-3)
+    assert grid_path.length == pytest.approx(grid_path.cost, rel=1e-3)
     assert not sees(weights, (20, 0), (20, 20))
     assert sees(weights, (0, 0), (0, 20))
 
 
 @pytest.mark.parametrize("columns", [1, 3])
-def test_cells_that_are_no_rows_and_columns_are_refused(columns: int) -> None:
+def test_cells_with_another_shape_are_rejected(columns: int) -> None:
     weights = np.ones((9, 9), np.uint8)
     for module in (compiled_lines, python_lines):
         with pytest.raises(ValueError, match="rows and columns"):
@@ -140,23 +140,23 @@ def test_a_line_through_a_corner_is_not_free() -> None:
     assert astar(weights, (0, 0), (1, 1)).cells.tolist() == [[0, 0], [1, 0], [1, 1]]  # type: ignore[union-attr]
 
 
-def test_heavy_cells_are_gone_round_and_not_cut_across() -> None:
+def test_expensive_cells_are_avoided_and_not_cut_across() -> None:
     weights = np.ones((30, 30), np.uint8)
     weights[3:, 10:20] = 200
-    way = astar(weights, (15, 0), (15, 29))
-    assert way is not None
-    assert weights[way.cells[:, 0], way.cells[:, 1]].max() == 1
-    points = shortcut(weights, way.cells)
+    grid_path = astar(weights, (15, 0), (15, 29))
+    assert grid_path is not None
+    assert weights[grid_path.cells[:, 0], grid_path.cells[:, 1]].max() == 1
+    points = shortcut(weights, grid_path.cells)
     assert points[:, 0].min() <= 2
 
 
-def test_a_grid_on_which_costs_need_64_bits() -> None:
+def test_large_costs_use_64_bits() -> None:
     weights = np.random.default_rng(1).integers(1, 256, (300, 300)).astype(np.uint8)
     ends = (150, 150), (135, 165)
-    way, same = astar(weights, *ends), python.astar(weights, *ends)
-    assert way is not None
-    assert way.cost == same.cost == dijkstra(weights, *ends)
-    np.testing.assert_array_equal(way.cells, same.cells)
+    grid_path, same = astar(weights, *ends), python.astar(weights, *ends)
+    assert grid_path is not None
+    assert grid_path.cost == same.cost == dijkstra(weights, *ends)
+    np.testing.assert_array_equal(grid_path.cells, same.cells)
 
 
 def test_the_open_list_grows(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,7 +178,7 @@ def test_the_open_list_grows(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("outside", [(-1, 0), (0, -1), (5, 0), (0, 5)])
 @pytest.mark.parametrize("lines", [compiled_lines, python_lines], ids=["compiled", "uncompiled"])
-def test_lines_that_leave_the_grid(lines: Any, outside: tuple[int, int]) -> None:
+def test_lines_that_leave_the_grid_are_rejected(lines: Any, outside: tuple[int, int]) -> None:
     weights = np.ones((5, 5), np.uint8)
     for one, other in (((2, 2), outside), (outside, (2, 2))):
         with pytest.raises(IndexError, match="outside the grid of 5 x 5"):
@@ -187,7 +187,7 @@ def test_lines_that_leave_the_grid(lines: Any, outside: tuple[int, int]) -> None
         lines.shortcut(weights, np.array([(0, 0), outside, (1, 1)], np.int32))
 
 
-def test_where_one_stands_may_be_an_obstacle_and_where_one_goes_may_not() -> None:
+def test_the_start_may_be_an_obstacle_but_not_the_goal() -> None:
     weights = np.ones((5, 5), np.uint8)
     weights[2, 2] = 0
     assert astar(weights, (2, 2), (0, 0)) is not None
@@ -197,18 +197,18 @@ def test_where_one_stands_may_be_an_obstacle_and_where_one_goes_may_not() -> Non
     assert (same.cost, len(same.cells), len(shortcut(weights, same.cells))) == (0.0, 1, 1)
 
 
-def test_a_goal_that_cannot_be_reached() -> None:
+def test_an_unreachable_goal_gives_no_path() -> None:
     weights = np.ones((5, 5), np.uint8)
     weights[:, 2] = 0
     assert astar(weights, (0, 0), (0, 4)) is None
 
 
 @pytest.mark.parametrize(("start", "goal"), [((-1, 0), (0, 0)), ((0, 0), (0, 5)), ((0, 0), (5, 0))])
-def test_outside(start: tuple[int, int], goal: tuple[int, int]) -> None:
+def test_cells_outside_the_grid_are_rejected(start: tuple[int, int], goal: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match=r"outside the grid of 5 x 5"):
         astar(np.ones((5, 5), np.uint8), start, goal)
 
 
-def test_an_empty_grid() -> None:
+def test_an_empty_grid_is_rejected() -> None:
     with pytest.raises(ValueError, match="0 x 5"):
         astar(np.ones((0, 5), np.uint8), (0, 0), (0, 0))

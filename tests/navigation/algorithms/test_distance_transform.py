@@ -1,4 +1,4 @@
-"""Distances to obstacles, against all pairs."""
+"""Distances to obstacles, compared with all pairs."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ def test_distances_are_exact(rows: int, columns: int, chance: float, seed: int) 
         wanted = np.sqrt(((cells[:, None] - places[None]) ** 2).sum(axis=2).min(axis=1))
     else:
         wanted = np.full(len(cells), np.inf)
-    found = distance_transform(obstacles)
-    np.testing.assert_allclose(found.ravel(), wanted, rtol=1e-6)
+    distances = distance_transform(obstacles)
+    np.testing.assert_allclose(distances.ravel(), wanted, rtol=1e-6)
     python = uncompiled("navigation.algorithms.distance_transform")
-    np.testing.assert_array_equal(found, python.distance_transform(obstacles))
+    np.testing.assert_array_equal(distances, python.distance_transform(obstacles))
 
 
 @pytest.mark.parametrize("shape", [(0, 5), (5, 0), (0, 0)])
-def test_no_cells(shape: tuple[int, int]) -> None:
+def test_empty_arrays_are_accepted(shape: tuple[int, int]) -> None:
     assert distance_transform(np.ones(shape, bool)).shape == shape
 
 
-def test_any_part_of_an_array() -> None:
+def test_slices_of_arrays_are_accepted() -> None:
     obstacles = np.random.default_rng(1).random((40, 60)) < 0.05
     part = obstacles[3:30:2, ::-3]
     np.testing.assert_array_equal(distance_transform(part), distance_transform(part.copy()))

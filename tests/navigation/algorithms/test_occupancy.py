@@ -1,4 +1,4 @@
-"""Maps from scans of rooms that are known."""
+"""Maps from scans of known rooms."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROOM = 3.0
 
 
 def room_ranges(x: float, y: float, direction: float) -> np.ndarray:
-    """What a laser at a place in a square room from 0 to ``ROOM`` sees."""
+    """Return the ranges of a laser in a square room from 0 to ``ROOM``."""
     angles = direction + np.arange(BEAMS) * STEP
     with np.errstate(divide="ignore"):
         to_x = np.where(np.cos(angles) > 0, ROOM - x, -x) / np.cos(angles)
@@ -49,20 +49,20 @@ def test_a_rooms_walls_are_occupied_and_its_floor_is_free(grid: OccupancyMap) ->
     assert (found[wall, inside] == 100).mean() > 0.9
 
 
-def test_what_is_not_known_changes_nothing(grid: OccupancyMap) -> None:
+def test_unknown_ranges_change_nothing(grid: OccupancyMap) -> None:
     assert grid.insert((1.5, 1.5, 0.0), np.full(BEAMS, np.nan), 0.0, STEP, 10.0) == 0
     assert grid.insert((1.5, 1.5, 0.0), np.zeros(BEAMS), 0.0, STEP, 10.0) == 0
     assert (grid.occupancy() == -1).all()
 
 
-def test_what_is_out_of_reach_frees_the_way_and_occupies_nothing(grid: OccupancyMap) -> None:
+def test_ranges_beyond_the_limit_free_cells_and_occupy_none(grid: OccupancyMap) -> None:
     for _ in range(5):
         grid.insert((1.5, 1.5, 0.0), np.full(BEAMS, np.inf), 0.0, STEP, 1.0)
     assert grid.odds.max() == 0.0
     assert grid.odds.min() < -1.0
 
 
-def test_what_goes_away_is_unlearnt(grid: OccupancyMap) -> None:
+def test_removed_obstacles_are_forgotten(grid: OccupancyMap) -> None:
     one = np.array([1.0])
     for _ in range(50):
         grid.insert((1.5, 1.5, 0.0), one, 0.0, STEP, 10.0)
@@ -81,27 +81,27 @@ def test_a_hit_outweighs_beams_that_pass_in_the_same_scan(grid: OccupancyMap) ->
 
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (-50.0, 3.0, 1.0), (1e9, 0.0, 0.0)])
-def test_poses_at_the_border_and_off_the_map(grid: OccupancyMap, pose: tuple[float, float, float]) -> None:
+def test_poses_at_the_border_and_outside_the_map(grid: OccupancyMap, pose: tuple[float, float, float]) -> None:
     grid.insert(pose, np.full(BEAMS, 2.0), 0.0, STEP, 10.0)
     assert np.isfinite(grid.odds).all()
 
 
-def test_poses_that_are_none(grid: OccupancyMap) -> None:
+def test_poses_that_are_not_finite_are_rejected(grid: OccupancyMap) -> None:
     with pytest.raises(ValueError, match="finite"):
         grid.insert((math.nan, 0.0, 0.0), np.ones(4), 0.0, STEP, 10.0)
 
 
 @pytest.mark.parametrize(("rows", "resolution"), [(0, 0.05), (10, 0.0), (10, math.nan)])
-def test_maps_that_are_none(rows: int, resolution: float) -> None:
-    with pytest.raises(ValueError, match="a map has cells"):
+def test_invalid_maps_are_rejected(rows: int, resolution: float) -> None:
+    with pytest.raises(ValueError, match="a map must have cells"):
         OccupancyMap(rows, 10, resolution, (0.0, 0.0))
 
 
 @pytest.mark.parametrize(("ranges", "free"), [((2.0, 2.0, 2.0), True), ((2.0, 1.0, 2.0), False), ((1.0, 2.0), False)])
-def test_a_beam_passes_only_as_far_as_those_beside_it(
+def test_a_beam_frees_cells_only_as_far_as_its_neighbors_reach(
     grid: OccupancyMap, ranges: tuple[float, ...], free: bool
 ) -> None:
-    # as along a wall: what a beam seems to pass between two hits is the wall
+    # along a wall, a beam seems to pass through the wall between two hits
     grid.insert((0.5, 0.5, 0.0), np.array(ranges), 0.0, 0.1, 10.0)
     last = 0.1 * (len(ranges) - 1)
     for way, passed in ((0.8, True), (1.5, free)):
@@ -109,9 +109,9 @@ def test_a_beam_passes_only_as_far_as_those_beside_it(
         assert (grid.odds[at] < 0.0) == passed
 
 
-def test_compiled_and_uncompiled_make_the_same_map() -> None:
+def test_compiled_and_uncompiled_maps_are_equal() -> None:
     rng = np.random.default_rng(2)
-    maps = [made(60, 90, CELL, (-1.0, -1.0)) for made in (OccupancyMap, Uncompiled)]
+    maps = [map_type(60, 90, CELL, (-1.0, -1.0)) for map_type in (OccupancyMap, Uncompiled)]
     for turn in range(6):
         ranges = np.abs(rng.normal(1.5, 0.8, 200 + turn))
         for odd in (math.nan, math.inf, -math.inf, 1e300, 0.0, -1.0):
@@ -126,11 +126,11 @@ def test_compiled_and_uncompiled_make_the_same_map() -> None:
     assert (maps[0].odds > 0.0).any()
 
 
-@pytest.mark.parametrize("made", [OccupancyMap, Uncompiled])
+@pytest.mark.parametrize("map_type", [OccupancyMap, Uncompiled])
 @pytest.mark.parametrize("odd", [math.inf, 1e300, 1e18])
 @pytest.mark.parametrize("farthest", [1e300, math.inf])
-def test_what_is_farther_than_all_maps(made: type[OccupancyMap], odd: float, farthest: float) -> None:
-    grid = made(20, 30, CELL, (0.0, 0.0))
+def test_huge_distances_are_handled(map_type: type[OccupancyMap], odd: float, farthest: float) -> None:
+    grid = map_type(20, 30, CELL, (0.0, 0.0))
     with np.errstate(all="ignore"):
         assert grid.insert((0.51, 0.51, 0.0), np.full(8, odd), 0.0, math.pi / 4, farthest) > 20
         grid.insert((1e300, -1e300, 0.0), np.full(8, odd), 0.0, math.pi / 4, farthest)
@@ -139,9 +139,9 @@ def test_what_is_farther_than_all_maps(made: type[OccupancyMap], odd: float, far
     assert not grid.marks.any()
 
 
-@pytest.mark.parametrize("made", [OccupancyMap, Uncompiled])
-def test_scans_without_beams_without_steps_and_of_any_layout(made: type[OccupancyMap]) -> None:
-    grid = made(20, 30, CELL, (0.0, 0.0))
+@pytest.mark.parametrize("map_type", [OccupancyMap, Uncompiled])
+def test_scans_without_beams_or_steps_and_of_any_layout(map_type: type[OccupancyMap]) -> None:
+    grid = map_type(20, 30, CELL, (0.0, 0.0))
     assert grid.insert((0.5, 0.5, 0.0), np.empty(0), 0.0, 0.1, 10.0) == 0
     assert grid.insert((0.31, 0.51, 0.0), np.ones((4, 2), np.float32)[:, 0], 0.0, 0.0, 10.0) == 21
     for first, step in ((math.nan, 0.1), (0.0, math.nan), (math.inf, 0.1), (0.0, math.inf)):

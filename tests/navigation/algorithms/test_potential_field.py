@@ -1,4 +1,4 @@
-"""The way down the potential field."""
+"""The path down the potential field."""
 
 import math
 
@@ -15,52 +15,57 @@ SIDE, RADIUS = 60, 4.0
 def way(obstacles, start, goal, before=None, unseen=None):
     unseen = np.zeros(obstacles.shape, bool) if unseen is None else unseen
     given = distance_transform(obstacles), unseen, start, goal, before, RADIUS, 12.0, 1.0
-    found, same = descend(*given), uncompiled("navigation.algorithms.potential_field").descend(*given)
-    np.testing.assert_array_equal(found.cells, same.cells)
-    assert (found.aim, found.blocked, found.cost, found.direct) == (same.aim, same.blocked, same.cost, same.direct)
-    return found
+    descent, same = descend(*given), uncompiled("navigation.algorithms.potential_field").descend(*given)
+    np.testing.assert_array_equal(descent.cells, same.cells)
+    assert (descent.aim, descent.blocked, descent.cost, descent.direct) == (
+        same.aim,
+        same.blocked,
+        same.cost,
+        same.direct,
+    )
+    return descent
 
 
 def free():
     return np.zeros((SIDE, SIDE), bool)
 
 
-def test_over_open_floor_it_is_a_straight_line():
-    found = way(free(), (10, 10), (50.0, 40.0))
-    assert found.direct
-    assert found.cost == pytest.approx(50.0)
-    assert way(free(), (10, 10), (10.0, 300.0)).direct, "out of the window, too"
+def test_on_open_floor_the_path_is_a_straight_line():
+    descent = way(free(), (10, 10), (50.0, 40.0))
+    assert descent.direct
+    assert descent.cost == pytest.approx(50.0)
+    assert way(free(), (10, 10), (10.0, 300.0)).direct, "also to a goal outside the window"
 
 
-def test_out_of_a_dead_end_without_a_minimum_on_the_way():
+def test_the_path_leaves_a_dead_end_without_a_local_minimum():
     walls = free()
     walls[20:41, 40] = walls[20, 20:41] = walls[40, 20:41] = True
-    found = way(walls, (30, 30), (30.0, 55.0))
-    assert not found.direct
-    assert math.isinf(found.blocked)
-    away = distance_transform(walls)[tuple(found.cells.T)]
+    descent = way(walls, (30, 30), (30.0, 55.0))
+    assert not descent.direct
+    assert math.isinf(descent.blocked)
+    away = distance_transform(walls)[tuple(descent.cells.T)]
     assert away.min() >= RADIUS - 0.5
-    assert tuple(found.cells[-1]) == (30, 55)
-    steps = np.abs(np.diff(found.cells, axis=0)).max(axis=1)
+    assert tuple(descent.cells[-1]) == (30, 55)
+    steps = np.abs(np.diff(descent.cells, axis=0)).max(axis=1)
     assert (steps == 1).all()
-    assert found.cells[:, 1].min() < 20, "it leads back out first"
+    assert descent.cells[:, 1].min() < 20, "the path leads back out first"
 
 
-def test_where_all_is_closed_it_says_how_far_it_is_to_what_blocks():
+def test_a_closed_path_gives_the_distance_to_the_obstacle():
     walls = free()
     walls[:, 40] = True
-    found = way(walls, (30, 20), (30.0, 55.0))
-    assert 20 - RADIUS - 2 < found.blocked < 20
+    descent = way(walls, (30, 20), (30.0, 55.0))
+    assert 20 - RADIUS - 2 < descent.blocked < 20
 
 
-def test_a_robot_that_stands_too_near_is_free_to_leave():
+def test_a_robot_too_close_to_an_obstacle_may_leave():
     walls = free()
     walls[30, 33] = True
-    found = way(walls, (30, 31), (30.0, 5.0))
-    assert math.isinf(found.blocked)
+    descent = way(walls, (30, 31), (30.0, 5.0))
+    assert math.isinf(descent.blocked)
 
 
-def test_an_exit_is_kept_unless_another_is_better_by_far():
+def test_the_exit_stays_unless_another_is_much_better():
     walls = free()
     walls[25:36, 40] = True
     north, south = (59.0, 50.0), (0.0, 50.0)
@@ -68,7 +73,7 @@ def test_an_exit_is_kept_unless_another_is_better_by_far():
     assert ends[0] > 30 > ends[1]
 
 
-def test_places_that_nobody_saw_cost_more():
+def test_unseen_cells_cost_more():
     walls, unseen = free(), free()
     walls[25:36, 40] = True
     unseen[:25] = True
@@ -76,29 +81,29 @@ def test_places_that_nobody_saw_cost_more():
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_ways_are_whole_and_end_at_the_goal_or_on_the_rim(seed):
+def test_paths_are_connected_and_end_at_the_goal_or_the_border(seed):
     dice = np.random.default_rng(seed)
     walls, unseen = dice.random((SIDE, SIDE)) < 0.02, dice.random((SIDE, SIDE)) < 0.3
     start = tuple(int(at) for at in dice.integers(0, SIDE, 2))
     goal = tuple((dice.random(2) * 3 * SIDE - SIDE) // 0.5 * 0.5)
     before = tuple(dice.random(2) * SIDE) if seed % 2 else None
-    found = way(walls, start, goal, before, unseen)
-    if found.direct:
+    descent = way(walls, start, goal, before, unseen)
+    if descent.direct:
         return
-    assert tuple(found.cells[0]) == start
-    assert (np.abs(np.diff(found.cells, axis=0)).max(axis=1) == 1).all()
-    end = tuple(found.cells[-1])
+    assert tuple(descent.cells[0]) == start
+    assert (np.abs(np.diff(descent.cells, axis=0)).max(axis=1) == 1).all()
+    end = tuple(descent.cells[-1])
     assert end == tuple(round(at) for at in goal) or min(end) == 0 or max(end) == SIDE - 1
 
 
-def test_a_goal_as_far_away_as_numbers_go():
+def test_a_goal_at_the_largest_distance():
     walls = free()
     walls[:, 40] = True
     assert way(free(), (30, 20), (30.0, 1e300)).direct
     assert way(walls, (30, 20), (-1e300, 20.0)).direct
-    found = way(walls, (30, 20), (30.0, 1e300))
-    assert not found.direct
-    assert max(found.cells[-1]) == SIDE - 1 or min(found.cells[-1]) == 0, "the wall is dearer than any exit"
+    descent = way(walls, (30, 20), (30.0, 1e300))
+    assert not descent.direct
+    assert max(descent.cells[-1]) == SIDE - 1 or min(descent.cells[-1]) == 0, "the wall is more expensive than any exit"
 
 
 @pytest.mark.parametrize(
@@ -110,11 +115,14 @@ def test_a_goal_as_far_away_as_numbers_go():
         ({"goal": (0.0, math.inf)}, "goal"),
         ({"radius": math.nan}, "radius"),
         ({"influence": math.inf}, "influence"),
-        ({"unseen": np.zeros((SIDE, SIDE + 1), bool)}, "corner to corner"),
-        ({"distances": np.zeros((1000, 1000), np.float32), "unseen": np.zeros((1000, 1000), bool)}, "corner to corner"),
+        ({"unseen": np.zeros((SIDE, SIDE + 1), bool)}, "a diagonal of at most"),
+        (
+            {"distances": np.zeros((1000, 1000), np.float32), "unseen": np.zeros((1000, 1000), bool)},
+            "a diagonal of at most",
+        ),
     ],
 )
-def test_what_is_refused(change, reason):
+def test_invalid_input_is_rejected(change, reason):
     given = {
         "distances": np.full((SIDE, SIDE), 50.0, np.float32),
         "unseen": free(),

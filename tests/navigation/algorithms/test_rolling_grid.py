@@ -1,4 +1,4 @@
-"""The kernels of the grid that goes with a robot, compiled and uncompiled; what they do is in robot_goto's tests."""
+"""The kernels of the rolling grid, compiled and uncompiled; robot_goto's tests check their results."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def window(request: pytest.FixtureRequest) -> Window:
 
 
 class Window:
-    """A window of 2 m whose corner is at cell (row0, column0)."""
+    """A window of 2 m with its corner at cell (row0, column0)."""
 
     def __init__(self, module: ModuleType, row0: int = -20, column0: int = -20) -> None:
         self.kernels = module
@@ -33,11 +33,11 @@ class Window:
 
     def mark(self, ranges: np.ndarray, now: float = 10.0, **other: Any) -> np.ndarray:
         """Take up a scan; the points that it has."""
-        asked = {"x": 0.01, "y": 0.01, "theta": 0.0, "first": -math.pi, "step": math.tau / max(len(ranges), 1)}
-        asked |= {"nearest": 0.1, "farthest": 20.0, "aside": 0.08} | other
+        arguments = {"x": 0.01, "y": 0.01, "theta": 0.0, "first": -math.pi, "step": math.tau / max(len(ranges), 1)}
+        arguments |= {"nearest": 0.1, "farthest": 20.0, "aside": 0.08} | other
         points = np.full((len(ranges), 3), np.nan)
         with np.errstate(all="ignore"):
-            count = self.grid.mark(now, *asked.values(), ranges, points)
+            count = self.grid.mark(now, *arguments.values(), ranges, points)
         return points[:count]
 
     def near(self, x: float, y: float, reach: float = 0.5) -> np.ndarray:
@@ -57,7 +57,7 @@ class Window:
 
 
 @pytest.mark.parametrize("corner", [(0, 0), (-57, 1234), (-1_000_000_007, -40)])
-def test_compiled_and_uncompiled_see_the_same(corner: tuple[int, int]) -> None:
+def test_compiled_and_uncompiled_grids_are_equal(corner: tuple[int, int]) -> None:
     rng = np.random.default_rng(sum(corner) % 100)
     windows = [Window(module, *corner) for module in MODULES]
     x, y = ((at + SIDE / 2) * CELL for at in reversed(corner))
@@ -84,7 +84,7 @@ def test_compiled_and_uncompiled_see_the_same(corner: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf])
-def test_a_pose_that_is_none_is_refused(window: Window, odd: float) -> None:
+def test_a_pose_that_is_not_finite_is_rejected(window: Window, odd: float) -> None:
     for name in ("x", "y", "theta", "first", "step"):
         with pytest.raises(ValueError, match="finite"):
             window.mark(np.ones(36), **{name: odd})
@@ -96,18 +96,18 @@ def test_a_pose_that_is_none_is_refused(window: Window, odd: float) -> None:
     assert (window.states() == UNKNOWN).all()
 
 
-def test_beams_that_are_none_leave_no_points(window: Window) -> None:
+def test_invalid_beams_leave_no_points(window: Window) -> None:
     assert not len(window.mark(np.empty(0)))
     assert not len(window.mark(np.array([math.nan, math.inf, 1e300, 1e18, 0.0, -1.0])))
     assert (window.ended == NEVER).all()
     assert len(window.mark(np.array([math.nan, -math.inf, 1e300]), nearest=0.3)) == 1
-    with pytest.raises(ValueError, match="with a step"):
+    with pytest.raises(ValueError, match="its step not 0"):
         window.mark(np.ones(36), step=0.0)
     assert len(window.mark(np.full(5, 0.5), step=1e-300, nearest=0.0)) == 5
     assert len(window.mark(np.array([0.0, -math.inf]), nearest=0.0)) == 2
 
 
-def test_places_far_away(window: Window) -> None:
+def test_distant_positions_are_rejected(window: Window) -> None:
     for x, y in ((1e300, 0.0), (0.0, -1e300), (1e18, 1e18)):
         assert not len(window.mark(np.full(36, 0.5), x=x, y=y))
         assert not len(window.near(x, y))
@@ -115,17 +115,17 @@ def test_places_far_away(window: Window) -> None:
     assert (window.states() == UNKNOWN).all()
     assert len(window.near(0.0, 0.0, 1e300)) == len(window.near(0.0, 0.0, math.inf)) == SIDE * SIDE
     for corner in ((1 << 60, 0), (0, -(1 << 60))):
-        with pytest.raises(ValueError, match="nowhere"):
+        with pytest.raises(ValueError, match="invalid window"):
             window.grid.move(*corner)
 
 
 @pytest.mark.parametrize("radius", [1e300, math.inf])
-def test_a_robot_larger_than_the_window_stands_on_all_of_it(window: Window, radius: float) -> None:
+def test_a_robot_larger_than_the_window_frees_all_of_it(window: Window, radius: float) -> None:
     window.stand(0.3, -0.4, radius)
     assert (window.states() == 0).all()
 
 
-def test_what_comes_into_a_window_is_not_known(window: Window) -> None:
+def test_cells_that_enter_the_window_are_unknown(window: Window) -> None:
     window.mark(np.full(36, 0.5))
     seen = window.ended > NEVER
     window.grid.move(-20 + 3, -20)
@@ -136,15 +136,15 @@ def test_what_comes_into_a_window_is_not_known(window: Window) -> None:
     assert window.grid.corner == (500, -20)
 
 
-def test_arrays_that_do_not_fit_are_refused(window: Window) -> None:
+def test_arrays_of_wrong_size_are_rejected(window: Window) -> None:
     grid, pose = window.grid, (0.0, 0.0, 0.0, 0.0, 0.1, 0.1, 9.0, 0.0)
     for points in (np.zeros((8, 3)), np.zeros((9, 2))):
-        with pytest.raises(ValueError, match="as many as its beams"):
+        with pytest.raises(ValueError, match="numbers for each beam"):
             grid.mark(1.0, *pose, np.ones(9), points)
     with pytest.raises(ValueError, match=r"\(n, 3\)"):
         grid.near(1.0, 0.0, 0.0, 1.0, 1.0, np.zeros((9, 2)))
-    with pytest.raises(ValueError, match="as many as its cells"):
+    with pytest.raises(ValueError, match="the window's shape"):
         grid.states(1.0, np.zeros((8, 9), np.uint8))
     for side, resolution in ((0, 0.05), (8, 0.0), (8, math.nan)):
-        with pytest.raises(ValueError, match="nowhere"):
+        with pytest.raises(ValueError, match="invalid window"):
             window.kernels.RollingGrid(side, resolution, 5.0)

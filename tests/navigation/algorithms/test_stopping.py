@@ -1,4 +1,4 @@
-"""Whether a robot can still stop."""
+"""Whether a moving robot can still stop."""
 
 import math
 
@@ -25,7 +25,7 @@ def slowed(points, has, wanted, module=stopping, pose=(0.0, 0.0, 0.0), braking=B
 
 
 def follow(has, wanted, seconds=0.005):
-    """Where the robot goes until it stands, in small steps."""
+    """Return the robot's positions until it stops, in small steps."""
     (vx, vy, turn), (x, y, theta), places = has, (0.0, 0.0, 0.0), []
     for step in range(2000):
         to = wanted if step * seconds < REACTION else (0.0, 0.0, 0.0)
@@ -40,19 +40,19 @@ def follow(has, wanted, seconds=0.005):
     return np.array(places)
 
 
-def test_nothing_near_lets_it_go_and_a_wall_before_it_does_not():
+def test_a_free_path_allows_full_speed_and_a_wall_ahead_does_not():
     assert slowed([], (0.3, 0, 0), (0.3, 0, 0))[0] == 1.0
     assert slowed([(2.0, 0.0, 0.0)], (0.3, 0, 0), (0.3, 0, 0))[0] == 1.0
     share, blocker = slowed([(0.45, 0.0, 0.0)], (0.3, 0, 0), (0.3, 0, 0))
     assert share == 0.0
     assert tuple(blocker) == (0.45, 0.0, 0.0)
-    assert slowed([(0.32, 0.0, 0.0)], (0, 0, 0), (-0.3, 0, 0))[0] == 1.0, "away from it"
-    assert slowed([(0.32, 0.0, 0.0)], (0, 0, 0), (0, 0, 0.5))[0] == 1.0, "a disc turns on the spot"
-    assert slowed([(0.302, 0.0, UNKNOWN)], (0, 0, 0), (0.3, 0, 0))[0] < 0.5, "nor into what nobody saw"
+    assert slowed([(0.32, 0.0, 0.0)], (0, 0, 0), (-0.3, 0, 0))[0] == 1.0, "away from the wall"
+    assert slowed([(0.32, 0.0, 0.0)], (0, 0, 0), (0, 0, 0.5))[0] == 1.0, "a disc can turn in place"
+    assert slowed([(0.302, 0.0, UNKNOWN)], (0, 0, 0), (0.3, 0, 0))[0] < 0.5, "also for an unseen cell"
 
 
-def test_what_is_allowed_comes_no_nearer_than_the_radius():
-    """Thousands of velocities and points: whoever starts from rest never comes to touch, and never creeps."""
+def test_allowed_motions_stay_outside_the_radius():
+    """For thousands of velocities and points, a robot that starts from rest never touches one, and never creeps."""
     rng = np.random.default_rng(5)
     braked = 0
     for _ in range(150):
@@ -67,17 +67,17 @@ def test_what_is_allowed_comes_no_nearer_than_the_radius():
     assert braked > 30
 
 
-def test_what_is_ahead():
+def test_ahead_measures_the_surroundings():
     points = np.array([(1.0, 0.0, 1.0), (1.0, 0.1, 0.0), (0.0, 0.5, 0.0), (-0.4, 0.0, 1.0)])
-    found = np.empty(6)
-    stopping.ahead(points, 4, 0.0, 0.0, 0.0, 0.0, 1.2, 0.3, 0.3, math.radians(25.0), found)
-    assert tuple(found[:3]) == (2.0, 1.0, 1.0)
-    assert tuple(found[3:]) == (0.4, pytest.approx(math.pi, abs=1e-6), 0.4)
-    stopping.ahead(points, 4, 0.0, 0.0, 0.0, math.pi / 2, 1.2, 0.3, 0.3, math.radians(25.0), found)
-    assert found[0] == 1.0, "the rectangle turns with the way"
+    surroundings = np.empty(6)
+    stopping.ahead(points, 4, 0.0, 0.0, 0.0, 0.0, 1.2, 0.3, 0.3, math.radians(25.0), surroundings)
+    assert tuple(surroundings[:3]) == (2.0, 1.0, 1.0)
+    assert tuple(surroundings[3:]) == (0.4, pytest.approx(math.pi, abs=1e-6), 0.4)
+    stopping.ahead(points, 4, 0.0, 0.0, 0.0, math.pi / 2, 1.2, 0.3, 0.3, math.radians(25.0), surroundings)
+    assert surroundings[0] == 1.0, "the rectangle turns with the direction"
 
 
-def test_compiled_and_uncompiled_say_the_same():
+def test_compiled_and_uncompiled_results_are_equal():
     rng = np.random.default_rng(7)
     shares = set()
     for count in (0, 1, 12, 40):
@@ -92,15 +92,15 @@ def test_compiled_and_uncompiled_say_the_same():
             assert share == other
             np.testing.assert_array_equal(blocker, other_blocker)
             shares.add(share)
-            found = np.empty((2, 6))
-            for module, row in zip(MODULES, found, strict=True):
+            surroundings = np.empty((2, 6))
+            for module, row in zip(MODULES, surroundings, strict=True):
                 module.ahead(points, count, *pose, 0.5 * wanted[2], 0.8, 0.3, 0.3, 0.4, row)
-            np.testing.assert_array_equal(found[0], found[1])
+            np.testing.assert_array_equal(surroundings[0], surroundings[1])
     assert len(shares) > 3
 
 
 @pytest.mark.parametrize("module", MODULES, ids=("compiled", "uncompiled"))
-class TestWhatIsNoNumber:
+class TestNotFinite:
     @pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf, 1e300])
     @pytest.mark.parametrize("axis", range(3))
     def test_a_velocity_that_is_none_is_not_let_through(self, module, odd, axis):
@@ -126,14 +126,14 @@ class TestWhatIsNoNumber:
             with np.errstate(all="ignore"):
                 assert module.slowed(wall, 1, 0.0, 0.0, 0.0, has, has, *numbers, np.zeros(3)) == 0.0
 
-    def test_points_that_are_none_are_not_there(self, module):
+    def test_points_that_are_not_finite_are_ignored(self, module):
         points = [(math.nan, 0.0, 0.0), (0.2, math.nan, 0.0), (math.inf, 0.0, 1.0), (1e300, 1e300, 0.0)]
         assert slowed(points, (0.3, 0.0, 0.0), (0.3, 0.0, 0.0), module)[0] == 1.0
         assert slowed([*points, (0.45, 0.0, 0.0)], (0.3, 0.0, 0.0), (0.3, 0.0, 0.0), module)[0] == 0.0
-        found = np.empty(6)
+        surroundings = np.empty(6)
         with np.errstate(all="ignore"):
-            module.ahead(np.array(points), 2, 0.0, 0.0, 0.0, 0.0, 1.2, 0.3, 0.3, 0.4, found)
-        assert tuple(found) == (0.0, 0.0, math.inf, math.inf, 0.0, math.inf)
+            module.ahead(np.array(points), 2, 0.0, 0.0, 0.0, 0.0, 1.2, 0.3, 0.3, 0.4, surroundings)
+        assert tuple(surroundings) == (0.0, 0.0, math.inf, math.inf, 0.0, math.inf)
 
     def test_a_robot_that_cannot_brake_or_has_no_top_speed(self, module):
         assert slowed([], (0.1, 0.0, 0.0), (0.1, 0.0, 0.0), module, braking=0.0)[0] == 0.0

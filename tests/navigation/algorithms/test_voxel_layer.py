@@ -1,4 +1,4 @@
-"""What a robot would touch, of rooms that are built of voxels."""
+"""Layers of rooms that are built from voxels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Box = tuple[slice, slice, slice]
 
 
 class Room:
-    """A room of 3 x 3 m, seen wholly: its floor, and free air above."""
+    """A completely seen room of 3 x 3 m: its floor, and free space above."""
 
     def __init__(self) -> None:
         self.odds = np.full((SIDE, SIDE, TALL), np.nan, np.float32)
@@ -33,12 +33,12 @@ class Room:
         return self
 
     def voxels(self) -> VoxelMap:
-        found = VoxelMap(CELL, 10_000)
+        layer = VoxelMap(CELL, 10_000)
         places = np.argwhere(~np.isnan(self.odds))
-        found.fill(
+        layer.fill(
             places + np.array([MIDDLE, MIDDLE, MIDDLE - GROUND]), np.ones(len(places), int), self.odds[tuple(places.T)]
         )
-        return found
+        return layer
 
     def columns(self, module=voxel_layer, base=(0.5, 0.5, 0.0), robot=ROBOT, largest=20.0) -> LayerColumns:
         voxels = self.voxels()
@@ -46,31 +46,31 @@ class Room:
 
     def kinds(self, **settings: Any) -> np.ndarray:
         """By x and y, of the room alone."""
-        found = self.columns(**settings)
-        assert found.corner == (0.0, 0.0)
-        return found.kinds.T[:SIDE, :SIDE]
+        layer = self.columns(**settings)
+        assert layer.corner == (0.0, 0.0)
+        return layer.kinds.T[:SIDE, :SIDE]
 
 
 FAR = slice(30, 40)
 ALL = slice(None)
 
 
-def test_how_high_what_is_hit_is():
+def test_the_heights_of_obstacles():
     room = Room().box(FAR, FAR, 0.7, 0.75).box(FAR, slice(50, 55), 0.1, 0.2).box(FAR, slice(50, 55), 0.9, 1.0)
-    found = room.box(slice(50, 55), FAR, 1.3, 1.35).columns()
-    hits = found.hits.transpose(1, 0, 2)
-    # from the floor's voxel to the first and the last one that is touched
+    layer = room.box(slice(50, 55), FAR, 1.3, 1.35).columns()
+    hits = layer.hits.transpose(1, 0, 2)
+    # from the floor's voxel to the first and last touched one
     assert hits[35, 35] == pytest.approx([0.75, 0.75])
     assert hits[35, 52] == pytest.approx([0.15, 1.0])
-    assert np.isnan(hits[52, 35]).all(), "it fits under"
-    assert (np.isnan(found.hits[..., 0]) == (found.kinds != OBSTACLE)).all()
+    assert np.isnan(hits[52, 35]).all(), "the robot fits under it"
+    assert (np.isnan(layer.hits[..., 0]) == (layer.kinds != OBSTACLE)).all()
 
 
-def test_a_bare_floor_is_free_and_what_is_beyond_is_unknown():
-    found = Room().columns()
-    assert (found.kinds[:SIDE, :SIDE] == FLOOR).all()
-    assert (found.kinds[SIDE:] == UNKNOWN).all()
-    assert found.floors[10, 10] == pytest.approx(-0.025)
+def test_a_bare_floor_is_free_and_unknown_beyond():
+    layer = Room().columns()
+    assert (layer.kinds[:SIDE, :SIDE] == FLOOR).all()
+    assert (layer.kinds[SIDE:] == UNKNOWN).all()
+    assert layer.floors[10, 10] == pytest.approx(-0.025)
 
 
 @pytest.mark.parametrize(
@@ -84,14 +84,14 @@ def test_a_bare_floor_is_free_and_what_is_beyond_is_unknown():
         (0.0, 2.0, OBSTACLE),
     ],
 )
-def test_what_stands_or_hangs_in_the_way(low, high, kind):
-    found = Room().box(FAR, FAR, low, high).kinds()
-    assert (found[FAR, FAR] == kind).all()
-    found[FAR, FAR] = FLOOR
-    assert (found == FLOOR).all()
+def test_standing_and_hanging_obstacles(low, high, kind):
+    layer = Room().box(FAR, FAR, low, high).kinds()
+    assert (layer[FAR, FAR] == kind).all()
+    layer[FAR, FAR] = FLOOR
+    assert (layer == FLOOR).all()
 
 
-def test_a_lower_robot_drives_under_the_table_and_one_with_large_wheels_up_the_step():
+def test_a_low_robot_fits_under_the_table_and_large_wheels_climb_the_step():
     low = ROBOT._replace(height=0.5)
     assert (Room().box(FAR, FAR, 0.7, 0.75).kinds(robot=low) == FLOOR).all()
     climber = ROBOT._replace(step=0.1)
@@ -99,60 +99,60 @@ def test_a_lower_robot_drives_under_the_table_and_one_with_large_wheels_up_the_s
     assert (Room().box(FAR, ALL, 0.0, 0.15).kinds(robot=climber)[FAR] == OBSTACLE).all()
 
 
-def test_a_stair_downwards_is_a_drop_and_a_hole_in_what_is_seen_is_unknown():
+def test_a_stair_down_is_a_drop_and_an_unseen_hole_is_unknown():
     room = Room()
     room.odds[FAR, :, GROUND - 1] = np.nan
     assert (room.kinds()[FAR] == UNKNOWN).all()
     room.odds[FAR, :, GROUND - 4] = -1.0  # a ray passed below the floor
-    found = room.kinds()
-    assert (found[FAR] == EDGE).all()
-    assert (found[:30] == FLOOR).all()
+    layer = room.kinds()
+    assert (layer[FAR] == EDGE).all()
+    assert (layer[:30] == FLOOR).all()
     room.odds[FAR, :, GROUND - 4] = 2.0  # the tread
     assert (room.kinds()[FAR] == EDGE).all()
 
 
-def test_floor_behind_what_is_unknown_or_blocked_is_found_again():
+def test_the_floor_continues_beyond_unknown_and_blocked_columns():
     room = Room().box(slice(20, 22), ALL, 0.0, 2.0)
     room.odds[40:44] = np.nan
-    found = room.kinds()
-    assert (found[22:40] == FLOOR).all()
-    assert (found[40:44] == UNKNOWN).all()
-    assert (found[44:] == FLOOR).all()
+    layer = room.kinds()
+    assert (layer[22:40] == FLOOR).all()
+    assert (layer[40:44] == UNKNOWN).all()
+    assert (layer[44:] == FLOOR).all()
 
 
-def test_a_ramp_is_floor_but_its_flank_and_what_is_steeper_are_not():
+def test_a_ramp_is_floor_but_not_its_side_or_a_steeper_one():
     room = Room()
     for x in range(30, 58):  # 1 in 7: 8 degrees
         room.odds[x, 20:40, GROUND : GROUND + (x - 30) // 7 + 1] = 2.0
-    found = room.kinds()
-    assert (found[30:57, 21:39] == FLOOR).all()
-    assert (found[51:57, [20, 39]] == EDGE).all()
+    layer = room.kinds()
+    assert (layer[30:57, 21:39] == FLOOR).all()
+    assert (layer[51:57, [20, 39]] == EDGE).all()
     for x in range(30, 58):
         room.odds[x, 20:40, GROUND : GROUND + (x - 30) // 2 + 1] = 2.0
     assert (room.kinds()[37:55, 21:39] != FLOOR).all()
 
 
-def test_noise_of_one_voxel_on_the_floor_is_no_obstacle():
+def test_noise_of_one_voxel_on_the_floor_is_not_an_obstacle():
     rng = np.random.default_rng(1)
     room = Room()
     room.odds[:, :, GROUND] = np.where(rng.random((SIDE, SIDE)) < 0.3, 2.0, -1.0)
     assert (room.kinds() == FLOOR).all()
 
 
-def test_the_robot_stands_on_a_floor_of_its_own_height():
+def test_the_robots_floor_is_at_its_own_height():
     room = Room().box(ALL, ALL, 0.0, 0.5)
     assert (room.kinds(base=(0.5, 0.5, 0.5)) == FLOOR).all()
     assert (room.kinds(base=(0.5, 0.5, 0.0)) != FLOOR).mean() > 0.9
 
 
-def test_what_is_farther_than_the_layer_is_large_is_left_out():
-    found = Room().columns(largest=1.6)
-    assert found.kinds.shape == (32, 32)
+def test_columns_outside_the_largest_size_are_left_out():
+    layer = Room().columns(largest=1.6)
+    assert layer.kinds.shape == (32, 32)
     empty = voxel_layer.columns(np.empty((0, 3), int), np.empty((0, 512), np.float32), CELL, (9, 9, 0), ROBOT, 20.0)
     assert set(np.unique(empty.kinds)) == {UNKNOWN, FLOOR}
 
 
-def test_uncompiled_the_same():
+def test_compiled_and_uncompiled_layers_are_equal():
     room = Room().box(FAR, slice(10, 30), 0.7, 0.75).box(slice(10, 14), FAR, 0.0, 0.3)
     fast, slow = room.columns(), room.columns(uncompiled("navigation.algorithms.voxel_layer"))
     np.testing.assert_array_equal(fast.kinds, slow.kinds)
@@ -160,6 +160,6 @@ def test_uncompiled_the_same():
 
 
 @pytest.mark.parametrize("base", [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0)])
-def test_a_robot_that_is_nowhere_is_refused(base):
-    with pytest.raises(ValueError, match="nowhere"):
+def test_an_invalid_robot_position_is_rejected(base):
+    with pytest.raises(ValueError, match="invalid robot"):
         Room().columns(base=base)

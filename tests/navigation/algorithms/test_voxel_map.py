@@ -1,4 +1,4 @@
-"""The voxel map makes the tree that octomap makes of the same clouds."""
+"""The voxel map gives the same tree as octomap for the same clouds."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ CELL = 0.05
 
 
 def room(rng: np.random.Generator, count: int = 4000) -> tuple[np.ndarray, tuple[float, float, float]]:
-    """Points on the walls of a room, some beyond what is believed, and where they were seen from."""
+    """Return points on the walls of a room, some beyond the range, and the sensor's position."""
     origin = rng.uniform(-0.2, 0.2, 3)
-    ways = rng.normal(size=(count, 3)) * (1.0, 1.0, 0.4)
-    ways /= np.linalg.norm(ways, axis=1)[:, None]
-    reach = (np.array([1.0, 1.5, 0.6]) / np.abs(ways)).min(axis=1) + rng.normal(0.0, 0.02, count)
-    return (origin + ways * reach[:, None]).astype(np.float32), tuple(origin.tolist())
+    directions = rng.normal(size=(count, 3)) * (1.0, 1.0, 0.4)
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    reach = (np.array([1.0, 1.5, 0.6]) / np.abs(directions)).min(axis=1) + rng.normal(0.0, 0.02, count)
+    return (origin + directions * reach[:, None]).astype(np.float32), tuple(origin.tolist())
 
 
 def ours(voxels: VoxelMap) -> dict[tuple[int, int, int], float]:
-    """Log odds of all voxels that are known, by key."""
+    """Return the log odds of all known voxels, by key."""
     keys = voxels.blocks[:, None, :] * 8 + within(np.arange(512))
     known = ~np.isnan(voxels.values)
     return dict(zip(map(tuple, keys[known].tolist()), voxels.values[known].tolist(), strict=True))
 
 
 @pytest.mark.parametrize("farthest", [10.0, 1.1])
-def test_the_same_tree_as_octomap(farthest):
+def test_the_tree_equals_octomaps(farthest):
     octomap = pytest.importorskip("pyoctomap")
     rng = np.random.default_rng(3)
     voxels, tree = VoxelMap(CELL, 10_000), octomap.OcTree(CELL)
@@ -40,19 +40,19 @@ def test_the_same_tree_as_octomap(farthest):
         points, origin = room(rng)
         voxels.insert(points, origin, farthest)
         tree.insertPointCloud(points.astype(float), np.array(origin), max_range=farthest, discretize=True)
-    found, expected = ours(voxels), []
+    our_tree, expected = ours(voxels), []
     for leaf in tree.begin_leafs():
         low = np.array(leaf.getCoordinate()) - (leaf.getSize() - CELL) / 2
         key = tuple((np.floor(low / CELL).astype(int) + MIDDLE).tolist())
-        expected.append((leaf.getDepth(), leaf.current_node.getLogOdds(), found.get(key)))
+        expected.append((leaf.getDepth(), leaf.current_node.getLogOdds(), our_tree.get(key)))
     _, depths, odds = voxel_leaves.leaves(voxels.blocks, voxels.values)
     assert list(zip(depths.tolist(), odds.tolist(), odds.tolist(), strict=True)) == expected
     assert min(depths) < 16
     assert len(expected) > 2000
-    assert any(value > 0 for value in found.values())
+    assert any(value > 0 for value in our_tree.values())
 
 
-def test_compiled_and_uncompiled_make_the_same_leaves_of_nearly_the_same_map():
+def test_compiled_and_uncompiled_leaves_are_equal():
     points, origin = room(np.random.default_rng(4), 600)
     maps = [made(CELL, 10_000) for made in (VoxelMap, Uncompiled)]
     for each in maps:
@@ -66,7 +66,7 @@ def test_compiled_and_uncompiled_make_the_same_leaves_of_nearly_the_same_map():
 
 
 @pytest.mark.parametrize("made", [VoxelMap, Uncompiled])
-def test_what_is_hit_and_what_is_passed(made):
+def test_hit_and_passed_voxels(made):
     voxels = made(0.1, 100)
     points = np.array([[1.05, 0.05, 0.05], [np.nan, 0, 0], [np.inf, 0, 0], [0, 1e30, 0]], np.float32)
     assert voxels.insert(points, (0.05, 0.05, 0.05), 5.0, 7.0) == 11
@@ -83,7 +83,7 @@ def test_what_is_hit_and_what_is_passed(made):
     assert np.isnan(voxels.log_odds(np.array([[1.05, 0.05, 0.05]]))).all()
 
 
-def test_a_point_beyond_is_not_hit_and_its_ray_frees_as_far_as_is_believed():
+def test_a_point_beyond_the_range_is_not_hit_and_its_ray_frees_voxels_in_range():
     voxels = VoxelMap(0.1, 100)
     voxels.insert(np.array([[9.05, 0.05, 0.05]], np.float32), (0.05, 0.05, 0.05), 2.0)
     odds = voxels.log_odds(np.array([[x + 0.05, 0.05, 0.05] for x in np.arange(0.0, 3.0, 0.1)]))
@@ -91,7 +91,7 @@ def test_a_point_beyond_is_not_hit_and_its_ray_frees_as_far_as_is_believed():
     assert np.isnan(odds[21:]).all()
 
 
-def test_it_grows_to_what_it_may_hold_and_tells_what_was_left_out():
+def test_the_map_grows_to_its_limit_and_reports_dropped_voxels():
     points, origin = room(np.random.default_rng(5))
     free, bounded = VoxelMap(CELL, 10_000), VoxelMap(CELL, 50)
     free.insert(points, origin, 5.0)
@@ -110,7 +110,7 @@ def test_it_grows_to_what_it_may_hold_and_tells_what_was_left_out():
 
 
 @pytest.mark.parametrize("made", [VoxelMap, Uncompiled])
-def test_leaves_that_are_filled_in(made):
+def test_leaves_fill_the_map(made):
     voxels = made(CELL, 1000)
     voxels.fill(np.array([[0, 0, 0], [40, 8, 8], [64, 64, 64]]), np.array([1, 4, 32]), np.array([1.0, -1.0, 2.0]))
     assert sorted(set(ours(voxels).values())) == [-1.0, 1.0, 2.0]
@@ -124,23 +124,23 @@ def test_leaves_that_are_filled_in(made):
     [
         ([0, 0, 0], 65536, "more than the 50 blocks"),
         ([0, 0, 0], 32, "more than the 50 blocks"),
-        ([0, 0, 65536], 1, "within its keys"),
-        ([-1, 0, 0], 1, "within its keys"),
-        ([0, 1, 0], 2, "within its keys"),
-        ([0, 0, 0], 3, "within its keys"),
+        ([0, 0, 65536], 1, "outside its keys"),
+        ([-1, 0, 0], 1, "outside its keys"),
+        ([0, 1, 0], 2, "outside its keys"),
+        ([0, 0, 0], 3, "outside its keys"),
     ],
 )
-def test_cubes_that_are_none_are_refused(keys, side, words):
+def test_invalid_cubes_are_rejected(keys, side, words):
     with pytest.raises(ValueError, match=words):
         VoxelMap(CELL, 50).fill(np.array([keys]), np.array([side]), np.array([1.0]))
 
 
 @pytest.mark.parametrize("odd", [math.nan, math.inf, 1e9])
-def test_a_sensor_that_is_nowhere_is_refused(odd):
+def test_a_sensor_outside_the_map_is_rejected(odd):
     voxels = VoxelMap(CELL, 50)
-    with pytest.raises(ValueError, match="outside of the map"):
+    with pytest.raises(ValueError, match="outside the map"):
         voxels.insert(np.zeros((1, 3), np.float32), (odd, 0.0, 0.0), 5.0)
-    with pytest.raises(ValueError, match="given as"):
+    with pytest.raises(ValueError, match="points must be"):
         voxels.insert(np.zeros((1, 2), np.float32), (0.0, 0.0, 0.0), 5.0)
-    with pytest.raises(ValueError, match="are none"):
+    with pytest.raises(ValueError, match="invalid map"):
         VoxelMap(0.0, 50)
