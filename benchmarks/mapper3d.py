@@ -34,7 +34,7 @@ from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from navigation.mapper3d.depth import Camera, Rays
 from navigation.mapper3d.layer import UPDATE, LayerPublisher
-from navigation.mapper3d.space import OPTICAL, FieldOfView, Seat, Space
+from navigation.mapper3d.space import OPTICAL, FieldOfView, SensorPose, Space
 from navigation.maps.grid_map import GRID_MAP, HEIGHTS
 from navigation.messages import GRID
 from tests.support.quick_hub import QuickHub
@@ -46,18 +46,20 @@ MOST = 0.4
 """Of a core, at ``RATE`` images a second."""
 
 
-def seat(turn: float) -> Seat:
+def seat(turn: float) -> SensorPose:
     """A camera 1 m above the floor, turned to the left by radians and 15 degrees downwards."""
     down = math.radians(15.0)
     pitch = np.array([[math.cos(down), 0, math.sin(down)], [0, 1, 0], [-math.sin(down), 0, math.cos(down)]])
     yaw = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
-    return Seat(yaw @ pitch @ OPTICAL, (0.11, 0.07, 1.02))
+    return SensorPose(yaw @ pitch @ OPTICAL, (0.11, 0.07, 1.02))
 
 
-def depth(at: Seat, size: float, rng: np.random.Generator) -> NDArray[np.float32]:
+def depth(at: SensorPose, size: float, rng: np.random.Generator) -> NDArray[np.float32]:
     """What the camera sees of a room of so many meters a side, 2.6 m high, with two tables."""
     u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
-    ways = np.stack(((u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u, float)), -1) @ at.turn.T
+    ways = (
+        np.stack(((u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u, float)), -1) @ at.rotation.T
+    )
     found = np.full(u.shape, np.inf)
     origin = np.array(at.origin)
     tables = [((1.2, -0.9), (2.0, 0.9)), ((-1.5, 0.8), (-0.8, 1.6))]
@@ -75,29 +77,29 @@ def depth(at: Seat, size: float, rng: np.random.Generator) -> NDArray[np.float32
     return np.asarray(found + noise, np.float32)
 
 
-def images(count: int, size: float) -> list[tuple[Seat, NDArray[np.float32]]]:
+def images(count: int, size: float) -> list[tuple[SensorPose, NDArray[np.float32]]]:
     """So many images of a camera that turns."""
     rng = np.random.default_rng(0)
     seats = [seat(0.1 * index) for index in range(count)]
     return [(each, depth(each, size, rng)) for each in seats]
 
 
-def placed(at: Seat, seen: NDArray[np.float32], every: int) -> NDArray[np.float64]:
+def placed(at: SensorPose, seen: NDArray[np.float32], every: int) -> NDArray[np.float64]:
     """The points of an image on the map."""
     points = Rays(every).points(seen, CAMERA)
-    return (points @ at.turn.T.astype(np.float32) + np.array(at.origin, np.float32)).astype(np.float64)
+    return (points @ at.rotation.T.astype(np.float32) + np.array(at.origin, np.float32)).astype(np.float64)
 
 
-def ours(taken: list[tuple[Seat, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
+def ours(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
     """Milliseconds of processor time an image."""
     space, rays = Space(settings), Rays(settings.pixels)
     begin = time.process_time()
     for index, (at, seen) in enumerate(taken):
-        space.take(rays.points(seen, CAMERA), at, FieldOfView(OPTICAL, CAMERA.view), index / RATE)
+        space.add(rays.points(seen, CAMERA), at, FieldOfView(OPTICAL, CAMERA.view), index / RATE)
     return 1000.0 * (time.process_time() - begin) / len(taken)
 
 
-def octomaps(taken: list[tuple[Seat, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
+def octomaps(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
     """The same of the peer, whose points are on the map already."""
     tree = importlib.import_module("pyoctomap").OcTree(settings.resolution)
     clouds = [(placed(at, seen, settings.pixels), np.array(at.origin)) for at, seen in taken]
@@ -107,7 +109,7 @@ def octomaps(taken: list[tuple[Seat, NDArray[np.float32]]], settings: Mapper3DSe
     return 1000.0 * (time.process_time() - begin) / len(taken)
 
 
-def layer(taken: list[tuple[Seat, NDArray[np.float32]]], settings: Mapper3DSection) -> tuple[float, float]:
+def layer(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> tuple[float, float]:
     """Milliseconds of a layer, and of telling it to one that hears all of it; the medians of one after each image."""
     space, rays = Space(settings), Rays(settings.pixels)
     made, told = [], []
@@ -118,11 +120,11 @@ def layer(taken: list[tuple[Seat, NDArray[np.float32]]], settings: Mapper3DSecti
             listener.subscription(f"{settings.layer.topic}{end}", kind, "*", LATCHED if end != "_updates" else Qos(),
                                   lambda _: heard.set())  # fmt: skip
         for index, (at, seen) in enumerate(taken):
-            space.take(rays.points(seen, CAMERA), at, FieldOfView(OPTICAL, CAMERA.view), index / RATE)
+            space.add(rays.points(seen, CAMERA), at, FieldOfView(OPTICAL, CAMERA.view), index / RATE)
             begin = time.thread_time()
             found = space.layer((0.0, 0.0, 0.0))
             middle = time.thread_time()
-            publisher.tell(found)
+            publisher.publish(found)
             made.append(middle - begin)
             told.append(time.thread_time() - middle)
             heard.wait(10.0)  # from then on it is listened to

@@ -1,4 +1,4 @@
-"""Point clouds of the hub (``sensor_msgs/msg/PointCloud2``), as all modules take them."""
+"""Point clouds of the hub (``sensor_msgs/msg/PointCloud2``)."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from bridge.tf.transform import Transform
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 MOST_POINTS = 4_000_000
-"""A cloud of more is refused: a scanner with 128 lines and a 4-megapixel depth camera have fewer."""
+"""Larger clouds are rejected: a scanner with 128 lines and a 4-megapixel depth camera have fewer points."""
 
 FARTHEST = 1e9
-"""Metres: what is not nearer is no point, as the greatest float32 that some sensors give for "nothing"."""
+"""Meters from which a value is not a point: some sensors report the largest float32 for "no echo"."""
 
 Points = NDArray[np.float32]
 
 
 def read_points(message: Mapping[str, Any], most: int = MOST_POINTS) -> Points:
-    """The points of a ``PointCloud2``: (n, 3) x, y, z in its own frame, metres; those nearer than ``FARTHEST``.
+    """Return the points of a ``PointCloud2`` nearer than ``FARTHEST``, (n, 3) meters in its frame.
 
-    Raises `CloudError` where the cloud has more than ``most`` points, or does not fit its own words.
+    Raises `CloudError` if the cloud has more than ``most`` points, or its data does not match its description.
     """
     width, height = int(message["width"]), int(message["height"])
     if width * height > most:
@@ -42,22 +42,24 @@ def read_points(message: Mapping[str, Any], most: int = MOST_POINTS) -> Points:
 
 
 def placed(points: Points, at: Transform) -> Points:
-    """Points (n, 3) of a frame that is at a pose in another one, in that one."""
+    """Transform points (n, 3) of a frame whose pose in another one is `at` into that one."""
     x, y, z, w = at.rotation
     turned = np.array([
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     ], np.float32)  # fmt: skip
-    found: Points = points @ turned.T + np.array(at.translation, np.float32)
-    return found
+    moved: Points = points @ turned.T + np.array(at.translation, np.float32)
+    return moved
 
 
 def _cells(message: Mapping[str, Any]) -> NDArray[Any]:
-    """The numbers x, y and z of each point."""
-    fields = {str(field["name"]): field for field in reversed(message["fields"])}  # of several the first
+    """Return x, y and z of each point."""
+    fields = {
+        str(field["name"]): field for field in reversed(message["fields"])
+    }  # the first of several with the same name
     missing = [name for name in "xyz" if name not in fields]
     if missing:
-        raise CloudError(f"fields: there is no {', '.join(missing)} among {', '.join([*fields][::-1]) or 'none'}")
+        raise CloudError(f"fields: no {', '.join(missing)} among {', '.join([*fields][::-1]) or 'none'}")
     formats = [number_format(message, fields[name]) for name in "xyz"]
     return records(message, ["x", "y", "z"], formats, [int(fields[name]["offset"]) for name in "xyz"])

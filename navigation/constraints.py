@@ -1,7 +1,7 @@
-"""How a goal is to be driven to: what a planner asks of a local navigator with each waypoint.
+"""Constraints on the drive to a goal, which a planner sends to a local navigator with each waypoint.
 
-On the hub they go in the ``behavior_tree`` text of a ``nav2_msgs/action/NavigateToPose`` goal, which only Nav2 itself
-reads otherwise: ``midspan: max_lin_speed=0.2 on_obstacle=wait through=true``. Servers that are not ours get it empty.
+On the hub they are in the ``behavior_tree`` text of a ``nav2_msgs/action/NavigateToPose`` goal, for example
+``midspan: max_lin_speed=0.2 on_obstacle=wait through=true``. Other servers, such as Nav2's, get an empty text.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import Any
 
 PREFIX = "midspan:"
 ON_OBSTACLE = ("", "wait", "around")
-_WORDS = {"true": True, "false": False}
+_BOOLEANS = {"true": True, "false": False}
 
 
 @dataclass(frozen=True)
 class Constraints:
-    """What holds for one goal, None or  meaning the navigator's own; raises `ValueError` if a value cannot be."""
+    """Constraints for one goal, None or "" for the navigator's own; raises `ValueError` for an invalid value."""
 
     max_lin_speed: float | None = None  #: m/s
     min_lin_speed: float | None = None  #: m/s
@@ -27,54 +27,56 @@ class Constraints:
     ang_speed_gain: float | None = None  #: (deg/s) / deg
     tolerance_lin: float | None = None  #: m
     tolerance_ang: float | None = None  #: degrees
-    on_obstacle: str = ""  #: ``wait`` until it is gone, or go ``around`` it
-    heading: bool = True  #: whether the goal's heading matters; with False any will do
-    through: bool = False  #: whether it is a waypoint, passed without a stop
-    map: str = ""  #: the goal's map, where it is not the one that the planner is on
+    on_obstacle: str = ""  #: ``wait`` until the obstacle moves away, or drive ``around`` it
+    heading: bool = True  #: whether the goal's heading matters
+    through: bool = False  #: whether the robot passes without a stop, as at a waypoint
+    map: str = ""  #: the goal's map, if it is not the current one
 
     def __post_init__(self) -> None:
         for name in _NUMBERS:
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"{name} is a number of at least 0, not {value}")
+                raise ValueError(f"{name} must be a number of at least 0, not {value}")
         if self.on_obstacle not in ON_OBSTACLE:
-            raise ValueError(f"on_obstacle is 'wait' or 'around', not '{self.on_obstacle}'")
+            raise ValueError(f"on_obstacle must be 'wait' or 'around', not '{self.on_obstacle}'")
         if len(self.map.split()) > 1:
-            raise ValueError(f"a map's name has no spaces: '{self.map}'")
+            raise ValueError(f"a map's name must not have spaces: '{self.map}'")
 
     def to_text(self) -> str:
-        """The constraints as text; empty if there are none."""
+        """Return the constraints as text; empty without any."""
         values = {name: value for name, value in vars(self).items() if value != getattr(_NOTHING, name)}
-        said = [f"{name}={str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items()]
-        return " ".join((PREFIX, *said)) if said else ""
+        settings = [
+            f"{name}={str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items()
+        ]
+        return " ".join((PREFIX, *settings)) if settings else ""
 
     @classmethod
     def from_text(cls, text: str) -> Constraints:
-        """What a goal's text says, nothing where it is not ours; raises `ValueError` if something of ours cannot be."""
+        """Parse a goal's text; other texts have no constraints. Raises `ValueError` for an invalid constraint."""
         if not text.startswith(PREFIX):
             return cls()
         given: dict[str, Any] = {}
         for part in text[len(PREFIX) :].split():
-            name, _, word = part.partition("=")
+            name, _, value = part.partition("=")
             if name not in _NAMES:
-                raise ValueError(f"'{name}' is no constraint; there are {', '.join(_NAMES)}")
-            given[name] = _value(name, word)
+                raise ValueError(f"unknown constraint '{name}'; use {', '.join(_NAMES)}")
+            given[name] = _parse(name, value)
         return cls(**given)
 
 
-def _value(name: str, word: str) -> Any:
+def _parse(name: str, text: str) -> Any:
     if name in ("on_obstacle", "map"):
-        return word
+        return text
     if name not in _NUMBERS:
-        if word not in _WORDS:
-            raise ValueError(f"{name} is true or false, not '{word}'")
-        return _WORDS[word]
+        if text not in _BOOLEANS:
+            raise ValueError(f"{name} must be true or false, not '{text}'")
+        return _BOOLEANS[text]
     try:
-        return float(word)
+        return float(text)
     except ValueError:
-        raise ValueError(f"{name} is a number, not '{word}'") from None
+        raise ValueError(f"{name} must be a number, not '{text}'") from None
 
 
-_NAMES = tuple(one.name for one in fields(Constraints))
+_NAMES = tuple(field.name for field in fields(Constraints))
 _NUMBERS = _NAMES[:8]
 _NOTHING = Constraints()

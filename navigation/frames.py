@@ -52,7 +52,7 @@ class RobotFrames:
         host.clock.on_jump(self.buffer.clear)
 
     def listen(self) -> None:
-        """Subscribe to the frames: at the start, and again after `rest`."""
+        """Subscribe to the frames: at the start, and again after `unsubscribe`."""
         # at_once: a base publishes its odometry a hundred times a second, which would wake each module's thread
         subscribe = self._node.subscription_cdr
         self._ends = [
@@ -60,7 +60,7 @@ class RobotFrames:
             subscribe(TF_STATIC, TF_TYPE, partial(self._on_frames, static=True), _STATIC, at_once=True),
         ]
 
-    def rest(self) -> None:
+    def unsubscribe(self) -> None:
         """Unsubscribe, and clear the buffer."""
         ends, self._ends = self._ends, []
         for end in ends:
@@ -78,7 +78,7 @@ class RobotFrames:
             if any(self.odom_frame in (info.name, info.parent) for info in self.buffer.frames()):
                 raise
             # without an odometry frame, the localizer publishes map to base directly
-            return self._fresh(self.map_frame, self.base_frame, self._localization_age, "localisation")
+            return self._fresh(self.map_frame, self.base_frame, self._localization_age, "localization")
         return self.correction() @ odometry
 
     def odometry(self) -> Pose:
@@ -87,7 +87,7 @@ class RobotFrames:
 
     def correction(self) -> Pose:
         """Return the pose of the odometry frame on the map; raises `FramesError` as `pose`."""
-        return self._fresh(self.map_frame, self.odom_frame, self._localization_age, "localisation")
+        return self._fresh(self.map_frame, self.odom_frame, self._localization_age, "localization")
 
     def hangs(self, frame: str) -> bool:
         """Whether a sensor is mounted upside down on the base; False if its mounting is unknown."""
@@ -151,7 +151,7 @@ class RobotFrames:
         try:
             return self.buffer.lookup_transform(target, source, stamp, extrapolate=extrapolate)
         except TransformError as err:
-            raise FramesError(f"it is not known where {source} is in {target}: {str(err).strip()}") from None
+            raise FramesError(f"no transform from {source} to {target}: {str(err).strip()}") from None
 
     def _moves_with_robot(self, frame: str) -> bool:
         parents = {info.name: info.parent for info in self.buffer.frames()}
@@ -192,7 +192,7 @@ class Localized:
         """Raise `FramesError` with the reason if the robot is not localized."""
         status, reason = self._texts.values()
         if status not in _BELIEVED:
-            raise FramesError(f"the localisation says '{status}'" + (f": {reason}" if reason else ""))
+            raise FramesError(f"localization status is '{status}'" + (f": {reason}" if reason else ""))
 
     def _on_text(self, topic: str, message: dict[str, Any]) -> None:
         self._texts[topic] = message["data"]

@@ -60,8 +60,8 @@ def goal_of(
     except FramesError as err:
         if frame in maps():
             return MapPlace(frame, pose), wanted
-        why = f"the goal is in the frame '{frame}': {err}; ask again once it is"
-        raise PlanError(Fault.UNKNOWN_FRAME, why) from None
+        reason = f"the goal is in the frame '{frame}': {err}; send it again once the frame is published"
+        raise PlanError(Fault.UNKNOWN_FRAME, reason) from None
 
 
 class CurrentGoal:
@@ -78,7 +78,7 @@ class CurrentGoal:
 
     def replace(self, goal: Goal | None) -> None:
         """End the goal and execute another one."""
-        self.end(PlannerStatus(State.IDLE, "another goal took its place", Fault.OTHER))
+        self.end(PlannerStatus(State.IDLE, "another goal replaced it", Fault.OTHER))
         self.goal = goal
         if goal is not None:
             goal.execute()
@@ -100,15 +100,15 @@ class CurrentGoal:
 
 
 def result(fault: int, reason: str) -> dict[str, Any]:
-    """The result of a ``NavigateToPose`` goal."""
+    """Return the result of a ``NavigateToPose`` goal."""
     return {"error_code": int(fault), "error_msg": reason}
 
 
 _EVERY = 0.25
 _MISSES = 3  # checks in a row without a client before it counts as gone: a link may be reopened
 
-GONE = "the client that gave the goal is gone, and no other client could cancel it"
-CUT_OFF = "the client that gave the goal is gone: the program has ended, or the link to its machine is cut"
+GONE = "the goal's client is unreachable, and no other client could cancel it"
+CUT_OFF = "the goal's client is unreachable: the program has exited, or the link to its machine is cut"
 
 
 class Clients:

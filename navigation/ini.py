@@ -1,4 +1,4 @@
-"""Reads configuration files of existing robots as they are, and notes oddities by file and line."""
+"""Reads configuration files of existing robots unchanged, and notes problems by file and line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from yarp_compat.wire.text import plain_text
 
 
 class IniError(ValueError):
-    """A file that cannot be used; the text names file and line of all that is wrong."""
+    """A file is invalid; the text lists all errors with file and line."""
 
 
 S = TypeVar("S", bound=Section)
@@ -25,31 +25,31 @@ S = TypeVar("S", bound=Section)
 def laid_under(
     section: S, file: Path | None, read: Callable[[S, Ini], dict[str, Any]], *, merged: Collection[str] = ()
 ) -> tuple[S, list[str]]:
-    """A section with its file's values laid under it, and what is odd in the file, each ``file:line: ...``.
+    """Return a section with a file's values as defaults, and notes on the file, each ``file:line: ...``.
 
-    What the section itself sets is stronger. ``read`` returns the fields that a file sets, and lays the file under the
-    section itself in those of ``merged``. Raises `RuntimeError` with where and why a file is missing or cannot be used.
+    Values that the section sets itself win. ``read`` returns the fields that a file sets; it merges those of ``merged``
+    with the section itself. Raises `RuntimeError` with the place and reason if a file is missing or invalid.
     """
     if file is None:
         return section, []
     try:
         ini = Ini(file)
-        found = read(section, ini)
+        fields = read(section, ini)
         ini.check()
     except IniError as err:
         raise RuntimeError(str(err)) from None
-    kept = {key: value for key, value in found.items() if key in merged or key not in section.model_fields_set}
-    return section.model_copy(update=kept), ini.notes
+    defaults = {key: value for key, value in fields.items() if key in merged or key not in section.model_fields_set}
+    return section.model_copy(update=defaults), ini.notes
 
 
 class Ini:
-    """A YARP configuration file with all that it includes; raises `IniError` if there is no such file."""
+    """A YARP configuration file with its includes; raises `IniError` if it does not exist."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        # what is odd but does not stop it: stale keys, values that are not believed, each ``file:line: ...``
+        # problems that are not errors: stale keys and implausible values, each ``file:line: ...``
         self.notes: list[str] = []
-        self.errors: list[str] = []  # what does; `check` raises them
+        self.errors: list[str] = []  # `check` raises them
         entries: dict[str, Any] = {}
         self._entries = Property.of(entries)
         self._places: config_text.Places = {}
@@ -57,13 +57,13 @@ class Ini:
         if not config_text.read_file(
             str(path), entries, None, wipe=True, places=self._places, find_import=find_in_context
         ):
-            raise IniError(f"{path}: there is no such file, or it cannot be read")
+            raise IniError(f"{path}: no such file, or it is not readable")
 
     def __contains__(self, group: str) -> bool:
         return (group,) in self._places
 
     def group(self, name: str, *, needed: bool = False) -> IniGroup:
-        """A group of keys; an empty one where it is not there."""
+        """Return a group of keys; empty if the file has no such group."""
         self._read.add((name,))
         if needed and name not in self:
             self.errors.append(f"{self.path}: the group [{name}] is missing")
@@ -71,25 +71,25 @@ class Ini:
 
     @property
     def top(self) -> IniGroup:
-        """The keys that stand in no group."""
+        """The keys outside any group."""
         return IniGroup(self, "")
 
     def note_unread(self, stale: Mapping[tuple[str, str], str], others: AbstractSet[str] = frozenset()) -> None:
-        """Note every key and group that was not asked for, but those of ``others``, which belong to other programs.
+        """Note every key and group that was not read, except those of ``others``, which belong to other programs.
 
-        ``stale`` says why a ``(group, key)`` that is known does nothing.
+        ``stale`` gives the reason why a known ``(group, key)`` has no effect.
         """
-        asked = {keys[0] for keys in self._read}
+        groups_read = {keys[0] for keys in self._read}
         for keys, place in self._places.items():
             if keys in self._read or not others.isdisjoint(keys):
                 continue
             if len(keys) == 1 and any(other[:1] == keys and len(other) > 1 for other in self._places):
-                if keys[0] not in asked:
-                    self.notes.append(f"{place.file}:{place.line}: the group [{keys[0]}] is not read")
-            elif len(keys) == 1 or keys[0] in asked:
+                if keys[0] not in groups_read:
+                    self.notes.append(f"{place.file}:{place.line}: the group [{keys[0]}] is ignored")
+            elif len(keys) == 1 or keys[0] in groups_read:
                 group = keys[-2] if len(keys) > 1 else ""
-                why = stale.get((group, keys[-1]), "nothing here reads it")
-                self.notes.append(f"{place.file}:{place.line}: '{keys[-1]}' does nothing: {why}")
+                reason = stale.get((group, keys[-1]), "Midspan does not use it")
+                self.notes.append(f"{place.file}:{place.line}: '{keys[-1]}' is ignored: {reason}")
 
     def check(self) -> None:
         """Raise `IniError` with all errors, if there are any."""
@@ -97,25 +97,25 @@ class Ini:
             raise IniError("\n".join(self.errors))
 
     def value(self, keys: tuple[str, ...]) -> Any:
-        """The plain value of a key; None where it is not there."""
+        """Return the plain value of a key; None if it is missing."""
         self._read.add(keys)
         *groups, key = keys
-        found = self._entries.findGroup(groups[0]) if groups else self._entries
-        return found.find(key).plain if found.check(key) else None
+        entries = self._entries.findGroup(groups[0]) if groups else self._entries
+        return entries.find(key).plain if entries.check(key) else None
 
     def where(self, keys: tuple[str, ...]) -> str:
-        """``file:line`` of a key."""
+        """Return ``file:line`` of a key."""
         place = self._places.get(keys)
         return f"{place.file}:{place.line}" if place else str(self.path)
 
 
 def port_name(text: str) -> str:
-    """A port's or topic's name as it is everywhere else: with one slash before it, and none behind."""
+    """Return the name of a port or topic with one leading slash and no trailing one."""
     return "/" + text.strip("/")
 
 
 def frame_name(text: str) -> str:
-    """A frame's name as tf2 has it."""
+    """Return the name of a frame in tf2's form, without a leading slash."""
     return text.lstrip("/")
 
 
@@ -126,70 +126,72 @@ class IniGroup:
         self._ini, self._name = ini, name
 
     def number(self, key: str, default: float | None, low: float, high: float, unit: str = "") -> float:
-        """A number, needed where there is no default; what is not believed is noted, and default or bound are used."""
+        """Return a number, which is required without a default; note one out of range, and use the default or bound."""
         keys = self._keys(key)
-        found = self._ini.value(keys)
+        value = self._ini.value(keys)
         bound = low if default is None else default
-        if found is None:
+        if value is None:
             if default is None:
                 self._ini.errors.append(f"{self._ini.where(self._keys())}: '{key}' is missing in [{self._name}]")
             return bound
-        if isinstance(found, bool) or not isinstance(found, (int, float)):
-            self._ini.errors.append(f"{self._ini.where(keys)}: '{key}' is a number, not {plain_text(found)!r}")
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            self._ini.errors.append(f"{self._ini.where(keys)}: '{key}' must be a number, not {plain_text(value)!r}")
             return bound
-        if not (math.isfinite(found) and low <= found <= high):
-            used = default if default is not None else min(max(found, low), high) if math.isfinite(found) else low
+        if not (math.isfinite(value) and low <= value <= high):
+            used = default if default is not None else min(max(value, low), high) if math.isfinite(value) else low
             unit = f" {unit}" if unit else ""
             self._ini.notes.append(
-                f"{self._ini.where(keys)}: '{key} {found:g}' is not believed: it is within {low:g} and {high:g}{unit}; "
-                f"{used:g} is used"
+                f"{self._ini.where(keys)}: '{key} {value:g}' is out of range ({low:g} to {high:g}{unit}); "
+                f"using {used:g}"
             )
             return used
-        return float(found)
+        return float(value)
 
     def choice(self, key: str, default: int, choices: tuple[int, ...]) -> int:
-        """One of some whole numbers."""
-        found = self._ini.value(self._keys(key))
-        if found is None:
+        """Return one of some integers."""
+        value = self._ini.value(self._keys(key))
+        if value is None:
             return default
-        if found not in choices:
-            told = ", ".join(map(str, choices))
-            self._ini.errors.append(f"{self._ini.where(self._keys(key))}: '{key}' is one of {told}, not {found}")
+        if value not in choices:
+            allowed = ", ".join(map(str, choices))
+            self._ini.errors.append(
+                f"{self._ini.where(self._keys(key))}: '{key}' must be one of {allowed}, not {value}"
+            )
             return default
-        return int(found)
+        return int(value)
 
     def flag(self, key: str, default: bool) -> bool:
-        """Yes or no, as YARP's files say it: 1 or 0, true or false."""
-        found = self._ini.value(self._keys(key))
-        if found is None:
+        """Return a boolean, which YARP's files write as 1 or 0, true or false."""
+        value = self._ini.value(self._keys(key))
+        if value is None:
             return default
-        word = {"true": 1, "false": 0}.get(str(found).lower(), found)
-        if word not in (0, 1):
-            self._ini.errors.append(f"{self._ini.where(self._keys(key))}: '{key}' is 0 or 1, not {found}")
+        flag = {"true": 1, "false": 0}.get(str(value).lower(), value)
+        if flag not in (0, 1):
+            self._ini.errors.append(f"{self._ini.where(self._keys(key))}: '{key}' must be 0 or 1, not {value}")
             return default
-        return bool(word)
+        return bool(flag)
 
     def text(self, key: str, default: str) -> str:
-        """Words."""
-        found = self._ini.value(self._keys(key))
-        return default if found is None else plain_text(found)
+        """Return a text."""
+        value = self._ini.value(self._keys(key))
+        return default if value is None else plain_text(value)
 
-    def take_texts(self, found: dict[str, Any], form: Callable[[str], str], **names: str) -> None:
-        """Put the words that are there into fields: each of ``names`` is a field and its key."""
+    def add_texts(self, fields: dict[str, Any], form: Callable[[str], str], **names: str) -> None:
+        """Add the texts that the file has to ``fields``; each of ``names`` is a field and its key."""
         for field, key in names.items():
             if text := self.text(key, ""):
-                found[field] = form(text)
+                fields[field] = form(text)
 
     def has(self, key: str) -> bool:
-        """Whether a key is there."""
+        """Whether the group has a key."""
         return self._ini.value(self._keys(key)) is not None
 
     def note(self, key: str, what: str) -> None:
-        """Note that a key is odd."""
+        """Note a problem with a key."""
         self._ini.notes.append(f"{self.where(key)}: '{key}': {what}")
 
     def where(self, key: str) -> str:
-        """``file:line`` of a key."""
+        """Return ``file:line`` of a key."""
         return self._ini.where(self._keys(key))
 
     def _keys(self, *key: str) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Layers of a map (``nav_msgs/msg/OccupancyGrid``): what a robot would touch that a laser does not see."""
+"""Layers of a map (``nav_msgs/msg/OccupancyGrid``): obstacles that a laser does not see."""
 
 from __future__ import annotations
 
@@ -19,42 +19,42 @@ from navigation.messages import GRID, Message
 from navigation.pose import Pose
 from yarp_compat.dev.mapflag import MapFlag
 
-_FINE, _PARTS = 0.05, 20  # metres, and how many of them a cell's side has at most
+_FINE, _PARTS = 0.05, 20  # meters between the points of a large cell, and the largest number of them per side
 
 Places = NDArray[np.float64]
 
 
 class LayerError(ValueError):
-    """A layer that cannot be used; the text says why."""
+    """A layer is invalid; the text gives the reason."""
 
 
 def read_layer(message: Mapping[str, Any]) -> Places:
-    """(n, 2) the middles of a layer's cells from 50 on, metres in its own frame; raises `LayerError`.
+    """Return the centers of a layer's cells with values from 50 on, (n, 2) meters in its frame; raises `LayerError`.
 
-    Of cells wider than 5 cm they are those of its parts: who keeps away from a middle keeps away from all of it.
+    A cell wider than 5 cm is split, so that a distance to the points is also a distance to the cell.
     """
     try:
         grid = from_grid(message, "layer")
     except ValueError as err:
         raise LayerError(str(err)) from None
     if not (grid.resolution > 0.0 and np.isfinite((grid.resolution, *grid.origin.to_ros())).all()):
-        raise LayerError(f"info: cells of {grid.resolution} m from {grid.origin.to_ros()} are nowhere")
+        raise LayerError(f"info: invalid resolution {grid.resolution} m or origin {grid.origin.to_ros()}")
     rows, columns = np.nonzero(grid.flags == MapFlag.WALL)
     middles = grid.centers_of(np.stack((columns, rows), axis=1))
     parts = min(math.ceil(grid.resolution / _FINE - 1e-6), _PARTS)
     steps = ((np.arange(parts) + 0.5) / parts - 0.5) * grid.resolution
-    beside = on(np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2), Pose(0.0, 0.0, grid.origin.to_ros()[2]))
-    return (middles[:, None] + beside).reshape(-1, 2)
+    offsets = on(np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2), Pose(0.0, 0.0, grid.origin.to_ros()[2]))
+    return (middles[:, None] + offsets).reshape(-1, 2)
 
 
-class LayersHeard:
-    """Hears the layers among some sources, and gives each one's places on the map to ``take``, with its topic.
+class LayerSubscriptions:
+    """Subscribes to the layers among obstacle sources; ``on_layer`` gets each one's topic and its points on the map.
 
     Args:
-        now: the time in seconds.
+        now: returns the time in seconds.
 
     Attributes:
-        trouble: by topic, why what it said last cannot be used.
+        trouble: by topic, why its last message is invalid.
     """
 
     def __init__(
@@ -62,38 +62,38 @@ class LayersHeard:
         host: Host,
         sources: Iterable[ObstacleSection],
         frames: RobotFrames,
-        take: Callable[[str, Places], object],
+        on_layer: Callable[[str, Places], object],
         now: Callable[[], float],
         trouble: dict[str, str] | None = None,
     ) -> None:
-        self._frames, self._take, self._now = frames, take, now
+        self._frames, self._on_layer, self._now = frames, on_layer, now
         self._graph = host.node.hub.graph
-        self._heard: dict[str, float] = {}
-        self._going_on: dict[str, ObstacleSection] = {}
+        self._received: dict[str, float] = {}
+        self._periodic: dict[str, ObstacleSection] = {}
         self.trouble = {} if trouble is None else trouble
         for source in sources:
             if source.type == "layer":
-                host.node.subscription(source.topic, GRID, partial(self._hear, source), LATCHED)
-        host.on_jump(lambda: self._heard.update(dict.fromkeys(self._heard, now())))
+                host.node.subscription(source.topic, GRID, partial(self._receive, source), LATCHED)
+        host.on_jump(lambda: self._received.update(dict.fromkeys(self._received, now())))
 
     def silent(self) -> str:
-        """Which layer says nothing any more, and since when; "" where none does.
+        """Return which layer is silent, and for how long; "" if none is.
 
-        One that never said two things within its ``timeout`` is latched: it speaks when it changes, or once, and is
-        silent once nobody publishes it any more.
+        A layer that has never published twice within its ``timeout`` is latched: it publishes on changes only, and is
+        silent when it has no publisher.
         """
-        for topic, heard in self._heard.items():
-            source, silent = self._going_on.get(topic), ""
+        for topic, received in self._received.items():
+            source, silent = self._periodic.get(topic), ""
             if source is not None:
-                silent = source.silent(heard, self._now())
+                silent = source.silent(received, self._now())
             elif not self._graph.publishers(topic):
-                silent = f"the layer {topic} is silent: nobody publishes it any more"
+                silent = f"the layer {topic} is silent: it has no publisher"
             if silent:
-                why = self.trouble.get(topic)
-                return silent + (f" ({why})" if why else "")
+                reason = self.trouble.get(topic)
+                return silent + (f" ({reason})" if reason else "")
         return ""
 
-    def _hear(self, source: ObstacleSection, message: Message) -> None:
+    def _receive(self, source: ObstacleSection, message: Message) -> None:
         topic = source.topic
         frame = message["header"]["frame_id"].lstrip("/")
         try:
@@ -105,14 +105,14 @@ class LayersHeard:
             return
         self.trouble.pop(topic, None)
         now = self._now()
-        if topic in self._heard and not source.silent(self._heard[topic], now):
-            self._going_on[topic] = source
-        self._heard[topic] = now
-        self._take(topic, places)
+        if topic in self._received and not source.silent(self._received[topic], now):
+            self._periodic[topic] = source
+        self._received[topic] = now
+        self._on_layer(topic, places)
 
 
 def on(places: Places, at: Pose) -> Places:
-    """Places (n, 2) of a frame that is at a pose in another one, in that one."""
+    """Transform points (n, 2) of a frame whose pose in another one is `at` into that one."""
     c, s = np.cos(at.theta), np.sin(at.theta)
-    found: Places = places @ np.array([(c, s), (-s, c)]) + (at.x, at.y)
-    return found
+    moved: Places = places @ np.array([(c, s), (-s, c)]) + (at.x, at.y)
+    return moved

@@ -1,4 +1,4 @@
-"""The map in use, as modules follow it: the store's current one, or a topic's."""
+"""The map that a module uses: the store's current one, or a topic's."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 
 
 class MapInUse:
-    """Follows the map that a section names: ``store`` (or None), or a topic. On the module's thread.
+    """Follows the map that a section configures: ``store`` (or None), or a topic. On the module's thread.
 
-    ``use`` is called with each map, None where the store has no current one; with the same one again where a value of
-    these kinds changes in the store.
+    ``use`` is called with each new map, with None if the store has no current one, and with the same map again when a
+    value of ``kinds`` changes in the store.
     """
 
     def __init__(
@@ -27,17 +27,17 @@ class MapInUse:
         self._host, self._topic, self._use = host, source or "store", use
         self.of_store = self._topic == "store"
         self.grid: MapGrid2D | None = None
-        # why none is used, or not the newest
-        self.trouble = "" if self.of_store else f"no map has come from {self._topic}"
+        # why there is no map, or not the newest
+        self.trouble = "" if self.of_store else f"waiting for a map on {self._topic}"
         self._due = self._closed = False
         watched = {*kinds, MAP, CURRENT} if self.of_store else {*kinds}
         self._closing: list[Callable[[], object]] = [host.store.watch(self._changed, *watched)] if watched else []
         if not self.of_store:
-            heard = host.node.subscription(self._topic, GRID, self._told, LATCHED)
-            self._closing.append(lambda: host.node.release(heard))
+            subscription = host.node.subscription(self._topic, GRID, self._on_map, LATCHED)
+            self._closing.append(lambda: host.node.release(subscription))
 
-    def take(self) -> None:
-        """Use the store's current map, or once more the topic's."""
+    def update(self) -> None:
+        """Use the store's current map, or the topic's again."""
         self._due = False
         if self._closed:
             return
@@ -52,20 +52,20 @@ class MapInUse:
         self._use(self.grid)
 
     def close(self) -> None:
-        """Follow no more."""
+        """Stop following."""
         self._closed = True
         for close in self._closing:
             close()
 
     def _changed(self, _change: object) -> None:
-        """On the store's thread; many changes at once are taken up once."""
+        """Schedule one update for any number of changes; on the store's thread."""
         if not self._due:
             self._due = True
-            self._host.loop.post(self.take)
+            self._host.loop.post(self.update)
 
-    def _told(self, message: Message) -> None:
+    def _on_map(self, message: Message) -> None:
         if self._closed:
-            return  # it came just before
+            return  # received just before closing
         try:
             name = self._host.config.modules.map2d_server.taken_as(self._topic)
             grid = from_grid(message, name or self._host.store.current_map() or self._topic.strip("/"))

@@ -15,12 +15,12 @@ Message = dict[str, Any]
 
 
 def stamp_ns(header: Mapping[str, Any]) -> int:
-    """The stamp of a header, nanoseconds."""
+    """Return the stamp of a header, nanoseconds."""
     return int(header["stamp"]["sec"]) * 1_000_000_000 + int(header["stamp"]["nanosec"])
 
 
 def pose_message(pose: Pose, z: float = 0.0) -> Message:
-    """``geometry_msgs/msg/Pose`` at a height, metres; a heading that is not finite becomes 0."""
+    """Return a ``geometry_msgs/msg/Pose`` at a height in meters; a heading that is not finite becomes 0."""
     theta = pose.theta if math.isfinite(pose.theta) else 0.0
     return {
         "position": {"x": pose.x, "y": pose.y, "z": z},
@@ -29,6 +29,6 @@ def pose_message(pose: Pose, z: float = 0.0) -> Message:
 
 
 def duration(seconds: float) -> dict[str, int]:
-    """``builtin_interfaces/msg/Duration``, within 0 and some 60 years."""
+    """Return a ``builtin_interfaces/msg/Duration``, limited to 0 to 60 years."""
     whole = min(max(seconds, 0.0), 2e9)
     return {"sec": int(whole), "nanosec": int(whole % 1 * 1e9)}

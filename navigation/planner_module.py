@@ -1,6 +1,6 @@
 """The base of the modules that drive to goals: their action on the hub, their topics and their YARP device."""
 
-# ruff: noqa: N802, D102 - YARP's names, and `yarp_compat.dev.inavigation2d` says what each does
+# ruff: noqa: N802, D102 - YARP's names, documented in `yarp_compat.dev.inavigation2d`
 
 from __future__ import annotations
 
@@ -28,71 +28,71 @@ _FEEDBACK = 0.2  # seconds between two messages of feedback
 
 
 class PlannerModule(Module):
-    """A module that drives to one goal at a time, on the module's thread."""
+    """A module that drives to one goal at a time. On the module's thread."""
 
     def _open(self, host: Host, frames: RobotFrames) -> None:
-        """Take up what all planners need of their host."""
+        """Set up what all planners need."""
         self._host, self._frames = host, frames
-        self.compiled, self._localized = Compiled(), Localized(host)  # without its kernels it drives nowhere
+        self.compiled, self._localized = Compiled(), Localized(host)  # without its kernels it refuses goals
         self._goal = CurrentGoal(host.loop, self.stop_driving)
         self._began, self._fed = 0.0, -math.inf
 
     def _serve(self, brake: Callable[[bytes], None] | None = None) -> None:
-        """Serve the action, and give up the goals of clients that are cut off."""
+        """Serve the action, and abort the goals of clients that are cut off."""
         host, action = self._host, f"/planner/{self.name}/navigate_to_pose"
-        server = host.node.action_server(action, NAVIGATE, self._take, self._goal.cancel, brake=brake)
-        Clients(host, server, lambda: self._give_up(GONE))
-        FarClients(host, server, lambda goal: self._give_up(CUT_OFF) if goal is self._goal.goal else None)
+        server = host.node.action_server(action, NAVIGATE, self._on_goal, self._goal.cancel, brake=brake)
+        Clients(host, server, lambda: self._abort(GONE))
+        FarClients(host, server, lambda goal: self._abort(CUT_OFF) if goal is self._goal.goal else None)
 
     @property
     @abstractmethod
     def target(self) -> MapPlace | None:
-        """The place that it drives to."""
+        """The place to which it drives."""
 
     @property
     @abstractmethod
     def progress(self) -> PlannerStatus:
-        """The state of the goal at hand."""
+        """The state of the current goal."""
 
     @abstractmethod
     def map_name(self) -> str:
-        """The map that the robot is on; empty where that is unknown."""
+        """Return the name of the robot's map; empty if unknown."""
 
     @abstractmethod
     def drive(self, *places: MapPlace, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
-        """Drive to places one after the other, instead of the goal at hand; raises `PlanError` with a reason."""
+        """Drive to places in sequence, instead of the current goal; raises `PlanError` with a reason."""
 
     @abstractmethod
     def stop_driving(self, reason: str) -> None:
-        """Give up the goal and stand still."""
+        """Cancel the goal and stop the robot."""
 
     @abstractmethod
     def pause(self, seconds: float) -> None:
-        """Stand still for some seconds and then go on; raises `PlanError` where there is no goal."""
+        """Stop for some seconds, then drive on; raises `PlanError` without a goal."""
 
     @abstractmethod
     def resume(self) -> None:
-        """Go on; raises `PlanError` where nothing is paused."""
+        """Drive on; raises `PlanError` if the goal is not paused."""
 
     @abstractmethod
     def local_map(self) -> MapGrid2D | None:
-        """The map of what the laser sees, if any."""
+        """Return the map of the laser's obstacles, or None."""
 
     @abstractmethod
     def _remaining(self, pose: Pose, passed: float) -> tuple[float, float, int]:
-        """Metres to the goal, the expected speed in m/s, and the number of recoveries, after so many seconds."""
+        """Return meters to the goal, the expected speed in m/s and the number of recoveries; `passed` in seconds."""
 
     def _map_names(self) -> Collection[str]:
-        """The names of maps that a goal's frame may have."""
+        """Return the names of maps that a goal's frame may have."""
         return ()
 
     def now(self) -> float:
-        """The planner's time in seconds: the simulated clock where there is one, else a monotonic one."""
+        """Return the planner's time in seconds: of the simulated clock if there is one, else monotonic."""
         clock = self._host.clock
         return clock.now_ns() / 1e9 if clock.simulated else time.monotonic()
 
     def pose(self) -> Pose:
-        """The robot's pose on the map; raises `FramesError` with why it is not known."""
+        """Return the robot's pose on the map; raises `FramesError` with the reason if it is unknown."""
         self._localized.check()
         return self._frames.pose()
 
@@ -103,17 +103,17 @@ class PlannerModule(Module):
             return None
 
     def halt(self) -> dict[str, Any]:
-        """Give up the goal, whoever sent it."""
+        """Cancel the goal of any client."""
         self.stop_driving("halted")
         return {"halted": True}
 
-    def _give_up(self, why: str, fault: Fault = Fault.NO_NAVIGATOR) -> None:
-        """Stand still although nobody cancelled the goal."""
-        self._goal.end(PlannerStatus(State.ABORTED, why, fault))
-        self.stop_driving(why)
+    def _abort(self, reason: str, fault: Fault = Fault.NO_NAVIGATOR) -> None:
+        """Abort the goal and stop the robot."""
+        self._goal.end(PlannerStatus(State.ABORTED, reason, fault))
+        self.stop_driving(reason)
 
-    def _take(self, goal: Goal) -> bool:
-        """Accept a goal of the action; one that is refused is aborted, since a rejection cannot say why."""
+    def _on_goal(self, goal: Goal) -> bool:
+        """Accept a goal of the action; abort an invalid one, since a rejection could not carry the reason."""
         try:
             place, wanted = goal_of(goal.goal, self._frames, self._map_names)
             self.drive(place, constraints=wanted, goal=goal)
@@ -138,7 +138,7 @@ class PlannerModule(Module):
         })  # fmt: skip
 
     def status(self) -> dict[str, Any]:
-        """The goal and its state."""
+        """Return the goal's state, and the notes on the module's file."""
         state, reason, fault = self.progress
         return {"planner": {"state": state.value, "reason": reason, "fault": int(fault)}, "notes": list(self._notes)}
 
@@ -146,7 +146,7 @@ class PlannerModule(Module):
 
 
 class PlannerTopics:
-    """The topics of a planner that all of them have: status and path. On the module's thread."""
+    """The topics that all planners publish: status and path. On the module's thread."""
 
     def __init__(self, host: Host, name: str, frame: str) -> None:
         self._host, self._frame, self._prefix = host, frame, f"/planner/{name}"
@@ -161,7 +161,7 @@ class PlannerTopics:
 
     def _publish_path(self, poses: Iterable[Pose]) -> None:
         header = self._header()
-        stamped = [{"header": header, "pose": pose_message(each)} for each in poses]
+        stamped = [{"header": header, "pose": pose_message(pose)} for pose in poses]
         self._path.publish({"header": header, "poses": stamped})
 
     def _header(self) -> Message:
@@ -169,7 +169,7 @@ class PlannerTopics:
 
 
 class PlannerDevice(NavigationDevice):
-    """The YARP device of a planner; methods run on the threads of connections."""
+    """The YARP device of a planner; its methods run on the threads of connections."""
 
     def __init__(self, module: PlannerModule, calls: Calls) -> None:
         super().__init__(calls)
@@ -202,5 +202,5 @@ class PlannerDevice(NavigationDevice):
 
 
 def place_of(loc: Map2DLocation) -> MapPlace:
-    """A YARP location as a place."""
+    """Return a YARP location as a place."""
     return MapPlace(loc.map_id, Pose(loc.x, loc.y, math.radians(loc.theta)))

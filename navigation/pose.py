@@ -16,7 +16,7 @@ class Pose(NamedTuple):
     stamp_ns: int = 0
 
     def __matmul__(self, other: Pose) -> Pose:
-        """A pose that is given in this one's frame, in the frame that this one is given in; with its stamp."""
+        """Transform a pose given in this pose's frame into the frame of this pose; keeps its stamp."""
         c, s = math.cos(self.theta), math.sin(self.theta)
         return Pose(
             self.x + c * other.x - s * other.y,
@@ -27,12 +27,12 @@ class Pose(NamedTuple):
 
     @property
     def inverse(self) -> Pose:
-        """The pose of the frame that this one is given in, as seen from this one; with its stamp."""
+        """The pose of this pose's reference frame relative to this pose; with the same stamp."""
         c, s = math.cos(self.theta), math.sin(self.theta)
         return Pose(-c * self.x - s * self.y, s * self.x - c * self.y, wrapped(-self.theta), self.stamp_ns)
 
     def distance(self, other: Pose) -> float:
-        """Metres to another."""
+        """Return the meters to another pose."""
         return math.hypot(self.x - other.x, self.y - other.y)
 
 
@@ -44,5 +44,5 @@ def check_rotation(orientation: Mapping[str, float], whose: str) -> None:
 
 
 def wrapped(angle: float) -> float:
-    """The same direction within -pi to pi."""
+    """Return the same direction within -pi to pi."""
     return math.remainder(angle, math.tau)

@@ -1,4 +1,4 @@
-"""Laser scans of the hub and of YARP, as all modules take them."""
+"""Laser scans of the hub and of YARP."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from yarp_compat.dev.rangefinder import LaserScan2D
 
 SCAN = "sensor_msgs/msg/LaserScan"
 
-_LEAST = 1e-3  # metres; nearer is what some lasers say where they saw nothing, and that is not known to be free
+_LEAST = 1e-3  # meters; some lasers report 0 without an echo, which does not mean that the beam was free
 
 
 class ScanError(ValueError):
-    """A scan that cannot be used; the text says why."""
+    """A scan is invalid; the text gives the reason."""
 
 
 def of_ros(message: Mapping[str, Any], time_ns: int, *, hangs: bool = False) -> Turn:
-    """The turn of a ``LaserScan`` at ns of the taker's clock, upside down if it ``hangs``; raises `ScanError`."""
-    made = _turn(
+    """Convert a ``LaserScan``; `time_ns` on our clock, ``hangs`` if the laser is upside down; raises `ScanError`."""
+    turn = _turn(
         time_ns, message["angle_min"], message["angle_increment"], message["range_min"], message["range_max"],
         np.array(message["ranges"], np.float64),
     )  # fmt: skip
-    return made.turned_over() if hangs else made
+    return turn.turned_over() if hangs else turn
 
 
 def of_yarp(scan: LaserScan2D, time_ns: int) -> Turn:
-    """The turn of a YARP laser, in degrees, its last angle a step beyond the last beam; raises `ScanError`."""
+    """Convert a YARP scan, whose last angle is a step beyond the last beam, in degrees; raises `ScanError`."""
     ranges = np.array(scan.scans, np.float64)
     step = math.radians(scan.angle_max - scan.angle_min) / max(len(ranges), 1)
     return _turn(time_ns, math.radians(scan.angle_min), step, scan.range_min, scan.range_max, ranges)
@@ -42,25 +42,25 @@ def _turn(
     time_ns: int, first: float, step: float, nearest: float, farthest: float, ranges: NDArray[np.float64]
 ) -> Turn:
     if not (math.isfinite(first) and math.isfinite(step) and step != 0.0 and len(ranges)):
-        raise ScanError(f"a scan of {len(ranges)} beams from {first:g} by {step:g} rad")
+        raise ScanError(f"invalid scan: {len(ranges)} beams from {first:g} by {step:g} rad")
     if abs(step) * len(ranges) > 2.5 * math.pi:
-        raise ScanError(f"a scan of {len(ranges)} beams with {step:g} rad between them goes round more than once")
+        raise ScanError(f"invalid scan: {len(ranges)} beams with {step:g} rad between them are more than a full circle")
     if not farthest > max(nearest, 0.0):
-        raise ScanError(f"a scan that measures from {nearest:g} to {farthest:g} m")
+        raise ScanError(f"invalid scan: it measures from {nearest:g} to {farthest:g} m")
     return Turn(time_ns, first, step, max(nearest, _LEAST), farthest, ranges)
 
 
 def is_blind(scan: Turn) -> bool:
-    """Whether none of its beams says anything: many lasers that are covered or broken say 0 all round."""
+    """Whether no beam has a valid range: many covered or broken lasers report 0 in all directions."""
     ranges = np.asarray(scan.ranges, np.float64)
     with np.errstate(invalid="ignore"):
         return not ((ranges >= scan.nearest) | (ranges == -np.inf)).any()
 
 
 def believed(scan: Turn) -> NDArray[np.float64]:
-    """The ranges: NaN where nothing is known, also nearer than is measured; infinite from the farthest on.
+    """Return the ranges: NaN if unknown or below the laser's minimum, infinite from its maximum on.
 
-    A range of just ``range_max`` is no echo: many lasers say it where nothing was hit.
+    A range of exactly ``range_max`` is not an echo: many lasers report it if the beam hit nothing.
     """
     ranges = np.array(scan.ranges, np.float64)
     with np.errstate(invalid="ignore"):
@@ -73,16 +73,16 @@ AT_BASE = Pose(0.0, 0.0, 0.0)
 
 
 def scan_points(scan: Turn, laser: Pose = AT_BASE) -> NDArray[np.float64]:
-    """Where beams of a laser on the base ended, (n, 2) in the base's frame, metres; those that ended somewhere."""
+    """Return the echoes of a laser on the base as points in the base's frame, (n, 2) meters."""
     ranges = believed(scan)
     hit = np.isfinite(ranges)
     angles = scan.first + np.flatnonzero(hit) * scan.step + laser.theta
-    found = ranges[hit]
-    return np.stack([laser.x + found * np.cos(angles), laser.y + found * np.sin(angles)], axis=1)
+    echoes = ranges[hit]
+    return np.stack([laser.x + echoes * np.cos(angles), laser.y + echoes * np.sin(angles)], axis=1)
 
 
 def thinned(points: NDArray[np.float64], most: int) -> NDArray[np.float64]:
-    """So many of the points at most, taken evenly."""
+    """Return at most this many of the points, evenly selected."""
     if len(points) <= most:
         return points
     return points[np.linspace(0, len(points) - 1, most).round().astype(np.intp)]

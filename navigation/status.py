@@ -1,4 +1,4 @@
-"""The state of a planner, as all of Midspan's planners and the gateway publish it, and why a goal is refused.
+"""The state of a planner, as all of Midspan's planners and the gateway publish it, and the reasons for failure.
 
 The states are YARP's (``yarp::dev::Nav2D::NavigationStatusEnum``, ``INavigation2D.h``), by their names.
 """
@@ -31,7 +31,7 @@ class State(StrEnum):
 
     @property
     def ended(self) -> bool:
-        """Whether no goal is under way any more."""
+        """Whether no goal is active."""
         return self in _ENDED
 
 
@@ -39,7 +39,7 @@ _ENDED = frozenset((State.IDLE, State.REACHED, State.ABORTED, State.FAILING, Sta
 
 
 class Fault(IntEnum):
-    """Why a goal was not reached: ``error_code`` of ``nav2_msgs/action/NavigateToPose``; the numbers are ours."""
+    """Why a goal was not reached: ``error_code`` of ``nav2_msgs/action/NavigateToPose``, with Midspan's own numbers."""
 
     NONE = 0
     BAD_GOAL = 9001
@@ -61,12 +61,12 @@ class Fault(IntEnum):
 
     @property
     def anywhere(self) -> bool:
-        """Whether it is the robot's and not the way's: by another way it would be the same."""
+        """Whether the fault is the robot's and not the path's: another path would not help."""
         return self in (Fault.NO_LASER, Fault.NOT_LOCALIZED, Fault.BASE_STANDS)
 
     @classmethod
     def parse(cls, code: int) -> Fault:
-        """The fault of a number; OTHER for a number that is not ours."""
+        """Return the fault of a number; OTHER for numbers that are not Midspan's."""
         try:
             return cls(code)
         except ValueError:
@@ -74,29 +74,29 @@ class Fault(IntEnum):
 
 
 class PlannerStatus(NamedTuple):
-    """The state of a planner and its reason, in words for people and as a number for programs."""
+    """The state of a planner and its reason, as text for people and as a code for programs."""
 
     state: State = State.IDLE
     reason: str = ""
-    fault: int = Fault.NONE  #: a `Fault`, or a number of another planner's own
+    fault: int = Fault.NONE  #: a `Fault`, or another planner's code
 
     @property
     def words(self) -> str:
-        """The state with its reason."""
+        """The state with its reason, as text."""
         return f"{self.state.value}: {self.reason}" if self.reason else self.state.value
 
 
 def status_message(
     stamp: Mapping[str, int], status: PlannerStatus, *, goal_id: bytes = NO_GOAL, goal: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """A ``midspan_msgs/NavigationStatus``; the goal is a ``geometry_msgs/PoseStamped``."""
+    """Return a ``midspan_msgs/NavigationStatus``; the goal is a ``geometry_msgs/PoseStamped``."""
     state, reason, code = status
-    said = {"header": {"stamp": stamp}, "state": state.value, "reason": reason, "error_code": int(code)}
-    return {**said, "goal_id": list(goal_id), **({} if goal is None else {"goal": goal})}
+    message = {"header": {"stamp": stamp}, "state": state.value, "reason": reason, "error_code": int(code)}
+    return {**message, "goal_id": list(goal_id), **({} if goal is None else {"goal": goal})}
 
 
 class PlanError(ValueError):
-    """There is no way; ``passing``: it may be there soon, as only what the laser sees stands in the way."""
+    """A goal cannot be driven to; ``passing`` if only obstacles block the path, which may move away."""
 
     def __init__(self, fault: Fault, reason: str, *, passing: bool = False) -> None:
         super().__init__(reason)
@@ -104,18 +104,18 @@ class PlanError(ValueError):
 
 
 def not_compiled() -> str:
-    """Why no goal is driven to, with the cure; "" where all kernels are compiled, also of other sources."""
+    """Return why goals are refused, with the cure; "" if all kernels are compiled, even from other sources."""
     state = kernels.state()
-    return f"driving is refused, since {state}: {kernels.CURE}" if state.missing else ""
+    return f"goals are refused, since {state}: {kernels.CURE}" if state.missing else ""
 
 
 class Compiled:
-    """What was found as a module started: what it has imported by then does not change any more."""
+    """The result of `not_compiled` when a module started: imported kernels do not change afterwards."""
 
     def __init__(self) -> None:
-        self.trouble = not_compiled()  # see `not_compiled`
+        self.trouble = not_compiled()
 
     def check(self) -> None:
-        """Raise `PlanError` with why no goal is driven to."""
+        """Raise `PlanError` if goals are refused."""
         if self.trouble:
             raise PlanError(Fault.OTHER, self.trouble)

@@ -1,6 +1,6 @@
-"""What the modules share of their YARP side: calls of clients, and connections to a robot's ports."""
+"""The modules' YARP side: calls of clients, and connections to a robot's ports."""
 
-# ruff: noqa: N802, D102 - YARP's names, and `yarp_compat.dev.inavigation2d` says what each does
+# ruff: noqa: N802, D102 - YARP's names, documented in `yarp_compat.dev.inavigation2d`
 
 from __future__ import annotations
 
@@ -27,47 +27,47 @@ M = TypeVar("M", bound=Service)
 
 
 class Calls:
-    """Runs calls of YARP clients on a module's thread; turns the errors ``refusals`` into the call's failure."""
+    """Runs calls of YARP clients on a module's thread; errors of the types ``refusals`` fail the call."""
 
     def __init__(self, loop: EventLoop, *refusals: type[Exception]) -> None:
         self._loop, self._refusals = loop, refusals
 
     def do(self, action: Callable[[], T]) -> T:
-        """Run something, even after its client has given up, as a stop must be."""
+        """Run an action even if its client has timed out, as is necessary for a stop."""
         return self._done(action, ANSWER_SECONDS, late=True)
 
     def move(self, action: Callable[[], T], seconds: float = ANSWER_SECONDS) -> T:
-        """Run what moves the robot, but never after its client got a time-out."""
+        """Run an action that moves the robot, but never after its client has timed out."""
         return self._done(action, seconds, late=False)
 
     def _done(self, action: Callable[[], T], seconds: float, *, late: bool) -> T:
         try:
-            found: T = self._loop.call(action, seconds, late=late)
+            result: T = self._loop.call(action, seconds, late=late)
         except self._refusals as err:
             raise CallFailed(ReturnCode.METHOD_FAILED, str(err)) from None
         except TimeoutError as err:
             raise CallFailed(ReturnCode.NOT_READY, str(err)) from None
-        return found
+        return result
 
 
 class Commands:
     """The commands of an RPC port, by the first word of a Bottle. Called on the module's thread.
 
-    ``lines`` answer ``help``; each of ``known`` answers the values behind its word, or raises `ValueError` with why
-    not.
+    ``lines`` answer ``help``. Each handler in ``known`` gets the values after its command, and returns the answer or
+    raises `ValueError` with the reason.
     """
 
     def __init__(self, lines: Sequence[str], known: Mapping[str, Callable[[list[Any]], str]]) -> None:
         self._lines, self._known = lines, known
 
     def answer(self, values: list[Any]) -> list[Any]:
-        """The answer to a Bottle; raises `ValueError` with why it is no such command, or cannot be done."""
-        word, *rest = (str(values[0]) if values else "", *values[1:])
-        if word in ("help", "[help]"):
+        """Answer a Bottle; raises `ValueError` with the reason if the command is unknown or fails."""
+        command, *arguments = (str(values[0]) if values else "", *values[1:])
+        if command in ("help", "[help]"):
             return ["[many]", *self._lines]
-        if word not in self._known:
-            raise ValueError(f"unknown command '{word}'; 'help' lists all")
-        return [self._known[word](rest)]
+        if command not in self._known:
+            raise ValueError(f"unknown command '{command}'; 'help' lists all")
+        return [self._known[command](arguments)]
 
 
 class NavigationDevice(ABC):
@@ -78,15 +78,15 @@ class NavigationDevice(ABC):
 
     @abstractmethod
     def _robot(self) -> Pose:
-        """The robot's pose on the map; what it raises is the call's failure."""
+        """Return the robot's pose on the map; an error fails the call."""
 
     @abstractmethod
     def _target(self) -> Map2DLocation | None:
-        """The current target."""
+        """Return the current target."""
 
     @abstractmethod
     def _go_to(self, pose: Pose) -> None:
-        """Drive to a pose on the map at hand."""
+        """Drive to a pose on the current map."""
 
     def gotoTargetByRelativeLocation(self, x: float, y: float, theta: float) -> None:
         def go() -> None:
@@ -96,7 +96,7 @@ class NavigationDevice(ABC):
         self._accept(go)
 
     def _accept(self, action: Callable[[], None]) -> None:
-        """Take a goal, but never after its client got a time-out."""
+        """Accept a goal, but never after its client has timed out."""
         self._move(action)
 
     def getAbsoluteLocationOfCurrentTarget(self) -> Map2DLocation | None:
@@ -107,14 +107,14 @@ class NavigationDevice(ABC):
             target = self._target()
             if target is None:
                 return None
-            seen = self._robot().inverse @ Pose(target.x, target.y, math.radians(target.theta))
-            return seen.x, seen.y, math.degrees(seen.theta)
+            pose = self._robot().inverse @ Pose(target.x, target.y, math.radians(target.theta))
+            return pose.x, pose.y, math.degrees(pose.theta)
 
         return self._do(relative)
 
 
 def location_of(map_name: str, pose: Pose) -> Map2DLocation:
-    """A pose on a map as a YARP location."""
+    """Return a pose on a map as a YARP location."""
     return Map2DLocation(map_name, float(pose.x), float(pose.y), math.degrees(pose.theta))
 
 
@@ -125,17 +125,17 @@ _log = logging.getLogger(__name__)
 
 
 class PortConnection:
-    """Connects a port of the robot's to ours, again after it was away. On a thread of its own."""
+    """Connects a port of the robot to ours, and reconnects when it returns. It has its own thread."""
 
     def __init__(self, naming: Naming, source: str, target: str) -> None:
         self._naming, self._source, self._target = naming, source, target
-        self.trouble = f"{source} is not connected yet"
+        self.trouble = f"connecting to {source}"
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="midspan-connect", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Stop connecting; an attempt under way ends by itself."""
+        """Stop connecting; an attempt in progress ends by itself."""
         self._end.set()
         self._thread.join(_END_SECONDS)
 
@@ -158,7 +158,7 @@ _RETRY = 1.0
 
 
 class PolledServer(ABC, Generic[M]):
-    """A YARP server that is asked again and again, on a thread of its own; joined again after it was away."""
+    """A YARP server that is polled on its own thread, and reconnected when it returns."""
 
     def __init__(self, messages: type[M], port: str, naming: Naming, thread: str) -> None:
         self._messages, self._port, self._naming = messages, port, naming
@@ -169,14 +169,14 @@ class PolledServer(ABC, Generic[M]):
 
     @abstractmethod
     def _follow(self, remote: M) -> None:
-        """Ask it for as long as it answers, on that thread; it ends once `_closed`."""
+        """Poll the server for as long as it answers or until `_closed`; on that thread."""
 
     @abstractmethod
-    def _gone(self, why: str) -> None:
-        """It is not there, or has answered what cannot be; on that thread."""
+    def _on_unreachable(self, reason: str) -> None:
+        """Handle an unreachable server or an invalid answer; on that thread."""
 
     def close(self) -> None:
-        """Ask no more."""
+        """Stop polling."""
         with self._lock:
             self._closed = True
             self._lock.notify()
@@ -188,9 +188,9 @@ class PolledServer(ABC, Generic[M]):
                 with ServiceClient(self._messages, self._port, timeout=_PATIENCE, naming=self._naming) as client:
                     self._follow(client.remote)
             except (OSError, WireError) as err:
-                self._gone(str(err) or type(err).__name__)
-            except Exception as err:  # the thread goes on whatever a server answers
+                self._on_unreachable(str(err) or type(err).__name__)
+            except Exception as err:  # the thread continues after any answer
                 _log.exception("%s", self._port)
-                self._gone(f"{type(err).__name__}: {err}")
+                self._on_unreachable(f"{type(err).__name__}: {err}")
             with self._lock:
                 self._lock.wait_for(lambda: self._closed, _RETRY)

@@ -16,7 +16,7 @@ from navigation.localization_server.estimate import LocalizationStatus
 from navigation.localization_server.localizer import Localizer
 from navigation.mapper3d.depth import Camera
 from navigation.mapper3d.layer import grid_of
-from navigation.mapper3d.space import OPTICAL, FieldOfView, Seat, Space
+from navigation.mapper3d.space import OPTICAL, FieldOfView, SensorPose, Space
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
 from navigation.robot_path_planner.ground import Ground
@@ -125,7 +125,7 @@ class Ours:
     def put_elsewhere(self) -> None:
         """The robot was carried, and is told where it is."""
         self.stop()
-        self.driver.forget()
+        self.driver.restart()
         if self.localizer is not None:
             self.localizer.initial(self._robot.truth)
 
@@ -185,8 +185,8 @@ class Ours:
         if pose is None:
             return
         turned, eye = camera.placed(BasePose(pose.x, pose.y, pose.theta))
-        self.space.take(
-            points, Seat(turned, tuple(eye)), FieldOfView(OPTICAL, Camera(*camera.size, *camera.lens).view), now
+        self.space.add(
+            points, SensorPose(turned, tuple(eye)), FieldOfView(OPTICAL, Camera(*camera.size, *camera.lens).view), now
         )
         if now - self._layered >= MAPPING.layer.period:
             self._layered = now

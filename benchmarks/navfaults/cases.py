@@ -234,7 +234,7 @@ FAULTS = (
     Fault("yarp worker killed", _killed("yarp"), 2.0, math.inf),
     Fault("router killed", _killed("router"), 2.0, math.inf),
     Fault("halt", _halt, 4.0, 2.5, ends=GoalState.CANCELED),
-    Fault("localisation lost", _once(_elsewhere), 8.0, 3.0, "localisation says", tries=True),
+    Fault("localization lost", _once(_elsewhere), 8.0, 3.0, "localization status is", tries=True),
     Fault("simulator killed", _killed("sim"), 5.0, math.inf, ends=None),
     Fault("link to the client cut", _cut, 8.0, 6.0, "left", ends=GoalState.ABORTED, again=True, where=TwoMachines),
     Fault("link to the planner cut", _cut, 6.0, 6.0, "is silent", where=partial(TwoMachines, split=True)),

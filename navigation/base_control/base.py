@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from bridge.config.sections.base_control import BaseControlSection
-from navigation.base_control.commands import NOBODY, STILL, Arbiter, CommandInput, FullControl
+from navigation.base_control.commands import NO_CHOICE, STILL, Arbiter, CommandInput, FullControl
 from navigation.base_control.kinematics import Array, Travelled, WheelOdometry, kinematics
 from navigation.base_control.limits import FILTERS, Limiter, smoothed
 from navigation.base_control.settings import limits
@@ -18,7 +18,7 @@ from navigation.yarp import Commands
 MAX_STEP = 0.1  # the longest step in seconds, so that the base does not catch up on accelerations after a stall
 _PUSHED = 1.5  # times its own maximum that a wheel may turn when the base is pushed
 SETTLED, REPEAT = 0.5, 0.04
-"""Seconds after which a base that is commanded to stop stands, and seconds between two commands from then on: less than
+"""Seconds after which a stopping base has stopped, and seconds between two commands from then on, which are less than
 half the time-out of the wheels' driver."""
 
 
@@ -35,8 +35,8 @@ class DrivenBase:
         self.odometry = WheelOdometry(base, _PUSHED * self.most.wheel)
         self.full = FullControl(section.joystick_linear_vel, section.joystick_angular_vel)
         self.motors_filter: int = section.motors_filter
-        self.choice = NOBODY  # the command of the current period
-        self.idle = False  # whether the base ignores its inputs and stands still
+        self.choice = NO_CHOICE  # the command of the current period
+        self.idle = False  # whether the base ignores its inputs and stays stopped
         self._still = 0  # consecutive periods with a command of zero
         self._last: float | None = None
         self._smoothed = STILL
@@ -71,19 +71,19 @@ class DrivenBase:
 
     def stop(self) -> None:
         """Discard all commands; the base brakes."""
-        self._arbiter.forget()
+        self._arbiter.clear()
 
-    def forget(self) -> None:
-        """Discard all times, because the clock was set back. The pose is kept."""
-        self._arbiter.forget()
+    def restart(self) -> None:
+        """Discard all times, after the clock jumped back, but not the pose."""
+        self._arbiter.clear()
         self.odometry.restart()
         self._last = self._measured = None
 
 
 HELP = (
-    "help: these lines",
+    "help: list the commands",
     "run: follow the inputs",
-    "idle: stand still and ignore the inputs",
+    "idle: stop and ignore the inputs",
     "reset_odometry: set the odometry to zero",
     "set_prefilter 0|1|2|4|8: cut-off frequency of the commands' filter, Hz; 0 for no filter",
     "set_motors_filter 0|1|2|4|8: cut-off frequency of the measured velocities' filter, Hz; 0 for no filter",
@@ -107,8 +107,8 @@ class BaseCommands(Commands):
     def __init__(self, base: DrivenBase) -> None:
         self._base = base
         super().__init__(HELP, {
-            "run": lambda _rest: self._idle("Following the inputs.", on=False),
-            "idle": lambda _rest: self._idle("Standing still; 'run' ends it.", on=True),
+            "run": lambda _arguments: self._idle("Following the inputs.", on=False),
+            "idle": lambda _arguments: self._idle("Stopped; 'run' follows the inputs again.", on=True),
             "reset_odometry": self._reset,
             "set_prefilter": self._prefilter,
             "set_motors_filter": self._motors_filter,
@@ -116,55 +116,55 @@ class BaseCommands(Commands):
             "set_max_ang_vel": partial(self._limit, "angular"),
             "set_max_joy_lin_vel": partial(self._stick, "linear"),
             "set_max_joy_ang_vel": partial(self._stick, "angular"),
-            **{word: partial(_refuse, word) for word in _ELSEWHERE},
+            **{command: partial(_refuse, command) for command in _ELSEWHERE},
         })  # fmt: skip
 
     def _idle(self, reply: str, *, on: bool) -> str:
         self._base.idle = on
         return reply
 
-    def _reset(self, _rest: list[Any]) -> str:
+    def _reset(self, _arguments: list[Any]) -> str:
         self._base.odometry.reset()
         return "Odometry reset done."
 
-    def _prefilter(self, rest: list[Any]) -> str:
+    def _prefilter(self, arguments: list[Any]) -> str:
         limiter = self._base.limiter
-        limiter.limits = replace(limiter.limits, filter_hz=_filter(rest))
+        limiter.limits = replace(limiter.limits, filter_hz=_filter(arguments))
         return "Prefilter set."
 
-    def _motors_filter(self, rest: list[Any]) -> str:
-        self._base.motors_filter = _filter(rest)
+    def _motors_filter(self, arguments: list[Any]) -> str:
+        self._base.motors_filter = _filter(arguments)
         return "Motors filter set."
 
-    def _limit(self, axis: str, rest: list[Any]) -> str:
-        limiter, value = self._base.limiter, self._number(axis, rest)
+    def _limit(self, axis: str, arguments: list[Any]) -> str:
+        limiter, value = self._base.limiter, self._number(axis, arguments)
         new: dict[str, Any] = {axis: value if axis == "linear" else math.radians(value)}
         limiter.limits = replace(limiter.limits, **new)
         return f"Max {axis} velocity set."
 
-    def _stick(self, axis: str, rest: list[Any]) -> str:
-        self._base.full = self._base.full._replace(**{axis: self._number(axis, rest)})
+    def _stick(self, axis: str, arguments: list[Any]) -> str:
+        self._base.full = self._base.full._replace(**{axis: self._number(axis, arguments)})
         return f"Max joystick {axis} velocity set."
 
-    def _number(self, axis: str, rest: list[Any]) -> float:
+    def _number(self, axis: str, arguments: list[Any]) -> float:
         """Return a velocity in m/s or deg/s within the robot's maximum; raises `ValueError` otherwise."""
-        own = self._base.most
-        most, unit = (own.linear, "m/s") if axis == "linear" else (math.degrees(own.angular), "deg/s")
-        value = rest[0] if len(rest) == 1 else None
+        limit = self._base.most
+        most, unit = (limit.linear, "m/s") if axis == "linear" else (math.degrees(limit.angular), "deg/s")
+        value = arguments[0] if len(arguments) == 1 else None
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value <= most + 1e-9:
-            received = " ".join(map(str, rest)) or "nothing"
+            received = " ".join(map(str, arguments)) or "nothing"
             raise ValueError(
-                f"one number is needed, above 0 and at most {most:g} {unit}, the robot's own maximum; not {received}"
+                f"the command needs one number above 0 and at most {most:g} {unit}, the robot's maximum, not {received}"
             )
         return min(float(value), most)
 
 
-def _refuse(word: str, _rest: list[Any]) -> str:
-    raise ValueError(f"{word}: {_ELSEWHERE[word]}")
+def _refuse(command: str, _arguments: list[Any]) -> str:
+    raise ValueError(f"{command}: {_ELSEWHERE[command]}")
 
 
-def _filter(rest: list[Any]) -> int:
-    value = rest[0] if len(rest) == 1 else None
+def _filter(arguments: list[Any]) -> int:
+    value = arguments[0] if len(arguments) == 1 else None
     if value not in FILTERS or isinstance(value, bool):
-        raise ValueError(f"a filter is one of {', '.join(map(str, FILTERS))} Hz, not {value}")
+        raise ValueError(f"a filter must be one of {', '.join(map(str, FILTERS))} Hz, not {value}")
     return int(value)

@@ -1,7 +1,7 @@
-"""A base's velocity commands: the forms in which they come, who commands, and until when.
+"""Velocity commands of a base: their formats, priorities and time-outs.
 
-As in robotology/navigation's ``baseControl2``: inputs have ranks; one that falls silent counts as zero and keeps its
-rank for 100 periods, so that a base does not leap from a joystick to an old goal, and then gives back.
+As in robotology/navigation's ``baseControl2``, inputs have ranks. A silent input counts as zero and keeps its rank for
+100 periods, so that a base does not jump from a joystick's command to an old goal.
 """
 
 from __future__ import annotations
@@ -16,69 +16,69 @@ from typing import NamedTuple
 class Velocity(NamedTuple):
     """A velocity in the base's own frame: x forward, y to the left, turning counterclockwise."""
 
-    x: float = 0.0  #: metres per second
-    y: float = 0.0  #: metres per second
-    turn: float = 0.0  #: radians per second
+    x: float = 0.0  #: m/s
+    y: float = 0.0  #: m/s
+    turn: float = 0.0  #: rad/s
 
     @property
     def speed(self) -> float:
-        """Metres per second, whatever the direction."""
+        """The speed in any direction, m/s."""
         return math.hypot(self.x, self.y)
 
 
 STILL = Velocity()
 
 PERCENT, POLAR, CARTESIAN = 1, 2, 3
-"""What a command Bottle's first word says of the rest (robotology/navigation, ``baseControl``)."""
+"""Types of a command Bottle, its first value (robotology/navigation, ``baseControl``)."""
 
 
 class CommandError(ValueError):
-    """A command that is not obeyed; the text says why."""
+    """A command is rejected; the text gives the reason."""
 
 
 class FullControl(NamedTuple):
-    """What a joystick's 100 percent mean: metres and degrees per second (the group ``JOYSTICK``)."""
+    """The velocities at 100 percent of a joystick: m/s and deg/s (the group ``JOYSTICK``)."""
 
     linear: float
     angular: float
 
 
 def of_bottle(values: Sequence[object], full: FullControl) -> Velocity:
-    """The velocity of ``(type a b c gain)``, as joysticks and RobotGoto write it to ``control:i`` and ``joystick1:i``.
+    """Parse ``(type a b c gain)``, as joysticks and RobotGoto write it to ``control:i`` and ``joystick1:i``.
 
-    Type 1 is ``(1 direction_deg linear_percent angular_percent gain_percent)`` of what ``full`` says, 2 ``(2
-    direction_deg m/s deg/s gain_percent)``, 3 ``(3 x_m/s y_m/s deg/s gain_percent)``. A missing gain is 100. Raises
-    `CommandError` for another type or form, or a gain that is not within 0 and 100.
+    Type 1 is ``(1 direction_deg linear_percent angular_percent gain_percent)`` of ``full``, type 2 ``(2 direction_deg
+    m/s deg/s gain_percent)``, type 3 ``(3 x_m/s y_m/s deg/s gain_percent)``. A missing gain is 100. Raises
+    `CommandError` for another type or form, or a gain outside 0 to 100.
     """
     numbers = [value for value in values if isinstance(value, (int, float)) and not isinstance(value, bool)]
     if len(numbers) != len(values) or len(numbers) not in (4, 5):
-        raise CommandError(f"a command is (type a b c gain), five numbers; this is {_shown(values)}")
-    kind, first, second, third, *rest = (float(number) for number in numbers)
-    gain = rest[0] if rest else 100.0
+        raise CommandError(f"a command must be (type a b c gain), five numbers, not {_shown(values)}")
+    kind, first, second, third, *gains = (float(number) for number in numbers)
+    gain = gains[0] if gains else 100.0
     if not 0.0 <= gain <= 100.0:
-        raise CommandError(f"a command's gain is 0 to 100 percent; this is {gain:g}")
+        raise CommandError(f"a command's gain must be 0 to 100 percent, not {gain:g}")
     share = gain / 100.0
     if kind == PERCENT:
         if not (abs(second) <= 100.0 and abs(third) <= 100.0):
-            raise CommandError(f"percent are within -100 and 100; these are {second:g} and {third:g}")
-        made = _polar(first, second / 100.0 * full.linear, third / 100.0 * full.angular)
+            raise CommandError(f"percentages must be within -100 and 100, not {second:g} and {third:g}")
+        velocity = _polar(first, second / 100.0 * full.linear, third / 100.0 * full.angular)
     elif kind == POLAR:
-        made = _polar(first, second, third)
+        velocity = _polar(first, second, third)
     elif kind == CARTESIAN:
-        made = Velocity(first, second, math.radians(third))
+        velocity = Velocity(first, second, math.radians(third))
     else:
-        raise CommandError(f"a command's type is 1 (percent), 2 (polar) or 3 (Cartesian); this is {kind:g}")
-    return Velocity(made.x * share, made.y * share, made.turn * share)
+        raise CommandError(f"a command's type must be 1 (percent), 2 (polar) or 3 (Cartesian), not {kind:g}")
+    return Velocity(velocity.x * share, velocity.y * share, velocity.turn * share)
 
 
 def of_degrees(x: float, y: float, turn: float) -> Velocity:
-    """The velocity of YARP's ``MobileBaseVelocity``: m/s, m/s, deg/s."""
+    """Convert the values of a ``MobileBaseVelocity``: m/s, m/s, deg/s."""
     return Velocity(x, y, math.radians(turn))
 
 
 def _polar(direction: float, linear: float, angular: float) -> Velocity:
     if not math.isfinite(direction):
-        raise CommandError(f"a command's direction is an angle in degrees; this is {direction}")
+        raise CommandError(f"a command's direction must be a finite angle in degrees, not {direction}")
     angle = math.radians(direction)
     return Velocity(linear * math.cos(angle), linear * math.sin(angle), math.radians(angular))
 
@@ -89,9 +89,9 @@ def _shown(values: Sequence[object]) -> str:
 
 
 KEPT_PERIODS = 100
-DEFAULT_TIMEOUT = 0.1  # seconds after which an input is silent where its section does not say (``max_timeout``)
+DEFAULT_TIMEOUT = 0.1  # the default of ``max_timeout``: seconds after which an input is silent
 ABSURD = 10.0
-"""No base of ours drives (m/s) or turns (rad/s) faster: such a command is an error in its units or its sender."""
+"""Faster commands (m/s or rad/s) are rejected: no supported base is as fast, so units or sender are wrong."""
 
 
 class CommandInput:
@@ -105,51 +105,51 @@ class CommandInput:
         self.last: tuple[Velocity, float, float] | None = None
 
     def command(self, velocity: Velocity, now: float, timeout: float | None = None) -> None:
-        """Take a command at seconds of `Arbiter.choose`'s clock; a shorter time-out may come with it.
+        """Store a command, at seconds of `Arbiter.choose`'s clock; it may have a shorter time-out.
 
-        Raises `CommandError` for NaN, infinity or an absurd value. The last good one goes on until its time-out.
+        Raises `CommandError` for NaN, infinity or an absurd value. The last valid command stays until its time-out.
         """
         if not all(map(math.isfinite, velocity)):
             self.refused += 1
-            raise CommandError(f"{self.name}: a command of NaN or infinity is not obeyed: {_words(velocity)}")
+            raise CommandError(f"{self.name}: rejected a command with NaN or infinity: {_text(velocity)}")
         if velocity.speed > ABSURD or abs(velocity.turn) > ABSURD:
             self.refused += 1
             raise CommandError(
-                f"{self.name}: a command above {ABSURD:g} m/s or {ABSURD:g} rad/s is not obeyed: {_words(velocity)}; "
-                "are its units metres, and degrees or radians, per second as this input expects?"
+                f"{self.name}: rejected a command above {ABSURD:g} m/s or {ABSURD:g} rad/s: {_text(velocity)}; "
+                "check that its units are those of this input: m/s, and deg/s or rad/s"
             )
         until = now + min(self.timeout, timeout if timeout is not None and timeout > 0.0 else self.timeout)
         with self._lock:
             self.commands += 1
             self.last = (velocity, now, until)
 
-    def forget(self) -> None:
-        """Forget what was commanded: the clock was set back, or all is to stop."""
+    def clear(self) -> None:
+        """Discard the command, after a clock jump or for a stop."""
         with self._lock:
             self.last = None
 
 
 @dataclass(frozen=True)
 class CommandChoice:
-    """What one period drives by."""
+    """The command of one period."""
 
-    velocity: Velocity = STILL  #: what is commanded; zero where nobody commands or who does is silent
-    input: str = ""  #: whose it is, "" for nobody's
-    fresh: bool = False  #: whether it is a command, rather than a silent input's zero
+    velocity: Velocity = STILL  #: zero without a command, or if the input is silent
+    input: str = ""  #: the name of the active input, "" for none
+    fresh: bool = False  #: whether the input commanded it; False for the zero of a silent input
 
 
-NOBODY = CommandChoice()
+NO_CHOICE = CommandChoice()
 
 
 class Arbiter:
-    """Chooses among inputs, the highest rank first, once each period (seconds)."""
+    """Chooses among inputs, the highest rank first, once per period (seconds)."""
 
     def __init__(self, inputs: Sequence[CommandInput], period: float) -> None:
         self.inputs = tuple(inputs)
         self.kept_seconds = KEPT_PERIODS * period
 
     def choose(self, now: float) -> CommandChoice:
-        """What to drive by at this time, seconds."""
+        """Return the command for a time in seconds."""
         for candidate in self.inputs:
             last = candidate.last
             if last is None:
@@ -159,13 +159,13 @@ class Arbiter:
                 return CommandChoice(velocity, candidate.name, fresh=True)
             if now <= until + self.kept_seconds:
                 return CommandChoice(STILL, candidate.name)
-        return NOBODY
+        return NO_CHOICE
 
-    def forget(self) -> None:
-        """Forget all commands."""
-        for each in self.inputs:
-            each.forget()
+    def clear(self) -> None:
+        """Discard all commands."""
+        for source in self.inputs:
+            source.clear()
 
 
-def _words(velocity: Velocity) -> str:
+def _text(velocity: Velocity) -> str:
     return f"({velocity.x:g} {velocity.y:g} m/s, {velocity.turn:g} rad/s)"

@@ -1,4 +1,4 @@
-"""Encoder readings: when each was taken, how far the wheels turned since the last, and how fast they turn."""
+"""Encoder readings: their times, and the wheels' rotation and velocities."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from operator import mul
 from typing import NamedTuple
 
-PATIENCE = 0.2  # seconds without a newer stamp after which the driver's clock was set back, or stands
+PATIENCE = 0.2  # seconds without a newer stamp after which the driver's clock has jumped back, or has stopped
 _JUMP = 0.5  # seconds by which stamps may run ahead of arrivals; more is a step of the driver's clock
 
 
@@ -32,7 +32,7 @@ class ReadingTimes:
         self._last: ReadingTime | None = None
         self._arrival = 0.0
         self._stamp_ns = 0  # of the last reading, accepted or not
-        self._stands = False  # whether the driver's clock does
+        self._stopped = False  # whether the driver's clock has
 
     def add(self, stamp_ns: int, arrival: float, now_ns: int) -> ReadingTime | None:
         """Return the time of a reading, or None if it is not newer than the last one.
@@ -43,8 +43,8 @@ class ReadingTimes:
         last, waited = self._last, arrival - self._arrival
         if last is None:
             return self._accept(stamp_ns or now_ns, arrival, 0.0)
-        self._stands = repeated and (self._stands or waited >= PATIENCE)
-        if not stamp_ns or self._stands:
+        self._stopped = repeated and (self._stopped or waited >= PATIENCE)
+        if not stamp_ns or self._stopped:
             stamp_ns = now_ns
         elif stamp_ns <= last.stamp_ns and waited < PATIENCE:
             return None
@@ -81,7 +81,7 @@ _SHORTEST = WINDOW / 2.0
 """Seconds that a slope needs. Until the readings span them, jitter could make any velocity, so that it is reduced."""
 
 _SAMPLES = 20
-_STANDING = 0.1  # seconds without a change of any angle after which the wheels stand
+_STANDING = 0.1  # seconds without a change of any angle after which the wheels have stopped
 _STILL_ANGLE, _STILL_RATE = 1e-10, 5e-10  # rad and rad/s that are rounding errors of a simulation, not motion
 
 
@@ -89,7 +89,8 @@ class WheelRates:
     """How fast wheels turn, rad/s: as their encoders report it, else from their angles over a `WINDOW` of time.
 
     The slope is that of least squares, which averages the jitter of stamps: differences of two readings would turn a
-    burst of stamps into many times the true velocity. Wheels that stand have exactly zero, after `_STANDING` at latest.
+    burst of stamps into many times the true velocity. Stopped wheels have exactly zero, at the latest after `_STANDING`
+    seconds.
     """
 
     def __init__(self, wheels: int) -> None:
@@ -98,7 +99,7 @@ class WheelRates:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all readings."""
+        """Drop all readings."""
         self._window: deque[tuple[float, Sequence[float]]] = deque()
         self._changed: tuple[float, Sequence[float]] | None = None
 
@@ -122,7 +123,7 @@ class WheelRates:
         return time - changed[0] >= _STANDING
 
     def _keep(self, time: float, angles: Sequence[float]) -> None:
-        """Keep a reading; of several close together, only the newest, which bounds their number."""
+        """Store a reading; of several close together only the newest, which bounds their number."""
         window = self._window
         if len(window) > 1 and time - window[-2][0] < WINDOW / _SAMPLES:
             window.pop()

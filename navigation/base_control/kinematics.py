@@ -60,7 +60,7 @@ def kinematics(kind: str, wheel_radius: float, wheel_distance: float) -> Kinemat
     """
     for name, value in (("geom_r", wheel_radius), ("geom_L", wheel_distance)):
         if not (math.isfinite(value) and 0.0 < value < 10.0):
-            raise KinematicsError(f"{name} is a length in meters, above 0 and below 10; this is {value:g}")
+            raise KinematicsError(f"{name} must be a length in meters, above 0 and below 10, not {value:g}")
     rows: list[list[float]]
     joints: tuple[str, ...]
     if kind == "cer":
@@ -70,7 +70,7 @@ def kinematics(kind: str, wheel_radius: float, wheel_distance: float) -> Kinemat
         lean, arm = math.sqrt(3.0) / 2.0, wheel_distance
         rows, joints = [[lean, -0.5, -arm], [-lean, -0.5, -arm], [0.0, 1.0, -arm]], ("wheel_0", "wheel_1", "wheel_2")
     else:
-        raise KinematicsError(f"no base of the kind {kind!r} is driven yet; there are {' and '.join(KINDS)}")
+        raise KinematicsError(f"unknown kind of base {kind!r}; use {' or '.join(KINDS)}")
     matrix: Array = np.array(rows) / wheel_radius
     inverse: Array = np.linalg.pinv(matrix).astype(np.float64)
     plain = tuple(tuple(float(value) for value in row) for row in matrix)
@@ -112,7 +112,7 @@ class WheelOdometry:
         self._wheels = len(kinematics.joints)
         self._fastest = fastest
         self._angles: Sequence[float] | None = None  # of the last reading
-        self._total = [0.0] * self._wheels  # counted on over wraps and restarts of the encoders
+        self._total = [0.0] * self._wheels  # across wraps and restarts of the encoders
         self._rates = WheelRates(self._wheels)
         self._time = 0.0
         self.now = Travelled()
@@ -124,7 +124,7 @@ class WheelOdometry:
         Raises `ValueError` if an angle is not finite, or the number of angles is wrong.
         """
         if len(angles) != self._wheels or not all(map(math.isfinite, angles)):
-            raise ValueError(f"{self._wheels} finite wheel angles are needed, not {angles}")
+            raise ValueError(f"a reading must have {self._wheels} finite wheel angles, not {angles}")
         seconds = 0.0
         if self._angles is not None:
             seconds = time - self._time
@@ -139,7 +139,7 @@ class WheelOdometry:
         return self.now
 
     def _base(self, wheels: Sequence[float]) -> Velocity:
-        """Return the base's motion of the wheels'."""
+        """Return the base's motion for a motion of the wheels."""
         return Velocity(*(sum(map(mul, row, wheels)) for row in self._rows))
 
     def reset(self) -> None:
@@ -147,13 +147,13 @@ class WheelOdometry:
         self.now = Travelled()
 
     def restart(self) -> None:
-        """Treat the next reading as the first one, because the clock was set; the pose is kept."""
+        """Treat the next reading as the first one, because the clock was set; keep the pose."""
         self._angles = None
         self._rates.clear()
 
 
 def _moved(before: Travelled, step: Velocity, velocity: Velocity) -> Travelled:
-    """``step`` is a motion in the base's frame: meters, meters, radians."""
+    """Add a motion in the base's frame, in meters, meters and radians."""
     sin_share, cos_share = 1.0, step.turn / 2.0
     if abs(step.turn) > _SMALL_TURN:
         sin_share = math.sin(step.turn) / step.turn

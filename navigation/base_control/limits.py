@@ -1,8 +1,8 @@
 """The limits of a base: from the command to the velocities of its wheels.
 
-Each period: the command is smoothed (input filter), cut to what the base can hold (its speeds, the share between
-driving and turning, its motors), and approached no faster than its accelerations allow. What can be held is a convex
-set, and the step towards it stays inside, so no limit is ever exceeded, not even for one period.
+In each period, the command is smoothed (input filter), cut to the allowed velocities (speeds, the ratio of driving and
+turning, motors), and approached no faster than the accelerations allow. The allowed velocities are a convex set, and
+steps stay inside it, so that no limit is ever exceeded, not even for one period.
 
 Robotology/navigation's ``baseControl2`` limits the acceleration first and scales afterwards, which lets a wheel's
 limit brake the base harder than its acceleration allows; its ratio limiter compares percent with metres per second
@@ -17,13 +17,13 @@ from dataclasses import dataclass
 from navigation.base_control.commands import STILL, Velocity
 from navigation.base_control.kinematics import Array, Kinematics
 
-FILTERS = (0, 1, 2, 4, 8)  # the corner frequencies that filters can have, Hz; 0 is none
+FILTERS = (0, 1, 2, 4, 8)  # the cut-off frequencies of filters, Hz; 0 is none
 _NEAR = 1e-12
 
 
 @dataclass(frozen=True)
 class BaseLimits:
-    """What a base may do."""
+    """The velocity and acceleration limits of a base."""
 
     linear: float = 0.3  #: m/s
     angular: float = math.radians(30.0)  #: rad/s
@@ -31,45 +31,45 @@ class BaseLimits:
     linear_braking: float = 0.3  #: m/s2
     angular_acceleration: float = math.radians(80.0)  #: rad/s2, speeding up
     angular_braking: float = math.radians(80.0)  #: rad/s2
-    # the fastest that any wheel may turn, rad/s; all are slowed alike, so that the path stays the same
+    # the largest velocity of any wheel, rad/s; all are slowed alike, so that the path stays the same
     wheel: float = math.radians(100.0)
-    # the share that driving keeps where driving and turning together ask for more than 100 percent of their maxima;
-    # None lets each go to its own maximum
+    # the share of driving if driving and turning together exceed 100 percent of their maxima; with None each may reach
+    # its own maximum
     ratio: float | None = None
-    filter_hz: int = 0  #: corner frequency of the input filter, 0 for none
+    filter_hz: int = 0  #: cut-off frequency of the input filter, 0 for none
 
 
 class Limiter:
-    """Keeps a base within its limits, which may be replaced while it drives; one `step` each period."""
+    """Keeps a base within its limits, which may be replaced while it drives; call `step` once per period."""
 
     def __init__(self, kinematics: Kinematics, limits: BaseLimits) -> None:
         self.kinematics, self.limits = kinematics, limits
-        self.now = STILL  # the velocity that was given last
+        self.now = STILL  # the last velocity
         self._smooth = STILL
 
     def step(self, wanted: Velocity, seconds: float) -> Velocity:
-        """The velocity to drive at for the next period."""
+        """Return the velocity for the next period."""
         if wanted == self._smooth == self.now == STILL:
             return self.now
         if not self.kinematics.holonomic:
             wanted = Velocity(wanted.x, 0.0, wanted.turn)
         self._smooth = smoothed(self._smooth, wanted, self.limits.filter_hz, seconds)
         target = held(self._smooth, self.kinematics, self.limits)
-        # limits that were lowered while driving: nothing above them is held
+        # limits may have been lowered while driving
         start = held(self.now, self.kinematics, self.limits)
         self.now = self._approached(start, target, seconds)
         return self.now
 
     def stop(self) -> None:
-        """Stand still at once, whatever the braking: an emergency stop."""
+        """Stop at once, without the braking limit, for an emergency stop."""
         self.now = self._smooth = STILL
 
     def wheels(self) -> Array:
-        """The wheels' velocities of where it is now, rad/s."""
+        """Return the wheels' velocities for the last velocity, rad/s."""
         return self.kinematics.wheels(self.now)
 
     def _approached(self, start: Velocity, target: Velocity, seconds: float) -> Velocity:
-        """One period's way towards the target: each axis by itself where that can be held, else all in proportion."""
+        """Step towards the target for one period: each axis by itself if the limits allow that, else in proportion."""
         linear, turn = self._reach(start, target, seconds)
         apart = Velocity(
             start.x + (target.x - start.x) * linear,
@@ -82,19 +82,19 @@ class Limiter:
         return _between(start, target, share)
 
     def _reach(self, start: Velocity, target: Velocity, seconds: float) -> tuple[float, float]:
-        """Which share of the way to the target driving and turning come in one period."""
+        """Return the shares of the change in driving and turning that one period allows."""
         limits = self.limits
-        way = math.hypot(target.x - start.x, target.y - start.y)
+        change = math.hypot(target.x - start.x, target.y - start.y)
         speeding = target.speed > start.speed
         linear = (limits.linear_acceleration if speeding else limits.linear_braking) * seconds
         turning = target.turn - start.turn
         faster = abs(target.turn) > abs(start.turn)
         angular = (limits.angular_acceleration if faster else limits.angular_braking) * seconds
-        return min(1.0, linear / max(way, _NEAR)), min(1.0, angular / max(abs(turning), _NEAR))
+        return min(1.0, linear / max(change, _NEAR)), min(1.0, angular / max(abs(turning), _NEAR))
 
 
 def held(velocity: Velocity, kinematics: Kinematics, limits: BaseLimits) -> Velocity:
-    """The nearest velocity in the same sense that a base can hold."""
+    """Return the velocity reduced to the limits, in the same direction."""
     share = min(1.0, limits.linear / max(velocity.speed, _NEAR))
     turn = max(-limits.angular, min(limits.angular, velocity.turn))
     cut = Velocity(velocity.x * share, velocity.y * share, turn)
@@ -108,7 +108,7 @@ def held(velocity: Velocity, kinematics: Kinematics, limits: BaseLimits) -> Velo
 
 
 def _shared(velocity: Velocity, limits: BaseLimits, ratio: float) -> Velocity:
-    """Driving and turning together take no more than 100 percent of their maxima."""
+    """Reduce driving and turning so that together they are at most 100 percent of their maxima."""
     linear = velocity.speed / limits.linear if limits.linear else 0.0
     turn = abs(velocity.turn) / limits.angular if limits.angular else 0.0
     if linear + turn <= 1.0:
@@ -125,7 +125,7 @@ def _holds(velocity: Velocity, kinematics: Kinematics, limits: BaseLimits) -> bo
 
 
 def smoothed(before: Velocity, wanted: Velocity, hertz: int, seconds: float) -> Velocity:
-    """One step of a low pass of first order with this corner frequency; 0 for none."""
+    """Apply one step of a first-order low-pass filter with this cut-off frequency; 0 for none."""
     if hertz <= 0:
         return wanted
     share = 1.0 - math.exp(-2.0 * math.pi * hertz * seconds)

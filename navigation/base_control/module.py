@@ -35,12 +35,12 @@ _BEAT = 0.1
 
 
 class BaseControl(Module):
-    """Drives a mobile base by the commands of its inputs."""
+    """Drives a mobile base with the commands of its inputs."""
 
     name = "base_control"
 
     def start(self, host: Host, section: Section) -> None:
-        """Open the section's topics and ports, and start to drive."""
+        """Open the section's topics and ports, and start the control loop."""
         assert isinstance(section, BaseControlSection)
         self._host = host
         section, self._notes = resolved(section)
@@ -60,16 +60,16 @@ class BaseControl(Module):
         self._wheels = host.node.publisher(section.wheel_command, JOINTS, Qos(depth=1), priority="command")
         still = {"name": list(section.joints), "velocity": [0.0] * len(section.joints)}
         self._command = self._wheels.template(still, "header.stamp", "velocity")
-        host.node.subscription(section.joint_states, JOINTS, self._encoders, Qos(depth=10))
+        host.node.subscription(section.joint_states, JOINTS, self._on_encoders, Qos(depth=10))
         self._offer(host, section)
-        host.on_jump(self._forget)
+        host.on_jump(self._restart)
         host.every(section.period, self._step)
 
     def _offer(self, host: Host, section: BaseControlSection) -> None:
         commands = BaseCommands(self.base)
         host.yarp.respond(f"{section.prefix}/rpc", lambda values: host.loop.call(lambda: commands.answer(values)))
         host.yarp.serve(f"{section.odometry}/rpc", OdometryRpc(lambda: host.loop.call(self.reset_odometry)))
-        host.node.server(f"/{self.name}/reset_odometry", RESET, self._reset_asked)
+        host.node.server(f"/{self.name}/reset_odometry", RESET, self._on_reset)
         host.answer("halt", lambda _params: host.loop.call(self.halt))
 
     def now(self) -> float:
@@ -78,7 +78,7 @@ class BaseControl(Module):
         return clock.now_ns() / 1e9 if clock.simulated else time.monotonic()
 
     def halt(self) -> dict[str, Any]:
-        """Discard all commands and stop; later commands count again."""
+        """Discard all commands and stop; later commands are accepted again."""
         self.base.stop()
         self._turn(self.base.step(self.now()))
         return {"halted": True}
@@ -92,7 +92,7 @@ class BaseControl(Module):
         stamp = self._host.clock.stamp()
         self._wheels.offer(lambda: self._command.fill(stamp["sec"], stamp["nanosec"], *velocities.tolist()))
 
-    def _encoders(self, message: dict[str, Any]) -> None:
+    def _on_encoders(self, message: dict[str, Any]) -> None:
         if message["name"] != self._named:
             self._named = message["name"]
             places = {name: place for place, name in enumerate(self._named)}
@@ -119,13 +119,13 @@ class BaseControl(Module):
         seconds, nanoseconds = divmod(at.stamp_ns, 1_000_000_000)
         self._publisher.publish(travelled, {"sec": seconds, "nanosec": nanoseconds})
 
-    def _forget(self) -> None:
-        """Discard all times, because the clock was set back."""
+    def _restart(self) -> None:
+        """Discard all times, after the clock jumped back."""
         self._times = ReadingTimes(simulated=self._host.clock.simulated)
-        self.base.forget()
+        self.base.restart()
 
     def _miss(self, positions: int) -> None:
-        """Report the wheel without an encoder; a message without any wheel is of another driver on the same topic."""
+        """Report the wheel without an encoder; a message without any wheel is from another driver on the same topic."""
         if any(at is not None for at in self._places):
             missing = next(
                 joint for joint, at in zip(self._joints, self._places, strict=True) if at is None or at >= positions
@@ -136,12 +136,12 @@ class BaseControl(Module):
         """Set the odometry to zero."""
         self.base.odometry.reset()
 
-    def _reset_asked(self, _request: dict[str, Any], answer: Answer) -> None:
+    def _on_reset(self, _request: dict[str, Any], answer: Answer) -> None:
         self.reset_odometry()
         answer({"success": True, "message": "odometry set to zero"})
 
     def health(self) -> Health:
-        """Return whether encoders arrive, and the input in command."""
+        """Return whether encoders arrive, and the active input."""
         if self._trouble:
             return Health("waiting", self._trouble)
         if self._received is None or time.monotonic() - self._received > SILENT_SECONDS:
@@ -152,10 +152,10 @@ class BaseControl(Module):
             return Health("running", "idle")
         if not source:
             return Health("running", "no active command source")
-        return Health("running", f"follows {source}" if choice.fresh else f"{source} is silent")
+        return Health("running", f"following {source}" if choice.fresh else f"{source} is silent")
 
     def status(self) -> dict[str, Any]:
-        """Return the input in command, its velocity, and the odometry."""
+        """Return the active input, its velocity, and the odometry."""
         base, moved = self.base, self.base.odometry.now
         return {
             "input": base.choice.input,
@@ -163,8 +163,12 @@ class BaseControl(Module):
             "velocity": [base.limiter.now.x, base.limiter.now.y, math.degrees(base.limiter.now.turn)],
             "odometry": [moved.x, moved.y, math.degrees(moved.theta)],
             "inputs": {
-                name: {"commands": each.commands, "refused": each.refused, "error": self.inputs.trouble.get(name, "")}
-                for name, each in base.inputs.items()
+                name: {
+                    "commands": source.commands,
+                    "refused": source.refused,
+                    "error": self.inputs.trouble.get(name, ""),
+                }
+                for name, source in base.inputs.items()
             },
             "stale": self.inputs.stale,
             "notes": list(self._notes),

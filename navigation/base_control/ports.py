@@ -1,4 +1,4 @@
-"""The topics and ports of BaseControl: commands come in, odometry goes out."""
+"""The topics and ports of BaseControl, for commands and odometry."""
 
 # ruff: noqa: N802 - YARP's names
 
@@ -39,12 +39,12 @@ class VelocityRpc(INavigation2DVelocityActionsMsgs):
         self._inputs, self._target = inputs, target
 
     def applyVelocityCommandRPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue:
-        """Drive; refused where the command holds NaN, infinity or an absurd value."""
-        taken = self._inputs.take(self._target, of_degrees(x_vel, y_vel, theta_vel), timeout)
-        return _OK if taken else _FAILED
+        """Command a velocity; fails for NaN, infinity or an absurd value."""
+        accepted = self._inputs.apply(self._target, of_degrees(x_vel, y_vel, theta_vel), timeout)
+        return _OK if accepted else _FAILED
 
     def getLastVelocityCommandRPC(self) -> tuple[ReturnValue, float, float, float]:
-        """What this input commands; it fails where its last command has timed out, as ``velocityInputHandler`` does."""
+        """Return the input's last command; fails if it has timed out, as in ``velocityInputHandler``."""
         velocity = self._inputs.last(self._target)
         if velocity is None:
             return _FAILED, 0.0, 0.0, 0.0
@@ -52,14 +52,14 @@ class VelocityRpc(INavigation2DVelocityActionsMsgs):
 
 
 class OdometryRpc(IOdometry2DMsgs):
-    """Serves ``odometry2D_nwc_yarp``; ``reset`` begins it at zero, on the thread of the caller's connection."""
+    """Serves ``odometry2D_nwc_yarp``; ``reset`` sets the odometry to zero, on the thread of the client's connection."""
 
     def __init__(self, reset: Callable[[], None]) -> None:
         super().__init__()
         self._reset = reset
 
     def reset_odometry_RPC(self) -> ReturnValue:
-        """Begin at zero from here."""
+        """Set the odometry to zero."""
         self._reset()
         return _OK
 
@@ -70,7 +70,7 @@ _MAX_SENDERS = 64
 
 
 class CommandInputs:
-    """Opens what the inputs of a base name, and gives each command to its input."""
+    """Opens the ports and topics of a base's inputs, and passes each command to its input."""
 
     def __init__(
         self,
@@ -78,18 +78,18 @@ class CommandInputs:
         section: BaseControlSection,
         base: DrivenBase,
         now: Callable[[], float],  # the time of commands, seconds
-        stall_detector: StallDetector,  # notices that this process stood still: what waited meanwhile is not obeyed
+        stall_detector: StallDetector,  # detects stalls of this process, whose commands are dropped
     ) -> None:
         self._base, self._now, self._stall_detector = base, now, stall_detector
         self._log = host.log
         self._lock = threading.Lock()
         self.stale = 0
         self.trouble: dict[str, str] = {}
-        for one in section.inputs:
-            target = base.inputs[one.name]
-            for port in one.ports:
+        for source in section.inputs:
+            target = base.inputs[source.name]
+            for port in source.ports:
                 self._open(host, port if port.startswith("/") else f"{section.prefix}/{port}", target)
-            self._hear(host, one, target, section.joy)
+            self._open_topics(host, source, target, section.joy)
 
     def _open(self, host: Host, name: str, target: CommandInput) -> None:
         if name.endswith("aux_control:i"):
@@ -100,11 +100,11 @@ class CommandInputs:
             host.yarp.serve(f"{name}/rpc:i", VelocityRpc(self, target))
             host.yarp.input(f"{name}/data:i", self._velocity(target))
 
-    def _hear(self, host: Host, one: BaseInput, target: CommandInput, joy: JoySection) -> None:
-        for topic in one.twist:
+    def _open_topics(self, host: Host, source: BaseInput, target: CommandInput, joy: JoySection) -> None:
+        for topic in source.twist:
             self._subscribe(host, topic, TWIST, target, of_twist)
             self._subscribe(host, topic, STAMPED, target, lambda message: of_twist(message["twist"]))
-        for topic in one.joy:
+        for topic in source.joy:
             self._subscribe(host, topic, JOY, target, lambda message: of_joy(message, joy, self._base.full))
 
     def _subscribe(
@@ -118,7 +118,7 @@ class CommandInputs:
         """Subscribe to a topic; messages that are older than the input's time-out are dropped."""
         ages: dict[bytes, AgeGate] = {}
 
-        def hear(message: Mapping[str, Any]) -> None:
+        def receive(message: Mapping[str, Any]) -> None:
             if len(ages) >= _MAX_SENDERS and subscription.sender not in ages:
                 del ages[next(iter(ages))]
             age = ages.setdefault(subscription.sender, AgeGate()).age(subscription.sent_ns)
@@ -126,30 +126,30 @@ class CommandInputs:
             if age > target.timeout:
                 self._drop()
             elif velocity is not None:
-                self.take(target, velocity)
+                self.apply(target, velocity)
 
-        subscription = host.node.subscription(topic, kind, hear, NEWEST)
+        subscription = host.node.subscription(topic, kind, receive, NEWEST)
 
     def _velocity(self, target: CommandInput) -> Callable[[Received], None]:
-        def take(received: Received) -> None:
+        def receive(received: Received) -> None:
             given = received.to(MobileBaseVelocity)
-            self.take(target, of_degrees(given.vel_x, given.vel_y, given.vel_theta))
+            self.apply(target, of_degrees(given.vel_x, given.vel_y, given.vel_theta))
 
-        return take
+        return receive
 
     def _bottle(self, target: CommandInput) -> Callable[[Received], None]:
-        def take(received: Received) -> None:
+        def receive(received: Received) -> None:
             try:
                 velocity = of_bottle(received.values, self._base.full)
             except CommandError as err:
                 target.refused += 1
-                raise WireError(str(err)) from None  # the port counts it and tells of it now and then
-            self.take(target, velocity)
+                raise WireError(str(err)) from None  # the port counts it and logs it at intervals
+            self.apply(target, velocity)
 
-        return take
+        return receive
 
-    def take(self, target: CommandInput, velocity: Velocity, timeout: float | None = None) -> bool:
-        """Give a command to its input; whether it is obeyed. Called from any thread."""
+    def apply(self, target: CommandInput, velocity: Velocity, timeout: float | None = None) -> bool:
+        """Pass a command to its input; return whether it is accepted. Called from any thread."""
         if self._stall_detector.stood_still(target.timeout):
             self._drop()
             return False
@@ -168,20 +168,20 @@ class CommandInputs:
             self.stale += 1
 
     def last(self, target: CommandInput) -> Velocity | None:
-        """The last command of an input while it holds; None where none does."""
-        found = target.last
-        return found[0] if found is not None and self._now() <= found[2] else None
+        """Return the last command of an input; None if there is none, or it has timed out."""
+        last = target.last
+        return last[0] if last is not None and self._now() <= last[2] else None
 
 
 def of_twist(message: Mapping[str, Any]) -> Velocity:
-    """The velocity of a `geometry_msgs/Twist`: m/s, rad/s."""
+    """Convert a `geometry_msgs/Twist`: m/s, rad/s."""
     return Velocity(message["linear"]["x"], message["linear"]["y"], message["angular"]["z"])
 
 
 def of_joy(message: Mapping[str, Any], joy: JoySection, full: FullControl) -> Velocity | None:
-    """The velocity of a gamepad's axes (`sensor_msgs/Joy`); None while its button is not held.
+    """Convert a gamepad's axes (`sensor_msgs/Joy`) to a velocity; None while its enable button is not held.
 
-    An axis or a button that the gamepad does not have counts as not moved, or not held.
+    Missing axes and buttons count as not moved and not held.
     """
     axes, buttons = message["axes"], message["buttons"]
 
@@ -198,7 +198,7 @@ def of_joy(message: Mapping[str, Any], joy: JoySection, full: FullControl) -> Ve
 ODOMETRY, TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 
 _POSE_VARIANCE = 1e-3
-_UNKNOWN = 1e6  # variances of what encoders cannot tell (height, roll, pitch), as ROS's planar drivers state them
+_UNKNOWN = 1e6  # the variance of height, roll and pitch, which encoders do not measure, as in ROS's planar drivers
 _COVARIANCE = [
     (_POSE_VARIANCE if row in (0, 1, 5) else _UNKNOWN) if row == column else 0.0
     for row in range(6)
@@ -227,32 +227,40 @@ class OdometryPublisher:
         self._vector = host.yarp.output(f"{section.prefix}/odometry_vector:o")
         self._stamp = Stamp()
 
-    def publish(self, found: Travelled, stamp: dict[str, int]) -> None:
-        """Publish where the base is, at this stamp of its encoders."""
-        theta = math.remainder(found.theta, 2.0 * math.pi)
+    def publish(self, travelled: Travelled, stamp: dict[str, int]) -> None:
+        """Publish the base's pose and velocity, with the stamp of its encoders."""
+        theta = math.remainder(travelled.theta, 2.0 * math.pi)
         rotation = 0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0)
-        place = stamp["sec"], stamp["nanosec"], found.x, found.y, 0.0, *rotation
-        speed = found.velocity
+        place = stamp["sec"], stamp["nanosec"], travelled.x, travelled.y, 0.0, *rotation
+        speed = travelled.velocity
         self._odom.offer(lambda: self._odometry.fill(*place, speed.x, speed.y, 0.0, 0.0, 0.0, speed.turn))
         if self._tf is not None:
             self._tf.offer(lambda: self._moved.fill(*place))
-        self._write(found, theta, stamp)
+        self._write(travelled, theta, stamp)
 
-    def _write(self, found: Travelled, theta: float, stamp: dict[str, int]) -> None:
+    def _write(self, travelled: Travelled, theta: float, stamp: dict[str, int]) -> None:
         ports = [*self._poses, *self._odometers, *self._velocities, self._vector]
         if not any(port.heard for port in ports):
             return
         self._stamp.update(stamp["sec"] + stamp["nanosec"] / 1e9)
         envelope = self._stamp.to_text()
-        vx, vy = found.world_velocity
-        turn = math.degrees(found.velocity.turn)
+        vx, vy = travelled.world_velocity
+        turn = math.degrees(travelled.velocity.turn)
         data = OdometryData(
-            found.x, found.y, math.degrees(theta), found.velocity.x, found.velocity.y, turn, vx, vy, turn
+            travelled.x,
+            travelled.y,
+            math.degrees(theta),
+            travelled.velocity.x,
+            travelled.velocity.y,
+            turn,
+            vx,
+            vy,
+            turn,
         )
         for port in self._poses:
             port.write(data, envelope)
         for port in self._odometers:
-            port.write([found.distance, math.degrees(found.angle)], envelope)
+            port.write([travelled.distance, math.degrees(travelled.angle)], envelope)
         for port in self._velocities:
-            port.write([found.velocity.speed, turn], envelope)
-        self._vector.write(Vector([found.x, found.y, math.degrees(theta)]), envelope)
+            port.write([travelled.velocity.speed, turn], envelope)
+        self._vector.write(Vector([travelled.x, travelled.y, math.degrees(theta)]), envelope)

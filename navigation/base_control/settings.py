@@ -1,7 +1,7 @@
-"""What a base is and may do: from the section of the configuration, and from ``baseCtrl`` files of existing robots.
+"""A base's kind and limits, from the section of the configuration and from ``baseCtrl`` files of existing robots.
 
-The files' keys are those of robotology/navigation's ``baseControl2`` (and of ``baseControl`` before it), units theirs:
-m/s, deg/s.
+The files' keys are those of robotology/navigation's ``baseControl2`` (and of ``baseControl`` before it), in m/s and
+deg/s.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ OTHERS = frozenset({
     "LINEAR_VELOCITY_PID", "ANGULAR_VELOCITY_PID", "HEADING_VELOCITY_PID", "ROS_FOOTPRINT", "ROS_GENERAL", "robot",
     "part", "joystick_connect", "skip_robot_interface_check", "silent", "debug", "no_start", "control_mode",
 })  # fmt: skip
-"""Groups and keys that speak of motors' controllers and of upstream's own program: nothing here needs them."""
+"""Groups and keys of motor controllers and of upstream's own program, which Midspan does not need."""
 
 STALE = {
-    ("ROBOT_GEOMETRY", "g_angle"): "upstream reads it and uses it nowhere; the wheels' places are the kind's own",
+    ("ROBOT_GEOMETRY", "g_angle"): "upstream ignores it, too; the kind defines the wheels' positions",
     ("MOTORS", "max_motor_pwm"): "the motors' driver limits its own current",
 }
-"""Keys that real files have and that change nothing, with why."""
+"""Keys that real files contain and that have no effect, with the reason."""
 
 
 def resolved(section: BaseControlSection) -> tuple[BaseControlSection, list[str]]:
-    """A section with its file laid under it, its inputs and joints; and what is odd there, each ``file:line: ...``.
+    """Return a section completed from its file and by defaults for inputs and joints, and notes on the file.
 
-    Raises `RuntimeError` if the file cannot be used, or the joints do not fit; the text says where and why.
+    Raises `RuntimeError` with the place and reason if the file is invalid, or the joints do not fit.
     """
     section, notes = laid_under(section, section.ini, read_file)
     try:
@@ -52,7 +52,7 @@ def resolved(section: BaseControlSection) -> tuple[BaseControlSection, list[str]
 
 
 def limits(section: BaseControlSection) -> BaseLimits:
-    """A section's limits."""
+    """Return a section's limits."""
     return BaseLimits(
         linear=section.max_linear_vel,
         angular=math.radians(section.max_angular_vel),
@@ -67,63 +67,63 @@ def limits(section: BaseControlSection) -> BaseLimits:
 
 
 def read_file(section: BaseControlSection, ini: Ini) -> dict[str, Any]:
-    """The fields that a file sets; see `navigation.ini.laid_under`."""
-    found: dict[str, Any] = {"period": ini.top.number("period", section.period, 0.001, 0.1, "s")}
-    ini.top.take_texts(found, port_name, prefix="local")
-    _take_general(ini, ini.group(_GENERAL, needed=True), found, section)
+    """Return the fields that a file sets; see `navigation.ini.laid_under`."""
+    fields: dict[str, Any] = {"period": ini.top.number("period", section.period, 0.001, 0.1, "s")}
+    ini.top.add_texts(fields, port_name, prefix="local")
+    _read_general(ini, ini.group(_GENERAL, needed=True), fields, section)
     geometry = ini.group(_GEOMETRY, needed=True)
-    found["wheel_radius"] = geometry.number("geom_r", None, 0.01, 1.0, "m")
-    found["wheel_distance"] = geometry.number("geom_L", None, 0.05, 3.0, "m")
+    fields["wheel_radius"] = geometry.number("geom_r", None, 0.01, 1.0, "m")
+    fields["wheel_distance"] = geometry.number("geom_L", None, 0.05, 3.0, "m")
     motors = ini.group(_MOTORS)
-    found["max_motor_vel"] = motors.number("max_motor_vel", section.max_motor_vel, 1.0, 3600.0, "deg/s")
-    found["motors_filter"] = motors.choice("motors_filter_enabled", 0, (*FILTERS, 10))
+    fields["max_motor_vel"] = motors.number("max_motor_vel", section.max_motor_vel, 1.0, 3600.0, "deg/s")
+    fields["motors_filter"] = motors.choice("motors_filter_enabled", 0, (*FILTERS, 10))
     stick = ini.group(_STICK)
     for key, name, most in (("linear_vel", "linear", 3.0), ("angular_vel", "angular", 360.0)):
         default = float(getattr(section, f"joystick_{name}_vel"))
-        found[f"joystick_{name}_vel"] = stick.number(f"{key}_at_full_control", default, 0.01, most)
-    # the names that ``baseControl`` of before 2022 has for ROS
-    ini.group("ROS_ODOMETRY").take_texts(
-        found, str, odom_frame="odom_frame", base_frame="base_frame", odom="topic_name"
+        fields[f"joystick_{name}_vel"] = stick.number(f"{key}_at_full_control", default, 0.01, most)
+    # names for ROS in files of ``baseControl`` from before 2022
+    ini.group("ROS_ODOMETRY").add_texts(
+        fields, str, odom_frame="odom_frame", base_frame="base_frame", odom="topic_name"
     )
     inputs = _inputs(ini)
     if inputs:
-        found["inputs"] = inputs
+        fields["inputs"] = inputs
     ini.note_unread(STALE, OTHERS)
-    return found
+    return fields
 
 
-def _take_general(ini: Ini, group: IniGroup, found: dict[str, Any], section: BaseControlSection) -> None:
+def _read_general(ini: Ini, group: IniGroup, fields: dict[str, Any], section: BaseControlSection) -> None:
     kind = group.text("robot_type", "")
     if kind not in KINDS:
-        ini.errors.append(
-            f"{group.where('robot_type')}: no base of the kind '{kind}' is driven yet; there are {' and '.join(KINDS)}"
-        )
-    found["kind"] = kind
-    found["max_linear_vel"] = group.number("max_linear_vel", None, 0.01, 3.0, "m/s")
-    found["max_angular_vel"] = group.number("max_angular_vel", None, 1.0, 360.0, "deg/s")
+        ini.errors.append(f"{group.where('robot_type')}: unknown kind of base '{kind}'; use {' or '.join(KINDS)}")
+    fields["kind"] = kind
+    fields["max_linear_vel"] = group.number("max_linear_vel", None, 0.01, 3.0, "m/s")
+    fields["max_angular_vel"] = group.number("max_angular_vel", None, 1.0, 360.0, "deg/s")
     for axis, most, unit in (("linear", 10.0, "m/s2"), ("angular", 3600.0, "deg/s2")):
         default = group.number(f"max_{axis}_acc", float(getattr(section, f"max_{axis}_acc")), 0.01, most, unit)
-        found[f"max_{axis}_acc"] = group.number(f"max_{axis}_acc_pos", default, 0.01, most, unit)
-        found[f"max_{axis}_brake"] = group.number(f"max_{axis}_acc_neg", default, 0.01, most, unit)
-    found["input_filter"] = group.choice("input_filter_enabled", 0, FILTERS)
+        fields[f"max_{axis}_acc"] = group.number(f"max_{axis}_acc_pos", default, 0.01, most, unit)
+        fields[f"max_{axis}_brake"] = group.number(f"max_{axis}_acc_neg", default, 0.01, most, unit)
+    fields["input_filter"] = group.choice("input_filter_enabled", 0, FILTERS)
     group.number("linear_angular_ratio", 0.7, 0.0, 1.0)
     if group.flag("ratio_limiter_enabled", default=False):
         ini.notes.append(
-            f"{group.where('ratio_limiter_enabled')}: 'ratio_limiter_enabled 1' is left off: upstream's limiter never "
-            "acts, so the robot was never driven with it; linear_angular_ratio in modules.base_control switches ours on"
+            f"{group.where('ratio_limiter_enabled')}: 'ratio_limiter_enabled 1' is ignored: upstream's limiter never "
+            "acts; set linear_angular_ratio in modules.base_control to use Midspan's"
         )
 
 
 def _inputs(ini: Ini) -> tuple[BaseInput, ...]:
-    """The inputs of the groups ``BASECTRL_INPUTS_i``, the highest rank first; none where there are no such groups."""
-    found: list[BaseInput] = []
+    """Return the inputs of the groups ``BASECTRL_INPUTS_i``, the highest rank first; none without such groups."""
+    inputs: list[BaseInput] = []
     general = ini.group(_GENERAL)
     count = general.number("number_of_inputs", 0.0, 0.0, _MOST_INPUTS)
-    here = [number for number in range(_MOST_INPUTS) if _INPUT.format(number) in ini]
-    if count and here != list(range(int(count))):
-        told = ", ".join(_INPUT.format(number) for number in here) or "none"
-        ini.notes.append(f"{general.where('number_of_inputs')}: 'number_of_inputs {count:g}', but there are {told}")
-    for number in here:
+    numbers = [number for number in range(_MOST_INPUTS) if _INPUT.format(number) in ini]
+    if count and numbers != list(range(int(count))):
+        names = ", ".join(_INPUT.format(number) for number in numbers) or "none"
+        ini.notes.append(
+            f"{general.where('number_of_inputs')}: 'number_of_inputs {count:g}', but the groups are {names}"
+        )
+    for number in numbers:
         group = ini.group(_INPUT.format(number))
         name = group.text("input_name", f"input {number}")
         timeout = group.number("max_timeout", 0.1, 0.01, 5.0, "s")
@@ -131,11 +131,11 @@ def _inputs(ini: Ini) -> tuple[BaseInput, ...]:
         for key in ("local", "node_name", "topic_name"):
             group.text(key, "")
         if device == _YARP_INPUT:
-            found.append(BaseInput(name=name, timeout=timeout, ports=(group.text("local", f"input/{name}"),)))
+            inputs.append(BaseInput(name=name, timeout=timeout, ports=(group.text("local", f"input/{name}"),)))
         else:
             topic = "/" + group.text("topic_name", "cmd_vel").strip("/")
-            found.append(BaseInput(name=name, timeout=timeout, twist=(topic,)))
+            inputs.append(BaseInput(name=name, timeout=timeout, twist=(topic,)))
     topic = ini.group("ROS_INPUT").text("topic_name", "")
-    if topic and not found:  # a file of before 2022: the ranks of its ports are fixed
-        found = [*INPUTS[:-1], INPUTS[-1].model_copy(update={"twist": ("/" + topic.strip("/"),)})]
-    return tuple(found)
+    if topic and not inputs:  # a file from before 2022, whose ports have fixed ranks
+        inputs = [*INPUTS[:-1], INPUTS[-1].model_copy(update={"twist": ("/" + topic.strip("/"),)})]
+    return tuple(inputs)

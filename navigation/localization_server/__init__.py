@@ -1,1 +1,1 @@
-"""LocalizationServer: publishes where the robot is, by a localiser of its own or by another one."""
+"""LocalizationServer: publishes the robot's pose, from Midspan's own localizer or from another one."""

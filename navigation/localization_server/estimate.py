@@ -1,4 +1,4 @@
-"""An estimate of where the robot is, poses with covariances as messages, and velocities from odometry."""
+"""Estimates of the robot's pose, conversions of poses with covariances, and velocities from odometry."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ class LocalizationStatus(StrEnum):
 
 @dataclass(frozen=True)
 class PoseEstimate:
-    """Where the robot is."""
+    """An estimate of the robot's pose."""
 
-    pose: Pose | None  #: on the map; None before a start was given
-    covariance: Floats  #: (3, 3) of x, y, theta: metres, radians
-    quality: float  #: share of the scan that the map explains, less what speaks against it, 0 to 1
-    status: LocalizationStatus  #: whether to rely on it
-    reason: str  #: why not
+    pose: Pose | None  #: on the map; None before a start pose is set
+    covariance: Floats  #: (3, 3) of x, y, theta: meters, radians
+    quality: float  #: share of the scan that the map explains, less the share that contradicts it, 0 to 1
+    status: LocalizationStatus  #: whether the pose is reliable
+    reason: str  #: why it is not
 
 
 def unknown(reason: str, status: LocalizationStatus = LocalizationStatus.NOT_YET) -> PoseEstimate:
-    """Nothing is known."""
+    """Return an estimate without a pose."""
     return PoseEstimate(None, np.zeros((3, 3)), 0.0, status, reason)
 
 
-def covariance_of(metres: float, radians: float) -> Floats:
-    """The covariance (3, 3) of standard deviations that are the same in x and y."""
-    return np.diag([metres**2, metres**2, radians**2])
+def covariance_of(meters: float, radians: float) -> Floats:
+    """Return the covariance (3, 3) for standard deviations in x and y, and in the heading."""
+    return np.diag([meters**2, meters**2, radians**2])
 
 
 POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -56,36 +56,36 @@ POSES, PARTICLES = "geometry_msgs/msg/PoseArray", "nav2_msgs/msg/ParticleCloud"
 
 Message = dict[str, Any]
 
-_PLANE = (0, 1, 5)  # rows of a 6x6 covariance that are in the plane: x, y and the turn about the vertical
+_PLANE = (0, 1, 5)  # rows of a 6x6 covariance in the plane: x, y and yaw
 
 
 def pose_of(message: Mapping[str, Any], stamp: int = 0) -> Pose:
-    """The pose of a ``geometry_msgs/Pose``, on the floor; raises `ValueError` if it is not finite."""
+    """Convert a ``geometry_msgs/Pose`` to a pose on the floor; raises `ValueError` if it is not finite."""
     place = message["position"]
-    found = Pose(float(place["x"]), float(place["y"]), yaw_of(message["orientation"]), stamp)
-    if not all(map(math.isfinite, found[:3])):
-        raise ValueError(f"a pose at {found[:3]} is nowhere")
-    return found
+    pose = Pose(float(place["x"]), float(place["y"]), yaw_of(message["orientation"]), stamp)
+    if not all(map(math.isfinite, pose[:3])):
+        raise ValueError(f"invalid pose {pose[:3]}: values must be finite")
+    return pose
 
 
 def plane_of(covariance: Any) -> Floats | None:
-    """The (3, 3) of x, y and turn out of a 6x6; None where it is no covariance, or all zeros."""
+    """Return the (3, 3) covariance of x, y and yaw of a 6x6; None if it is invalid, or all zeros."""
     whole = np.asarray(covariance, np.float64).reshape(6, 6)
-    found: Floats = whole[np.ix_(_PLANE, _PLANE)]
-    if not np.isfinite(found).all() or (np.diag(found) < 0.0).any() or not found.any():
+    plane: Floats = whole[np.ix_(_PLANE, _PLANE)]
+    if not np.isfinite(plane).all() or (np.diag(plane) < 0.0).any() or not plane.any():
         return None
-    return found
+    return plane
 
 
 def spatial(covariance: Floats) -> Floats:
-    """A 6x6, of shape (36,), with a (3, 3) of the plane in it."""
+    """Expand a (3, 3) covariance in the plane to a 6x6, of shape (36,)."""
     whole = np.zeros((6, 6))
     whole[np.ix_(_PLANE, _PLANE)] = covariance
     return whole.ravel()
 
 
 def particles_cdr(stamp: Mapping[str, int], frame: str, cloud: Floats) -> bytes:
-    """A ``PoseArray`` in CDR of (n, 3) metres and radians; a thousand poses as values would take milliseconds."""
+    """Encode (n, 3) meters and radians as a ``PoseArray`` in CDR; the generic encoder would take milliseconds."""
     name = frame.encode() + b"\0"
     head = struct.pack("<iII", stamp["sec"], stamp["nanosec"], len(name)) + name
     head += bytes(-len(head) % 4) + struct.pack("<I", len(cloud))
@@ -102,26 +102,26 @@ _MOST = 1000
 
 
 class Track:
-    """Poses in the odometry's frame, in the order of their stamps."""
+    """Poses in the odometry frame, in the order of their stamps."""
 
     def __init__(self) -> None:
         self._poses: deque[Pose] = deque(maxlen=_MOST)
 
     @property
     def newest(self) -> Pose | None:
-        """What was said last."""
+        """The newest pose."""
         return self._poses[-1] if self._poses else None
 
     def add(self, pose: Pose) -> None:
-        """Take up another; one that is not newer than the last takes its place, with all that came after it."""
+        """Add a pose; it replaces all poses that are not older."""
         while self._poses and self._poses[-1].stamp_ns >= pose.stamp_ns:
             self._poses.pop()
         self._poses.append(pose)
         while self._poses[0].stamp_ns < pose.stamp_ns - _KEPT_NS:
             self._poses.popleft()
 
-    def at(self, stamp_ns: int) -> Pose | None:
-        """Where the base was; before and behind all that is known, the nearest. None where nothing is known."""
+    def pose_at(self, stamp_ns: int) -> Pose | None:
+        """Return the base's pose at a time; outside the known times the nearest. None without any."""
         later = None
         for pose in reversed(self._poses):
             if pose.stamp_ns <= stamp_ns:
@@ -130,7 +130,7 @@ class Track:
         return later
 
     def clear(self) -> None:
-        """Forget all: the clock or the odometry began anew."""
+        """Drop all poses."""
         self._poses.clear()
 
 
@@ -145,37 +145,37 @@ def _between(one: Pose, two: Pose, stamp_ns: int) -> Pose:
     )
 
 
-_SPAN_NS = 300_000_000  # over so long velocities are means
+_SPAN_NS = 300_000_000  # velocities are averaged over this time
 
 
 class OdometryEstimator:
-    """Velocities from poses on the map, or better from odometry, which does not jump."""
+    """Estimates velocities from the odometry, which does not jump."""
 
     def __init__(self) -> None:
         self._track = Track()
 
     def add(self, pose: Pose) -> None:
-        """Take up where odometry says that the base is."""
+        """Add a pose by odometry."""
         self._track.add(pose)
 
-    def data(self, where: Pose) -> OdometryData:
-        """A pose on the map, and how fast the base moves on the map and in its own frame."""
+    def data(self, pose: Pose) -> OdometryData:
+        """Return a pose on the map with the base's velocity on the map and in its own frame."""
         newest = self._track.newest
-        before = None if newest is None else self._track.at(newest.stamp_ns - _SPAN_NS)
-        found = OdometryData(where.x, where.y, math.degrees(where.theta))
+        before = None if newest is None else self._track.pose_at(newest.stamp_ns - _SPAN_NS)
+        result = OdometryData(pose.x, pose.y, math.degrees(pose.theta))
         if newest is None or before is None or newest.stamp_ns <= before.stamp_ns:
-            return found
+            return result
         seconds = (newest.stamp_ns - before.stamp_ns) / 1e9
         step = before.inverse @ newest
-        turned = step.theta / 2.0  # the way was an arc: what was driven points half the turn back
+        turned = step.theta / 2.0  # the path is an arc: its chord points half the rotation back
         c, s = math.cos(-turned), math.sin(-turned)
-        found.base_vel_x, found.base_vel_y = (c * step.x - s * step.y) / seconds, (s * step.x + c * step.y) / seconds
-        found.base_vel_theta = found.odom_vel_theta = math.degrees(step.theta) / seconds
-        c, s = math.cos(where.theta), math.sin(where.theta)
-        found.odom_vel_x = c * found.base_vel_x - s * found.base_vel_y
-        found.odom_vel_y = s * found.base_vel_x + c * found.base_vel_y
-        return found
+        result.base_vel_x, result.base_vel_y = (c * step.x - s * step.y) / seconds, (s * step.x + c * step.y) / seconds
+        result.base_vel_theta = result.odom_vel_theta = math.degrees(step.theta) / seconds
+        c, s = math.cos(pose.theta), math.sin(pose.theta)
+        result.odom_vel_x = c * result.base_vel_x - s * result.base_vel_y
+        result.odom_vel_y = s * result.base_vel_x + c * result.base_vel_y
+        return result
 
-    def forget(self) -> None:
-        """The clock was set back."""
+    def clear(self) -> None:
+        """Drop all poses, after a clock jump or without odometry."""
         self._track.clear()

@@ -10,9 +10,9 @@ from navigation.pose import Pose
 
 _MEMORY = 0.7  # weight of the previous quality in the next one
 _HABIT = 0.95  # the same for the usual quality
-_DROP = 0.25  # by how much a scan's fit must be below the usual one to show that something has happened
+_DROP = 0.25  # a scan whose fit is lower than the usual one by this much shows a sudden change
 _PROVEN = 0.85  # fit above which a new place needs no further check
-_LOOKS = 50  # scans for which a place with a lower fit is checked, during the search for better ones
+_CHECKS = 50  # scans for which a pose with a lower fit is checked, during the search for better ones
 _STOOD = (0.01, math.radians(0.5))
 
 
@@ -28,33 +28,36 @@ class Judge:
     def __init__(self, settings: LocaliserSection) -> None:
         self._settings = settings
         self.quality = 0.0  # smoothed share of the scan that the map explains, less the share that contradicts it
-        self.status, self.reason = LocalizationStatus.NOT_YET, "no start was given"
+        self.status, self.reason = LocalizationStatus.NOT_YET, "no start pose"
         self._begin()
 
     def _begin(self) -> None:
-        self._anew = True
+        self._is_new = True
         self._usual = 0.0
         self._against = self._dropped = 0
-        self._looks = _LOOKS
+        self._checks = _CHECKS
         self._seen: Pose | None = None
 
     def begin(self) -> None:
         """Start again after a start pose."""
         self._begin()
         self.status = LocalizationStatus.NOT_YET
-        self.reason = "a start was given, and no scan has been held against it yet"
+        self.reason = "a start pose was set; waiting for a scan"
 
     def doubt(self) -> None:
-        """Start again because other places fit better."""
-        self._anew, self._usual = True, 0.0
+        """Start again because other poses fit better."""
+        self._is_new, self._usual = True, 0.0
         self._against = self._dropped = 0
-        self._looks = _LOOKS
-        self.status, self.reason = LocalizationStatus.ERROR, "the scan fits better elsewhere; the next ones decide"
+        self._checks = _CHECKS
+        self.status, self.reason = (
+            LocalizationStatus.ERROR,
+            "the scan fits better at another pose; the next scans decide",
+        )
 
     @property
     def doubtful(self) -> bool:
-        """Whether the place is new and others might still fit better."""
-        return self._looks > 0
+        """Whether the pose is new and others might still fit better."""
+        return self._checks > 0
 
     @property
     def carried(self) -> bool:
@@ -71,43 +74,41 @@ class Judge:
         """Whether the map suddenly explains much less of the scans."""
         return self._dropped >= REFUTING_SCANS
 
-    def take(self, share: float, against: float, wide: float, odometry: Pose, why: str = "") -> None:
+    def add(self, share: float, against: float, wide: float, odometry: Pose, reason: str = "") -> None:
         """Update the status with a scan.
 
         ``share`` is the share of the scan that the map explains, less the share ``against`` the pose; ``wide`` the
-        spread of the particles in meters; ``why`` the reason why the scan explains nothing, if known.
+        spread of the particles in meters; ``reason`` explains an empty scan.
         """
         settings = self._settings
-        self.quality = share if self._anew else _MEMORY * self.quality + (1.0 - _MEMORY) * share
-        self._anew = False
+        self.quality = share if self._is_new else _MEMORY * self.quality + (1.0 - _MEMORY) * share
+        self._is_new = False
         self._against = self._against + 1 if against >= REFUTING else 0
         self._dropped = self._dropped + 1 if share < self._usual - _DROP else 0
         enough = settings.poor if self.status is LocalizationStatus.OK else settings.good
         fits = self.quality >= enough and not self.refuted
-        self._looks = 0 if self.quality >= _PROVEN else self._looks - 1 if fits and self._looks else self._looks
+        self._checks = 0 if self.quality >= _PROVEN else self._checks - 1 if fits and self._checks else self._checks
         if not fits:
-            self.status, self.reason = LocalizationStatus.ERROR, why or self._why_lost(odometry, against)
+            self.status, self.reason = LocalizationStatus.ERROR, reason or self._lost_reason(odometry, against)
         elif self.doubtful:
             self.status = LocalizationStatus.ERROR if self.carried else LocalizationStatus.NOT_YET
-            self.reason = f"the map explains {self.quality:.0%} of the scan here; a better place is looked for first"
+            self.reason = f"the map explains {self.quality:.0%} of the scan here; searching for a better pose"
         elif wide > WIDEST:
             self.status = LocalizationStatus.NOT_YET
-            self.reason = f"the robot may be anywhere within {wide:.1f} m (standard deviation) still"
+            self.reason = f"the pose is still uncertain by {wide:.1f} m (standard deviation)"
         else:
             self.status, self.reason = LocalizationStatus.OK, ""
             if self.quality >= settings.good and not self._against:
                 self._seen = odometry
             self._usual = share if not self._usual else _HABIT * self._usual + (1.0 - _HABIT) * share
 
-    def _why_lost(self, odometry: Pose, against: float) -> str:
+    def _lost_reason(self, odometry: Pose, against: float) -> str:
         lost = f"lost: the map explains {self.quality:.0%} of the scan"
         if against >= REFUTING:
             lost += f", and {against:.0%} of its beams go through walls"
         if self._seen is None:
-            return f"{lost}; was the start wrong, or is it another map?"
+            return f"{lost}; check the start pose and the map"
         step = self._seen.inverse @ odometry
         if math.hypot(step.x, step.y) < _STOOD[0] and abs(step.theta) < _STOOD[1]:
-            return (
-                f"{lost} now, and odometry reports that the base has not moved: is it frozen, or was the robot carried?"
-            )
+            return f"{lost}, but by odometry the base has not moved: the odometry is frozen, or the robot was carried"
         return f"{lost} now"

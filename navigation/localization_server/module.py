@@ -9,6 +9,7 @@ of the pose: Midspan's own localizer or another one.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 from bridge.config.sections.localization_server import LocalizationServerSection
@@ -42,7 +43,7 @@ from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
 
-_RESTS = "the localisation was stopped; startLocalizationService begins it again"
+_PAUSED = "localization is stopped; startLocalizationService starts it again"
 
 _MOST_POSES = 500  # particles in a reply: each is a whole location with its map's name
 
@@ -59,10 +60,10 @@ class LocalizationServer(Module):
         self._frames = RobotFrames(host, section.map_frame, section.base_frame, section.odom_frame)
         self._grid: MapGrid2D | None = None
         self._start: tuple[str, Start] | None = None
-        self._resting = False
+        self._paused = False
         self._motion = OdometryEstimator()
-        self.source = self._made()  # Midspan's own localizer, or the one that the section names
-        self._told = PosePublisher(
+        self.source = self._make_source()  # Midspan's own localizer, or the one that the section names
+        self._publisher = PosePublisher(
             host,
             self._frames,
             section.ports,
@@ -70,15 +71,15 @@ class LocalizationServer(Module):
             ahead=section.tf_tolerance,
         )
         self._follow_maps()
-        if self.source.hears_starts:
-            host.node.subscription(section.initialpose, estimates.POSE_COVARIANCE, self._start_told, Qos(depth=1))
+        if self.source.accepts_starts:
+            host.node.subscription(section.initialpose, estimates.POSE_COVARIANCE, self._on_start, Qos(depth=1))
         server = Localization2DServer(LocalizationDevice(self, Calls(host.loop)))
         for port in section.ports:
             host.yarp.serve(f"{port}/rpc", server)
-        self._look()
-        host.on_jump(self._forget)
-        host.every(section.period, self._tell)
-        host.every(section.particles_period, lambda: self._told.tell_particles(self.cloud()))
+        self._update_estimate()
+        host.on_jump(self._on_clock_jump)
+        host.every(section.period, self._publish)
+        host.every(section.particles_period, lambda: self._publisher.publish_particles(self.cloud()))
 
     def reload(self, section: Section) -> bool:
         """Follow another source of maps; the source of the pose continues, and gets the new map."""
@@ -93,37 +94,37 @@ class LocalizationServer(Module):
     def _follow_maps(self) -> None:
         self._maps = MapInUse(self._host, self._section.map, self._use)
         if self._maps.of_store:
-            self._maps.take()
+            self._maps.update()
 
-    def _made(self) -> PoseSource:
-        given = self._host, self._section, self._frames
+    def _make_source(self) -> PoseSource:
+        arguments = self._host, self._section, self._frames
         match self._section.source or "own":
             case "amcl":
-                return AmclSource(*given)
+                return AmclSource(*arguments)
             case "tf":
-                return FrameSource(*given)
+                return FrameSource(*arguments)
             case "topic":
-                return TopicSource(*given)
+                return TopicSource(*arguments)
             case "port":
-                return PortSource(*given)
+                return PortSource(*arguments)
             case "server":
-                return OtherServer(*given, lambda: self.map_name)
+                return OtherServer(*arguments, lambda: self.map_name)
             case _:
-                return OwnLocalizer(*given, self._tell)
+                return OwnLocalizer(*arguments, self._publish)
 
     # requests
 
     @property
     def map_name(self) -> str:
-        """The name of the map in use; "" for none."""
+        """The name of the current map; "" for none."""
         return self._grid.name if self._grid is not None else ""
 
     def estimate(self) -> PoseEstimate:
         """Return the estimate of the robot's pose."""
-        found = self.source.estimate()
-        if self._resting:
-            return PoseEstimate(found.pose, found.covariance, found.quality, LocalizationStatus.NOT_YET, _RESTS)
-        return found
+        estimate = self.source.estimate()
+        if self._paused:
+            return replace(estimate, status=LocalizationStatus.NOT_YET, reason=_PAUSED)
+        return estimate
 
     def cloud(self) -> Floats:
         """Return the particles, (n, 3) in meters and radians."""
@@ -135,71 +136,71 @@ class LocalizationServer(Module):
         return None if pose is None else self._motion.data(pose)
 
     def begin(self, pose: Pose, covariance: Floats | None, map_name: str) -> None:
-        """Start at a pose on a map ("": the one in use); raises `RuntimeError` with the reason if it cannot."""
+        """Start at a pose on a map ("" for the current one); raises `RuntimeError` with the reason if it cannot."""
         if map_name in ("", self.map_name):
             self.source.initial(pose, covariance)
             return
         if not self._maps.of_store:
-            raise RuntimeError(f"the map in use is {self.map_name!r}, of {self._section.map}, not {map_name!r}")
+            raise RuntimeError(f"the current map is {self.map_name!r} from {self._section.map}, not {map_name!r}")
         self._start = map_name, Start(pose, covariance)
         try:
             self._host.store.use_map(map_name)
         except StoreError as err:
             self._start = None
             raise RuntimeError(str(err)) from None
-        self._maps.take()
+        self._maps.update()
         if self.map_name != map_name:
             self._start = None
-            raise RuntimeError(self._maps.trouble or f"the map {map_name!r} is not in use")
+            raise RuntimeError(self._maps.trouble or f"the map {map_name!r} is not the current one")
 
-    def rest(self, *, on: bool) -> None:
+    def pause(self, *, on: bool) -> None:
         """Pause or resume the localization."""
-        self._resting = on
-        self.source.rest(on=on)
+        self._paused = on
+        self.source.pause(on=on)
 
-    def _start_told(self, message: dict[str, Any]) -> None:
-        """Accept a start from the topic that rviz publishes."""
+    def _on_start(self, message: dict[str, Any]) -> None:
+        """Handle a start pose from the topic to which rviz publishes."""
         frame = message["header"]["frame_id"].lstrip("/")
         if frame not in ("", self._frames.map_frame):
-            self._refuse_start(f"the start is in the frame {frame!r}, not in {self._frames.map_frame!r}")
+            self._refuse_start(f"the start pose is in the frame {frame!r}, not in {self._frames.map_frame!r}")
             return
         start = message["pose"]
         try:
-            check_rotation(start["pose"]["orientation"], "the start's")
+            check_rotation(start["pose"]["orientation"], "the start pose's")
             self.source.initial(pose_of(start["pose"]), plane_of(start["covariance"]))
         except (RuntimeError, ValueError) as err:
             self._refuse_start(str(err))
 
-    def _refuse_start(self, why: str) -> None:
-        self._host.log.warning("%s: refused: %s", self._section.initialpose, why)
+    def _refuse_start(self, reason: str) -> None:
+        self._host.log.warning("%s: ignored: %s", self._section.initialpose, reason)
 
     def _use(self, grid: MapGrid2D | None) -> None:
         if grid is None or (self._grid is not None and same_walls(grid, self._grid)):
             return  # the same map again: the estimate stays valid
         self._grid = grid
-        told, self._start = self._start, None
-        self.source.use_map(grid, told[1] if told is not None and told[0] == grid.name else None)
+        start, self._start = self._start, None
+        self.source.use_map(grid, start[1] if start is not None and start[0] == grid.name else None)
 
     # events
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         try:
             self._motion.add(self._frames.odometry())
         except FramesError:
-            self._motion.forget()
-        found = self._look()
-        correction = None if self._resting else self.source.correction()
-        odometry = None if found.pose is None else self._motion.data(found.pose)
-        self._told.tell(found, correction, odometry, self.map_name)
+            self._motion.clear()
+        estimate = self._update_estimate()
+        correction = None if self._paused else self.source.correction()
+        odometry = None if estimate.pose is None else self._motion.data(estimate.pose)
+        self._publisher.publish(estimate, correction, odometry, self.map_name)
 
-    def _look(self) -> PoseEstimate:
+    def _update_estimate(self) -> PoseEstimate:
         """Return the estimate, and store it for the threads that report health: a query would change the source."""
-        self._found, self._particles = self.estimate(), len(self.cloud())
-        return self._found
+        self._estimate, self._particles = self.estimate(), len(self.cloud())
+        return self._estimate
 
-    def _forget(self) -> None:
-        self._motion.forget()
-        self.source.forget()
+    def _on_clock_jump(self) -> None:
+        self._motion.clear()
+        self.source.on_clock_jump()
 
     # state
 
@@ -207,19 +208,19 @@ class LocalizationServer(Module):
         """Return the state of the localization with its reason."""
         if self._grid is None and self._section.source in (None, "own"):
             return Health("waiting", self._maps.trouble)
-        found = self._found
-        return Health("running", f"{found.status.value}: {found.reason}" if found.reason else found.status.value)
+        status, reason = self._estimate.status.value, self._estimate.reason
+        return Health("running", f"{status}: {reason}" if reason else status)
 
     def status(self) -> dict[str, Any]:
         """Return the pose, its quality and the state of the source."""
-        found = self._found
+        estimate = self._estimate
         return {
             "source": self._section.source or "own",
             "map": self.map_name,
-            "localization": found.status.value,
-            "reason": found.reason,
-            "quality": round(found.quality, 3),
-            "pose": None if found.pose is None else list(found.pose[:3]),
+            "localization": estimate.status.value,
+            "reason": estimate.reason,
+            "quality": round(estimate.quality, 3),
+            "pose": None if estimate.pose is None else list(estimate.pose[:3]),
             "particles": self._particles,
             "trouble": self._maps.trouble,
             **self.source.status(),
@@ -227,22 +228,22 @@ class LocalizationServer(Module):
 
     def stop(self) -> None:
         """Publish that the pose is unknown, so that planners stop at once, and end all subscriptions."""
-        self._told.tell(estimates.unknown("the localisation has ended"), None, None, self.map_name)
+        self._publisher.publish(estimates.unknown("localization has ended"), None, None, self.map_name)
         self.source.close()
         self._maps.close()
 
 
 class LocalizationDevice:
-    """YARP's methods: called on the connections' threads, executed on the module's. Covariances as in ROS: m, rad."""
+    """YARP's methods, called on connections' threads and executed on the module's. Covariances as in ROS: m, rad."""
 
     def __init__(self, server: LocalizationServer, calls: Calls) -> None:
         self._server, self._call = server, calls.do
 
     def startLocalizationService(self) -> None:
-        self._call(lambda: self._server.rest(on=False))
+        self._call(lambda: self._server.pause(on=False))
 
     def stopLocalizationService(self) -> None:
-        self._call(lambda: self._server.rest(on=True))
+        self._call(lambda: self._server.pause(on=True))
 
     def getLocalizationStatus(self) -> str:
         return self._call(lambda: self._server.estimate().status.value)
@@ -253,21 +254,21 @@ class LocalizationDevice:
         return [Map2DLocation(name, x, y, math.degrees(theta)) for x, y, theta in few.tolist()]
 
     def getCurrentPosition(self) -> tuple[Map2DLocation, Floats]:
-        found, name = self._call(lambda: (self._server.estimate(), self._server.map_name))
-        if found.pose is None:
-            raise CallFailed(ReturnCode.METHOD_FAILED, found.reason)
-        return location_of(name, found.pose), found.covariance
+        estimate, name = self._call(lambda: (self._server.estimate(), self._server.map_name))
+        if estimate.pose is None:
+            raise CallFailed(ReturnCode.METHOD_FAILED, estimate.reason)
+        return location_of(name, estimate.pose), estimate.covariance
 
     def getEstimatedOdometry(self) -> OdometryData:
-        found = self._call(self._server.odometry)
-        if found is None:
+        odometry = self._call(self._server.odometry)
+        if odometry is None:
             raise CallFailed(ReturnCode.METHOD_FAILED, "the robot's pose is unknown")
-        return found
+        return odometry
 
     def setInitialPose(self, loc: Map2DLocation, cov: Floats | None) -> None:
         pose = Pose(loc.x, loc.y, math.radians(loc.theta))
-        given = cov if cov is not None and cov.any() else None  # zeros would mean certainty
+        covariance = cov if cov is not None and cov.any() else None  # zeros would mean certainty
         try:
-            self._call(lambda: self._server.begin(pose, given, loc.map_id))
+            self._call(lambda: self._server.begin(pose, covariance, loc.map_id))
         except RuntimeError as err:
             raise CallFailed(ReturnCode.METHOD_FAILED, str(err)) from None

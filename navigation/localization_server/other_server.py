@@ -11,7 +11,7 @@ from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.modules.host import Host
 from navigation.frames import RobotFrames
 from navigation.localization_server.estimate import Floats, LocalizationStatus, PoseEstimate
-from navigation.localization_server.sources import Given, PoseSource, Start, start_covariance
+from navigation.localization_server.sources import ExternalSource, PoseSource, Start, start_covariance
 from navigation.pose import Pose
 from navigation.yarp import PolledServer
 from yarp_compat.dev.localization2d import ILocalization2DMsgs
@@ -23,15 +23,15 @@ _STATUS = "localization_status_"
 _PLANE = (3, 3)
 
 
-class OtherServer(PolledServer[ILocalization2DMsgs], Given):
-    """A client that forwards another server's pose, if that is on the map in use here."""
+class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
+    """A client that forwards another server's pose, if it is on the current map."""
 
-    hears_starts = True
+    accepts_starts = True
 
     def __init__(
         self, host: Host, section: LocalizationServerSection, frames: RobotFrames, map_name: Callable[[], str]
     ) -> None:
-        Given.__init__(self, host, section, frames, f"{section.server}/rpc")
+        ExternalSource.__init__(self, host, section, frames, f"{section.server}/rpc")
         self._map_name, self._map = map_name, ""
         self._particles = np.empty((0, 3))
         self._server_status = LocalizationStatus.NOT_YET
@@ -71,15 +71,15 @@ class OtherServer(PolledServer[ILocalization2DMsgs], Given):
         PoseSource.use_map(self, grid, start)
 
     def _place(self, location: Map2DLocation, covariance: Floats | None) -> None:
-        """Accept a pose if it is on the map in use; otherwise report the mismatch."""
+        """Accept a pose if it is on the current map; otherwise report the mismatch."""
         if self._is_on_another_map(location):
             self.drop()
             self.refuse(
                 f"{self.place} localizes the robot on the map {location.map_id!r}, not on {self._map_name()!r},"
-                " which is in use here; change one of them (/change_map, setInitialPose)"
+                " the current map; change one of them (/change_map, setInitialPose)"
             )
             return
-        self.take(Pose(location.x, location.y, math.radians(location.theta)), covariance)
+        self.set_pose(Pose(location.x, location.y, math.radians(location.theta)), covariance)
 
     def _scatter(self, locations: list[Map2DLocation]) -> None:
         poses = [
@@ -96,13 +96,13 @@ class OtherServer(PolledServer[ILocalization2DMsgs], Given):
 
     # on the polling thread
 
-    def _gone(self, why: str) -> None:
-        self._report(f"{self.place}: {why}")
+    def _on_unreachable(self, reason: str) -> None:
+        self._report(f"{self.place}: {reason}")
         with self._lock:
             self._connected, self._pending_start = False, None  # an old start is wrong when the server is back
 
-    def _report(self, why: str) -> None:
-        self._post(lambda: self.refuse(why))
+    def _report(self, reason: str) -> None:
+        self._post(lambda: self.refuse(reason))
 
     def _follow(self, remote: ILocalization2DMsgs) -> None:
         self._connected = True
@@ -112,7 +112,7 @@ class OtherServer(PolledServer[ILocalization2DMsgs], Given):
             with self._lock:
                 start, self._pending_start = self._pending_start, None
             if start is not None and not remote.set_initial_pose2_RPC(*start):
-                self._report(f"{self.place} refused the start pose; is it on the server's map?")
+                self._report(f"{self.place} refused the start pose; check that it is on the server's map")
             self._poll_pose(remote, cloud=polls % cloud_interval == 0)
             polls += 1
             with self._lock:

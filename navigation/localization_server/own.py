@@ -1,4 +1,4 @@
-"""Midspan's own localiser, fed from the hub; it keeps its last pose over restarts."""
+"""Midspan's own localizer with topics of the hub; it saves its last pose over restarts."""
 
 # ruff: noqa: D102 - documented in `PoseSource`
 
@@ -9,6 +9,7 @@ import math
 import os
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +30,13 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 
 
 class OwnLocalizer(PoseSource):
-    """The localiser, with the laser and the odometry of the hub.
+    """The localizer with the laser and odometry of the hub.
 
-    ``changed`` is called after a scan that changes the status: a pose that is found again immediately is lost for only
-    one scan, between two publications.
+    ``changed`` is called after a scan that changes the status, since a pose may be lost for only one scan, between two
+    publications.
     """
 
-    hears_starts = True
+    accepts_starts = True
     corrects = True
 
     def __init__(
@@ -43,35 +44,35 @@ class OwnLocalizer(PoseSource):
     ) -> None:
         self._clock, self._frames, self._section, self._changed = host.clock, frames, section, changed
         self._localizer: Localizer | None = None
-        self._trouble = "no map is there yet"
+        self._trouble = "waiting for a map"
         self._start: Pose | None = None
         if section.initial_pose is not None:
             x, y, theta = section.initial_pose
             self._start = Pose(x, y, math.radians(theta))
         self._memory, self._map, self._log = Memory(host.folder), "", host.log
-        self._resting = self._unkept = False
+        self._paused = self._unsaved = False
         self._scans = self._left_out = 0
         self._laser = ""
-        host.node.subscription(section.scan, SCAN, self._scan, Qos(depth=2))
+        host.node.subscription(section.scan, SCAN, self._on_scan, Qos(depth=2))
 
     def estimate(self) -> PoseEstimate:
         localizer = self._localizer
         if localizer is None:
             return unknown(self._trouble)
-        self._heed_odometry(localizer)
-        found = localizer.estimate()
+        self._add_odometry(localizer)
+        estimate = localizer.estimate()
         status, reason = localizer.check(self._clock.now_ns())
         if "laser" in reason and self._laser:
             reason = f"{reason}: {self._laser}"
-        found = PoseEstimate(found.pose, found.covariance, found.quality, status, reason)
-        self._keep(found)
-        return found
+        estimate = replace(estimate, status=status, reason=reason)
+        self._save(estimate)
+        return estimate
 
-    def _heed_odometry(self, localizer: Localizer) -> None:
+    def _add_odometry(self, localizer: Localizer) -> None:
         try:
             localizer.odometry(self._frames.odometry())
         except FramesError:
-            return  # the localizer reports for how long
+            return  # the localizer reports for how long it is missing
 
     def correction(self) -> Pose | None:
         localizer = self._localizer
@@ -85,7 +86,7 @@ class OwnLocalizer(PoseSource):
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
         if self._localizer is None:
             raise RuntimeError(f"localization is impossible: {self._trouble}")
-        self._heed_odometry(self._localizer)
+        self._add_odometry(self._localizer)
         try:
             self._localizer.initial(pose, start_covariance(self._section) if covariance is None else covariance)
         except ValueError as err:
@@ -107,42 +108,42 @@ class OwnLocalizer(PoseSource):
             self.initial(*start)
 
     def _first(self) -> Pose | None:
-        """The start: the last pose of this run, else the section's, else the last pose of an earlier run."""
+        """Return the start pose: the last one of this run, else the section's, else the last one of an earlier run."""
         memory, name = self._memory, self._map
         return memory.recall(name, of_this_run=True) or self._start or memory.recall(name, of_this_run=False)
 
-    def _keep(self, found: PoseEstimate, *, now: bool = False) -> None:
+    def _save(self, estimate: PoseEstimate, *, now: bool = False) -> None:
         """Save the pose of the robot."""
-        if found.pose is None or found.status is not LocalizationStatus.OK:
+        if estimate.pose is None or estimate.status is not LocalizationStatus.OK:
             return
         try:
-            self._memory.keep(self._map, found.pose, now=now)
+            self._memory.save(self._map, estimate.pose, now=now)
         except OSError as err:
-            if not self._unkept:
-                self._log.warning("the pose cannot be kept over restarts: %s", err)
-            self._unkept = True
+            if not self._unsaved:
+                self._log.warning("cannot save the pose: %s", err)
+            self._unsaved = True
 
     def close(self) -> None:
-        self._keep(self.estimate(), now=True)
+        self._save(self.estimate(), now=True)
 
-    def rest(self, *, on: bool) -> None:
-        self._resting = on
+    def pause(self, *, on: bool) -> None:
+        self._paused = on
 
-    def forget(self) -> None:
+    def on_clock_jump(self) -> None:
         if self._localizer is not None and self._clock.simulated:
-            self._localizer.forget_time()
+            self._localizer.restart()
         elif self._localizer is not None:
             self._localizer.forget_stamps()
 
     def status(self) -> dict[str, Any]:
-        found: dict[str, Any] = {"scans": self._scans, "left_out": self._left_out, "laser": self._laser}
+        status: dict[str, Any] = {"scans": self._scans, "left_out": self._left_out, "laser": self._laser}
         if self._localizer is not None:
-            found |= {"updates": self._localizer.updates, "searches": self._localizer.searches}
-        return found
+            status |= {"updates": self._localizer.updates, "searches": self._localizer.searches}
+        return status
 
-    def _scan(self, message: dict[str, Any]) -> None:
+    def _on_scan(self, message: dict[str, Any]) -> None:
         localizer = self._localizer
-        if localizer is None or self._resting:
+        if localizer is None or self._paused:
             return
         stamp = stamp_ns(message["header"]) or self._clock.now_ns()
         frames = self._frames
@@ -160,31 +161,31 @@ class OwnLocalizer(PoseSource):
             self._changed()
 
     def _points(self, message: dict[str, Any], stamp: int) -> Floats:
-        """A scan's points in the base's frame."""
+        """Return a scan's points in the base frame."""
         frame = message["header"]["frame_id"] or self._frames.base_frame
         turn = of_ros(message, stamp, hangs=self._frames.hangs(frame))
         return scan_points(turn, self._frames.transform(self._frames.base_frame, frame))
 
 
 _MOVED, _TURNED = 0.05, math.radians(3.0)
-_EVERY = 2.0  # seconds between two writes, at least
+_PERIOD = 2.0  # minimum seconds between two writes
 
 
 class Memory:
-    """One file."""
+    """The file with the robot's last pose."""
 
     def __init__(self, folder: Path) -> None:
         self._file = folder / "pose.json"
-        self._kept: tuple[str, Pose] | None = None
+        self._saved: tuple[str, Pose] | None = None
         self._written = -math.inf
 
-    def keep(self, map_name: str, pose: Pose, *, now: bool = False) -> None:
+    def save(self, map_name: str, pose: Pose, *, now: bool = False) -> None:
         """Save a pose if the robot has moved, at most every 2 s unless ``now``; raises `OSError` if it cannot."""
-        if self._kept is not None and not self._far(map_name, pose, self._kept):
+        if self._saved is not None and not self._far(map_name, pose, self._saved):
             return
-        if not now and time.monotonic() - self._written < _EVERY:
+        if not now and time.monotonic() - self._written < _PERIOD:
             return
-        self._kept, self._written = (map_name, pose), time.monotonic()
+        self._saved, self._written = (map_name, pose), time.monotonic()
         new = self._file.with_suffix(".new")
         new.write_text(json.dumps({"map": map_name, "pose": pose[:3], "run": _run()}), encoding="utf-8")
         new.replace(self._file)
@@ -207,5 +208,5 @@ class Memory:
 
 
 def _run() -> str:
-    """The daemon's process, by more than its number, which is 1 in every container; "" if unknown."""
+    """Return the identity of the daemon's process, more than its id, which is 1 in every container; "" if unknown."""
     return process_name(os.getppid())

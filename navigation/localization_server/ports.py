@@ -1,4 +1,4 @@
-"""The topics and YARP ports on which LocalizationServer publishes where the robot is."""
+"""The topics and YARP ports on which LocalizationServer publishes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NOWHERE = OdometryData(*[math.nan] * 9)
 
 
 class PosePublisher:
-    """Publishes the pose for all sides, ``tf`` for so many seconds ``ahead``. On the module's thread."""
+    """Publishes the pose for all sides; stamps of ``tf`` are ``ahead`` by some seconds. On the module's thread."""
 
     def __init__(self, host: Host, frames: RobotFrames, ports: Sequence[str], *, tf: bool, ahead: float) -> None:
         self._clock, self._frames, self._ahead_ns = host.clock, frames, round(ahead * 1e9)
@@ -39,19 +39,21 @@ class PosePublisher:
         self._stamp = Stamp()
         self._last: tuple[LocalizationStatus, str] | None = None
 
-    def tell(self, found: PoseEstimate, correction: Pose | None, odometry: OdometryData | None, map_name: str) -> None:
-        """Publish where the robot is, how fast, and the odometry's frame on the map, where that is to be published."""
-        self._tell_status(found)
+    def publish(
+        self, estimate: PoseEstimate, correction: Pose | None, odometry: OdometryData | None, map_name: str
+    ) -> None:
+        """Publish the robot's pose and velocity, and the odometry frame on the map if ``correction`` is given."""
+        self._publish_status(estimate)
         now = self._clock.now_ns()
         seconds, nanoseconds = divmod(now, 1_000_000_000)
-        pose = found.pose
-        if pose is not None and found.status is not LocalizationStatus.ERROR:
+        pose = estimate.pose
+        if pose is not None and estimate.status is not LocalizationStatus.ERROR:
             self._pose.publish({
                 "header": {
                     "stamp": {"sec": seconds, "nanosec": nanoseconds},
                     "frame_id": self._frames.map_frame,
                 },
-                "pose": {"pose": pose_message(pose), "covariance": estimates.spatial(found.covariance)},
+                "pose": {"pose": pose_message(pose), "covariance": estimates.spatial(estimate.covariance)},
             })  # fmt: skip
         if self._tf is not None and correction is not None:
             turned = (0.0, 0.0, math.sin(correction.theta / 2.0), math.cos(correction.theta / 2.0))
@@ -59,30 +61,30 @@ class PosePublisher:
             self._tf.publish_cdr(
                 write([Stamped(*names, now + self._ahead_ns, (correction.x, correction.y, 0.0), turned)])
             )
-        self._write(found, odometry, map_name, now)
+        self._write(estimate, odometry, map_name, now)
 
-    def _tell_status(self, found: PoseEstimate) -> None:
-        said = found.status, found.reason
-        if self._last is None or said[0] is not self._last[0]:
-            self._status.publish({"data": found.status.value})
-        if said != self._last:
-            self._reason.publish({"data": found.reason})
-        self._last = said
+    def _publish_status(self, estimate: PoseEstimate) -> None:
+        current = estimate.status, estimate.reason
+        if self._last is None or current[0] is not self._last[0]:
+            self._status.publish({"data": estimate.status.value})
+        if current != self._last:
+            self._reason.publish({"data": estimate.reason})
+        self._last = current
 
-    def _write(self, found: PoseEstimate, odometry: OdometryData | None, map_name: str, now: int) -> None:
-        """YARP's streams: without a pose that can be relied on their numbers are none, as upstream has it."""
+    def _write(self, estimate: PoseEstimate, odometry: OdometryData | None, map_name: str, now: int) -> None:
+        """Write to YARP's streams: NaN without a reliable pose, as upstream does."""
         if not any(port.heard for port in (*self._streams, *self._odometries)):
             return
-        sure = found.status is LocalizationStatus.OK and found.pose is not None
+        sure = estimate.status is LocalizationStatus.OK and estimate.pose is not None
         self._stamp.update(now / 1e9)
         envelope = self._stamp.to_text()
         nowhere = Map2DLocation(map_name, math.nan, math.nan, math.nan)
-        here = location_of(map_name, found.pose) if sure and found.pose is not None else nowhere
+        position = location_of(map_name, estimate.pose) if sure and estimate.pose is not None else nowhere
         for port in self._streams:
-            port.write(here, envelope)
+            port.write(position, envelope)
         for port in self._odometries:
             port.write(odometry if sure and odometry is not None else _NOWHERE, envelope)
 
-    def tell_particles(self, cloud: Floats) -> None:
-        """Publish where it may be."""
+    def publish_particles(self, cloud: Floats) -> None:
+        """Publish the particles, possible poses of the robot."""
         self._particles.publish_cdr(estimates.particles_cdr(self._clock.stamp(), self._frames.map_frame, cloud))

@@ -1,4 +1,4 @@
-"""The sources of the robot's pose: frames that another localiser publishes, a topic, or a YARP port."""
+"""The sources of the robot's pose: transforms of another localizer, a topic, or a YARP port."""
 
 # ruff: noqa: D102 - documented in `PoseSource`
 
@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,23 +28,23 @@ from yarp_compat.pythonic import Received
 
 
 class Start(NamedTuple):
-    """A start pose that a client gave, with its uncertainty."""
+    """A client's start pose, with its uncertainty."""
 
     pose: Pose
-    covariance: Floats | None = None  #: (3, 3) of x, y, theta: metres, radians; None: as sure as usual
+    covariance: Floats | None = None  #: (3, 3) of x, y, theta: meters, radians; None for the default
 
 
 def start_covariance(section: LocalizationServerSection) -> Floats:
-    """The covariance of a start that comes without one."""
+    """Return the covariance of a start pose without one."""
     return estimates.covariance_of(section.initial_spread[0], math.radians(section.initial_spread[1]))
 
 
 class PoseSource(ABC):
     """A source of the robot's pose. On the module's thread."""
 
-    # whether the module passes starts from a topic on; amcl subscribes to them by itself
-    hears_starts = False
-    corrects = False  # whether the odometry's frame on the map is to be published for it
+    # whether the module passes on start poses from a topic; amcl subscribes to them itself
+    accepts_starts = False
+    corrects = False  # whether the module publishes the odometry frame on the map for it
 
     @abstractmethod
     def estimate(self) -> PoseEstimate:
@@ -59,30 +60,30 @@ class PoseSource(ABC):
 
     @abstractmethod
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
-        """Begin there; None: with the usual covariance. Raises `RuntimeError` with why it cannot."""
+        """Start at a pose; covariance None is the default. Raises `RuntimeError` with the reason if it cannot."""
 
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:  # noqa: ARG002 - most need not know the map
         """Switch to another map; ``start``: the pose on it, if given. Raises `RuntimeError` if it cannot."""
         if start is not None:
             self.initial(*start)
 
-    def rest(self, *, on: bool) -> None:  # noqa: B027 - most need not
-        """Pause, or continue."""
+    def pause(self, *, on: bool) -> None:  # noqa: B027 - most need not
+        """Pause or resume."""
 
-    def forget(self) -> None:  # noqa: B027 - most need not
-        """Discard what depends on time: the clock has jumped."""
+    def on_clock_jump(self) -> None:  # noqa: B027 - most need not
+        """Discard data that depends on time, after the clock jumped."""
 
     def status(self) -> dict[str, Any]:
-        """Further entries of the status document."""
+        """Return additional entries of the status document."""
         return {}
 
     def close(self) -> None:  # noqa: B027 - most need not
-        """End what it began by itself."""
+        """Release the source's own resources."""
 
 
 _WIDEST = 1.0
-"""Metres of amcl's standard deviation above which it is not localised. A start has 0.5, as rviz publishes
-it, until the robot drives."""
+"""The standard deviation in meters above which amcl is not localized. A start pose of rviz has 0.5 until the robot
+drives."""
 
 
 class FrameSource(PoseSource):
@@ -108,11 +109,11 @@ class FrameSource(PoseSource):
             raise RuntimeError(f"no subscriber to {topic}: is the localizer running, and does a rule bridge the topic?")
         self._starts.publish(self._start_message(Start(pose, covariance)))
 
-    def forget(self) -> None:
+    def on_clock_jump(self) -> None:
         self._known = False
 
     def _start_message(self, start: Start) -> dict[str, Any]:
-        """A start as ``geometry_msgs/PoseWithCovarianceStamped``."""
+        """Return a start pose as ``geometry_msgs/PoseWithCovarianceStamped``."""
         covariance = start_covariance(self._section) if start.covariance is None else start.covariance
         return {
             "header": {"stamp": self._host.clock.stamp(), "frame_id": self._frames.map_frame},
@@ -121,7 +122,7 @@ class FrameSource(PoseSource):
 
 
 class AmclSource(FrameSource):
-    """amcl: the pose of the frames, for its own topic comes only as it resamples; the covariance of that topic."""
+    """amcl: the pose from /tf, since amcl's topic is published only on resampling; the covariance from that topic."""
 
     def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:
         super().__init__(host, section, frames)
@@ -131,29 +132,29 @@ class AmclSource(FrameSource):
         self._due: tuple[MapGrid2D, Start | None] | None = None
         self._map_trouble = ""
         self._set_map = node.client(section.set_map, "nav_msgs/srv/SetMap") if section.set_map else None
-        node.subscription(section.amcl_pose, estimates.POSE_COVARIANCE, self._posed, LATCHED)
-        for topic, kind, listed in (
-            (section.particlecloud, estimates.POSES, self._clouded),
-            (section.particle_cloud, estimates.PARTICLES, self._weighted),
+        node.subscription(section.amcl_pose, estimates.POSE_COVARIANCE, self._on_pose, LATCHED)
+        for topic, kind, on_message in (
+            (section.particlecloud, estimates.POSES, self._on_pose_array),
+            (section.particle_cloud, estimates.PARTICLES, self._on_particle_cloud),
         ):
             if topic:
-                node.subscription(topic, kind, listed, LATCHED)
+                node.subscription(topic, kind, on_message, LATCHED)
 
     def estimate(self) -> PoseEstimate:
         if self._due is not None:
             self._send_map()
-        found = super().estimate()
+        estimate = super().estimate()
         wide = math.sqrt(max(self._covariance[0, 0], self._covariance[1, 1]))
-        if found.status is LocalizationStatus.OK and wide > _WIDEST:
-            why = f"amcl's particles are {wide:.1f} m apart (standard deviation)"
-            return PoseEstimate(found.pose, found.covariance, found.quality, LocalizationStatus.NOT_YET, why)
-        return found
+        if estimate.status is LocalizationStatus.OK and wide > _WIDEST:
+            reason = f"amcl's particles are spread over {wide:.1f} m (standard deviation)"
+            return replace(estimate, status=LocalizationStatus.NOT_YET, reason=reason)
+        return estimate
 
     def cloud(self) -> Floats:
         return self._cloud
 
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
-        """Send amcl every map after its first one: it does not follow the topic."""
+        """Send amcl every map after its first one, since it does not follow the topic."""
         first, self._grid = self._grid is None, grid
         if first or self._set_map is None:
             super().use_map(grid, start)
@@ -168,7 +169,7 @@ class AmclSource(FrameSource):
         assert self._set_map is not None
         assert self._due is not None
         if not self._set_map.ready:
-            self._map_trouble = f"{self._section.set_map} is not there: amcl still has the map before"
+            self._map_trouble = f"{self._section.set_map} is not available: amcl still has the previous map"
             return
         (grid, start), self._due = self._due, None
         if start is None:
@@ -181,35 +182,35 @@ class AmclSource(FrameSource):
                 "map": to_grid(turned(grid), self._frames.map_frame, self._host.clock.now_ns()),
                 "initial_pose": self._start_message(start),
             },
-            self._map_taken,
+            self._on_map_set,
         )
 
-    def _map_taken(self, reply: Mapping[str, Any] | CallError) -> None:
+    def _on_map_set(self, reply: Mapping[str, Any] | CallError) -> None:
         if isinstance(reply, CallError):
             self._map_trouble = f"{self._section.set_map}: {reply}"
         else:
             self._map_trouble = "" if reply["success"] else f"{self._section.set_map} refused the map"
 
-    def _posed(self, message: dict[str, Any]) -> None:
-        found = plane_of(message["pose"]["covariance"])
-        if found is not None:
-            self._covariance = found
+    def _on_pose(self, message: dict[str, Any]) -> None:
+        covariance = plane_of(message["pose"]["covariance"])
+        if covariance is not None:
+            self._covariance = covariance
 
-    def _clouded(self, message: dict[str, Any]) -> None:
-        self._take_cloud(message["poses"])
+    def _on_pose_array(self, message: dict[str, Any]) -> None:
+        self._set_cloud(message["poses"])
 
-    def _weighted(self, message: dict[str, Any]) -> None:
-        self._take_cloud([one["pose"] for one in message["particles"]])
+    def _on_particle_cloud(self, message: dict[str, Any]) -> None:
+        self._set_cloud([particle["pose"] for particle in message["particles"]])
 
-    def _take_cloud(self, poses: list[dict[str, Any]]) -> None:
+    def _set_cloud(self, poses: list[dict[str, Any]]) -> None:
         try:
             self._cloud = np.array([pose_of(pose)[:3] for pose in poses]).reshape(-1, 3)
         except ValueError:
-            return  # a cloud with poses that are nowhere
+            return  # a cloud with invalid poses
 
 
-class Given(PoseSource):
-    """The newest pose from a topic or port, moved on by odometry if available; ``place``: that topic or port."""
+class ExternalSource(PoseSource):
+    """The newest pose from a topic or port, updated by odometry if available; ``place`` is the topic or port."""
 
     corrects = True
 
@@ -219,15 +220,15 @@ class Given(PoseSource):
         self._covariance = self._usual
         self._pose: Pose | None = None
         self._correction: Pose | None = None
-        self._heard_ns = 0
+        self._received_ns = 0
         self._trouble = ""
 
-    def take(self, pose: Pose, covariance: Floats | None = None) -> None:
-        """Accept a pose; without a stamp it is of now."""
+    def set_pose(self, pose: Pose, covariance: Floats | None = None) -> None:
+        """Set the pose; without a stamp it has the current time."""
         now = self._host.clock.now_ns()
         if not pose.stamp_ns:
             pose = pose._replace(stamp_ns=now)
-        self._pose, self._heard_ns, self._trouble = pose, self._host.clock.elapsed_ns(), ""
+        self._pose, self._received_ns, self._trouble = pose, self._host.clock.elapsed_ns(), ""
         self._covariance = self._usual if covariance is None else covariance
         self._correction = self._corrected(pose)
 
@@ -240,16 +241,16 @@ class Given(PoseSource):
             return None
         return pose @ then.inverse
 
-    def refuse(self, why: str) -> None:
+    def refuse(self, reason: str) -> None:
         """Report an invalid pose."""
-        if why != self._trouble:
-            self._host.log.warning("%s: %s", self.place, why)
-        self._trouble = why
+        if reason != self._trouble:
+            self._host.log.warning("%s: %s", self.place, reason)
+        self._trouble = reason
 
     def estimate(self) -> PoseEstimate:
         if self._pose is None:
-            return unknown(self._trouble or f"no pose has come from {self.place}")
-        age = (self._host.clock.elapsed_ns() - self._heard_ns) / 1e9
+            return unknown(self._trouble or f"waiting for a pose on {self.place}")
+        age = (self._host.clock.elapsed_ns() - self._received_ns) / 1e9
         if age > self._section.pose_age:
             return unknown(self._trouble or f"{self.place} has been silent for {age:.1f} s", LocalizationStatus.ERROR)
         if self._correction is None:  # odometry may have arrived since
@@ -268,14 +269,14 @@ class Given(PoseSource):
         return self._correction if self.estimate().pose is not None else None
 
     def initial(self, pose: Pose, covariance: Floats | None) -> None:  # noqa: ARG002 - refused in any case
-        """Refuse: the poses come from elsewhere."""
+        """Raise `RuntimeError`, as the pose's publisher sets the start."""
         raise RuntimeError(f"poses come from {self.place}; set the start pose at its publisher")
 
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
-        """Ignore it: poses come as before."""
+        """Ignore the map: poses arrive as before."""
 
-    def forget(self) -> None:
-        if self._host.clock.simulated:  # the robot may be somewhere else when a simulation starts again
+    def on_clock_jump(self) -> None:
+        if self._host.clock.simulated:  # the robot may be elsewhere when a simulation restarts
             self.drop()
 
     def drop(self) -> None:
@@ -283,48 +284,48 @@ class Given(PoseSource):
         self._pose = self._correction = None
 
 
-class TopicSource(Given):
+class TopicSource(ExternalSource):
     """A pose topic of any side, of one of three types."""
 
     def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:
         super().__init__(host, section, frames, section.topic)
         node, topic, newest = host.node, section.topic, Qos(depth=1)
         node.subscription(
-            topic, estimates.POSE_COVARIANCE, lambda message: self._covered(message, message["pose"]), newest
+            topic, estimates.POSE_COVARIANCE, lambda message: self._on_message(message, message["pose"]), newest
         )
-        node.subscription(topic, estimates.ODOMETRY, lambda message: self._covered(message, message["pose"]), newest)
-        node.subscription(topic, estimates.POSE_STAMPED, lambda message: self._covered(message, message), newest)
+        node.subscription(topic, estimates.ODOMETRY, lambda message: self._on_message(message, message["pose"]), newest)
+        node.subscription(topic, estimates.POSE_STAMPED, lambda message: self._on_message(message, message), newest)
 
-    def _covered(self, message: Mapping[str, Any], part: Mapping[str, Any]) -> None:
+    def _on_message(self, message: Mapping[str, Any], part: Mapping[str, Any]) -> None:
         frame = message["header"]["frame_id"].lstrip("/")
         if frame not in ("", self._frames.map_frame):
-            self.refuse(f"its poses are in the frame {frame!r}, not in {self._frames.map_frame!r}")
+            self.refuse(f"poses are in the frame {frame!r}, not in {self._frames.map_frame!r}")
             return
         try:
             pose = pose_of(part["pose"], stamp_ns(message["header"]))
         except ValueError as err:
             self.refuse(str(err))
             return
-        self.take(pose, plane_of(part["covariance"]) if "covariance" in part else None)
+        self.set_pose(pose, plane_of(part["covariance"]) if "covariance" in part else None)
 
 
-class PortSource(Given):
+class PortSource(ExternalSource):
     """A port to which YARP programs write poses: a Map2DLocation, or x, y and degrees."""
 
     def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:
         super().__init__(host, section, frames, section.pose_port)
-        self._poses = Newest(host.loop, self._valued)
-        host.yarp.input(section.pose_port, self._received)
+        self._poses = Newest(host.loop, self._on_values)
+        host.yarp.input(section.pose_port, self._queue)
 
-    def _received(self, received: Received) -> None:
-        """On the thread of the connection."""
+    def _queue(self, received: Received) -> None:
+        """Queue a pose, on the thread of the connection."""
         self._poses.put((self._host.clock.now_ns(), list(received.values)))
 
-    def _valued(self, said: tuple[int, list[Any]]) -> None:
-        came, values = said
+    def _on_values(self, received: tuple[int, list[Any]]) -> None:
+        stamp, values = received
         numbers = values[1:4] if len(values) in (4, 5) and isinstance(values[0], str) else values
         if len(numbers) != 3 or not all(isinstance(n, int | float) and math.isfinite(n) for n in numbers):
-            self.refuse(f"{values} is neither a Map2DLocation nor x, y and degrees")
+            self.refuse(f"invalid pose {values}: use a Map2DLocation, or x, y and degrees")
             return
         x, y, degrees = map(float, numbers)
-        self.take(Pose(x, y, math.radians(degrees), came))
+        self.set_pose(Pose(x, y, math.radians(degrees), stamp))

@@ -1,1 +1,1 @@
-"""Map2DServer: the maps and places of the store, for YARP's clients, for ROS 1 and ROS 2, and for their planners."""
+"""Map2DServer: serves the store's maps and places to YARP clients, ROS 1 and ROS 2, and their planners."""

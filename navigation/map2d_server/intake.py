@@ -1,4 +1,4 @@
-"""What others publish and the store takes: maps of real map servers and mappers, and points clicked in rviz."""
+"""Imports into the store: maps of other map servers and mappers, and points clicked in rviz."""
 
 from __future__ import annotations
 
@@ -28,90 +28,97 @@ _MOST_POINTS = 10_000
 
 
 class MapIntake:
-    """Takes the maps of one topic, but none of another Map2DServer: those are in the store already."""
+    """Imports the maps of one topic, except those of another Map2DServer, which are in the store already."""
 
-    def __init__(self, host: Host, rule: TakenMap, store: Store, told: Callable[[str], None]) -> None:
-        self._host, self._rule, self._store, self._told = host, rule, store, told
+    def __init__(self, host: Host, rule: TakenMap, store: Store, on_refusal: Callable[[str], None]) -> None:
+        self._host, self._rule, self._store, self._on_refusal = host, rule, store, on_refusal
         self._waiting: tuple[bytes, Message] | None = None
         self._due = False
         self._next = 0.0
         self.topic, self.taken = rule.topic, 0
-        self._end: Subscription = host.node.subscription(rule.topic, GRID, self._heard, LATCHED)
+        self._end: Subscription = host.node.subscription(rule.topic, GRID, self._on_map, LATCHED)
 
-    def _heard(self, message: Message) -> None:
+    def _on_map(self, message: Message) -> None:
         self._waiting = (self._end.sender, message)
         if not self._due:
             self._due = True
             pause = max(_SETTLE, self._next - time.monotonic())
-            self._host.loop.after(pause, self._take)
+            self._host.loop.after(pause, self._import_map)
 
-    def _take(self) -> None:
+    def _import_map(self) -> None:
         self._due = False
         waiting, self._waiting = self._waiting, None
         publishers = self._host.node.hub.graph.publishers(self.topic)
-        if waiting is None or any(each.gid == waiting[0] and is_ours(each) for each in publishers):
+        if waiting is None or any(end.gid == waiting[0] and is_ours(end) for end in publishers):
             return
         self._next = time.monotonic() + self._rule.period
         try:
             grid = from_grid(waiting[1], self._rule.name)
-            with self._store.replica.still():  # nor are flags lost that somebody paints meanwhile
-                self._keep(grid)
+            with self._store.replica.still():  # so that flags painted meanwhile are not lost
+                self._store_map(grid)
         except (StoreError, ValueError) as error:
-            self._told(f"{self.topic}: {error}")
+            self._on_refusal(f"{self.topic}: {error}")
 
-    def _keep(self, grid: MapGrid2D) -> None:
+    def _store_map(self, grid: MapGrid2D) -> None:
         name, before = self._rule.name, self._store.get(MAP, self._rule.name)
         if before is not None:
             keep_flags(grid, before)
         if before is None or grid != before:
             self._store.put(MAP, name, grid)
             self.taken += 1
-            _log.info("%s: taken into the store as map %r", self.topic, name)
+            _log.info("%s: imported into the store as map %r", self.topic, name)
         if self._rule.use and self._store.current_map() != name:
             self._store.use_map(name)
 
 
 class ClickedPoints:
-    """Points of ``/clicked_point`` as locations of the current map."""
+    """Stores points of ``/clicked_point`` as locations on the current map."""
 
     def __init__(
-        self, host: Host, prefix: str, frame: str, store: Store, current: Callable[[], str], told: Callable[[str], None]
+        self,
+        host: Host,
+        prefix: str,
+        frame: str,
+        store: Store,
+        current: Callable[[], str],
+        on_refusal: Callable[[str], None],
     ) -> None:
-        self._prefix, self._frame, self._store, self._current, self._told = prefix, frame, store, current, told
-        host.node.subscription("/clicked_point", "geometry_msgs/msg/PointStamped", self._heard)
+        self._prefix, self._frame, self._store = prefix, frame, store
+        self._current, self._on_refusal = current, on_refusal
+        host.node.subscription("/clicked_point", "geometry_msgs/msg/PointStamped", self._on_point)
 
-    def _heard(self, message: Message) -> None:
+    def _on_point(self, message: Message) -> None:
         try:
-            self._keep(message)
+            self._store_point(message)
         except (StoreError, ValueError) as error:
-            self._told(f"/clicked_point: {error}")
+            self._on_refusal(f"/clicked_point: {error}")
 
-    def _keep(self, message: Message) -> None:
+    def _store_point(self, message: Message) -> None:
         frame, point, current = str(message["header"]["frame_id"]).lstrip("/"), message["point"], self._current()
         if frame != self._frame:
             raise ValueError(
                 f"the point is in the frame {frame!r}; maps are in {self._frame!r}: set rviz's fixed frame"
             )
         if not current:
-            raise ValueError("no map is current, so the point is on none")
+            raise ValueError("the point is on no map: there is no current map")
         x, y = float(point["x"]), float(point["y"])
         if not (np.isfinite(x) and np.isfinite(y)):
-            raise ValueError("the point is nowhere")
-        there = set(self._store.names(LOCATION))
-        name = next((f"{self._prefix}{n}" for n in range(1, _MOST_POINTS) if f"{self._prefix}{n}" not in there), None)
+            raise ValueError("the point is not finite")
+        used = set(self._store.names(LOCATION))
+        name = next((f"{self._prefix}{n}" for n in range(1, _MOST_POINTS) if f"{self._prefix}{n}" not in used), None)
         if name is None:
-            raise ValueError(f"there are {_MOST_POINTS - 1} points already")
+            raise ValueError(f"the store already has {_MOST_POINTS - 1} points")
         self._store.put(LOCATION, name, Map2DLocation(current, x, y, 0.0, "clicked"))
 
 
 def is_ours(endpoint: HubEndpoint) -> bool:
-    """Whether a Map2DServer made an endpoint: this one or another daemon's."""
+    """Whether an endpoint belongs to a Map2DServer, of this or another daemon."""
     return endpoint.node == "map2d_server"
 
 
 def keep_flags(grid: MapGrid2D, before: MapGrid2D) -> None:
-    """Keep what people have drawn on a map when its topic says it anew: keep-out cells, where the place is the same."""
-    where = (grid.flags.shape, grid.resolution, *grid.origin)
-    if where == (before.flags.shape, before.resolution, *before.origin):
+    """Copy the keep-out cells that people have painted to a new version of a map with the same geometry."""
+    geometry = (grid.flags.shape, grid.resolution, *grid.origin)
+    if geometry == (before.flags.shape, before.resolution, *before.origin):
         drawn = before.flags == MapFlag.KEEP_OUT
         grid.flags[drawn] = MapFlag.KEEP_OUT

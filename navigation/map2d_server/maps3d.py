@@ -1,7 +1,7 @@
-"""The store's maps in three dimensions, latched: an octomap or a cloud each; octomaps are served too.
+"""The store's 3D maps on latched topics, each an octomap or a cloud, with services for octomaps.
 
-Below each octomap's topic are the services of `octomap_server` by their names, so that its `octomap_saver` saves the
-map when it is started in that namespace.
+Below each octomap's topic are services with the names of `octomap_server`, so that its `octomap_saver` saves the map if
+it is started in that namespace.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ GET = "octomap_msgs/srv/GetOctomap"
 
 
 def octomap_message(octomap: Octomap, header: Message) -> Message:
-    """``octomap_msgs/msg/Octomap``."""
+    """Return an ``octomap_msgs/msg/Octomap``."""
     return {
         "header": header, "binary": octomap.binary, "id": octomap.id, "resolution": octomap.resolution,
         "data": np.frombuffer(octomap.data, np.int8),
@@ -38,7 +38,7 @@ def octomap_message(octomap: Octomap, header: Message) -> Message:
 
 
 class Maps3D:
-    """Every map in three dimensions on ``/maps3d/<name>``; an octomap with two services of ``GetOctomap`` below."""
+    """Publishes every 3D map on ``/maps3d/<name>``, for an octomap with two services of ``GetOctomap`` below."""
 
     def __init__(self, node: ModuleNode, store: Store, head: Head) -> None:
         self._node, self._store, self._head = node, store, head
@@ -46,42 +46,42 @@ class Maps3D:
         self._servers: dict[str, list[ModuleServer]] = {}
 
     def update(self, changed: Keys) -> None:
-        """Publish the maps that changed; the topics of those that are gone, or are of another form now, go."""
+        """Publish the changed maps; close the topics of maps that were deleted, or have another form."""
         for kind, name in sorted(changed):
             if kind == MAP3D.name:
                 self._show(name)
 
     @property
     def topics(self) -> dict[str, str]:
-        """Each map's topic."""
+        """The topic of each map."""
         return {name: end.topic for name, (_, end) in self._ends.items()}
 
     def _show(self, name: str) -> None:
-        found = self._store.get(MAP3D, name)
-        wanted = "" if found is None else OCTOMAP if isinstance(found, Octomap) else CLOUD
+        value = self._store.get(MAP3D, name)
+        wanted = "" if value is None else OCTOMAP if isinstance(value, Octomap) else CLOUD
         if name in self._ends and self._ends[name][0] != wanted:
             for end in (self._ends.pop(name)[1], *self._servers.pop(name, ())):
                 self._node.release(end)
-        if found is None:
+        if value is None:
             return
         if name not in self._ends:
             topic = topic_of(name, set(self.topics.values()), under="/maps3d")
             self._ends[name] = wanted, self._node.publisher(topic, wanted, LATCHED, priority="state")
             if wanted == OCTOMAP:
                 self._servers[name] = [self._server(name, f"{topic}/octomap_{form}") for form in ("binary", "full")]
-        if isinstance(found, Octomap):
-            self._ends[name][1].publish(octomap_message(found, self._head.header()))
+        if isinstance(value, Octomap):
+            self._ends[name][1].publish(octomap_message(value, self._head.header()))
             return
-        source = ElementReader(found.to_bytes(Profile.YARP3), Profile.YARP3)
+        source = ElementReader(value.to_bytes(Profile.YARP3), Profile.YARP3)
         self._ends[name][1].publish(KINDS[wanted].to_ros(source, self._head.now_ns(), Missing(self._head.frame)))
 
     def _server(self, name: str, service: str) -> ModuleServer:
         def serve(_request: dict[str, Any], answer: Answer) -> None:
-            found, binary = self._store.get(MAP3D, name), service.endswith("binary")
-            if not isinstance(found, Octomap):
-                answer(CallError(f"{service}: the octomap {name!r} is gone"))
+            octomap, binary = self._store.get(MAP3D, name), service.endswith("binary")
+            if not isinstance(octomap, Octomap):
+                answer(CallError(f"{service}: the octomap {name!r} was deleted"))
                 return
-            asked = found if found.binary == binary else Octomap.of(found.tree(), binary=binary)
-            answer({"map": octomap_message(asked, self._head.header())})
+            converted = octomap if octomap.binary == binary else Octomap.of(octomap.tree(), binary=binary)
+            answer({"map": octomap_message(converted, self._head.header())})
 
         return self._node.server(service, GET, serve)

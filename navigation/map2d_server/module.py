@@ -1,7 +1,7 @@
 """Map2DServer: the maps and places of the store for every side.
 
-YARP's clients read and change them by IMap2D. ROS 1 and ROS 2 have the current map, the planners' masks and every map
-as latched topics, and the services of their usual map servers. Each change reaches all clients.
+YARP clients read and change them through IMap2D. ROS 1 and ROS 2 get the current map, the planners' masks and every
+map as latched topics, and the services of their usual map servers. Each change reaches all clients.
 """
 
 from __future__ import annotations
@@ -42,27 +42,29 @@ class Map2DServer(Module):
         self._changed: set[tuple[str, str]] = set()
         self._lock = threading.Lock()
         self._refused, self._last_refused = 0, ""
-        kept = host.config.store
-        files = MapFiles(MapsFolder(section.folder or host.folder / "maps"), self._store, kept.maps, kept.locations)
+        imported = host.config.store
+        files = MapFiles(
+            MapsFolder(section.folder or host.folder / "maps"), self._store, imported.maps, imported.locations
+        )
         node, head = host.node, Head(section.frame, host.clock.now_ns)
         self._current = CurrentMap(node, self._store, head, section.current)
         self._maps = AllMaps(node, self._store, head)
         self._maps3d = Maps3D(node, self._store, head)
         self._masks = Masks(node, self._store, head)
         self._markers = Markers(node, self._store, head)
-        self._intakes = [MapIntake(host, rule, self._store, self._told) for rule in section.take]
+        self._intakes = [MapIntake(host, rule, self._store, self._refuse) for rule in section.take]
         self._others: list[str] = []
-        self._closing = [self._store.watch(self._heard, *_SHOWN), node.hub.graph.watch(self._graph_changed)]
+        self._closing = [self._store.watch(self._on_change, *_SHOWN), node.hub.graph.watch(self._graph_changed)]
         self._graph_due = False
-        self._look()
+        self._check_publishers()
         every = {(kind.name, name) for kind in (MAP, MAP3D) for name in self._store.names(kind)}
         self._refresh(every | {(CURRENT.name, "map")})
-        MapServices(node, self._store, files, self._current, self._maps, self._told)
+        MapServices(node, self._store, files, self._current, self._maps, self._refuse)
         if section.clicked_point:
             ClickedPoints(
-                host, section.clicked_point, section.frame, self._store, lambda: self._current.name, self._told
+                host, section.clicked_point, section.frame, self._store, lambda: self._current.name, self._refuse
             )
-        answers = MapAnswers(self._store, files, self._told)
+        answers = MapAnswers(self._store, files, self._refuse)
         for port in section.ports:
             host.yarp.serve(port, answers)
         if section.command_port:
@@ -70,13 +72,13 @@ class Map2DServer(Module):
 
     def health(self) -> Health:
         """Return the current map, and other publishers of its topic."""
-        words = f"map {self._current.name}" if self._current.name else "no map is current"
+        state = f"map {self._current.name}" if self._current.name else "no current map"
         if self._others:
-            words += f"; {MAP_TOPIC} is published by {', '.join(self._others)}, not by this module"
-        return Health("running", words)
+            state += f"; {MAP_TOPIC} is published by {', '.join(self._others)}, not by this module"
+        return Health("running", state)
 
     def status(self) -> dict[str, Any]:
-        """What it serves, and what it refused."""
+        """Return the served maps, and the refused calls."""
         return {
             "current": self._current.name,
             "maps": self._maps.topics,
@@ -91,8 +93,8 @@ class Map2DServer(Module):
         for close in self._closing:
             close()
 
-    def _heard(self, change: Change) -> None:
-        """Something changed, here or elsewhere; on the store's thread."""
+    def _on_change(self, change: Change) -> None:
+        """Schedule an update after a change here or elsewhere; on the store's thread."""
         with self._lock:
             first = not self._changed
             self._changed.add((change.kind, change.name))
@@ -100,7 +102,7 @@ class Map2DServer(Module):
             self._host.loop.post(self._settle)
 
     def _settle(self) -> None:
-        """Publish what changed; many changes at once are published once."""
+        """Publish all changes since the last update."""
         with self._lock:
             changed, self._changed = self._changed, set()
         self._refresh(changed)
@@ -110,29 +112,29 @@ class Map2DServer(Module):
             try:
                 show(changed)
             except (StoreError, ValueError) as error:
-                self._told(str(error))
+                self._refuse(str(error))
 
     def _show_current(self, changed: Keys) -> None:
-        anew = self._current.update(changed)
-        self._masks.update(self._current, changed, anew=anew)
-        self._markers.update(self._current, changed, anew=anew)
+        map_changed = self._current.update(changed)
+        self._masks.update(self._current, changed, map_changed=map_changed)
+        self._markers.update(self._current, changed, map_changed=map_changed)
 
     def _graph_changed(self) -> None:
-        """On a thread of zenoh."""
+        """Schedule a check of the map's publishers; on a thread of zenoh."""
         if not self._graph_due:
             self._graph_due = True
-            self._host.loop.post(self._look)
+            self._host.loop.post(self._check_publishers)
 
-    def _look(self) -> None:
+    def _check_publishers(self) -> None:
         """Stop publishing the current map if another program publishes one."""
         self._graph_due = False
-        others = [each for each in self._host.node.hub.graph.publishers(MAP_TOPIC) if not is_ours(each)]
-        self._others = sorted({owner(each) for each in others})
-        self._current.hush(bool(others))
+        others = [end for end in self._host.node.hub.graph.publishers(MAP_TOPIC) if not is_ours(end)]
+        self._others = sorted({owner(end) for end in others})
+        self._current.mute(bool(others))
 
-    def _told(self, why: str) -> None:
-        """A call, a file or a message was refused."""
+    def _refuse(self, reason: str) -> None:
+        """Count and log a refused call, file or message."""
         with self._lock:
-            self._refused, again = self._refused + 1, why == self._last_refused
-            self._last_refused = why
-        _log.log(logging.DEBUG if again else logging.WARNING, "refused: %s", why)
+            self._refused, again = self._refused + 1, reason == self._last_refused
+            self._last_refused = reason
+        _log.log(logging.DEBUG if again else logging.WARNING, "refused: %s", reason)

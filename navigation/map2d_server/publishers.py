@@ -1,4 +1,4 @@
-"""What is published of maps and places, latched: the current map, every map, masks for Nav2's filters, markers."""
+"""Latched publishers of maps and places: the current map, every map, masks for Nav2's filters, markers."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 
 
 class Head:
-    """What headers say: the frame of all maps, and the time in nanoseconds."""
+    """The content of headers: the frame of all maps, and the time in nanoseconds."""
 
     def __init__(self, frame: str, now_ns: Callable[[], int]) -> None:
         self.frame, self.now_ns = frame, now_ns
 
     def header(self) -> Message:
-        """``std_msgs/msg/Header`` of now."""
+        """Return a ``std_msgs/msg/Header`` with the current time."""
         seconds, nanoseconds = divmod(self.now_ns(), 1_000_000_000)
         return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": self.frame}
 
 
-def colour(red: float, green: float, blue: float) -> Message:
-    """``std_msgs/msg/ColorRGBA``."""
+def color(red: float, green: float, blue: float) -> Message:
+    """Return a ``std_msgs/msg/ColorRGBA``."""
     return {"r": red, "g": green, "b": blue, "a": 1.0}
 
 
 def points(corners: Sequence[tuple[float, float]], z: float = 0.02) -> list[Message]:
-    """``geometry_msgs/msg/Point`` of each corner."""
+    """Return a ``geometry_msgs/msg/Point`` for each corner."""
     return [{"x": x, "y": y, "z": z} for x, y in corners]
 
 
@@ -51,13 +51,13 @@ SPEED, SPEED_INFO = "/speed_filter_mask", "/speed_costmap_filter_info"
 INFO = "nav2_msgs/msg/CostmapFilterInfo"
 
 _KEEP_OUT_FILTER = 0
-"""``CostmapFilterInfo.type`` of KeepoutFilter; 1 and 2 are SpeedFilter's, in percent and metres per second."""
+"""``CostmapFilterInfo.type`` of KeepoutFilter; 1 and 2 are SpeedFilter's, in percent and m/s."""
 
 
 def masks_of(grid: MapGrid2D, store: Store, head: Head) -> dict[str, tuple[str, Message]]:
-    """What to publish: type and message by topic. The grid is the current map, turned to yaw 0."""
-    here = {name: area for name, area in store.all(AREA).items() if area.map_id == grid.name and area.points}
-    areas = [(area, store.behaviour(name)) for name, area in here.items()]
+    """Return the type and message of each mask by topic. The grid is the current map, aligned to yaw 0."""
+    on_map = {name: area for name, area in store.all(AREA).items() if area.map_id == grid.name and area.points}
+    areas = [(area, store.behaviour(name)) for name, area in on_map.items()]
     mask = keepout_mask(grid, [area for area, behaviour in areas if behaviour.keep_out])
     limits = [(area, behaviour.max_speed) for area, behaviour in areas if behaviour.max_speed is not None]
     speed = speed_mask(grid, limits)
@@ -89,32 +89,32 @@ _ARROW, _CUBE, _LINES, _TEXT = 0, 1, 4, 9
 _DELETE_ALL = 3
 _TEXT_HEIGHT = 0.2
 _GREEN, _BLUE, _ORANGE, _GREY = (
-    colour(0.1, 0.7, 0.2),
-    colour(0.1, 0.4, 0.9),
-    colour(1.0, 0.6, 0.0),
-    colour(0.5, 0.5, 0.5),
+    color(0.1, 0.7, 0.2),
+    color(0.1, 0.4, 0.9),
+    color(1.0, 0.6, 0.0),
+    color(0.5, 0.5, 0.5),
 )
 
 
 def markers_of(store: Store, map_name: str, head: Head) -> Message:
-    """All places on a map. Markers that were shown before go: the first of the list deletes all."""
-    made = _Markers(head)
+    """Return markers of all places on a map; the first one deletes all previous markers."""
+    markers = _Markers(head)
     for name, location in store.all(LOCATION).items():
         if location.map_id == map_name:
-            made.add_location(name, location)
+            markers.add_location(name, location)
     for name, thing in store.all(OBJECT).items():
         if thing.map_id == map_name:
-            made.add_object(name, thing)
+            markers.add_object(name, thing)
     for name, area in store.all(AREA).items():
         if area.map_id == map_name and area.points:
-            made.add_area(name, area)
+            markers.add_area(name, area)
     for name, path in store.all(PATH).items():
-        made.add_path(name, path, map_name)
-    return {"markers": made.markers}
+        markers.add_path(name, path, map_name)
+    return {"markers": markers.markers}
 
 
 class _Markers:
-    """Makes the markers of places; a place's marker and text have its name as namespace."""
+    """Builds the markers of places; a place's marker and text have its name as namespace."""
 
     def __init__(self, head: Head) -> None:
         self._header = head.header()
@@ -139,10 +139,10 @@ class _Markers:
         self._text("area", name, sum(p.x for p in area.points) / count, sum(p.y for p in area.points) / count)
 
     def add_path(self, name: str, path: Map2DPath, map_name: str) -> None:
-        way = [(point.x, point.y) for point in path.waypoints if point.map_id == map_name]
-        if len(way) > 1:
-            self._line("path", name, way, _GREY)
-            self._text("path", name, *way[0])
+        points = [(point.x, point.y) for point in path.waypoints if point.map_id == map_name]
+        if len(points) > 1:
+            self._line("path", name, points, _GREY)
+            self._text("path", name, *points[0])
 
     def _line(self, kind: str, name: str, corners: list[tuple[float, float]], color: Message) -> None:
         width = {"x": 0.04, "y": 0.0, "z": 0.0}
@@ -152,14 +152,14 @@ class _Markers:
     def _text(self, kind: str, name: str, x: float, y: float) -> None:
         shape = {"x": 0.0, "y": 0.0, "z": _TEXT_HEIGHT}
         place = pose_message(Pose(x, y, 0.0), 0.2)
-        self._add(f"{kind} name", name, _TEXT, pose=place, scale=shape, color=colour(1, 1, 1), text=name)
+        self._add(f"{kind} name", name, _TEXT, pose=place, scale=shape, color=color(1, 1, 1), text=name)
 
     def _add(self, kind: str, name: str, form: int, **fields: object) -> None:
         number = len(self.markers)
         self.markers.append({"header": self._header, "ns": f"{kind} {name}", "id": number, "type": form, **fields})
 
 
-Keys = AbstractSet[tuple[str, str]]  # kinds and names of what changed
+Keys = AbstractSet[tuple[str, str]]  # kinds and names of changed values
 MAP_TOPIC, METADATA_TOPIC = "/map", "/map_metadata"
 _FORBIDDEN = re.compile(r"[^A-Za-z0-9_]")
 
@@ -170,41 +170,41 @@ class CurrentMap:
     def __init__(self, node: ModuleNode, store: Store, head: Head, default: str) -> None:
         self._node, self._store, self._head, self._default = node, store, head, default
         self._ends: tuple[ModulePublisher, ModulePublisher] | None = None
-        self._silent = False
-        self.name = ""  # its name, "" where none was chosen
-        self.grid: MapGrid2D | None = None  # the map itself, turned to yaw 0; None where there is none
+        self._muted = False
+        self.name = ""  # "" without a current map
+        self.grid: MapGrid2D | None = None  # the current map, aligned to yaw 0
 
     def choose(self) -> str:
-        """The name of the map that is current: the one that was chosen, or the rule's where it is there."""
+        """Return the name of the current map: the selected one, or the section's default if the store has it."""
         return self._store.current_map() or (self._default if self._default in self._store.names(MAP) else "")
 
     def update(self, changed: Keys) -> bool:
-        """Publish the map if it is another now; whether it is."""
+        """Publish the map if it has changed; return whether it has."""
         name = self.choose()
         if name == self.name and not changed & {(MAP.name, name), (CURRENT.name, "map")}:
             return False
         self.name = name
-        found = self._store.get(MAP, name) if name else None
-        self.grid = None if found is None else turned(found)
+        stored = self._store.get(MAP, name) if name else None
+        self.grid = None if stored is None else turned(stored)
         self._publish()
         return True
 
-    def hush(self, silent: bool) -> None:
-        """Publish nothing, since somebody else publishes the map; or publish again."""
-        if silent != self._silent:
-            self._silent = silent
+    def mute(self, muted: bool) -> None:
+        """Stop publishing while another program publishes the map, or publish again."""
+        if muted != self._muted:
+            self._muted = muted
             self._publish()
 
     def message(self) -> Message | None:
-        """The map as ``OccupancyGrid``, if any."""
+        """Return the map as ``OccupancyGrid``, or None."""
         return None if self.grid is None else self.message_of(self.grid)
 
     def message_of(self, grid: MapGrid2D) -> Message:
-        """Any map as ``OccupancyGrid``."""
+        """Return any map as ``OccupancyGrid``."""
         return to_grid(grid, self._head.frame, self._head.now_ns())
 
     def _publish(self) -> None:
-        if self.grid is None or self._silent:
+        if self.grid is None or self._muted:
             for end in self._ends or ():
                 self._node.release(end)
             self._ends = None
@@ -220,46 +220,46 @@ class CurrentMap:
 
 
 class AllMaps:
-    """Every map of the store on ``/maps/<name>``."""
+    """Publishes every map of the store on ``/maps/<name>``."""
 
     def __init__(self, node: ModuleNode, store: Store, head: Head) -> None:
         self._node, self._store, self._head = node, store, head
         self._ends: dict[str, ModulePublisher] = {}
 
     def update(self, changed: Keys) -> None:
-        """Publish the maps that changed; the topics of those that are gone go."""
+        """Publish the changed maps, and close the topics of deleted ones."""
         for kind, name in sorted(changed):
             if kind == MAP.name:
                 self._show(name)
 
     @property
     def topics(self) -> dict[str, str]:
-        """Each map's topic."""
+        """The topic of each map."""
         return {name: end.topic for name, end in self._ends.items()}
 
     def _show(self, name: str) -> None:
-        found = self._store.get(MAP, name)
+        stored = self._store.get(MAP, name)
         end = self._ends.get(name)
-        if found is None:
+        if stored is None:
             if end is not None:
                 self._node.release(self._ends.pop(name))
             return
         if end is None:
             topic = topic_of(name, set(self.topics.values()))
             end = self._ends[name] = self._node.publisher(topic, GRID, LATCHED, priority="state")
-        end.publish_cdr(bytes(to_cdr(turned(found), self._head.frame, self._head.now_ns())))
+        end.publish_cdr(bytes(to_cdr(turned(stored), self._head.frame, self._head.now_ns())))
 
 
 class Masks:
-    """What planners are to keep out of, and where they are to be slow, for the filters of Nav2's costmaps."""
+    """Publishes the masks of keep-out areas and speed limits for the filters of Nav2's costmaps."""
 
     def __init__(self, node: ModuleNode, store: Store, head: Head) -> None:
         self._node, self._store, self._head = node, store, head
         self._ends: dict[str, ModulePublisher] = {}
 
-    def update(self, current: CurrentMap, changed: Keys, *, anew: bool) -> None:
-        """Publish the masks of the current map if it, or an area, is another now."""
-        if not (anew or any(kind in (AREA.name, BEHAVIOUR.name) for kind, _ in changed)):
+    def update(self, current: CurrentMap, changed: Keys, *, map_changed: bool) -> None:
+        """Publish the masks of the current map if the map or an area has changed."""
+        if not (map_changed or any(kind in (AREA.name, BEHAVIOUR.name) for kind, _ in changed)):
             return
         messages = {} if current.grid is None else masks_of(current.grid, self._store, self._head)
         for topic in self._ends.keys() - messages.keys():
@@ -271,7 +271,7 @@ class Masks:
 
 
 class Markers:
-    """Places on the current map, for rviz."""
+    """Publishes places on the current map as markers for rviz."""
 
     _KINDS = frozenset(kind.name for kind in (LOCATION, OBJECT, AREA, PATH))
 
@@ -279,14 +279,17 @@ class Markers:
         self._store, self._head = store, head
         self._end = node.publisher(MARKERS, MARKERS_TYPE, LATCHED, priority="state")
 
-    def update(self, current: CurrentMap, changed: Keys, *, anew: bool) -> None:
-        """Publish them if some changed, or the map did."""
-        if anew or any(kind in self._KINDS for kind, _ in changed):
+    def update(self, current: CurrentMap, changed: Keys, *, map_changed: bool) -> None:
+        """Publish the markers if a place or the map has changed."""
+        if map_changed or any(kind in self._KINDS for kind, _ in changed):
             self._end.publish(markers_of(self._store, current.name, self._head))
 
 
 def topic_of(name: str, taken: AbstractSet[str] = frozenset(), *, under: str = "/maps") -> str:
-    """The topic ``/maps/<name>``, ``_`` for what none has; 8 digits of the name's SHA-256 follow where it is taken."""
+    """Return the topic ``/maps/<name>``, with ``_`` for invalid characters, and a hash if it is taken.
+
+    The hash has 8 digits of the name's SHA-256.
+    """
     part = _FORBIDDEN.sub("_", name)[:200]
     topic = f"{under}/{'n' if part[0].isdigit() else ''}{part}"
     return f"{topic}_{hashlib.sha256(name.encode()).hexdigest()[:8]}" if topic in taken else topic

@@ -1,6 +1,6 @@
-"""What clients call: the services of ROS's map servers, YARP's IMap2D, and a few commands for ``yarp rpc``."""
+"""The services of ROS's map servers, YARP's IMap2D, and commands for ``yarp rpc``."""
 
-# ruff: noqa: D102, N802, N815 - the interface says what each does, and its names are YARP's
+# ruff: noqa: D102, N802, N815 - YARP's names, documented in its interface
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ T = TypeVar("T")
 
 
 def _methods(kind: ValueKind[Any]) -> tuple[Any, ...]:
-    """The methods that are the same for each kind of place."""
+    """Return the methods that are the same for each kind of place."""
 
     def store(self: MapAnswers, name: str, value: Any) -> ReturnValue:
-        return self._put(kind, name, value)
+        return self._store_value(kind, name, value)
 
     def get(self: MapAnswers, name: str) -> tuple[ReturnValue, Any]:
         return self._get(kind, name)
@@ -54,11 +54,11 @@ def _methods(kind: ValueKind[Any]) -> tuple[Any, ...]:
 
 
 class MapAnswers(IMap2DMsgs):
-    """Serves IMap2D, on threads of connections; what is stored or loaded takes the place of what has its name."""
+    """Serves IMap2D, on threads of connections; stored and loaded values replace those with the same name."""
 
-    def __init__(self, store: Store, files: MapFiles, told: Callable[[str], None]) -> None:
+    def __init__(self, store: Store, files: MapFiles, on_refusal: Callable[[str], None]) -> None:
         super().__init__()
-        self._store, self._files, self._told = store, files, told
+        self._store, self._files, self._on_refusal = store, files, on_refusal
         self._compressed = True
 
     # -- maps ---------------------------------------------------------------------------------------------------------
@@ -67,12 +67,12 @@ class MapAnswers(IMap2DMsgs):
         return self._change(self._store.clear, MAP)
 
     def store_map_RPC(self, themap: MapGrid2D) -> ReturnValue:
-        return self._put(MAP, themap.name, themap)
+        return self._store_value(MAP, themap.name, themap)
 
     def get_map_RPC(self, map_name: str) -> tuple[ReturnValue, MapGrid2D]:
-        outcome, found = self._get(MAP, map_name)
-        found.enable_map_compression_over_network(self._compressed)
-        return outcome, found
+        outcome, grid = self._get(MAP, map_name)
+        grid.enable_map_compression_over_network(self._compressed)
+        return outcome, grid
 
     def get_map_names_RPC(self) -> tuple[ReturnValue, list[str]]:
         return self._names(MAP)
@@ -86,10 +86,10 @@ class MapAnswers(IMap2DMsgs):
         return OK
 
     def clear_map_temporary_flags_RPC(self, map_name: str) -> ReturnValue:
-        with self._store.replica.still():  # nor is what somebody paints meanwhile lost
-            _, found = self._get(MAP, map_name)
-            found.clearMapTemporaryFlags()
-            return self._put(MAP, map_name, found)
+        with self._store.replica.still():  # so that flags painted meanwhile are not lost
+            _, grid = self._get(MAP, map_name)
+            grid.clearMapTemporaryFlags()
+            return self._store_value(MAP, map_name, grid)
 
     def enable_maps_compression_RPC(self, enable_compression: bool) -> ReturnValue:
         self._compressed = enable_compression
@@ -138,10 +138,10 @@ class MapAnswers(IMap2DMsgs):
 
     def _get(self, kind: ValueKind[T], name: str) -> tuple[ReturnValue, T]:
         with self._refusing():
-            found = self._store.get(kind, name)
-        if found is None:
-            raise CallFailed(reason=f"there is no {kind.name} {name!r}")
-        return OK, found
+            value = self._store.get(kind, name)
+        if value is None:
+            raise CallFailed(reason=f"no {kind.name} {name!r}")
+        return OK, value
 
     def _names(self, kind: ValueKind[Any]) -> tuple[ReturnValue, list[str]]:
         with self._refusing():
@@ -149,16 +149,16 @@ class MapAnswers(IMap2DMsgs):
 
     def _all(self, kind: ValueKind[T]) -> tuple[ReturnValue, list[T]]:
         with self._refusing():
-            found = self._store.all(kind)
-        return OK, [found[name] for name in sorted(found)]
+            values = self._store.all(kind)
+        return OK, [values[name] for name in sorted(values)]
 
-    def _put(self, kind: ValueKind[T], name: str, value: T) -> ReturnValue:
+    def _store_value(self, kind: ValueKind[T], name: str, value: T) -> ReturnValue:
         return self._change(self._store.put, kind, name, value)
 
     def _delete(self, kind: ValueKind[Any], name: str) -> ReturnValue:
         with self._refusing():
             if not self._store.delete(kind, name):
-                raise CallFailed(reason=f"there is no {kind.name} {name!r}")
+                raise CallFailed(reason=f"no {kind.name} {name!r}")
         return OK
 
     def _change(self, action: Callable[..., Any], *arguments: Any) -> ReturnValue:
@@ -168,26 +168,26 @@ class MapAnswers(IMap2DMsgs):
 
     @contextmanager
     def _refusing(self) -> Iterator[None]:
-        """Turn what the store and the files refuse into the call's failure, and report it."""
+        """Report errors of the store and of files, and fail the call."""
         try:
             yield
         except (StoreError, ValueError, OSError) as error:
-            self._told(str(error))
+            self._on_refusal(str(error))
             raise CallFailed(reason=str(error)) from error
 
 
-_HELP = ["current: the name of the current map", "use NAME: make a map of the store the current one", "maps: all names"]
+_HELP = ["current: the name of the current map", "use NAME: select a map of the store", "maps: all names"]
 
 
 class MapCommands:
-    """Answers a Bottle of words; what it raises is the answer ``[fail]`` with the text."""
+    """Answers commands in Bottles; an error is answered as ``[fail]`` with its text."""
 
     def __init__(self, store: Store, current: CurrentMap) -> None:
         self._store, self._current = store, current
 
-    def answer(self, words: list[Any]) -> list[Any]:
-        """The answer to some words."""
-        match [str(word) for word in words]:
+    def answer(self, values: list[Any]) -> list[Any]:
+        """Answer a command."""
+        match [str(value) for value in values]:
             case ["current"]:
                 return [self._current.choose()]
             case ["maps"]:
@@ -206,11 +206,11 @@ class MapCommands:
 
 
 _SUCCESS, _NOT_THERE, _INVALID = 0, 1, 2
-"""``result`` of LoadMap (`nav2_msgs/srv/LoadMap.srv`); ROS 1's knows the same numbers."""
+"""``result`` of LoadMap (`nav2_msgs/srv/LoadMap.srv`); ROS 1 has the same values."""
 
 
 class MapServices:
-    """Serves the current map, and changes it; clients load from and save to ``files``."""
+    """Serves and changes the current map; clients load from and save to ``files``."""
 
     def __init__(
         self,
@@ -219,10 +219,10 @@ class MapServices:
         files: MapFiles,
         current: CurrentMap,
         maps: AllMaps,
-        told: Callable[[str], None],
+        on_refusal: Callable[[str], None],
     ) -> None:
         self._store, self._files, self._current, self._maps = store, files, current, maps
-        self._told = told
+        self._on_refusal = on_refusal
         node.server("/static_map", "nav_msgs/srv/GetMap", self._static_map)
         node.server("/map_server/map", "nav_msgs/srv/GetMap", self._get)
         node.server("/change_map", "nav_msgs/srv/LoadMap", self._load)
@@ -231,27 +231,27 @@ class MapServices:
 
     def _static_map(self, _request: Message, answer: Answer) -> None:
         message = self._current.message()
-        answer(CallError("no map is current; choose one of the store") if message is None else {"map": message})
+        answer(CallError("no current map; select one of the store") if message is None else {"map": message})
 
     def _get(self, _request: Message, answer: Answer) -> None:
-        # a ROS 2 client would wait for ever for an answer to a call that failed
+        # a ROS 2 client would wait forever for the answer to a failed call
         message = self._current.message()
         answer({} if message is None else {"map": message})
 
     def _load(self, request: Message, answer: Answer) -> None:
         try:
-            grid = self._used(str(request["map_url"]))
+            grid = self._select(str(request["map_url"]))
         except FileNotFoundError as error:
-            self._told(f"LoadMap: {error}")
+            self._on_refusal(f"LoadMap: {error}")
             answer({"result": _NOT_THERE})
         except (StoreError, ValueError, OSError) as error:
-            self._told(f"LoadMap: {error}")
+            self._on_refusal(f"LoadMap: {error}")
             answer({"result": _INVALID})
         else:
             answer({"map": self._current.message_of(grid), "result": _SUCCESS})
 
-    def _used(self, wanted: str) -> MapGrid2D:
-        """The map that a client wants, made the current one: one of the store, or of a file that is loaded now."""
+    def _select(self, wanted: str) -> MapGrid2D:
+        """Select the map that a client requests, of the store or from a file; return it aligned with the axes."""
         stored = self._store.get(MAP, wanted) if wanted in self._store.names(MAP) else None
         grid = self._files.load_map(wanted) if stored is None else stored
         self._store.use_map(grid.name)
@@ -268,7 +268,7 @@ class MapServices:
                 thresholds=(float(request["free_thresh"]), float(request["occupied_thresh"])),
             )
         except (StoreError, ValueError, OSError) as error:
-            self._told(f"SaveMap: {error}")
+            self._on_refusal(f"SaveMap: {error}")
             answer({"result": False})
         else:
             answer({"result": True})
@@ -276,5 +276,5 @@ class MapServices:
     def _of_topic(self, topic: str) -> str:
         names = {other: name for name, other in self._maps.topics.items()} | {MAP_TOPIC: self._current.name}
         if not names.get(topic):
-            raise ValueError(f"{topic} is none of the store's maps; those are {', '.join(sorted(names))}")
+            raise ValueError(f"{topic} is not a map of the store; its maps are {', '.join(sorted(names))}")
         return names[topic]

@@ -1,1 +1,1 @@
-"""Mapper2D: a map from a laser and a pose that is given, painted on while it grows."""
+"""Mapper2D: builds a map from a laser and the robot's pose; people can paint on it meanwhile."""

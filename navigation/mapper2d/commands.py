@@ -1,4 +1,4 @@
-"""The commands of ``/mapper2D/rpc``, and the map as a picture to paint on."""
+"""The commands of ``/mapper2D/rpc``, and painting on a picture of the map."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from yarp_compat.dev.mapinfo import MapGrid2DInfo
 from yarp_compat.sig.image import ImageRgb
 
 _ROBOT = (0, 90, 200)
-_LENGTH = 0.4  # metres of the line that shows where the robot looks
+_LENGTH = 0.4  # meters of the line that shows the robot's heading
 
 
 class Canvas:
-    """Shows the map, a pixel for each cell, and paints where it is clicked."""
+    """Draws the map with one pixel per cell, and paints on clicks."""
 
     def __init__(self, mapper: Mapper) -> None:
         self._mapper = mapper
@@ -34,68 +34,68 @@ class Canvas:
         self._shown: MapGrid2DInfo | None = None
 
     def use(self, paint: str) -> None:
-        """Paint so; raises `ValueError` where there is no such paint."""
+        """Select what clicks paint; raises `ValueError` for an unknown name."""
         if paint not in PAINTS:
-            raise ValueError(f"{paint[:20]!r} cannot be painted; {', '.join(PAINTS)} can")
+            raise ValueError(f"unknown pixel type {paint[:20]!r}; use {', '.join(PAINTS)}")
         self._flag = PAINTS[paint]
 
     def size(self, cells: float) -> None:
-        """Have a brush of so many cells along a side; raises `ValueError`."""
+        """Set the brush's width in cells; raises `ValueError` for an invalid width."""
         if cells != int(cells) or not 1 <= cells <= MOST_BRUSH:
-            raise ValueError(f"a brush has 1 to {MOST_BRUSH} cells, not {cells:g}")
+            raise ValueError(f"a brush must have 1 to {MOST_BRUSH} cells, not {cells:g}")
         self._brush = int(cells)
 
     def paint(self, at: tuple[float, float], to: tuple[float, float]) -> int:
-        """Paint from a place to another (metres); how many cells. Raises `ValueError` where one is off the map."""
+        """Paint a line between two points (meters); return the number of cells. Raises `ValueError` outside the map."""
         return self._mapper.paint(at, self._flag, self._brush, to)
 
     def picture(self, robot: Pose | None) -> ImageRgb:
-        """The map now, with the robot on it where that is known."""
+        """Draw the current map, with the robot if its pose is known."""
         grid = self._mapper.grid()
         pixels = picture_of_flags(grid.flags)
         if robot is not None:
             along = np.linspace(0.0, _LENGTH, 2 * math.ceil(_LENGTH / grid.resolution) + 1)
             line = np.stack((robot.x + along * math.cos(robot.theta), robot.y + along * math.sin(robot.theta)), -1)
             columns, rows = grid.cells_at(line).T
-            there = (columns >= 0) & (columns < grid.width()) & (rows >= 0) & (rows < grid.height())
-            pixels[rows[there], columns[there]] = _ROBOT
+            on_map = (columns >= 0) & (columns < grid.width()) & (rows >= 0) & (rows < grid.height())
+            pixels[rows[on_map], columns[on_map]] = _ROBOT
         self._shown = MapGrid2DInfo(grid.name, grid.width(), grid.height(), grid.resolution, grid.origin)
         return ImageRgb.of(pixels)
 
     def clicked(self, values: Sequence[Any]) -> int:
-        """Paint where the picture that was shown last was clicked; how many cells.
+        """Paint at a click on the last picture; return the number of cells.
 
-        The values are ``x y``, or ``x0 y0 x1 y1`` of a drag: pixels from the upper left one. Raises `ValueError` if it
-        is no click, or not on the picture.
+        The values are ``x y``, or ``x0 y0 x1 y1`` of a drag: pixels from the upper left one. Raises `ValueError` for
+        other values, or outside the picture.
         """
         numbers = all(isinstance(value, (int, float)) and math.isfinite(value) for value in values)
         if len(values) not in (2, 4) or not numbers:
-            raise ValueError(f"a click is (x y), a drag (x0 y0 x1 y1); not {list(values)[:5]}")
+            raise ValueError(f"a click must be (x y), a drag (x0 y0 x1 y1), not {list(values)[:5]}")
         shown = self._shown
         if shown is None:
-            raise ValueError("nothing was clicked: no picture of the map was shown yet")
+            raise ValueError("clicks need a picture of the map, which has not been sent yet")
         pixels = np.floor(np.reshape([float(value) for value in values], (-1, 2)))
         if not ((pixels >= 0).all() and (pixels < (shown.m_width, shown.m_height)).all()):
-            raise ValueError(f"{list(values)} is not on the map's picture of {shown.m_width} x {shown.m_height}")
+            raise ValueError(f"{list(values)} is outside the map's picture of {shown.m_width} x {shown.m_height}")
         places = [(float(x), float(y)) for x, y in shown.centers_of(pixels)]
         return self.paint(places[0], places[-1])
 
 
 HELP = (
-    "help: these lines",
-    "start: take scans",
-    "stop: take none",
-    "clear: begin a new map",
-    "initLoc MAP X Y THETA: the robot is there now, on the map of that name (metres, degrees)",
-    "save_to_file FILE: a name in the maps folder, .map for YARP or .yaml for ROS",
-    "save_to_mapserver: into the store, for map servers and planners",
-    "load_from_file FILE: go on with a map of the maps folder",
-    "load_from_mapserver MAP: go on with a map of the store",
-    "set_pixel_type wall|free|unknown|keepout: what clicks on map:o paint; unknown forgets",
-    "set_pixel_size N: cells along a side of the brush",
-    "paint X Y [X Y]: as a click, or a drag, at places in metres",
-    "enlarge METRES: add so much of the unknown at each side",
-    "enlarge_obstacles METRES: mark so much around walls on maps that are given out; 0 for none",
+    "help: list the commands",
+    "start: start mapping",
+    "stop: stop mapping",
+    "clear: start a new map",
+    "initLoc MAP X Y THETA: set the map's name and the robot's current pose (meters, degrees)",
+    "save_to_file FILE: save the map in the maps folder, as .map for YARP or .yaml for ROS",
+    "save_to_mapserver: save the map in the store, for map servers and planners",
+    "load_from_file FILE: load a map from the maps folder and continue it",
+    "load_from_mapserver MAP: load a map from the store and continue it",
+    "set_pixel_type wall|free|unknown|keepout: what clicks on map:o paint; unknown resets cells",
+    "set_pixel_size N: the brush's width in cells",
+    "paint X Y [X Y]: paint a point, or a line, in meters",
+    "enlarge METERS: add unknown cells on each side",
+    "enlarge_obstacles METERS: enlarge walls on published maps; 0 for none",
 )
 
 
@@ -113,7 +113,7 @@ class MapperCommands(Commands):
             "clear": self._clear,
             "initLoc": self._locate,
             "save_to_file": self._save_file,
-            "save_to_mapserver": lambda _rest: self.save(),
+            "save_to_mapserver": lambda _arguments: self.save(),
             "load_from_file": self._load_file,
             "load_from_mapserver": self._load,
             "set_pixel_type": self._type,
@@ -124,99 +124,100 @@ class MapperCommands(Commands):
         })  # fmt: skip
 
     def answer(self, values: list[Any]) -> list[Any]:
-        """As `Commands.answer`."""
+        """Answer as `Commands.answer`; errors of files and the store also raise `ValueError`."""
         try:
             return super().answer(values)
         except (OSError, StoreError) as err:
             raise ValueError(f"{values[0]}: {err}") from None
 
     def save(self) -> str:
-        """Put the map into the store; what was done. Raises `StoreError`."""
+        """Save the map in the store; return a text for people. Raises `StoreError`."""
         grid = self._mapper.grid()
         self._store().put(MAP, grid.name, grid)
         return f"Map {grid.name} saved into the store."
 
-    def _start(self, _rest: list[Any]) -> str:
+    def _start(self, _arguments: list[Any]) -> str:
         self._mapper.mapping = True
         return "Mapping."
 
-    def _stop(self, _rest: list[Any]) -> str:
+    def _stop(self, _arguments: list[Any]) -> str:
         self._mapper.mapping = False
-        return "Not mapping; 'start' goes on."
+        return "Stopped; 'start' continues."
 
-    def _clear(self, _rest: list[Any]) -> str:
+    def _clear(self, _arguments: list[Any]) -> str:
         self._mapper.clear()
-        return "A new map is begun."
+        return "Started a new map."
 
-    def _locate(self, rest: list[Any]) -> str:
-        if len(rest) != 4 or not isinstance(rest[0], str):
-            raise ValueError("initLoc MAP X Y THETA (metres, degrees)")
-        x, y, theta = _numbers(rest[1:])
-        self._mapper.name = _name(rest[0])
+    def _locate(self, arguments: list[Any]) -> str:
+        if len(arguments) != 4 or not isinstance(arguments[0], str):
+            raise ValueError("usage: initLoc MAP X Y THETA (meters, degrees)")
+        x, y, theta = _numbers(arguments[1:])
+        self._mapper.name = _name(arguments[0])
         self._poses.set(Pose(x, y, math.radians(theta)))
         return f"The robot is at {x:g}, {y:g} m, {theta:g} degrees on {self._mapper.name}."
 
-    def _save_file(self, rest: list[Any]) -> str:
-        file = self._folder.new(_word(rest, "FILE"), ".map", ".yaml", ".yml")
+    def _save_file(self, arguments: list[Any]) -> str:
+        file = self._folder.new(_word(arguments, "FILE"), ".map", ".yaml", ".yml")
         self._mapper.grid().save(file)
         return f"Map {self._mapper.name} saved as {file.name}."
 
-    def _load_file(self, rest: list[Any]) -> str:
-        file = self._folder.existing(_word(rest, "FILE"), ".map", ".yaml", ".yml")
+    def _load_file(self, arguments: list[Any]) -> str:
+        file = self._folder.existing(_word(arguments, "FILE"), ".map", ".yaml", ".yml")
         self._mapper.load(MapGrid2D.load(file, jail=self._folder.path))
-        return f"Map {self._mapper.name} loaded; mapping goes on on it."
+        return f"Map {self._mapper.name} loaded; mapping continues on it."
 
-    def _load(self, rest: list[Any]) -> str:
-        name = _word(rest, "MAP")
-        found = self._store().get(MAP, name)
-        if found is None:
-            raise ValueError(f"there is no map {name!r} in the store")
-        self._mapper.load(found)
-        return f"Map {self._mapper.name} loaded; mapping goes on on it."
+    def _load(self, arguments: list[Any]) -> str:
+        name = _word(arguments, "MAP")
+        grid = self._store().get(MAP, name)
+        if grid is None:
+            raise ValueError(f"no map {name!r} in the store")
+        self._mapper.load(grid)
+        return f"Map {self._mapper.name} loaded; mapping continues on it."
 
-    def _type(self, rest: list[Any]) -> str:
-        self._canvas.use(_word(rest, "wall|free|unknown|keepout"))
-        return f"Clicks paint {rest[0]}."
+    def _type(self, arguments: list[Any]) -> str:
+        self._canvas.use(_word(arguments, "wall|free|unknown|keepout"))
+        return f"Clicks paint {arguments[0]}."
 
-    def _size(self, rest: list[Any]) -> str:
-        (size,) = _numbers(rest, 1)
+    def _size(self, arguments: list[Any]) -> str:
+        (size,) = _numbers(arguments, 1)
         self._canvas.size(size)
         return f"The brush has {size:g} by {size:g} cells."
 
-    def _paint(self, rest: list[Any]) -> str:
-        places = _numbers(rest, 2, 4)
+    def _paint(self, arguments: list[Any]) -> str:
+        places = _numbers(arguments, 2, 4)
         cells = self._canvas.paint((places[0], places[1]), (places[-2], places[-1]))
         return f"{cells} cells painted."
 
-    def _enlarge(self, rest: list[Any]) -> str:
-        (metres,) = _numbers(rest, 1)
+    def _enlarge(self, arguments: list[Any]) -> str:
+        (metres,) = _numbers(arguments, 1)
         self._mapper.enlarge(metres)
         return "The map is {:g} by {:g} m.".format(*self._mapper.size)
 
-    def _enlarge_obstacles(self, rest: list[Any]) -> str:
-        (metres,) = _numbers(rest, 1)
+    def _enlarge_obstacles(self, arguments: list[Any]) -> str:
+        (metres,) = _numbers(arguments, 1)
         if not 0.0 <= metres <= 5.0:
-            raise ValueError(f"obstacles are enlarged by 0 to 5 m, not {metres:g}")
+            raise ValueError(f"obstacles can be enlarged by 0 to 5 m, not {metres:g}")
         self._mapper.enlarged = metres
-        return f"Obstacles are enlarged by {metres:g} m on maps that are given out."
+        return f"Published maps have obstacles enlarged by {metres:g} m."
 
 
-def _numbers(rest: list[Any], *counts: int) -> list[float]:
-    if (counts and len(rest) not in counts) or any(
-        isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) for value in rest
+def _numbers(arguments: list[Any], *counts: int) -> list[float]:
+    if (counts and len(arguments) not in counts) or any(
+        isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value)
+        for value in arguments
     ):
         wanted = " or ".join(map(str, counts)) or "three"
-        raise ValueError(f"{wanted} finite numbers are needed, not {' '.join(map(str, rest)) or 'nothing'}")
-    return [float(value) for value in rest]
+        raise ValueError(f"the command needs {wanted} finite numbers, not {' '.join(map(str, arguments)) or 'none'}")
+    return [float(value) for value in arguments]
 
 
-def _word(rest: list[Any], what: str) -> str:
-    if len(rest) != 1 or not isinstance(rest[0], str):
-        raise ValueError(f"one word is needed: {what}; not {' '.join(map(str, rest)) or 'nothing'}")
-    return rest[0]
+def _word(arguments: list[Any], name: str) -> str:
+    if len(arguments) != 1 or not isinstance(arguments[0], str):
+        raise ValueError(f"the command needs one argument {name}, not {' '.join(map(str, arguments)) or 'none'}")
+    return arguments[0]
 
 
 def _name(name: str) -> str:
     if not 1 <= len(name) <= 64 or not name.isprintable():
-        raise ValueError(f"{name[:60]!r} is no name of a map: 1 to 64 letters")
+        raise ValueError(f"invalid map name {name[:60]!r}: it must have 1 to 64 printable characters")
     return name

@@ -1,4 +1,4 @@
-"""The map that Mapper2D makes: what the laser found, and over it what people painted."""
+"""The map of Mapper2D: the laser's observations, overlaid with painted cells."""
 
 from __future__ import annotations
 
@@ -15,42 +15,42 @@ from yarp_compat.dev.mapflag import UNKNOWN, MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 PAINTS = {"wall": MapFlag.WALL, "free": MapFlag.FREE, "unknown": MapFlag.UNKNOWN, "keepout": MapFlag.KEEP_OUT}
-"""What can be painted, by the names of upstream's ``set_pixel_type``."""
+"""The flags that can be painted, by the names of upstream's ``set_pixel_type``."""
 
 MOST_BRUSH = 200
-_BARE = 255  # nobody painted here
-_STEP = 5.0  # metres by which the map grows at a side, so that it does not at every scan
+_BARE = 255  # not painted
+_STEP = 5.0  # meters by which the map grows at a side, so that it does not grow at every scan
 _SURE = 1e-3
 
 
 class Mapper:
-    """Makes a map of scans whose poses are known. It has no thread and no clock of its own."""
+    """Builds a map from scans with known poses, without a thread or a clock."""
 
     def __init__(self, settings: Mapper2DSection) -> None:
         self.settings, self.name = settings, settings.map_name
         self._largest = max(settings.largest, settings.width, settings.height)
-        self.mapping = True  # whether scans are taken
-        self.enlarged = 0.0  # metres around obstacles that are marked on maps that are given out
+        self.mapping = True  # whether scans are used
+        self.enlarged = 0.0  # meters by which obstacles are enlarged on published maps
         self._fan: tuple[int, float, float, NDArray[np.float64], NDArray[np.float64]]
         self._fan = 0, 0.0, 0.0, np.empty(0), np.empty(0)
         self.clear()
 
     def clear(self) -> None:
-        """Begin a new map."""
-        # how many scans were taken into this map; whether the last one reached beyond what it may grow to
+        """Start a new map."""
+        # the number of scans in this map; whether the last one reached beyond the largest size
         self.scans, self.full = 0, False
         self._begin((0.0, 0.0))
 
     def scan(self, pose: Pose, ranges: NDArray[np.floating], first: float, step: float, farthest: float) -> bool:
-        """Take a scan of a laser at a pose on the map; whether it was taken. Raises `ValueError` for a pose not finite.
+        """Add a scan of a laser at a pose on the map; return whether it was used. Raises `ValueError` for NaN poses.
 
-        Ranges are metres, one a beam. Infinite: there is nothing within ``farthest`` metres; NaN: nothing is known.
-        Angles are radians: the first beam's from the laser's direction, and the step to the next.
+        Ranges are in meters, one per beam; infinity means no obstacle within ``farthest`` meters, NaN means unknown.
+        Angles are in radians: the first beam's from the laser's direction, and the step to the next.
         """
         if not self.mapping:
             return False
         if not all(map(math.isfinite, pose[:3])):
-            raise ValueError(f"a scan's pose is finite, not {pose[:3]}")
+            raise ValueError(f"a scan's pose must be finite, not {pose[:3]}")
         beams: NDArray[np.float64] = np.asarray(ranges, np.float64)
         farthest = min(farthest, self.settings.farthest)
         if not (self.scans or self._map.odds.any() or (self._paint != _BARE).any()):
@@ -61,22 +61,22 @@ class Mapper:
         return True
 
     def enlarge(self, metres: float) -> None:
-        """Add so much of the unknown at each side; raises `ValueError` for no distance, or where that is too large."""
+        """Add unknown cells on each side; raises `ValueError` for an invalid width, or if the map gets too large."""
         if not metres > 0.0:
-            raise ValueError(f"a map is enlarged by metres above 0, not by {metres:g}")
+            raise ValueError(f"a map can be enlarged by meters above 0, not by {metres:g}")
         cells = math.ceil(min(metres, 1e6) / self.settings.resolution)
         if not self._grow(cells, cells, cells, cells):
             raise ValueError(f"the map would have a side of more than {self._largest:g} m (modules.mapper2d)")
 
     def paint(self, at: tuple[float, float], flag: MapFlag, brush: int, to: tuple[float, float] | None = None) -> int:
-        """Paint a square of so many cells along a side, or a line of such squares; how many cells that were.
+        """Paint a square with a width in cells, or a line of such squares; return the number of cells.
 
-        What is painted as wall, free or keep-out (`PAINTS`) stays so whatever the laser finds; what is painted as
-        unknown is forgotten, and learnt anew. Places are metres. Raises `ValueError` if one is not on the map, or the
-        brush is none.
+        Cells painted as wall, free or keep-out (`PAINTS`) stay so, whatever the laser observes; cells painted as
+        unknown are reset, and observed again. Points are in meters. Raises `ValueError` outside the map, or for an
+        invalid brush.
         """
         if not 1 <= brush <= MOST_BRUSH:
-            raise ValueError(f"a brush has 1 to {MOST_BRUSH} cells, not {brush}")
+            raise ValueError(f"a brush must have 1 to {MOST_BRUSH} cells, not {brush}")
         (x, y), (end_x, end_y) = self._cell(at), self._cell(to or at)
         count = max(abs(end_x - x), abs(end_y - y)) + 1
         painted = np.zeros(self._paint.shape, np.bool_)
@@ -90,32 +90,32 @@ class Mapper:
         return int(painted.sum())
 
     def grid(self) -> MapGrid2D:
-        """The map as it is now; a copy."""
-        found = self._map.occupancy()
-        occupancy = found.view(np.uint8)  # -1 is 255
-        flags = np.where(found == 100, MapFlag.WALL, np.where(found == 0, MapFlag.FREE, MapFlag.UNKNOWN))
+        """Return a copy of the current map."""
+        observed = self._map.occupancy()
+        occupancy = observed.view(np.uint8)  # -1 is 255
+        flags = np.where(observed == 100, MapFlag.WALL, np.where(observed == 0, MapFlag.FREE, MapFlag.UNKNOWN))
         for flag, value in ((MapFlag.WALL, 100), (MapFlag.FREE, 0)):
             occupancy[self._paint == flag] = value
         flags = np.where(self._paint == _BARE, flags, self._paint).astype(np.uint8)
         x, y = self._map.origin
-        made = MapGrid2D.of(
+        grid = MapGrid2D.of(
             flags[::-1].copy(), occupancy[::-1].copy(),
             name=self.name, resolution=self.settings.resolution, origin=(x, y, 0.0),
         )  # fmt: skip
         if self.enlarged > 0.0:
-            made.enlargeObstacles(self.enlarged)
-        return made
+            grid.enlargeObstacles(self.enlarged)
+        return grid
 
     def load(self, grid: MapGrid2D) -> None:
-        """Go on with another map; its cells' size must be ours.
+        """Continue another map with the same resolution.
 
-        Walls and free cells of it are as if the laser had found them, keep-out cells as if they had been painted.
-        Raises `ValueError` if its cells have another size, or it is too large.
+        Its walls and free cells count as observed by the laser, its keep-out cells as painted. Raises `ValueError` if
+        its resolution differs, or it is too large.
         """
         grid = turned(grid)
         if abs(grid.resolution - self.settings.resolution) > 1e-6:
             raise ValueError(
-                f"the map's cells are of {grid.resolution:g} m, Mapper2D's of {self.settings.resolution:g} m: "
+                f"the map's cells have {grid.resolution:g} m, Mapper2D's {self.settings.resolution:g} m: "
                 "set modules.mapper2d.resolution"
             )
         if max(grid.getSize_in_meters()) > self._largest + _SURE:
@@ -132,20 +132,22 @@ class Mapper:
 
     @property
     def size(self) -> tuple[float, float]:
-        """Width and height, metres."""
+        """Width and height, meters."""
         rows, columns = self._map.odds.shape
         return columns * self.settings.resolution, rows * self.settings.resolution
 
     def _begin(self, middle: tuple[float, float]) -> None:
-        """An empty map about a place, its corners at whole cells so that maps of one robot fit on each other."""
+        """Start an empty map around a point, with corners at whole cells so that maps of one robot can be overlaid."""
         cell = self.settings.resolution
         columns, rows = (max(1, round(size / cell)) for size in (self.settings.width, self.settings.height))
-        origin = tuple(round(at / cell - cells / 2) * cell for at, cells in zip(middle, (columns, rows), strict=True))
+        origin = tuple(
+            round(center / cell - cells / 2) * cell for center, cells in zip(middle, (columns, rows), strict=True)
+        )
         self._map = OccupancyMap(rows, columns, cell, (origin[0], origin[1]))
         self._paint = np.full((rows, columns), _BARE, np.uint8)
 
     def _reach(self, pose: Pose, hits: NDArray[np.float64], first: float, step: float) -> None:
-        """Grow until the robot and all that it sees is on the map, as far as the map may; ``hits``: metres or 0."""
+        """Grow the map until the robot and its echoes are on it, up to the largest size; ``hits``: meters or 0."""
         if self._fan[:3] != (hits.size, first, step):
             angles = first + step * np.arange(hits.size)
             self._fan = hits.size, first, step, np.cos(angles), np.sin(angles)
@@ -168,7 +170,7 @@ class Mapper:
             self.full = not (self._grow(*coarse) or self._grow(*fine))
 
     def _grow(self, below: int, above: int, left: int, right: int) -> bool:
-        """Add cells at the sides; False where the map would be too large, and then nothing is done."""
+        """Add cells at the sides; return False, without a change, if the map would be too large."""
         rows, columns = self._map.odds.shape
         most = self._largest / self.settings.resolution + _SURE
         if max(rows + below + above, columns + left + right) > most:
@@ -178,11 +180,11 @@ class Mapper:
         return True
 
     def _cell(self, place: tuple[float, float]) -> tuple[int, int]:
-        """Column and row of a place."""
+        """Return the column and row of a point; raises `ValueError` outside the map."""
         rows, columns = self._map.odds.shape
         at = [
             (value - origin) / self.settings.resolution for value, origin in zip(place, self._map.origin, strict=True)
         ]
         if not (0.0 <= at[0] < columns and 0.0 <= at[1] < rows):
-            raise ValueError(f"{place[0]:g}, {place[1]:g} m is not on the map")
+            raise ValueError(f"{place[0]:g}, {place[1]:g} m is outside the map")
         return int(at[0]), int(at[1])

@@ -1,4 +1,4 @@
-"""The module Mapper2D: scans of the hub become a map, for every side and for the store."""
+"""The module Mapper2D: builds a map from scans, for every side and for the store."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from navigation.ini import laid_under
 from navigation.map2d_server.files import MapsFolder
 from navigation.mapper2d.commands import Canvas, MapperCommands
 from navigation.mapper2d.mapper import Mapper
-from navigation.mapper2d.poses import COVARIANT, Poses, of_message, sent
+from navigation.mapper2d.poses import COVARIANT, Poses, of_message, sent_ns
 from navigation.mapper2d.settings import read_file
 from navigation.maps.grid import to_cdr
 from navigation.messages import GRID, stamp_ns
@@ -41,20 +41,20 @@ _SILENT_NS = 2_000_000_000
 
 
 class _Scan(NamedTuple):
-    """A scan that waits for its pose; ``came``: ns of the run's clock."""
+    """A scan that waits for its pose; ``received_ns`` is in ns of the run's clock."""
 
-    came: int
+    received_ns: int
     frame: str
     turn: Turn
 
 
 class Mapper2D(Module):
-    """Builds a map while the robot is driven around."""
+    """Builds a map while somebody drives the robot."""
 
     name = "mapper2d"
 
     def start(self, host: Host, section: Section) -> None:
-        """Open the section's topics and ports, and begin to map."""
+        """Open the section's topics and ports, and start mapping."""
         assert isinstance(section, Mapper2DSection)
         self._section, self._notes = laid_under(section, section.ini, read_file)
         section = self._section
@@ -64,70 +64,70 @@ class Mapper2D(Module):
         self.mapper = Mapper(section)
         self.mapper.mapping = section.mapping
         self._waiting: deque[_Scan] = deque(maxlen=_WAITING)
-        self._heard: int | None = None
-        self._dropped, self._trouble, self._told = 0, "", 0
+        self._received_ns: int | None = None
+        self._dropped, self._trouble, self._published = 0, "", 0
         self._changed = True
         self._poses = Poses(host, section)
         self._canvas = Canvas(self.mapper)
         folder = MapsFolder(section.folder or host.folder / "maps")
-        self._words = MapperCommands(self.mapper, self._canvas, self._poses, lambda: host.store, folder)
+        self._commands = MapperCommands(self.mapper, self._canvas, self._poses, lambda: host.store, folder)
         if section.scan:
-            host.node.subscription(section.scan, SCAN, self._hear, Qos(depth=5))
+            host.node.subscription(section.scan, SCAN, self._on_scan, Qos(depth=5))
         self._map = host.node.publisher(section.topic, GRID, LATCHED, priority="state") if section.topic else None
         if section.initial_pose:
-            host.node.subscription(section.initial_pose, COVARIANT, self._placed)
+            host.node.subscription(section.initial_pose, COVARIANT, self._on_initial_pose)
         self._offer(host, section.prefix)
-        host.on_jump(self._forget)
+        host.on_jump(self._clear_waiting)
         host.every(_BEAT, self._work)
-        host.every(section.period, self._tell)
+        host.every(section.period, self._publish)
 
     def _offer(self, host: Host, prefix: str) -> None:
-        host.yarp.respond(f"{prefix}/rpc", lambda values: host.loop.call(lambda: self._asked(values)))
+        host.yarp.respond(f"{prefix}/rpc", lambda values: host.loop.call(lambda: self._answer(values)))
         self._picture = host.yarp.output(f"{prefix}/map:o", "yarp/image")
         host.yarp.input(f"{prefix}/yarpviewTarget:i", self._click)
-        mine = f"{prefix}/laser:i"
-        host.yarp.input(mine, self._hear_yarp)
-        pairs = [(self._section.laser_port, mine)]
+        port = f"{prefix}/laser:i"
+        host.yarp.input(port, self._on_yarp_scan)
+        pairs = [(self._section.laser_port, port)]
         if self._section.pose == "port":
             pairs.append((self._section.pose_port, f"{prefix}/odometry:i"))
-        self._connected = [PortConnection(host.yarp.naming, theirs, ours) for theirs, ours in pairs if theirs]
-        for word, done in (("start", "mapping"), ("stop", "not mapping")):
-            host.node.server(f"/{self.name}/{word}", TRIGGER, self._trigger(word, done))
+        self._connected = [PortConnection(host.yarp.naming, source, target) for source, target in pairs if source]
+        for command, done in (("start", "mapping"), ("stop", "not mapping")):
+            host.node.server(f"/{self.name}/{command}", TRIGGER, self._trigger(command, done))
         host.node.server(f"/{self.name}/save", TRIGGER, self._save)
 
-    def _placed(self, message: dict[str, Any]) -> None:
+    def _on_initial_pose(self, message: dict[str, Any]) -> None:
         """Accept the robot's pose from a topic."""
         frame, place = message["header"]["frame_id"].lstrip("/"), Pose(*of_message(message))
         if frame not in ("", self._section.map_frame.lstrip("/")) or not all(map(math.isfinite, place[:3])):
-            self._host.log.warning("%s: refused: %s in the frame %r", self._section.initial_pose, place[:3], frame)
+            self._host.log.warning("%s: ignored pose %s in the frame %r", self._section.initial_pose, place[:3], frame)
             return
         try:
             check_rotation(message["pose"]["pose"]["orientation"], "the pose's")
         except ValueError as err:
-            self._host.log.warning("%s: refused: %s", self._section.initial_pose, err)
+            self._host.log.warning("%s: ignored: %s", self._section.initial_pose, err)
         else:
             self._poses.set(place)
 
-    def _hear(self, message: dict[str, Any]) -> None:
-        self._heard = now = self._host.clock.now_ns()
+    def _on_scan(self, message: dict[str, Any]) -> None:
+        self._received_ns = now = self._host.clock.now_ns()
         header = message["header"]
         stamp = stamp_ns(header)
         try:
-            self._take(_Scan(now, header["frame_id"], of_ros(message, stamp or now)))
+            self._queue(_Scan(now, header["frame_id"], of_ros(message, stamp or now)))
         except ScanError as err:
             self._drop(str(err))
 
-    def _hear_yarp(self, received: Received) -> None:
-        """Receive a scan, on the thread of the connection."""
+    def _on_yarp_scan(self, received: Received) -> None:
+        """Handle a scan, on the thread of the connection."""
         clock = self._host.clock
         try:
-            turn = of_yarp(received.to(LaserScan2D), sent(received.envelope) or clock.now_ns())
+            turn = of_yarp(received.to(LaserScan2D), sent_ns(received.envelope) or clock.now_ns())
         except ScanError as err:
             raise WireError(str(err)) from None
-        self._host.loop.call(lambda: self._take(_Scan(clock.now_ns(), "", turn)))
+        self._host.loop.call(lambda: self._queue(_Scan(clock.now_ns(), "", turn)))
 
-    def _take(self, scan: _Scan) -> None:
-        self._heard = scan.came
+    def _queue(self, scan: _Scan) -> None:
+        self._received_ns = scan.received_ns
         if not self.mapper.mapping:
             return
         if len(self._waiting) == _WAITING:
@@ -136,7 +136,7 @@ class Mapper2D(Module):
         self._work()
 
     def _work(self) -> None:
-        """Map the scans whose poses are known by now, and drop those whose poses never come."""
+        """Map the scans whose poses are known, and drop those whose poses do not arrive in time."""
         now = self._host.clock.now_ns()
         while self._waiting:
             scan, turn = self._waiting[0], self._waiting[0].turn
@@ -146,7 +146,7 @@ class Mapper2D(Module):
                     turn = turn.turned_over()
                 self.mapper.scan(pose, believed(turn), turn.first, turn.step, turn.farthest)
             except FramesError as err:
-                if 0 <= now - scan.came < _PATIENCE_NS:
+                if 0 <= now - scan.received_ns < _PATIENCE_NS:
                     return
                 self._drop(str(err))
             except ValueError as err:
@@ -155,19 +155,19 @@ class Mapper2D(Module):
                 self._trouble, self._changed = "", True
             self._waiting.popleft()
 
-    def _forget(self) -> None:
-        """Forget the scans of the time before the clock was set back."""
+    def _clear_waiting(self) -> None:
+        """Drop the scans from before the clock jumped."""
         self._waiting.clear()
-        self._heard = None
+        self._received_ns = None
 
-    def _drop(self, why: str) -> None:
+    def _drop(self, reason: str) -> None:
         self._dropped += 1
-        if why != self._trouble:
-            self._host.log.warning("a scan is left out: %s", why)
-        self._trouble = why
+        if reason != self._trouble:
+            self._host.log.warning("dropped a scan: %s", reason)
+        self._trouble = reason
 
-    def _tell(self) -> None:
-        """Publish and show the map if it has changed."""
+    def _publish(self) -> None:
+        """Publish the map if it has changed, and send its picture."""
         if self._changed and self._map is not None:
             self._map.publish_cdr(bytes(to_cdr(self.mapper.grid(), self._section.map_frame, self._host.clock.now_ns())))
         self._changed = False
@@ -178,8 +178,8 @@ class Mapper2D(Module):
                 robot = None
             self._picture.write(self._canvas.picture(robot))
 
-    def _asked(self, values: list[Any]) -> list[Any]:
-        answer = self._words.answer(values)
+    def _answer(self, values: list[Any]) -> list[Any]:
+        answer = self._commands.answer(values)
         self._changed = True
         return answer
 
@@ -191,37 +191,37 @@ class Mapper2D(Module):
             raise WireError(str(err)) from None  # the port counts and logs it
         self._changed = True
 
-    def _trigger(self, word: str, done: str) -> Callable[[dict[str, Any], Answer], None]:
+    def _trigger(self, command: str, done: str) -> Callable[[dict[str, Any], Answer], None]:
         def serve(_request: dict[str, Any], answer: Answer) -> None:
-            self._words.answer([word])
+            self._commands.answer([command])
             answer({"success": True, "message": done})
 
         return serve
 
     def _save(self, _request: dict[str, Any], answer: Answer) -> None:
         try:
-            answer({"success": True, "message": self._words.save()})
+            answer({"success": True, "message": self._commands.save()})
         except (StoreError, ValueError) as err:
             answer({"success": False, "message": str(err)})
 
     def health(self) -> Health:
         """Return the state, and the reason if it does not map."""
         if not self.mapper.mapping:
-            return Health("running", "stopped: it takes no scans until 'start'")
-        heard = self._heard
-        if heard is None or not 0 <= self._host.clock.now_ns() - heard <= _SILENT_NS:
-            troubles = [each.trouble for each in self._connected if each.trouble]
-            ends = [self._section.scan, f"{self._section.prefix}/laser:i"]
-            where = " or ".join(ends[not ends[0] :])
-            return Health("waiting", "; ".join((f"no scan arrives on {where}", *troubles)))
+            return Health("running", "stopped; 'start' continues mapping")
+        received = self._received_ns
+        if received is None or not 0 <= self._host.clock.now_ns() - received <= _SILENT_NS:
+            troubles = [connection.trouble for connection in self._connected if connection.trouble]
+            sources = [self._section.scan, f"{self._section.prefix}/laser:i"]
+            names = " or ".join(sources[not sources[0] :])
+            return Health("waiting", "; ".join((f"no scans on {names}", *troubles)))
         if self._trouble:
             return Health("waiting", self._trouble)
         width, height = self.mapper.size
-        full = "; the map is as large as it may be (largest)" if self.mapper.full else ""
+        full = "; the map has reached its largest size (modules.mapper2d.largest)" if self.mapper.full else ""
         return Health("running", f"map {self.mapper.name}: {width:g} x {height:g} m{full}")
 
     def status(self) -> dict[str, Any]:
-        """Return the state of the map, and how many scans were dropped."""
+        """Return the state of the map, and the number of dropped scans."""
         return {
             "map": self.mapper.name,
             "mapping": self.mapper.mapping,
@@ -229,11 +229,11 @@ class Mapper2D(Module):
             "scans": self.mapper.scans,
             "dropped": self._dropped,
             "trouble": self._trouble,
-            "connections": [each.trouble for each in self._connected if each.trouble],
+            "connections": [connection.trouble for connection in self._connected if connection.trouble],
             "notes": list(self._notes),
         }
 
     def stop(self) -> None:
         """Close the connections."""
-        for each in self._connected:
-            each.close()
+        for connection in self._connected:
+            connection.close()

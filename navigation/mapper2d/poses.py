@@ -1,4 +1,6 @@
-"""Where the laser was when it scanned: the robot's pose from frames, a topic or a port, and the laser's place on it."""
+"""The laser's pose at a scan's time: the robot's from /tf, a topic or a port, and the laser's pose on the robot."""
+
+# ruff: noqa: D102 - documented in `RobotPoses`
 
 from __future__ import annotations
 
@@ -25,25 +27,24 @@ from yarp_compat.wire.errors import WireError
 
 ODOMETRY, POSE = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 COVARIANT = "geometry_msgs/msg/PoseWithCovarianceStamped"
-_THERE, _ROBOT = "there", "robot"
+_FIXED, _ROBOT = "fixed", "robot"
 
 
 class RobotPoses(ABC):
-    """Says where the robot was."""
+    """A source of the robot's pose."""
 
     @abstractmethod
-    def at(self, stamp: int) -> Pose:
-        """Its pose at a time (ns, or `LATEST`); raises `FramesError` where that is not known, or not yet."""
+    def pose_at(self, stamp: int) -> Pose:
+        """Return the pose at a time (ns, or `LATEST`); raises `FramesError` if it is not known (yet)."""
 
 
 class FramePoses(RobotPoses):
-    """By the frames of all sides: odometry then, in what localisation says of the odometry's frame now."""
+    """Poses from /tf: the odometry at the time, with the current correction of the localization."""
 
     def __init__(self, frames: RobotFrames) -> None:
         self._frames = frames
 
-    def at(self, stamp: int) -> Pose:
-        """As `Robot.at`."""
+    def pose_at(self, stamp: int) -> Pose:
         frames = self._frames
         if frames.map_frame == frames.odom_frame:
             return frames.transform(frames.odom_frame, frames.base_frame, stamp)
@@ -54,31 +55,30 @@ class FramePoses(RobotPoses):
         return correction @ frames.transform(frames.odom_frame, frames.base_frame, stamp)
 
 
-class PosesInTime(RobotPoses):
-    """Interpolates between poses that come one by one."""
+class InterpolatedPoses(RobotPoses):
+    """Interpolates between the poses of a topic or port."""
 
-    def __init__(self, host: Host, who: str) -> None:
-        self._host, self._who = host, who
+    def __init__(self, host: Host, source: str) -> None:
+        self._host, self._source = host, source
         self._buffer = TransformBuffer(now=host.clock.now_ns)
         host.on_jump(self._buffer.clear)
 
-    def tell(self, stamp: int, x: float, y: float, theta: float) -> None:
-        """Take a pose: ns, metres, radians. Called from any thread."""
+    def add(self, stamp: int, x: float, y: float, theta: float) -> None:
+        """Add a pose: ns, meters, radians. Called from any thread."""
         self._buffer.set_transform(
-            _THERE, _ROBOT, stamp or self._host.clock.now_ns(), (x, y, 0.0),
+            _FIXED, _ROBOT, stamp or self._host.clock.now_ns(), (x, y, 0.0),
             (0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0)),
         )  # fmt: skip
 
-    def at(self, stamp: int) -> Pose:
-        """As `Robot.at`."""
+    def pose_at(self, stamp: int) -> Pose:
         try:
-            return flat(self._buffer.lookup_transform(_THERE, _ROBOT, stamp))
+            return flat(self._buffer.lookup_transform(_FIXED, _ROBOT, stamp))
         except TransformError:
-            raise FramesError(f"no pose of the scan's time came on {self._who}") from None
+            raise FramesError(f"no pose for the scan's time on {self._source}") from None
 
 
 class Poses:
-    """Where the laser was, by what the section says."""
+    """The poses of the laser, from the source that the section configures."""
 
     def __init__(self, host: Host, section: Mapper2DSection) -> None:
         self._frames = RobotFrames(host, section.map_frame, section.base_frame, section.odom_frame)
@@ -87,19 +87,19 @@ class Poses:
         self._wanted: Pose | None = None
         self._robot: RobotPoses = FramePoses(self._frames)
         if section.pose == "topic":
-            self._robot = told = PosesInTime(host, section.pose_topic)
+            self._robot = poses = InterpolatedPoses(host, section.pose_topic)
             for kind in (ODOMETRY, POSE, COVARIANT):
                 host.node.subscription(
-                    section.pose_topic, kind, lambda m: told.tell(stamp_ns(m["header"]), *of_message(m)), Qos(depth=100)
+                    section.pose_topic, kind, lambda m: poses.add(stamp_ns(m["header"]), *of_message(m)), Qos(depth=100)
                 )
         elif section.pose == "port":
-            self._robot = given = PosesInTime(host, f"{section.prefix}/odometry:i")
-            host.yarp.input(f"{section.prefix}/odometry:i", lambda received: _take(given, received))
+            self._robot = from_port = InterpolatedPoses(host, f"{section.prefix}/odometry:i")
+            host.yarp.input(f"{section.prefix}/odometry:i", lambda received: _add_yarp(from_port, received))
 
     def laser(self, frame: str, stamp: int) -> Pose:
-        """Where the laser was on the map at a time, ns; raises `FramesError` where that is not known, or not yet.
+        """Return the laser's pose on the map at a time, ns; raises `FramesError` if it is not known (yet).
 
-        A laser without a frame, as on YARP, is in the robot's middle.
+        A laser without a frame, as on YARP, is at the robot's center.
         """
         mount = self._mount
         if mount is None:
@@ -107,18 +107,18 @@ class Poses:
         return self.robot(stamp) @ mount
 
     def hangs(self, frame: str) -> bool:
-        """Whether the laser hangs upside down; one whose place the section says stands."""
+        """Whether the laser is mounted upside down; False if the section configures its pose."""
         return self._mount is None and self._frames.hangs(frame)
 
     def robot(self, stamp: int = LATEST) -> Pose:
-        """Where the robot was on the map; raises `FramesError`."""
+        """Return the robot's pose on the map; raises `FramesError`."""
         if self._wanted is not None:
-            self._offset, self._wanted = self._wanted @ self._robot.at(LATEST).inverse, None
-        return self._offset @ self._robot.at(stamp)
+            self._offset, self._wanted = self._wanted @ self._robot.pose_at(LATEST).inverse, None
+        return self._offset @ self._robot.pose_at(stamp)
 
-    def set(self, there: Pose) -> None:
-        """Say where the robot is now; where it is not known yet where it thinks it is, as soon as it is."""
-        self._wanted = there
+    def set(self, pose: Pose) -> None:
+        """Set the robot's current pose, or do so as soon as its source has a pose."""
+        self._wanted = pose
         try:
             self.robot()
         except FramesError:
@@ -126,27 +126,27 @@ class Poses:
 
 
 def of_message(message: Mapping[str, Any]) -> tuple[float, float, float]:
-    """x, y (metres) and direction (radians) of a message with a pose, with or without covariance."""
+    """Return x, y (meters) and heading (radians) of a message with a pose, with or without covariance."""
     pose = message["pose"]
     pose = pose.get("pose", pose)
     return pose["position"]["x"], pose["position"]["y"], yaw_of(pose["orientation"])
 
 
-def _take(told: PosesInTime, received: Received) -> None:
-    """A pose of YARP: an OdometryData, a Map2DLocation, or ``x y theta_deg``."""
+def _add_yarp(poses: InterpolatedPoses, received: Received) -> None:
+    """Add a pose of YARP: an OdometryData, a Map2DLocation, or ``x y theta_deg``."""
     pose = _of_yarp(received)
     if not all(map(math.isfinite, pose[:3])):
-        raise WireError(f"{pose[:3]} is no pose")
-    told.tell(sent(received.envelope), pose.x, pose.y, pose.theta)
+        raise WireError(f"invalid pose {pose[:3]}: values must be finite")
+    poses.add(sent_ns(received.envelope), pose.x, pose.y, pose.theta)
 
 
 def _of_yarp(received: Received) -> Pose:
     try:
-        said = received.to(OdometryData)
+        odometry = received.to(OdometryData)
     except WireError:
         pass
     else:
-        return _degrees(said.odom_x, said.odom_y, said.odom_theta)
+        return _degrees(odometry.odom_x, odometry.odom_y, odometry.odom_theta)
     try:
         place = received.to(Map2DLocation)
     except WireError:
@@ -156,11 +156,11 @@ def _of_yarp(received: Received) -> Pose:
     values = received.values
     if len(values) == 3 and all(isinstance(value, (int, float)) for value in values):
         return _degrees(*values)
-    raise WireError("a pose is an OdometryData, a Map2DLocation, or three numbers: x y theta_deg")
+    raise WireError("invalid pose: use an OdometryData, a Map2DLocation, or three numbers x y theta_deg")
 
 
-def sent(envelope: str) -> int:
-    """When a message was sent, ns; 0 where it does not say."""
+def sent_ns(envelope: str) -> int:
+    """Return the time stamp of an envelope, ns; 0 without one."""
     if not envelope:
         return 0
     stamp = Stamp()

@@ -1,1 +1,1 @@
-"""Mapper3D: an octree from clouds and depth images, and the grid of what the robot would touch."""
+"""Mapper3D: an octree from clouds and depth images, and a grid of the obstacles that the robot would touch."""

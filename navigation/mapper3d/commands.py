@@ -1,4 +1,4 @@
-"""The commands of ``/mapper3D/rpc``, and the files of maps."""
+"""The commands of ``/mapper3D/rpc``, and map files."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from yarp_compat.octomap import Octomap
 from yarp_compat.wire.errors import WireError
 
 HELP = (
-    "help: these lines",
-    "start: take clouds",
-    "stop: take none",
-    "clear: begin a new map",
-    "save_to_file FILE: a name in the maps folder, .bt for free and occupied alone or .ot for probabilities",
-    "load_from_file FILE: go on with a map of the maps folder",
-    "save_to_mapserver: the map and its layer into the store, for map servers and planners",
-    "load_from_mapserver NAME: go on with a map of the store",
+    "help: list the commands",
+    "start: start mapping",
+    "stop: stop mapping",
+    "clear: start a new map",
+    "save_to_file FILE: save the map in the maps folder, as .bt for free and occupied only, or .ot for probabilities",
+    "load_from_file FILE: load a map from the maps folder and continue it",
+    "save_to_mapserver: save the map and its layer in the store, for map servers and planners",
+    "load_from_mapserver NAME: load a map from the store and continue it",
 )
 _SUFFIXES = (".bt", ".ot")
 
@@ -32,7 +32,7 @@ class SpaceCommands(Commands):
     """Answers commands of the RPC port. Called on the module's thread.
 
     Attributes:
-        mapping: whether clouds are taken.
+        mapping: whether clouds are used.
     """
 
     def __init__(
@@ -48,59 +48,62 @@ class SpaceCommands(Commands):
         self._space, self._layer, self._store, self._folder, self._name = space, layer, store, folder, name
         self.mapping = mapping
         super().__init__(HELP, {
-            "start": lambda _rest: self.run(mapping=True),
-            "stop": lambda _rest: self.run(mapping=False),
+            "start": lambda _arguments: self.run(mapping=True),
+            "stop": lambda _arguments: self.run(mapping=False),
             "clear": self._clear,
             "save_to_file": self._save_file,
             "load_from_file": self._load_file,
-            "save_to_mapserver": lambda _rest: self.save(),
-            "load_from_mapserver": lambda rest: self.load(_word(rest)),
+            "save_to_mapserver": lambda _arguments: self.save(),
+            "load_from_mapserver": lambda arguments: self.load(_name(arguments)),
         })  # fmt: skip
 
     def answer(self, values: list[Any]) -> list[Any]:
-        """As `Commands.answer`."""
+        """Answer as `Commands.answer`; errors of files and the store also raise `ValueError`."""
         try:
             return super().answer(values)
         except (OSError, StoreError, WireError) as err:
             raise ValueError(f"{values[0]}: {err}") from None
 
     def run(self, *, mapping: bool) -> str:
-        """Map, or do not."""
+        """Start or stop mapping; return a text for people."""
         self.mapping = mapping
-        return "Mapping." if mapping else "Not mapping; 'start' goes on."
+        return "Mapping." if mapping else "Stopped; 'start' continues."
 
     def save(self) -> str:
-        """Put map and layer into the store; what was done. Raises `StoreError`, and `ValueError` without a layer."""
+        """Save map and layer in the store; return a text for people.
+
+        Raises `StoreError`, and `ValueError` without a layer.
+        """
         grid, octomap = self._layer(), Octomap.of(self._space.tree())
         self._store().write([Write(MAP, grid.name, grid), Write(MAP3D, self._name, octomap)])
         return f"3D map {self._name} and layer {grid.name} saved into the store."
 
     def load(self, name: str) -> str:
-        """Go on with an octomap of the store; what was done. Raises `StoreError`, `ValueError`, `WireError`."""
+        """Continue an octomap of the store; return a text. Raises `StoreError`, `ValueError`, `WireError`."""
         store = self._store()
-        found = store.get(MAP3D, name)
-        if not isinstance(found, Octomap):
-            what = f"the 3D map {name!r} is a cloud" if found is not None else f"there is no 3D map {name!r}"
-            raise StoreError(f"{what}; 3D maps in the store: {', '.join(store.names(MAP3D)) or 'none'}")
-        self._space.load(found.tree())
-        return f"3D map {name} loaded; mapping goes on on it."
+        octomap = store.get(MAP3D, name)
+        if not isinstance(octomap, Octomap):
+            problem = f"the 3D map {name!r} is a cloud" if octomap is not None else f"no 3D map {name!r}"
+            raise StoreError(f"{problem}; 3D maps in the store: {', '.join(store.names(MAP3D)) or 'none'}")
+        self._space.load(octomap.tree())
+        return f"3D map {name} loaded; mapping continues on it."
 
-    def _clear(self, _rest: list[Any]) -> str:
+    def _clear(self, _arguments: list[Any]) -> str:
         self._space.clear()
-        return "A new map is begun."
+        return "Started a new map."
 
-    def _save_file(self, rest: list[Any]) -> str:
-        file = self._folder.new(_word(rest), *_SUFFIXES)
+    def _save_file(self, arguments: list[Any]) -> str:
+        file = self._folder.new(_name(arguments), *_SUFFIXES)
         Octomap.of(self._space.tree(), binary=file.suffix == ".bt").save(file)
         return f"Map saved as {file.name}."
 
-    def _load_file(self, rest: list[Any]) -> str:
-        file = self._folder.existing(_word(rest), *_SUFFIXES)
+    def _load_file(self, arguments: list[Any]) -> str:
+        file = self._folder.existing(_name(arguments), *_SUFFIXES)
         self._space.load(Octomap.load(file).tree())
-        return f"Map {file.name} loaded; mapping goes on on it."
+        return f"Map {file.name} loaded; mapping continues on it."
 
 
-def _word(rest: list[Any]) -> str:
-    if len(rest) != 1 or not isinstance(rest[0], str):
-        raise ValueError(f"one word is needed, a name; not {' '.join(map(str, rest)) or 'nothing'}")
-    return rest[0]
+def _name(arguments: list[Any]) -> str:
+    if len(arguments) != 1 or not isinstance(arguments[0], str):
+        raise ValueError(f"the command needs one name, not {' '.join(map(str, arguments)) or 'none'}")
+    return arguments[0]

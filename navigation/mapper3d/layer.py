@@ -1,4 +1,4 @@
-"""The layer of Mapper3D on the hub: whole, latched, and what changed of it since; and the heights of what is hit."""
+"""The layer of Mapper3D on the hub: latched, with updates, and with the heights of obstacles."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _VALUES[[FLOOR, OBSTACLE, EDGE]] = 0, 100, 100
 
 
 def grid_of(columns: LayerColumns, name: str, resolution: float) -> MapGrid2D:
-    """The map of a layer: what is blocked is a wall, what is at a drop or a step is keep-out; both are occupied."""
+    """Return a layer as a map: obstacles are walls, drops and steps are keep-out cells; both are occupied."""
     kinds = columns.kinds[::-1]
     return MapGrid2D.of(_FLAGS[kinds], _VALUES[kinds], name=name, resolution=resolution, origin=(*columns.corner, 0.0))
 
 
 class LayerPublisher:
-    """Publishes the layer where it is another than before."""
+    """Publishes the layer when it changes."""
 
     def __init__(self, host: Host, section: Mapper3DSection) -> None:
         self._frame, self._clock, self._section = section.map_frame, host.clock, section
@@ -39,18 +39,18 @@ class LayerPublisher:
         self._heights = host.node.publisher(f"{topic}{HEIGHTS}", GRID_MAP, LATCHED, priority="state")
         self._last: MapGrid2D | None = None
         self._last_heights: bytes | None = None
-        self._told = 0
+        self._published = 0
 
-    def tell(self, found: LayerColumns) -> None:
-        """Publish a layer; one that is the same as before now and then, for those whom silence stops."""
-        grid = grid_of(found, self._section.layer.name, self._section.resolution)
-        self._tell_heights(found)
+    def publish(self, layer: LayerColumns) -> None:
+        """Publish a layer; an unchanged one once a second, as some subscribers stop the robot on silence."""
+        grid = grid_of(layer, self._section.layer.name, self._section.resolution)
+        self._publish_heights(layer)
         last, self._last = self._last, grid
         now = self._clock.now_ns()
-        if last is not None and _lie_alike(last, grid):
+        if last is not None and _same_cells(last, grid):
             rows, columns = np.nonzero((last.occupancy != grid.occupancy)[::-1])
             if not len(rows):
-                if 0 <= now - self._told < _ALIVE_NS:
+                if 0 <= now - self._published < _ALIVE_NS:
                     return
                 rows, columns = np.zeros((2, 1), np.int64)
             low, left, high, right = rows.min(), columns.min(), rows.max() + 1, columns.max() + 1
@@ -60,26 +60,26 @@ class LayerPublisher:
                 "x": int(left), "y": int(low), "width": int(right - left), "height": int(high - low), "data": part,
             }  # fmt: skip
             self._updates.offer(lambda: self._updates.encoded(update))
-        self._told = now
+        self._published = now
         self._grid.publish_cdr(bytes(to_cdr(grid, self._frame, now)))
 
-    def _tell_heights(self, columns: LayerColumns) -> None:
-        """Publish how high what is hit is, where it changed, about that alone: most of a layer is free."""
+    def _publish_heights(self, columns: LayerColumns) -> None:
+        """Publish the heights of obstacles if they changed, for the part that has some: most of a layer is free."""
         rows, places = np.nonzero(columns.hits[..., 0] > 0)
-        low, left = (int(each.min()) if len(each) else 0 for each in (rows, places))
-        high, right = (int(each.max()) + 1 if len(each) else 1 for each in (rows, places))
+        low, left = (int(indices.min()) if len(indices) else 0 for indices in (rows, places))
+        high, right = (int(indices.max()) + 1 if len(indices) else 1 for indices in (rows, places))
         part = columns.hits[low:high, left:right]
         size = self._section.resolution
         corner = (columns.corner[0] + left * size, columns.corner[1] + low * size)
-        said = np.array([*corner, *part.shape]).tobytes() + part.tobytes()
-        if said == self._last_heights:
+        content = np.array([*corner, *part.shape]).tobytes() + part.tobytes()
+        if content == self._last_heights:
             return
-        self._last_heights, now = said, self._clock.now_ns()
+        self._last_heights, now = content, self._clock.now_ns()
         header = {"stamp": {"sec": now // 10**9, "nanosec": now % 10**9}, "frame_id": self._frame}
         layers = {LOWEST: part[..., 0], HIGHEST: part[..., 1]}
         self._heights.publish(to_grid_map(layers, corner, size, header))
 
 
-def _lie_alike(one: MapGrid2D, other: MapGrid2D) -> bool:
-    """Whether two maps have the same cells."""
+def _same_cells(one: MapGrid2D, other: MapGrid2D) -> bool:
+    """Whether the cells of two maps cover the same area."""
     return one.occupancy.shape == other.occupancy.shape and one.getOrigin() == other.getOrigin()

@@ -1,4 +1,4 @@
-"""Mapper3D's map as `octomap_server` serves its own (its ROS 1 and ROS 2 releases use these names)."""
+"""Mapper3D's map on the topics and services of `octomap_server`, with the names of its ROS 1 and ROS 2 releases."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from yarp_compat.octomap import Octomap
 
 BOX, EMPTY = "octomap_msgs/srv/BoundingBoxQuery", "std_srvs/srv/Empty"
 
-_AGAIN = 5  # periods after which a map that did not change is published again, for those who came meanwhile
+_AGAIN = 5  # periods after which an unchanged map is published again, for new subscribers
 _CENTERS = "/octomap_point_cloud_centers"
 
 
 class OctomapServer:
-    """Topics and services of the map. On the module's thread."""
+    """The topics and services of the map. On the module's thread."""
 
     def __init__(self, host: Host, section: Mapper3DSection, space: Space) -> None:
         self._clock, self._frame, self._space = host.clock, section.map_frame, space
@@ -35,8 +35,8 @@ class OctomapServer:
         node.server("/octomap_server/clear_bbx", BOX, self._clear_box)
         node.server("/octomap_server/reset", EMPTY, self._reset)
 
-    def tell(self, *, changed: bool) -> None:
-        """Publish the map to those who listen, if it changed, and now and then."""
+    def publish(self, *, changed: bool) -> None:
+        """Publish the map if it has subscribers and has changed, or after some periods."""
         self._silent += 1
         if not changed and self._silent < _AGAIN:
             return
@@ -46,7 +46,7 @@ class OctomapServer:
         self._centers.offer(lambda: self._centers.encoded(cloud_message(self._header(), self._space.occupied())))
 
     def message(self, binary: bool) -> dict[str, Any]:
-        """The map as ``octomap_msgs/Octomap``."""
+        """Return the map as ``octomap_msgs/Octomap``."""
         return octomap_message(Octomap.of(self._space.tree(), binary=binary), self._header())
 
     def _header(self) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def _name(binary: bool) -> str:
 
 
 def cloud_message(header: dict[str, Any], points: NDArray[np.float32]) -> dict[str, Any]:
-    """``sensor_msgs/msg/PointCloud2`` of points (n, 3)."""
+    """Return points (n, 3) as ``sensor_msgs/msg/PointCloud2``."""
     fields = [{"name": name, "offset": 4 * axis, "datatype": 7, "count": 1} for axis, name in enumerate("xyz")]
     return {
         "header": header, "height": 1, "width": len(points), "fields": fields, "is_bigendian": False, "point_step": 12,

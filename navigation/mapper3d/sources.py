@@ -1,4 +1,4 @@
-"""Clouds and depth images of the hub, until it is known where they were made."""
+"""Clouds and depth images of the hub, which wait for the sensor's pose."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from bridge.tf.transform import LATEST, Quaternion, Transform
 from navigation.clouds import POINT_CLOUD, read_points
 from navigation.frames import FramesError, RobotFrames
 from navigation.mapper3d.depth import CAMERA_INFO, IMAGE, Rays, read_camera, read_depth
-from navigation.mapper3d.space import OPTICAL, FieldOfView, Floats, Place, Seat
+from navigation.mapper3d.space import OPTICAL, FieldOfView, Floats, Place, SensorPose
 from navigation.messages import stamp_ns
 
-_INFOS = 10  # of a camera, that may be of an image that comes
-_WAITING = 3  # clouds or images that may wait: each may have megabytes
+_INFOS = 10  # recent CameraInfos of a camera
+_WAITING = 3  # clouds or images that may wait; each may have megabytes
 _PATIENCE_NS = 1_000_000_000
 _DEPTH = Qos(depth=2)
 
 
-class Seen(NamedTuple):
-    """What a sensor saw: points (n, 3) in its frame, and at what it looked, if that is known; ``stamp``: ns."""
+class SensorReading(NamedTuple):
+    """Points (n, 3) of a sensor in its frame, and its field of view if known; ``stamp`` in ns."""
 
     frame: str
     stamp: int
@@ -39,142 +39,153 @@ class Seen(NamedTuple):
 
 @dataclass
 class _Waiting:
-    """A message that waits; ``came``: ns of the run's clock. ``read`` gives None where it must wait on."""
+    """A message that waits, received at ns of the run's clock. ``read`` returns None while it has to wait."""
 
-    came: int
-    read: Callable[[], Seen | None]
-    seen: Seen | None = None
-    why: str = "it came faster than it could be taken"
+    received_ns: int
+    read: Callable[[], SensorReading | None]
+    reading: SensorReading | None = None
+    reason: str = "messages arrive faster than they can be used"
 
 
-class Seats:
-    """Where sensors were on the map, by the frames of all sides."""
+class SensorPoses:
+    """The poses of sensors on the map, from /tf."""
 
     def __init__(self, host: Host, section: Mapper3DSection) -> None:
         self._frames = RobotFrames(host, section.map_frame, section.base_frame, section.odom_frame)
         self._floor = section.floor
 
-    def at(self, frame: str, stamp: int) -> Seat:
-        """Where a frame was at a time (ns): odometry then, in what localisation says of the odometry's frame now.
+    def pose_of(self, frame: str, stamp: int) -> SensorPose:
+        """Return a frame's pose at a time (ns): the odometry then, with the current correction of the localization.
 
-        Raises `FramesError` where that is not known, or not yet.
+        Raises `FramesError` if it is not known (yet).
         """
         frames = self._frames
         try:
             if frames.map_frame == frames.odom_frame:
-                return _seat(frames.buffer.lookup_transform(frames.map_frame, frame, stamp))
+                return _sensor_pose(frames.buffer.lookup_transform(frames.map_frame, frame, stamp))
             try:
-                correction = _seat(frames.buffer.lookup_transform(frames.map_frame, frames.odom_frame, LATEST))
+                correction = _sensor_pose(frames.buffer.lookup_transform(frames.map_frame, frames.odom_frame, LATEST))
             except TransformError:
-                return _seat(frames.buffer.lookup_transform(frames.map_frame, frame, stamp))
-            moved = _seat(frames.buffer.lookup_transform(frames.odom_frame, frame, stamp))
+                return _sensor_pose(frames.buffer.lookup_transform(frames.map_frame, frame, stamp))
+            moved = _sensor_pose(frames.buffer.lookup_transform(frames.odom_frame, frame, stamp))
         except TransformError as err:
-            raise FramesError(f"it is not known where {frame or 'a sensor without a frame_id'} is: {err}") from None
-        x, y, z = (correction.turn @ moved.origin + correction.origin).tolist()
-        return Seat(correction.turn @ moved.turn, (x, y, z))
+            raise FramesError(f"the pose of {frame or 'a sensor without a frame_id'} is unknown: {err}") from None
+        x, y, z = (correction.rotation @ moved.origin + correction.origin).tolist()
+        return SensorPose(correction.rotation @ moved.rotation, (x, y, z))
 
     def base(self) -> Place:
-        """Where the robot stands on the floor now, metres; raises `FramesError`."""
-        at = self.at(self._frames.base_frame, LATEST)
-        x, y, z = (at.turn @ (0.0, 0.0, self._frames.floor(self._floor)) + at.origin).tolist()
+        """Return the robot's current position on the floor, meters; raises `FramesError`."""
+        base = self.pose_of(self._frames.base_frame, LATEST)
+        x, y, z = (base.rotation @ (0.0, 0.0, self._frames.floor(self._floor)) + base.origin).tolist()
         return x, y, z
 
 
 class Sources:
-    """Hears the sensors, and gives out what they saw once all that belongs to it is there. On the module's thread."""
+    """Subscribes to the sensors; ``on_reading`` gets each reading once its sensor's pose is known.
 
-    def __init__(self, host: Host, section: Mapper3DSection, seats: Seats, take: Callable[[Seen, Seat], None]) -> None:
-        self._host, self._section, self._seats, self._take = host, section, seats, take
+    On the module's thread.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        section: Mapper3DSection,
+        poses: SensorPoses,
+        on_reading: Callable[[SensorReading, SensorPose], None],
+    ) -> None:
+        self._host, self._section, self._poses, self._on_reading = host, section, poses, on_reading
         self._waiting: deque[_Waiting] = deque()
-        self.heard: int | None = None
+        self.received_ns: int | None = None
         self.dropped, self.trouble = 0, ""
         for topic in section.clouds:
-            host.node.subscription(topic, POINT_CLOUD, self._hear_cloud, _DEPTH)
+            host.node.subscription(topic, POINT_CLOUD, self._on_cloud, _DEPTH)
         for source in section.depth:
-            _Depth(self, host, section, source)
+            _DepthCamera(self, host, section, source)
 
-    def _hear_cloud(self, message: dict[str, Any]) -> None:
-        def read() -> Seen:
+    def _on_cloud(self, message: dict[str, Any]) -> None:
+        def read() -> SensorReading:
             points = read_points(message)
-            return Seen(message["header"]["frame_id"].lstrip("/"), self.time(message), points, None)
+            return SensorReading(message["header"]["frame_id"].lstrip("/"), self.time(message), points, None)
 
-        self.put(read)
+        self.add(read)
 
     def time(self, message: dict[str, Any]) -> int:
-        """When a message was made, ns."""
+        """Return the time of a message, ns."""
         return stamp_ns(message["header"]) or self._host.clock.now_ns()
 
-    def put(self, read: Callable[[], Seen | None]) -> None:
-        """Take a message as soon as it can be read, and it is known where it was made."""
-        self.heard = now = self._host.clock.now_ns()
+    def add(self, read: Callable[[], SensorReading | None]) -> None:
+        """Add a message, which is used as soon as it can be read and its sensor's pose is known."""
+        self.received_ns = now = self._host.clock.now_ns()
         if len(self._waiting) == _WAITING:
-            self._drop(self._waiting.popleft().why)
+            self._drop(self._waiting.popleft().reason)
         self._waiting.append(_Waiting(now, read))
         self.work()
 
     def work(self) -> None:
-        """Take what can be taken by now, and drop what waited for too long."""
+        """Use the messages that are ready, and drop those that waited too long."""
         now, self._waiting, waiting = self._host.clock.now_ns(), deque(), self._waiting
-        for each in waiting:
-            each.why = "no CameraInfo of its time came (sync)"
+        for message in waiting:
+            message.reason = "no CameraInfo with the image's time (sync)"
             try:
-                each.seen = seen = each.seen or each.read()
-                if seen is not None:
-                    self._take(seen, self._seats.at(seen.frame, seen.stamp))
+                message.reading = reading = message.reading or message.read()
+                if reading is not None:
+                    self._on_reading(reading, self._poses.pose_of(reading.frame, reading.stamp))
                     self.trouble = ""
                     continue
             except FramesError as err:
-                each.why = str(err)
+                message.reason = str(err)
             except ValueError as err:
                 self._drop(str(err))
                 continue
-            if 0 <= now - each.came < _PATIENCE_NS:
-                self._waiting.append(each)
+            if 0 <= now - message.received_ns < _PATIENCE_NS:
+                self._waiting.append(message)
             else:
-                self._drop(each.why)
+                self._drop(message.reason)
 
-    def forget(self) -> None:
-        """Forget what waits: the clock was set back."""
+    def clear(self) -> None:
+        """Drop waiting messages, after the clock jumped back."""
         self._waiting.clear()
-        self.heard = None
+        self.received_ns = None
 
-    def _drop(self, why: str) -> None:
+    def _drop(self, reason: str) -> None:
         self.dropped += 1
-        if why != self.trouble:
-            self._host.log.warning("a cloud is left out: %s", why)
-        self.trouble = why
+        if reason != self.trouble:
+            self._host.log.warning("dropped a cloud: %s", reason)
+        self.trouble = reason
 
 
-class _Depth:
-    """One depth camera."""
+class _DepthCamera:
+    """A depth camera: its images with the CameraInfo of their time."""
 
     def __init__(self, sources: Sources, host: Host, section: Mapper3DSection, source: DepthSource) -> None:
         self._sources, self._sync_ns = sources, round(section.sync * 1e9)
         self._rays = Rays(section.pixels)
         self._infos: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_INFOS)
-        host.node.subscription(source.info, CAMERA_INFO, self._hear_info, Qos(depth=_INFOS))
-        host.node.subscription(source.image, IMAGE, lambda message: sources.put(partial(self._read, message)), _DEPTH)
+        host.node.subscription(source.info, CAMERA_INFO, self._on_info, Qos(depth=_INFOS))
+        host.node.subscription(source.image, IMAGE, lambda message: sources.add(partial(self._read, message)), _DEPTH)
 
-    def _hear_info(self, message: dict[str, Any]) -> None:
+    def _on_info(self, message: dict[str, Any]) -> None:
         self._infos.append((self._sources.time(message), message))
         self._sources.work()
 
-    def _read(self, message: dict[str, Any]) -> Seen | None:
+    def _read(self, message: dict[str, Any]) -> SensorReading | None:
         stamp = self._sources.time(message)
         known = min(self._infos, key=lambda info: abs(info[0] - stamp), default=None)
         if known is None or abs(known[0] - stamp) > self._sync_ns:
             return None
         camera = read_camera(known[1])
         points = self._rays.points(read_depth(message), camera)
-        return Seen(message["header"]["frame_id"].lstrip("/"), stamp, points, FieldOfView(OPTICAL, camera.view))
+        return SensorReading(
+            message["header"]["frame_id"].lstrip("/"), stamp, points, FieldOfView(OPTICAL, camera.view)
+        )
 
 
-def _seat(transform: Transform) -> Seat:
-    return Seat(rotation(transform.rotation), transform.translation)
+def _sensor_pose(transform: Transform) -> SensorPose:
+    return SensorPose(rotation(transform.rotation), transform.translation)
 
 
 def rotation(turn: Quaternion) -> Floats:
-    """(3, 3) of a quaternion x, y, z, w."""
+    """Return the rotation matrix of a quaternion x, y, z, w."""
     x, y, z, w = turn
     return np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

@@ -1,1 +1,1 @@
-"""Maps as planners take them: pure functions from YARP's flags to grids and masks, and back."""
+"""Converts maps between YARP's flags and the grids and masks of planners."""

@@ -1,7 +1,7 @@
-"""`nav_msgs/OccupancyGrid` of a map of YARP, and back.
+"""Converts YARP maps to `nav_msgs/OccupancyGrid` and back.
 
-ROS's rows go from the bottom up and its numbers are signed: 0 to 100, or -1 for unknown. Its origin is another one
-where the map is turned, see :mod:`yarp_compat.dev.mapinfo`; every cell stays in its place.
+ROS's rows go from the bottom up and its values are signed: 0 to 100, or -1 for unknown. The origin of a rotated map
+differs, see :mod:`yarp_compat.dev.mapinfo`; every cell stays in its place.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ Message = dict[str, Any]
 
 
 def to_grid(grid: MapGrid2D, frame: str = "map", stamp_ns: int = 0) -> Message:
-    """The OccupancyGrid of a map.
+    """Convert a map to an OccupancyGrid.
 
-    Walls and unknown cells of the flags are walls and unknown in it, whatever the occupancy says of them: a wall that
-    somebody painted is one to all planners. Keep-out cells and obstacles are in :mod:`navigation.maps.masks`'s mask.
+    Walls and unknown cells of the flags override the occupancy, so that a painted wall is a wall for all planners.
+    Keep-out cells and obstacles are in the mask of :mod:`navigation.maps.masks`.
     """
     return message_of(occupied(grid), grid, frame, stamp_ns)
 
 
 def message_of(data: NDArray[np.int8], info: MapGrid2DInfo, frame: str = "map", stamp_ns: int = 0) -> Message:
-    """The OccupancyGrid of data in ROS's order (:func:`data_of`), which lies as a map does."""
-    made = info_of(info, stamp_ns)
-    return {"header": {"stamp": made["map_load_time"], "frame_id": frame}, "info": made, "data": data}
+    """Return an OccupancyGrid of data in ROS's order (:func:`data_of`), with the geometry of a map."""
+    metadata = info_of(info, stamp_ns)
+    return {"header": {"stamp": metadata["map_load_time"], "frame_id": frame}, "info": metadata, "data": data}
 
 
 def info_of(info: MapGrid2DInfo, stamp_ns: int) -> Message:
-    """The `nav_msgs/MapMetaData` of a map at a time in nanoseconds."""
+    """Return the `nav_msgs/MapMetaData` of a map, with a time in nanoseconds."""
     stamp = {"sec": stamp_ns // 10**9, "nanosec": stamp_ns % 10**9}
     x, y, yaw = info.origin.to_ros()
     return {
@@ -54,25 +54,25 @@ def info_of(info: MapGrid2DInfo, stamp_ns: int) -> Message:
 
 
 def data_of(values: NDArray[np.int8]) -> NDArray[np.int8]:
-    """Values of shape (height, width), rows from the top one down, in ROS's order, of shape (height * width,)."""
+    """Convert values (height, width), rows from the top down, to ROS's order (height * width,)."""
     return np.ascontiguousarray(values[::-1]).reshape(-1)
 
 
 def occupied(grid: MapGrid2D) -> NDArray[np.int8]:
-    """Occupancy joined with the flags, see :func:`to_grid`: 0 to 100, or -1, (height * width,) from the bottom up."""
+    """Join occupancy and flags, see :func:`to_grid`: 0 to 100, or -1, (height * width,) from the bottom up."""
     values = np.empty((grid.m_height, grid.m_width), np.uint8)
     join(np.ascontiguousarray(grid.occupancy).data, np.ascontiguousarray(grid.flags).data, values.data)
     return values.view(np.int8).reshape(-1)
 
 
 def from_grid(message: Mapping[str, Any], name: str) -> MapGrid2D:
-    """The map of an OccupancyGrid, by YARP's flags: free below 50, wall from there, unknown. Raises `ValueError`."""
+    """Convert an OccupancyGrid to a map: below 50 is free, from 50 on a wall, -1 unknown. Raises `ValueError`."""
     info, data = message["info"], np.asarray(message["data"], np.int8)
     width, height = int(info["width"]), int(info["height"])
     if width * height > MAX_CELLS:
         raise ValueError(too_large(width, height))
     if not width * height or data.shape != (width * height,):
-        raise ValueError(f"an OccupancyGrid of {width} x {height} cells does not have {data.size} of them")
+        raise ValueError(f"an OccupancyGrid of {width} x {height} cells must not have {data.size} values")
     occupancy, flags = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
     values = np.ascontiguousarray(data).view(np.uint8).reshape(height, width)
     part(values.data, occupancy.data, flags.data)
@@ -82,7 +82,7 @@ def from_grid(message: Mapping[str, Any], name: str) -> MapGrid2D:
 
 
 def yaw_of(turn: Mapping[str, float]) -> float:
-    """The turn about the vertical of a quaternion, radians; of one that is all 0, as some programs send, 0."""
+    """Return the yaw of a quaternion, radians; 0 for one that is all zeros, as some programs send."""
     x, y, z, w = (turn.get(axis, 0.0) for axis in "xyzw")
     return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
@@ -95,7 +95,7 @@ _COUNT = struct.Struct("<I")
 
 
 def to_cdr(grid: MapGrid2D, frame: str = "map", stamp_ns: int = 0) -> memoryview:
-    """The message of `to_grid` as `bridge.messages.values.MessageWriter` writes it; the time in nanoseconds."""
+    """Return the message of `to_grid` as `bridge.messages.values.MessageWriter` encodes it; the time in nanoseconds."""
     stamp, cells = divmod(stamp_ns, 10**9), grid.m_width * grid.m_height
     name = frame.encode() + b"\0"
     x, y, yaw = grid.origin.to_ros()
@@ -105,7 +105,7 @@ def to_cdr(grid: MapGrid2D, frame: str = "map", stamp_ns: int = 0) -> memoryview
     _align(body, 8)
     body += _POSE.pack(x, y, 0.0, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)) + _COUNT.pack(cells)
     head = _ENCAPSULATION + body
-    message = np.empty(len(head) + cells, np.uint8)  # unlike a bytearray, not filled with zeros before
+    message = np.empty(len(head) + cells, np.uint8)  # unlike a bytearray, not initialized with zeros
     message[: len(head)] = np.frombuffer(head, np.uint8)
     values = message[len(head) :].reshape(grid.m_height, grid.m_width)
     join(np.ascontiguousarray(grid.occupancy).data, np.ascontiguousarray(grid.flags).data, values.data)
@@ -116,18 +116,18 @@ def _align(body: bytearray, size: int) -> None:
     body += bytes(-len(body) % size)
 
 
-_ROWS = 64  # at once
+_ROWS = 64  # rows converted at once
 _PLACES = ((0.0, 0.0), (-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25))
 _RANK = np.array([MapFlag.UNKNOWN, MapFlag.FREE, MapFlag.ENLARGED_OBSTACLE, MapFlag.TEMPORARY_OBSTACLE,
                   MapFlag.KEEP_OUT, MapFlag.WALL], np.uint8)  # fmt: skip
-"""Flags from what gives way to the others to what stays, where cells meet in one."""
+"""Flags by rank: if several cells fall into one, the last of them in this order wins."""
 
 
 def turned(grid: MapGrid2D) -> MapGrid2D:
-    """A map of the same places whose theta is 0; the same object where that is so already.
+    """Align a rotated map with the axes; return the same object if its theta is 0.
 
-    A cell becomes the worst of those that it lies on at its middle and half way to its corners, so that walls stay
-    closed. What lies beyond the map is unknown. Raises `ValueError` if it would have too many cells.
+    Each cell gets the highest rank of the old cells at its center and half way to its corners, so that walls stay
+    closed. Cells outside the old map are unknown. Raises `ValueError` if the result has too many cells.
     """
     if not grid.origin.theta:
         return grid
@@ -142,27 +142,27 @@ def turned(grid: MapGrid2D) -> MapGrid2D:
     ranks, cells = looked_up(grid.flags, order).reshape(-1), np.ascontiguousarray(grid.occupancy).reshape(-1)
     for top in range(0, height, _ROWS):
         rows = slice(top, min(top + _ROWS, height))
-        worst, occupancy = _seen(grid, ranks, cells, straight, rows)
+        worst, occupancy = _sampled(grid, ranks, cells, straight, rows)
         straight.flags[rows], straight.occupancy[rows] = _RANK[worst], occupancy
     return straight
 
 
 def _bounds(grid: MapGrid2D) -> tuple[float, float, int, int]:
-    """The left and lower end of what a map covers, metres, and how many cells wide and high that is."""
+    """Return the left and lower end of the area that a map covers, meters, and its width and height in cells."""
     ends = np.array([(x, y) for x in (0, grid.m_width) for y in (0, grid.m_height)]) * grid.resolution
     ends += (grid.origin.x, grid.origin.y)
     ca, sa = grid.origin.get_ca(), grid.origin.get_sa()
     x, y = ends[:, 0] * ca + ends[:, 1] * sa, ends[:, 1] * ca - ends[:, 0] * sa
     width, height = (max(math.ceil(float(np.ptp(v)) / grid.resolution - 1e-6), 1) for v in (x, y))
     if width * height > MAX_CELLS:
-        raise ValueError(f"turned to yaw 0, it is {too_large(width, height)}")
+        raise ValueError(f"aligned to yaw 0, it is {too_large(width, height)}")
     return float(x.min()), float(y.min()), width, height
 
 
-def _seen(
+def _sampled(
     grid: MapGrid2D, ranks: NDArray[np.uint8], cells: NDArray[np.uint8], straight: MapGrid2D, rows: slice
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """What rows of the straight map lie on: the highest rank, and the occupancy there."""
+    """Return the highest rank, and its occupancy, for some rows of the aligned map."""
     start, right, down = grid.in_cells(straight.centers_of([(0, rows.start), (1, rows.start), (0, rows.start + 1)]))
     columns, lines = np.arange(straight.m_width), np.arange(rows.stop - rows.start)[:, None]
     middles = [start[axis] + columns * (right - start)[axis] + lines * (down - start)[axis] for axis in (0, 1)]
@@ -171,17 +171,17 @@ def _seen(
     for place in _PLACES:
         shift = place[0] * (right - start) + place[1] * (down - start)
         column, row = (np.floor(middle + by).astype(np.int32) for middle, by in zip(middles, shift, strict=True))
-        there = (column >= 0) & (column < grid.m_width) & (row >= 0) & (row < grid.m_height)
-        at = np.where(there, row * np.int64(grid.m_width) + column, 0)
-        rank, found = np.where(there, ranks[at], 0), np.where(there, cells[at], UNKNOWN)
-        # of two of one rank, the more surely occupied; 255 wraps to 0, below all that is known
-        higher = (rank > worst) | (rank == worst) & (found + np.uint8(1) > occupancy + np.uint8(1))
-        worst, occupancy = np.where(higher, rank, worst), np.where(higher, found, occupancy)
+        inside = (column >= 0) & (column < grid.m_width) & (row >= 0) & (row < grid.m_height)
+        at = np.where(inside, row * np.int64(grid.m_width) + column, 0)
+        rank, sample = np.where(inside, ranks[at], 0), np.where(inside, cells[at], UNKNOWN)
+        # of equal ranks, the higher occupancy; 255 wraps to 0, below all known values
+        higher = (rank > worst) | (rank == worst) & (sample + np.uint8(1) > occupancy + np.uint8(1))
+        worst, occupancy = np.where(higher, rank, worst), np.where(higher, sample, occupancy)
     return worst, occupancy
 
 
 def same_walls(one: MapGrid2D, other: MapGrid2D) -> bool:
-    """Whether two maps have the same walls in the same place, and the same name; what else is drawn does not matter."""
+    """Whether two maps have the same name and the same walls in the same place; other flags do not matter."""
     return (
         one.name == other.name
         and one.resolution == other.resolution

@@ -1,7 +1,7 @@
-"""`grid_map_msgs/GridMap`: numbers by place, such as heights.
+"""`grid_map_msgs/GridMap`: layers of numbers on a grid, such as heights.
 
-Its cells go the other way round than an OccupancyGrid's: the first one has the largest x and y, and of a layer's data
-those with the same y stand together, from the largest x down (Eigen's columns). Its place is that of its middle.
+Its cells are in the opposite order of an OccupancyGrid's: the first one has the largest x and y. In a layer's data,
+cells with the same y are contiguous, from the largest x down (Eigen's columns). Its pose is that of its center.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from navigation.maps.grid import yaw_of
 
 GRID_MAP = "grid_map_msgs/msg/GridMap"
 HEIGHTS = "_heights"
-"""Behind the topic of a layer: the topic of the heights of what is hit there."""
+"""The suffix of the topic with the heights of a layer's obstacles."""
 
 LOWEST, HIGHEST = "lowest", "highest"
-"""Layers of heights: of the lowest and the highest that the robot would touch, metres above the floor."""
+"""Layers with the lowest and highest point that the robot would touch, meters above the floor."""
 
 MOST_CELLS = 1 << 22
 _COLUMNS, _ROWS = "column_index", "row_index"
@@ -31,13 +31,13 @@ Message = dict[str, Any]
 def to_grid_map(
     layers: Mapping[str, NDArray[np.float32]], corner: tuple[float, float], resolution: float, header: Message
 ) -> Message:
-    """The message of layers.
+    """Return a GridMap of layers.
 
     Args:
         layers: by name, each (rows, columns): rows along y, columns along x, the first cell at the corner.
-        corner: x and y of the first cell's own corner, metres.
-        resolution: metres of a cell's side.
-        header: whose frame the corner is in.
+        corner: x and y of the first cell's outer corner, meters.
+        resolution: the side of a cell, meters.
+        header: with the frame of the corner.
     """
     rows, columns = next(iter(layers.values())).shape
     length_x, length_y = columns * resolution, rows * resolution
@@ -59,37 +59,37 @@ def to_grid_map(
 
 
 def values_at(message: Mapping[str, Any], layer: str, places: NDArray[np.float64]) -> NDArray[np.float32]:
-    """A layer's values at places (n, 2) in the map's own frame; NaN beside it. Raises `ValueError` with the reason."""
+    """Return a layer's values at points (n, 2) in the map's frame; NaN outside. Raises `ValueError` with the reason."""
     if layer not in message["layers"]:
-        raise ValueError(f"layers: there is no {layer!r} among {', '.join(message['layers'][:10]) or 'none'}")
+        raise ValueError(f"layers: no {layer!r} among {', '.join(message['layers'][:10]) or 'none'}")
     number = list(message["layers"]).index(layer)
     if number >= len(message["data"]):
         raise ValueError(f"data: {len(message['data'])} arrays for {len(message['layers'])} layers")
     info = message["info"]
     size = float(info["resolution"])
     if not (math.isfinite(size) and size > 0.0):
-        raise ValueError(f"info.resolution: {size} m is no size of a cell")
+        raise ValueError(f"info.resolution: invalid size {size} m of a cell")
     cells = _cells(message["data"][number], message)
     place = info["pose"]["position"]
     yaw = yaw_of(info["pose"]["orientation"])
     cos, sin = math.cos(yaw), math.sin(yaw)
     apart = places - (float(place["x"]), float(place["y"]))
-    own = apart @ np.array([[cos, -sin], [sin, cos]])
+    rotated = apart @ np.array([[cos, -sin], [sin, cos]])
     # counted from the end with the largest x and y
-    indices = np.floor(np.array(cells.shape)[::-1] / 2.0 - own / size)
-    found = np.full(len(places), np.nan, np.float32)
+    indices = np.floor(np.array(cells.shape)[::-1] / 2.0 - rotated / size)
+    values = np.full(len(places), np.nan, np.float32)
     inside = ((indices >= 0) & (indices < np.array(cells.shape)[::-1])).all(-1)
     at = indices[inside].astype(np.int64)
-    found[inside] = cells[at[:, 1], at[:, 0]]
-    return found
+    values[inside] = cells[at[:, 1], at[:, 0]]
+    return values
 
 
 def _cells(array: Mapping[str, Any], message: Mapping[str, Any]) -> NDArray[np.float32]:
-    """The cells of a layer: rows from the largest y down, columns from the largest x down."""
+    """Return the cells of a layer: rows from the largest y down, columns from the largest x down."""
     dims = array["layout"]["dim"]
     labels = [dim["label"] for dim in dims]
     if sorted(labels) != [_COLUMNS, _ROWS]:
-        raise ValueError(f"data.layout.dim: {labels} are not {_COLUMNS} and {_ROWS}")
+        raise ValueError(f"data.layout.dim: labels must be {_COLUMNS} and {_ROWS}, not {labels}")
     shape = tuple(int(dim["size"]) for dim in dims)
     values = np.asarray(array["data"], np.float32)
     if shape[0] * shape[1] > MOST_CELLS:

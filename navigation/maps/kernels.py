@@ -1,14 +1,14 @@
-"""An OccupancyGrid's numbers of a map's, and back, as fast as memory.
+"""Converts between the values of an OccupancyGrid and of a map, as fast as memory allows.
 
-There are no branches, and all numbers are bytes: only so does the compiler take many cells at once, which is ten times
-as fast. Choices are made by masks, 255 or 0, which takes fewer steps than choosing.
+There are no branches, and all values are bytes, so that the compiler handles many cells at once, which is ten times as
+fast. Choices are made with masks, 255 or 0, which takes fewer steps than conditionals.
 """
 
 from __future__ import annotations
 
 import cython
 
-_APART = "occupancy, flags and values of a map have one shape"
+_SHAPES = "occupancy, flags and values of a map must have one shape"
 
 
 @cython.boundscheck(False)
@@ -18,7 +18,7 @@ def join(
     flags: cython.const[cython.uchar][:, ::1],
     values: cython.uchar[:, ::1],
 ) -> None:
-    """Fill the values of a grid, rows from the bottom up, of a map's cells; all three have one shape."""
+    """Fill the values of a grid, rows from the bottom up, from a map's cells; all three have one shape."""
     height: cython.Py_ssize_t = values.shape[0]
     width: cython.Py_ssize_t = values.shape[1]
     cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
@@ -34,8 +34,8 @@ def join(
                 beyond = 255 * (cell > 100)
                 unknown = 255 * (flag == 5)
                 wall = 255 * (flag == 4)
-                above = (cell + 206) & 255  # 50 less; what is less than 50 becomes large
-                surely = 50 + min(above, most)  # 50 to 100 stay, all else is 100
+                above = (cell + 206) & 255  # minus 50; values below 50 wrap to large ones
+                surely = 50 + min(above, most)  # 50 to 100 stay, all others become 100
                 values[height - 1 - row, column] = (surely & wall) | ((cell | beyond | unknown) & (255 ^ wall))
 
 
@@ -46,11 +46,11 @@ def _check(
     height: cython.Py_ssize_t,
     width: cython.Py_ssize_t,
 ) -> cython.void:
-    """Refuse a map whose cells are not as many as the grid's values."""
+    """Raise `ValueError` if the shapes of map and grid differ."""
     if occupancy.shape[0] != height or occupancy.shape[1] != width:
-        raise ValueError(_APART)
+        raise ValueError(_SHAPES)
     if flags.shape[0] != height or flags.shape[1] != width:
-        raise ValueError(_APART)
+        raise ValueError(_SHAPES)
 
 
 @cython.boundscheck(False)
@@ -58,7 +58,7 @@ def _check(
 def part(
     values: cython.const[cython.uchar][:, ::1], occupancy: cython.uchar[:, ::1], flags: cython.uchar[:, ::1]
 ) -> None:
-    """Fill a map's cells of the values of a grid, 255 for -1; all three have one shape."""
+    """Fill a map's cells from the values of a grid, 255 for -1; all three have one shape."""
     height: cython.Py_ssize_t = values.shape[0]
     width: cython.Py_ssize_t = values.shape[1]
     cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)

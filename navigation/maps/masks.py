@@ -1,4 +1,4 @@
-"""Masks on a map's cells: polygons, what planners keep out of, and how fast they may go."""
+"""Masks on a map's cells: polygons, keep-out areas and speed limits."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ Part = tuple[slice, slice]
 
 
 def cells_of(info: MapGrid2DInfo, points: Sequence[Vec2D]) -> tuple[Part, NDArray[np.bool_]]:
-    """The part of a map (rows and columns) that a polygon reaches over, and which of its cells it touches.
+    """Return the part of a map (rows and columns) around a polygon, and which of its cells the polygon touches.
 
-    Those are the cells whose middle is inside, and those that its border crosses: even a polygon that is thinner than a
-    cell leaves no gap. Corners are in metres; fewer than three are no polygon.
+    It touches the cells whose center is inside, and those that its border crosses, so that even a polygon thinner than
+    a cell leaves no gap. Corners are in meters; a polygon with fewer than three touches no cell.
     """
     corners = info.in_cells(np.array([(point.x, point.y) for point in points], float).reshape(-1, 2))
     low = np.clip(np.floor(np.min(corners, axis=0, initial=np.inf)), 0, None) if len(corners) > 2 else np.zeros(2)
@@ -39,7 +39,7 @@ def cells_of(info: MapGrid2DInfo, points: Sequence[Vec2D]) -> tuple[Part, NDArra
 
 
 def _inside(corners: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
-    """The cells whose middle has an odd number of borders to its left."""
+    """Return the cells whose center has an odd number of borders to its left."""
     odd = np.zeros((height, width + 1), np.bool_)
     for (x, y), (to_x, to_y) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         first, last = (int(np.clip(np.ceil(v - 0.5), 0, height)) for v in sorted((y, to_y)))
@@ -52,26 +52,26 @@ def _inside(corners: NDArray[np.float64], height: int, width: int) -> NDArray[np
 
 
 def _draw(cells: NDArray[np.bool_], start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
-    """Mark the cells that a line crosses, by places on it a quarter of a cell apart."""
+    """Mark the cells that a line crosses, at points on it a quarter of a cell apart."""
     size = np.array(cells.shape[::-1], float)
-    way = end - start
+    line = end - start
     with np.errstate(divide="ignore", invalid="ignore"):
-        bounds = np.sort(np.stack(((0 - start) / way, (size - start) / way)), axis=0)
-    # where it runs along an axis, the other axis says nothing
-    enter = max(0.0, *np.where(way != 0, bounds[0], -np.inf))
-    leave = min(1.0, *np.where(way != 0, bounds[1], np.inf))
+        bounds = np.sort(np.stack(((0 - start) / line, (size - start) / line)), axis=0)
+    # a line along one axis has no bounds by the other
+    enter = max(0.0, *np.where(line != 0, bounds[0], -np.inf))
+    leave = min(1.0, *np.where(line != 0, bounds[1], np.inf))
     if not enter <= leave:
         return
-    count = int(np.ceil(np.abs(way).max() * (leave - enter) * 4)) + 2
-    places = start + np.linspace(enter, leave, count)[:, None] * way
+    count = int(np.ceil(np.abs(line).max() * (leave - enter) * 4)) + 2
+    places = start + np.linspace(enter, leave, count)[:, None] * line
     columns, rows = np.floor(places).astype(int).T
     fits = (columns >= 0) & (columns < cells.shape[1]) & (rows >= 0) & (rows < cells.shape[0])
     cells[rows[fits], columns[fits]] = True
 
 
-KEEP_OUT = 100  # what planners must not enter
-TEMPORARY_OBSTACLE = 90  # what a temporary obstacle weighs: 35 of a costmap's 254 less than a wall
-ENLARGED_OBSTACLE = 60  # what the room about an obstacle weighs, which the costmap's own inflation covers too
+KEEP_OUT = 100  # planners must not enter
+TEMPORARY_OBSTACLE = 90  # 35 of a costmap's 254 less than a wall
+ENLARGED_OBSTACLE = 60  # the costmap's inflation covers this area, too
 _WEIGHTS = {
     MapFlag.KEEP_OUT: KEEP_OUT,
     MapFlag.TEMPORARY_OBSTACLE: TEMPORARY_OBSTACLE,
@@ -89,7 +89,7 @@ _TABLE = _by_flag()
 
 
 def keepout_mask(grid: MapGrid2D, areas: Iterable[Map2DArea] = ()) -> NDArray[np.int8]:
-    """(height, width), from the top row down: 100 in areas and keep-out cells of this map, the two weights, or 0."""
+    """Return the mask (height, width), from the top row down: 100 in keep-out areas and cells, another weight, or 0."""
     mask = looked_up(grid.flags, _TABLE).view(np.int8)
     for area in areas:
         if area.map_id == grid.name:
@@ -99,9 +99,9 @@ def keepout_mask(grid: MapGrid2D, areas: Iterable[Map2DArea] = ()) -> NDArray[np
 
 
 def flags_from(occupancy: NDArray[np.uint8], mask: NDArray[np.int8]) -> NDArray[np.uint8]:
-    """The flags that a map and its mask say, both of shape (height, width) with the rows in the same order.
+    """Return the flags of a map and its mask, both (height, width) with the rows in the same order.
 
-    The occupancy is 0 to 100 or 255; weights that are none of :func:`keepout_mask`'s leave what the map says.
+    The occupancy is 0 to 100 or 255; weights that :func:`keepout_mask` does not use do not change the flags.
     """
     flags = flags_of(occupancy)
     for flag, weight in _WEIGHTS.items():
@@ -109,36 +109,35 @@ def flags_from(occupancy: NDArray[np.uint8], mask: NDArray[np.int8]) -> NDArray[
     return flags
 
 
-ABSOLUTE = 2  # CostmapFilterInfo's type of limits in metres per second
+ABSOLUTE = 2  # CostmapFilterInfo's type for limits in m/s
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedMask:
-    """A mask, and what its values mean."""
+    """A speed mask, and the meaning of its values."""
 
-    # of shape (height, width), rows from the top one down: 1 to 100, or 0 where there is no limit
+    # (height, width), rows from the top down: 1 to 100, or 0 without a limit
     values: NDArray[np.int8]
-    base: float  #: metres per second
-    multiplier: float  #: metres per second for each 1 of a value
+    base: float  #: m/s
+    multiplier: float  #: m/s per unit of a value
     type: int = ABSOLUTE  #: CostmapFilterInfo's
 
 
 def speed_mask(info: MapGrid2DInfo, limits: Sequence[tuple[Map2DArea, float]]) -> SpeedMask:
-    """The mask of areas that have a limit each (m/s); where they overlap, the lowest holds.
+    """Return the mask of areas with limits (m/s); the lowest applies if areas overlap.
 
-    The lowest and the highest limit of all are exact; one between may come out lower by up to a 99th of their
-    difference, never higher. Areas on other maps do not matter. Raises `ValueError` for a limit that is not above 0: it
-    would mean none.
+    The lowest and the highest limit are exact; those between may be lower by up to a 99th of the difference, never
+    higher. Areas on other maps are ignored. Raises `ValueError` for a limit that is not above 0: 0 means no limit.
     """
-    here = [(area, limit) for area, limit in limits if area.map_id == info.name]
-    for area, limit in here:
+    on_map = [(area, limit) for area, limit in limits if area.map_id == info.name]
+    for area, limit in on_map:
         if not (math.isfinite(limit) and limit > 0):
-            raise ValueError(f"{limit} m/s is no limit of an area ({area.description!r}): it must be above 0")
+            raise ValueError(f"invalid speed limit {limit} m/s of an area ({area.description!r}): it must be above 0")
     values = np.zeros((info.m_height, info.m_width), np.int8)
-    low, high = min((limit for _, limit in here), default=1.0), max((limit for _, limit in here), default=1.0)
+    low, high = min((limit for _, limit in on_map), default=1.0), max((limit for _, limit in on_map), default=1.0)
     multiplier = high / 100 if low == high else (high - low) / 99
     base = 0.0 if low == high else low - multiplier
-    for area, limit in sorted(here, key=lambda pair: -pair[1]):
+    for area, limit in sorted(on_map, key=lambda pair: -pair[1]):
         part, inside = cells_of(info, area.points)
         values[part][inside] = min(max(math.floor((limit - base) / multiplier + 1e-6), 1), 100)
     return SpeedMask(values, base, multiplier)

@@ -1,1 +1,1 @@
-"""The module RobotGoto: drives to a goal by laser and frames alone."""
+"""The module RobotGoto: drives to a goal with only a laser and transforms."""

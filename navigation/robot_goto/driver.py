@@ -1,6 +1,6 @@
-"""Drives to a goal, by the laser and the robot's pose alone: RobotGoto without its ports.
+"""RobotGoto without its ports: drives to a goal with only a laser and the robot's pose.
 
-Time comes in as an argument, so that a harness can drive it in lock-step with a simulator.
+Time is an argument, so that tests and benchmarks run it in lock-step with a simulator.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from navigation.robot_goto.steering import STILL, Aim, DriveCommand, GoalLimits,
 from navigation.scan import AT_BASE, is_blind
 from navigation.status import Fault, PlannerStatus, State
 
-COAST = 0.3  # seconds for which the robot goes on behind a waypoint that it is to pass, until the next goal comes
-CLEAR = 1.0  # seconds for which the way is to be free before the robot goes on
-RAMP = 2.0  # seconds in which it comes up to speed then
+COAST = 0.3  # seconds for which the robot continues past a waypoint while it has no next goal
+CLEAR = 1.0  # seconds for which the path has to be free before the robot drives on
+RAMP = 2.0  # seconds in which it then accelerates to full speed
 RETREAT_SPEED = 0.2
 MAX_RETREAT = 2.0
 _PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)
 _JUMP, _JUMP_TURN = 0.3, math.radians(30.0)
-_DOES_NOT_FOLLOW = "the base does not follow its commands: an emergency stop, or odometry that is frozen?"
-_LOOK, _LOOKS, _LOOK_AGAIN = 0.5 * math.pi, 2, 0.3
+_DOES_NOT_FOLLOW = "the base does not follow its commands: check its emergency stop and its odometry"
+_SCAN_TURN, _SCAN_TURNS, _SCAN_AGAIN = 0.5 * math.pi, 2, 0.3  # radians, number of turns, meters
 
 
 class Driver:
@@ -38,12 +38,12 @@ class Driver:
 
     def __init__(self, settings: RobotGotoSection | None = None) -> None:
         self._first = self.settings = settings or RobotGotoSection()
-        # what the laser saw around it lately
+        # recent scans around the robot
         self.grid = LocalGrid(self.settings.memory, self.settings.robot_radius, self.settings.laser_offset)
-        self.obstacles = Obstacles(self.settings)  # what others see that the laser does not
-        self.status = PlannerStatus()  # how the goal is getting on
-        self.command = STILL  # what was commanded last
-        # what there is to say to people around, the oldest first; whoever says it takes it out
+        self.obstacles = Obstacles(self.settings)  # seen by other sensors than the laser
+        self.status = PlannerStatus()
+        self.command = STILL  # the last one
+        # phrases for people nearby, oldest first; the speaker removes them
         self.spoken: deque[str] = deque(maxlen=8)
         self._guard = Guard(self.grid)
         self._stall = FollowCheck()
@@ -51,22 +51,22 @@ class Driver:
         self._aim: Aim | None = None
         self._aimed: float | None = None
         self._waiting_since: float | None = None
-        self._looked_at: Pose | None = None
+        self._turned_at: Pose | None = None
         self._now: float | None = None
         self._moved: Pose | None = None
         self._passed = 0.0
         self._last = STILL
-        self.bearing = 0.0  # where the goal is seen from the robot's front, radians
-        # why scans cannot be taken up: frames are missing; whoever gives them sets it
+        self.bearing = 0.0  # of the goal, from the robot's front, radians
+        # why scans cannot be used: a transform is missing; set by the source of the scans
         self.unplaced, self._blind = "", False
         self._clear()
 
     def reset(self) -> None:
-        """Take the settings of the start again."""
+        """Restore the initial settings."""
         self.settings = self._first
 
-    def forget(self) -> None:
-        """Give the goal up, and all that was seen: time was set back."""
+    def restart(self) -> None:
+        """Drop the goal and all observations, after the clock jumped back."""
         self.cancel()
         self.grid.clear()
         self.obstacles.clear()
@@ -76,25 +76,25 @@ class Driver:
     # goals
 
     def goal(self, pose: Pose, constraints: Constraints | None = None) -> None:
-        """Drive there; an active goal is left for it without a stop. Raises `ValueError` if the place is not finite.
+        """Drive to a goal, without a stop if another one is active. Raises `ValueError` if x or y is not finite.
 
-        The pose is on the map; its theta is NaN where any heading will do.
+        The pose is on the map; its theta is NaN if the heading does not matter.
         """
         if not (math.isfinite(pose.x) and math.isfinite(pose.y)):
-            raise ValueError(f"a goal is a place: x and y are numbers, not {pose.x} and {pose.y}")
-        resting = self.target is None and self.command == STILL
+            raise ValueError(f"a goal's x and y must be finite, not {pose.x} and {pose.y}")
+        standing = self.target is None and self.command == STILL
         self._clear()
-        if resting:
+        if standing:
             self._stall.clear()
         self.target = GotoTask(pose, constraints or Constraints())
-        back_off = resting and self.settings.enable_retreat
+        back_off = standing and self.settings.enable_retreat
         self.status = PlannerStatus(State.PREPARING if back_off else State.MOVING)
         self._retreat = min(self.settings.retreat_duration, MAX_RETREAT) if back_off else 0.0
 
     def approach(self, direction: float, speed: float, seconds: float) -> None:
-        """Move by the laser alone, in a direction of the robot's frame (radians), at m/s, for so many seconds.
+        """Move with only the laser, in a direction of the robot's frame (radians), at m/s, for some seconds.
 
-        It goes so far as nothing is in the way, back for 2 s at most; a differential base goes forward or back.
+        Obstacles stop it; backwards it moves for at most 2 s. A differential base moves forward or backward only.
         """
         self._clear()
         self._stall.clear()
@@ -107,12 +107,12 @@ class Driver:
         self.status = PlannerStatus(State.PREPARING)
 
     def cancel(self) -> None:
-        """Give the goal up and stop."""
+        """Drop the goal and stop."""
         self._clear()
         self.status = PlannerStatus()
 
     def pause(self, seconds: float = math.inf, reason: str = "") -> bool:
-        """Stand still for so long, then go on; whether there is a goal to pause. Not a number, or 0: until resumed."""
+        """Stop for some seconds, or until resumed if they are 0 or NaN; return whether there is a goal to pause."""
         if self.target is None:
             return False
         self._pause_left = seconds if seconds > 0.0 else math.inf
@@ -120,7 +120,7 @@ class Driver:
         return True
 
     def resume(self) -> bool:
-        """Go on; whether it was paused."""
+        """Drive on; return whether the goal was paused."""
         if self.status.state is not State.PAUSED or self.target is None:
             return False
         self.target.progress_at = None
@@ -137,9 +137,9 @@ class Driver:
         self._waiting_since = None
         self._seen_at = self._removed_at = -math.inf
         self._length = 0.0
-        self._look_left = self._look_way = 0.0
-        self._looks = 0
-        self._looked_at = None
+        self._turn_left = self._turn_sign = 0.0
+        self._turns = 0
+        self._turned_at = None
 
     @property
     def ahead(self) -> NDArray[np.float64]:
@@ -147,32 +147,31 @@ class Driver:
         return self._guard.ahead
 
     @property
-    def way(self) -> list[tuple[float, float]]:
-        """Where it drives to next, in the odometry's frame; nothing where it goes straight to the goal."""
+    def detour(self) -> list[tuple[float, float]]:
+        """The next point of a path around obstacles, in the odometry frame; empty if it drives straight to the goal."""
         return [] if self._aim is None or self._aim.direct else [(self._aim.x, self._aim.y)]
 
     @property
     def silent(self) -> bool:
-        """Whether to command nothing, since there is no goal."""
+        """Whether to publish no command, since there is no goal."""
         return self.status.state.ended and self.command == STILL
 
-    # the senses
+    # sensors
 
     def scan(self, scan: Turn, moved: Pose, laser: Pose = AT_BASE) -> None:
-        """Take up a scan; ``laser`` is the laser's place on the base.
+        """Add a scan; ``laser`` is the laser's pose on the base.
 
-        ``moved`` is where the base was as it was made, in the odometry's frame, or on the map where there is no
-        odometry.
+        ``moved`` is the base's pose at the scan's time, in the odometry frame, or on the map without odometry.
         """
         self.unplaced, self._blind = "", is_blind(scan)
         if not self._blind:
             self.grid.scan(scan, moved, laser)
 
-    def step(self, now: float, pose: Pose | None, moved: Pose | None = None, why: str = "") -> DriveCommand:
-        """What to command now, in seconds of the scans' clock.
+    def step(self, now: float, pose: Pose | None, moved: Pose | None = None, lost: str = "") -> DriveCommand:
+        """Return the command for now, in seconds of the scans' clock.
 
-        ``pose`` is the robot's on the map, None with ``why`` where that is not known; ``moved`` is its pose in the
-        odometry's frame, in which the laser's memory is kept, or in the map's without it.
+        ``pose`` is the robot's on the map, or None for the reason ``lost``. ``moved`` is its pose in the odometry
+        frame, in which observations are stored, or on the map without odometry.
         """
         passed = 0.0 if self._now is None else min(max(0.0, now - self._now), 1.0)
         self._now = now
@@ -184,17 +183,17 @@ class Driver:
         if moved is not None:
             if self._moved is not None and _jumped(self._moved, moved, passed):
                 self.grid.clear()
-                self.obstacles.forget_places()
-                self._guard.forget()
+                self.obstacles.clear_clouds()
+                self._guard.clear()
                 self._stall.clear()
             self._moved = moved
             self._stall.add(now, passed, self._guard.has, moved)
             if self.settings.obstacles:
-                self.grid.beside(self.obstacles.places(now, pose, moved))
-        self.command = self._chosen(now, passed, pose, moved, why)
+                self.grid.set_others(self.obstacles.places(now, pose, moved))
+        self.command = self._choose(now, passed, pose, moved, lost)
         return self.command
 
-    def _chosen(self, now: float, passed: float, pose: Pose | None, moved: Pose | None, why: str) -> DriveCommand:
+    def _choose(self, now: float, passed: float, pose: Pose | None, moved: Pose | None, lost: str) -> DriveCommand:
         if self.status.state is State.PAUSED:
             self._pause_left -= passed
             if self._pause_left > 0.0 or not self.resume():
@@ -202,9 +201,9 @@ class Driver:
         coasting = self._coast > 0.0
         if self.status.state.ended and not coasting:
             return STILL
-        trouble = self._trouble(now, pose, why)
+        trouble = self._trouble(now, pose, lost)
         if trouble is not None or pose is None or moved is None:
-            reason, fault = trouble or (why, Fault.NOT_LOCALIZED)
+            reason, fault = trouble or (lost, Fault.NOT_LOCALIZED)
             return STILL if coasting else self._wait(now, reason, fault)
         if self._stall.waits(now) and not coasting:
             self._waiting_since, self._removed_at = self._stall.since, now
@@ -213,50 +212,50 @@ class Driver:
             self._coast -= passed
             return self._guarded(now, moved, self._last) if self._coast > 0.0 else STILL
         if self._push_left > 0.0 or self._retreat > 0.0:
-            return self._pushed(now, passed, moved)
-        if self.target is None:  # an approach that is done
+            return self._push_step(now, passed, moved)
+        if self.target is None:  # the end of an approach
             self.status = PlannerStatus()
             return STILL
         self.target.driven = True
-        self._last = self._driven(now, self.target, pose, moved)
+        self._last = self._goal_step(now, self.target, pose, moved)
         return self._guarded(now, moved, self._last)
 
-    def _trouble(self, now: float, pose: Pose | None, why: str) -> tuple[str, Fault] | None:
+    def _trouble(self, now: float, pose: Pose | None, lost: str) -> tuple[str, Fault] | None:
         unseen = self._unseen(now)
         if unseen and not self.unplaced:
-            return unseen, Fault.NO_LASER  # first, as a robot that does not see may not know where it is either
+            return unseen, Fault.NO_LASER  # first, as a missing laser also causes a lost pose
         if pose is None and self.target is not None:
-            return f"where the robot is is not known{': ' if why else ''}{why}", Fault.NOT_LOCALIZED
+            return f"the robot's pose is unknown{': ' if lost else ''}{lost}", Fault.NOT_LOCALIZED
         if unseen:
-            return f"it is not known where the laser's scans are: {self.unplaced}", Fault.NO_LASER
+            return f"the laser's pose is unknown: {self.unplaced}", Fault.NO_LASER
         return None
 
     def _unseen(self, now: float) -> str:
-        """Why nothing is seen; "" where something is."""
+        """Return why obstacles are not seen; "" if all sensors work."""
         scanned = self.grid.scanned
         if scanned is not None and now - scanned <= self.settings.laser_timeout:
-            return self.obstacles.unheard(now)
+            return self.obstacles.silence(now)
         if self._blind:
-            return "the laser is blind: none of its beams says anything"
+            return "the laser is blind: no beam has a valid range"
         if scanned is None:
-            return "no scan of the laser has come yet"
+            return "waiting for the first scan of the laser"
         return f"the laser is silent: its last scan is {now - scanned:.1f} s old"
 
     def _wait(self, now: float, reason: str, fault: Fault) -> DriveCommand:
-        """Stand still until it is over, and fail where it is not in time."""
-        if self.target is None:  # an approach that cannot see
+        """Stop until the reason is gone, and fail if that takes too long."""
+        if self.target is None:  # an approach without a working laser
             self._clear()
             self.status = PlannerStatus(State.ABORTED, reason, fault)
             return STILL
         if self._waiting_since is None:
             self._waiting_since = now
         if self.target.progress_at is not None:
-            self.target.progress_at += self._passed  # waiting is no deadlock
+            self.target.progress_at += self._passed  # waiting is not a deadlock
         waited = now - self._waiting_since
-        early = not self.target.driven  # it came before the robot could drive
+        early = not self.target.driven  # the robot could not drive yet
         if waited > self.settings.max_waiting_time:
-            again = ": ask again once it has" if early else ""
-            self._end(State.FAILING, f"{reason}; waited {waited:.0f} s for it to change{again}", fault)
+            again = ": send the goal again once it has changed" if early else ""
+            self._end(State.FAILING, f"{reason}; gave up after {waited:.0f} s{again}", fault)
         else:
             self.status = PlannerStatus(State.PREPARING if early else State.WAITING, reason, fault)
         return STILL
@@ -265,8 +264,8 @@ class Driver:
         self._clear()
         self.status = PlannerStatus(state, reason, fault)
 
-    def _pushed(self, now: float, passed: float, moved: Pose) -> DriveCommand:
-        """Back off, or approach."""
+    def _push_step(self, now: float, passed: float, moved: Pose) -> DriveCommand:
+        """Retreat or approach."""
         if self._push_left > 0.0:
             self._push_left -= passed
             wanted = self._push if self._push_left > 0.0 else STILL
@@ -277,49 +276,51 @@ class Driver:
                 self.status = PlannerStatus(State.MOVING)
         return self._guarded(now, moved, wanted)
 
-    # the goal
+    # goal
 
-    def _driven(self, now: float, task: GotoTask, pose: Pose, moved: Pose) -> DriveCommand:
-        limits = GoalLimits.of(self.settings, task.asked)
-        seen = pose.inverse @ task.pose
-        distance, self.bearing = math.hypot(seen.x, seen.y), math.atan2(seen.y, seen.x)
+    def _goal_step(self, now: float, task: GotoTask, pose: Pose, moved: Pose) -> DriveCommand:
+        limits = GoalLimits.combine(self.settings, task.constraints)
+        relative = pose.inverse @ task.pose
+        distance, self.bearing = math.hypot(relative.x, relative.y), math.atan2(relative.y, relative.x)
         turn = wrapped(task.pose.theta - pose.theta) if task.heading else 0.0
         task.near = distance < limits.tolerance_lin * (1.5 if task.near else 1.0)
         if task.near:
             if abs(turn) <= limits.tolerance_ang:
                 self._reached(task)
-                return DriveCommand(*self.command) if task.asked.through else STILL
+                return DriveCommand(*self.command) if task.constraints.through else STILL
             self._waiting_since = None
             self.status = PlannerStatus(State.MOVING)
             if self._stuck(now, task, task.best, abs(turn)):
                 return STILL
             return DriveCommand(omega=limits.turn(limits.ang_gain * turn))
-        towards = self._towards(now, limits, moved, seen)
+        towards = self._towards(now, limits, moved, relative)
         beta = wrapped(math.atan2(towards.y - moved.y, towards.x - moved.x) - moved.theta)
         if self._blocked(now, limits, moved, beta, distance, towards) or self._stuck(now, task, towards.left, math.inf):
             return STILL
         ramp = min(1.0, max(0.05, (now - self._removed_at) / RAMP))
-        wanted = drive(self.settings, limits, distance, beta, float(self.ahead[3]), ramp, through=task.asked.through)
-        most = people_speed(self.settings, float(self.ahead[2]) - self.settings.robot_radius - FAST_ROOM)
-        share = min(1.0, most / wanted.speed) if wanted.speed else 1.0
+        wanted = drive(
+            self.settings, limits, distance, beta, float(self.ahead[3]), ramp, through=task.constraints.through
+        )
+        safe = people_speed(self.settings, float(self.ahead[2]) - self.settings.robot_radius - FAST_ROOM)
+        share = min(1.0, safe / wanted.speed) if wanted.speed else 1.0
         return DriveCommand(wanted.vx * share, wanted.vy * share, wanted.omega)
 
     def _reached(self, task: GotoTask) -> None:
         self._end(State.REACHED, "")
-        self._coast = COAST if task.asked.through else 0.0
+        self._coast = COAST if task.constraints.through else 0.0
 
-    def _towards(self, now: float, limits: GoalLimits, moved: Pose, seen: Pose) -> Aim:
-        """Where to drive to next, in the grid's frame."""
-        goal = moved @ seen
+    def _towards(self, now: float, limits: GoalLimits, moved: Pose, relative: Pose) -> Aim:
+        """Return the point to drive to, in the grid's frame."""
+        goal = moved @ relative
         if not limits.avoid:
-            return Aim(goal.x, goal.y, math.inf, math.hypot(seen.x, seen.y), True, (goal.x, goal.y))
+            return Aim(goal.x, goal.y, math.inf, math.hypot(relative.x, relative.y), True, (goal.x, goal.y))
         if self._aim is None or self._aimed != self.grid.scanned:
             self._aim = aim(self.grid, now, moved, (goal.x, goal.y), self.settings.robot_radius, self._aim)
             self._aimed = self.grid.scanned
         return self._aim._replace(x=goal.x, y=goal.y) if self._aim.direct else self._aim
 
     def _blocked(self, now: float, limits: GoalLimits, moved: Pose, beta: float, distance: float, towards: Aim) -> bool:
-        """Whether to wait for something ahead; it is said to the people around."""
+        """Whether to wait for an obstacle ahead; also add a phrase for people nearby."""
         settings = self.settings
         length = settings.max_detection_distance
         if settings.enable_dynamic_max_distance:
@@ -328,20 +329,20 @@ class Driver:
             )
         length = max(length, settings.min_detection_distance)
         if self.status.state is State.WAITING:
-            length = max(length, self._length)  # what stopped it from afar is not gone because it stands
+            length = max(length, self._length)  # an obstacle that stopped the robot early still counts when it stands
         self._length = length
         radius = settings.robot_radius
-        self._guard.look(settings, moved, beta, min(length, distance + radius))
+        self._guard.check_ahead(settings, moved, beta, min(length, distance + radius))
         reason = ""
         if limits.avoid:
             if towards.blocked < max(length, radius + 0.2):
-                reason = "the way is blocked"
+                reason = "the path is blocked"
             elif limits.stop and self.ahead[1] >= 2:
-                reason = "somebody crosses the way"
+                reason = "a person crosses the path"
             elif people_speed(settings, self.ahead[2] - radius - FAST_ROOM) < 0.02:
-                reason = "somebody is too near"
+                reason = "a person is too close"
         elif limits.stop and self.ahead[0] >= 2:
-            reason = "there is an obstacle on the way"
+            reason = "an obstacle is on the path"
         if reason:
             if self._seen_at < now - CLEAR and self.status.state is not State.WAITING:
                 self.spoken.append("Obstacles detected")
@@ -349,7 +350,7 @@ class Driver:
             self._wait(now, reason, Fault.BLOCKED)
             return True
         if now - self._seen_at <= CLEAR:
-            self._wait(now, "the way has just become free", Fault.BLOCKED)
+            self._wait(now, "the path has just become free", Fault.BLOCKED)
             return True
         if self._waiting_since is not None:
             if math.isfinite(self._seen_at):
@@ -371,32 +372,32 @@ class Driver:
             self._end(State.ABORTED, reason, Fault.BLOCKED)
         return True
 
-    # the guard
+    # guard
 
     def _guarded(self, now: float, moved: Pose, wanted: DriveCommand) -> DriveCommand:
         slowed = self._guard.allowed(self.settings, now, moved, wanted)
         unseen = wanted.speed and self._guard.unseen
-        if (unseen or self._look_left > 0.0) and self.target is not None and self._retreat <= 0.0:
-            return self._look(now, moved, slowed)
+        if (unseen or self._turn_left > 0.0) and self.target is not None and self._retreat <= 0.0:
+            return self._turn_to_see(now, moved, slowed)
         return slowed
 
-    def _look(self, now: float, moved: Pose, slowed: DriveCommand) -> DriveCommand:
-        """Turn on the spot for the laser to see where the way leads, to two sides; then creep where it can."""
-        if self._looked_at is None or self._looked_at.distance(moved) > _LOOK_AGAIN:
-            self._looks, self._looked_at = 0, moved
-        if self._look_left <= 0.0:
-            if self._looks >= _LOOKS:
-                unseen = "the laser cannot see where the way leads"
+    def _turn_to_see(self, now: float, moved: Pose, slowed: DriveCommand) -> DriveCommand:
+        """Turn in place until the laser sees the path, to both sides; then creep if possible."""
+        if self._turned_at is None or self._turned_at.distance(moved) > _SCAN_AGAIN:
+            self._turns, self._turned_at = 0, moved
+        if self._turn_left <= 0.0:
+            if self._turns >= _SCAN_TURNS:
+                unseen = "the laser cannot see the path ahead"
                 return slowed if slowed.speed else self._wait(now, unseen, Fault.BLOCKED)
             bearing = math.atan2(self._guard.blocker[1] - moved.y, self._guard.blocker[0] - moved.x) - moved.theta
-            self._look_way = math.copysign(1.0, wrapped(bearing))
-            self._look_left = _LOOK
-            self._looks += 1
-        self._look_left -= abs(self._guard.has[2]) * self._passed
-        return DriveCommand(omega=self._look_way * math.radians(self.settings.max_ang_speed))
+            self._turn_sign = math.copysign(1.0, wrapped(bearing))
+            self._turn_left = _SCAN_TURN
+            self._turns += 1
+        self._turn_left -= abs(self._guard.has[2]) * self._passed
+        return DriveCommand(omega=self._turn_sign * math.radians(self.settings.max_ang_speed))
 
 
 def _jumped(before: Pose, moved: Pose, passed: float) -> bool:
-    """Whether odometry has begun anew: no base is as fast."""
+    """Whether the odometry was reset: no base is as fast."""
     turned = abs(wrapped(moved.theta - before.theta))
     return before.distance(moved) > _JUMP + 2.0 * passed or turned > _JUMP_TURN + math.tau * passed

@@ -1,4 +1,4 @@
-"""Keeps the robot away from obstacles that the laser sees or saw, and detects a base that does not follow."""
+"""Slows the robot in front of obstacles, and detects a base that does not follow its commands."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from navigation.pose import Pose, wrapped
 from navigation.robot_goto.local_grid import LocalGrid
 from navigation.robot_goto.steering import STILL, DriveCommand
 
-CREEP_ROOM, FAST_ROOM = 0.01, 0.05  # metres kept beyond the radius, when it creeps and at full speed
+CREEP_ROOM, FAST_ROOM = 0.01, 0.05  # meters beyond the radius, when creeping and at full speed
 _BARELY, _LEAST = 0.1, 0.002
 _BASELINE, _KEPT = 0.15, 0.3
 _FASTER, _ABSURD = 0.1, 5.0
 
 
 class Guard:
-    """Lets commands through, slowed where the robot could not stop in time."""
+    """Passes commands on, slowed if the robot could not stop in time."""
 
     def __init__(self, grid: LocalGrid) -> None:
         self._grid = grid
@@ -30,14 +30,14 @@ class Guard:
         self._wanted = np.zeros(3)
         self._places: deque[tuple[float, Pose]] = deque()
         self._scale = 1.0
-        self.has: NDArray[np.float64] = np.zeros(3)  # the velocity that it has now: m/s, m/s, rad/s
-        # the point that let the last command go no faster; its third is -1 for none
+        self.has: NDArray[np.float64] = np.zeros(3)  # the current velocity: m/s, m/s, rad/s
+        # the point that limited the last command; its third value is -1 for none
         self.blocker: NDArray[np.float64] = np.zeros(3)
         # see `navigation.algorithms.stopping.ahead`
         self.ahead = np.array([0.0, 0.0, math.inf, math.inf, 0.0, math.inf])
 
     def follow(self, settings: RobotGotoSection, command: DriveCommand, seconds: float) -> None:
-        """Work out how fast the base goes by now, by what it was commanded."""
+        """Estimate the base's velocity from its commands."""
         dx, dy = command.vx - self.has[0], command.vy - self.has[1]
         change, most = math.hypot(dx, dy), settings.max_lin_acc * seconds
         share = min(1.0, most / change) if change else 1.0
@@ -47,7 +47,7 @@ class Guard:
         self.has[2] += min(most, max(-most, command.omega - self.has[2]))
 
     def measure(self, settings: RobotGotoSection, now: float, moved: Pose) -> None:
-        """Believe odometry where the base goes faster than it was commanded: somebody else drives it, or pushes."""
+        """Use the odometry's velocity if it exceeds the commands: another program or a person moves the base."""
         if self._places and not 0.0 <= now - self._places[-1][0] < _KEPT:
             self._places.clear()
         self._places.append((now, moved))
@@ -64,19 +64,19 @@ class Guard:
             c, s = math.cos(moved.theta), math.sin(moved.theta)
             self.has[0], self.has[1] = c * dx + s * dy, c * dy - s * dx
 
-    def forget(self) -> None:
-        """The odometry has jumped."""
+    def clear(self) -> None:
+        """Drop past poses, after the odometry has jumped."""
         self._places.clear()
 
-    def look(self, settings: RobotGotoSection, moved: Pose, direction: float, length: float) -> None:
-        """Take up what is ahead in a direction (radians, of the robot's frame), for so many metres."""
+    def check_ahead(self, settings: RobotGotoSection, moved: Pose, direction: float, length: float) -> None:
+        """Update `ahead` for a direction (radians, in the robot's frame) and a length in meters."""
         ahead(
             self._grid.points, self._grid.count, moved.x, moved.y, moved.theta, direction, length,
             settings.robot_radius, settings.robot_radius, math.radians(settings.frontal_blind_angle), self.ahead,
         )  # fmt: skip
 
     def allowed(self, settings: RobotGotoSection, now: float, moved: Pose, wanted: DriveCommand) -> DriveCommand:
-        """What of a command is allowed: slower, as long as the robot could not stop in time. Turning always is."""
+        """Return the allowed command: slower if the robot could not stop in time. Turning is always allowed."""
         self._scale, self.blocker[2] = 1.0, -1.0
         if wanted == STILL:
             return STILL
@@ -97,32 +97,32 @@ class Guard:
 
     @property
     def unseen(self) -> bool:
-        """Whether the last command was slowed to almost nothing by a place that nobody saw."""
+        """Whether an unseen cell slowed the last command to almost nothing."""
         return self._scale <= _BARELY and bool(self.blocker[2] == UNKNOWN)
 
 
-ENOUGH = 0.2  # metres of commands after which it is looked what became of them
-TRY = 0.05  # the same of a base that did not follow, and is tried again
+ENOUGH = 0.2  # commanded meters after which the base's motion is checked
+TRY = 0.05  # the same for a base that did not follow, at the next try
 PAUSE = 2.0  # seconds between two tries
 _SHARE = 0.2
-_ARM = 0.2  # metres that one radian counts
+_ARM = 0.2  # meters that one radian counts as
 
 
 class FollowCheck:
-    """Compares what was commanded with where odometry says that the base went."""
+    """Compares commands with the motion by odometry."""
 
     def __init__(self) -> None:
         self.clear()
 
     def clear(self) -> None:
-        """Begin anew."""
-        self.since: float | None = None  # when it did not follow first, seconds; None while it does
+        """Drop all observations."""
+        self.since: float | None = None  # since when the base does not follow, seconds; None while it does
         self._again = -math.inf
         self._wanted = 0.0
         self._from: Pose | None = None
 
     def add(self, now: float, passed: float, velocity: NDArray[np.float64], moved: Pose) -> None:
-        """Take up a step of so many seconds: the velocity that the base should have had, and its pose by odometry.
+        """Add a step of `passed` seconds: the velocity that the base should have had, and its pose by odometry.
 
         The velocity is (3,): m/s forward and to the left, and rad/s.
         """
@@ -141,5 +141,5 @@ class FollowCheck:
         self._wanted, self._from = 0.0, moved
 
     def waits(self, now: float) -> bool:
-        """Whether it does not follow, and is not to be tried again yet."""
+        """Whether the base does not follow, and the next try is not due yet."""
         return self.since is not None and now < self._again

@@ -1,4 +1,4 @@
-"""The surroundings of the robot, as its laser saw them last."""
+"""The surroundings of the robot, from its laser."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from navigation.pose import Pose
 from navigation.scan import AT_BASE
 
 RESOLUTION = 0.05
-SIDE = 100  # cells; the window is 5 m square, with the robot in its middle
-NEAR = 1.5  # metres around the robot within which single cells are given
+SIDE = 100  # cells; the window is 5 m wide and high, with the robot in its center
+NEAR = 1.5  # meters around the robot within which `unsure` returns cells
 
 
 class LocalGrid:
     """A window of 5 m around the robot, in a frame in which it moves smoothly (the odometry's).
 
-    What was seen is believed for ``memory`` seconds. Where the robot stands, in its radius (metres), is free; its
-    lasers are ``aside`` metres from its middle.
+    Observations are valid for ``memory`` seconds. The cells within the robot's ``radius`` (meters) are free; its lasers
+    are ``aside`` meters from its center.
     """
 
     def __init__(self, memory: float, radius: float, aside: float) -> None:
@@ -30,17 +30,17 @@ class LocalGrid:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all."""
+        """Drop all observations."""
         self._grid = RollingGrid(SIDE, RESOLUTION, self._memory)
-        # where beams of the newest scan ended: x, y, and 1 where something came lately; then what others see
+        # the newest scan's echoes: x, y, and 1 for a recently occupied cell; then the other sensors' obstacles
         self.points = np.empty((0, 3))
-        self.count = 0  # how many of them there are
-        self.scanned: float | None = None  # when that scan was made, seconds; None before the first
+        self.count = 0  # the number of valid rows
+        self.scanned: float | None = None  # the time of the scan, seconds; None before the first
         self._echoes = 0
         self._others = np.empty((0, 2))
 
     def scan(self, scan: Turn, at: Pose, laser: Pose = AT_BASE) -> None:
-        """Take up a scan of a laser on the base, which was at a pose in the grid's frame as it was made."""
+        """Add a scan of a laser on the base; `at` is the base's pose in the grid's frame at the scan's time."""
         now = scan.time_ns / 1e9
         self._grid.move(math.floor(at.y / RESOLUTION) - SIDE // 2, math.floor(at.x / RESOLUTION) - SIDE // 2)
         if len(self.points) < len(scan.ranges) + len(self._others):
@@ -53,10 +53,10 @@ class LocalGrid:
             self.points,
         )  # fmt: skip
         self.scanned = now
-        self.beside(self._others)
+        self.set_others(self._others)
 
-    def beside(self, places: NDArray[np.float64]) -> None:
-        """Take what others than the laser see now, in place of what they saw: (n, 2) x and y."""
+    def set_others(self, places: NDArray[np.float64]) -> None:
+        """Replace the obstacles of other sensors than the laser: (n, 2) x and y."""
         self._others, self.count = places, self._echoes + len(places)
         if len(self.points) < self.count:
             self.points = np.concatenate((self.points[: self._echoes], np.empty((2 * len(places), 3))))
@@ -64,13 +64,16 @@ class LocalGrid:
         self.points[self._echoes : self.count, 2] = 0.0
 
     def unsure(self, at: Pose, now: float) -> tuple[NDArray[np.float64], int]:
-        """Cells around a place, not free and unseen by the newest scan: (n, 3), `OCCUPIED` or `UNKNOWN`; how many."""
+        """Return nearby cells that the newest scan did not see and that are not free: (n, 3), and their number.
+
+        The third value is `OCCUPIED` or `UNKNOWN`.
+        """
         scanned = NEVER - 1.0 if self.scanned is None else self.scanned
         count = self._grid.near(now, at.x, at.y, NEAR, scanned, self._cells)
         return self._cells, count
 
     def states(self, now: float) -> NDArray[np.uint8]:
-        """(rows, columns) of all cells: free, `OCCUPIED` or `UNKNOWN`, from the window's corner."""
+        """Return all cells from the window's corner, (rows, columns): free, `OCCUPIED` or `UNKNOWN`."""
         out = np.empty((SIDE, SIDE), np.uint8)
         self._grid.states(now, out)
         if len(self._others):
@@ -80,22 +83,22 @@ class LocalGrid:
         return out
 
     def occupancy(self, now: float) -> NDArray[np.int8]:
-        """The same as ROS has it: 0 free, 100 occupied, -1 unknown; rows go up."""
+        """Return all cells with ROS's values: 0 free, 100 occupied, -1 unknown; rows go up."""
         states = self.states(now)
         return np.where(states == UNKNOWN, -1, np.where(states == OCCUPIED, 100, 0)).astype(np.int8)
 
     @property
     def origin(self) -> tuple[float, float]:
-        """X and y of the window's corner, metres."""
+        """X and y of the window's corner, meters."""
         row, column = self._grid.corner
         return column * RESOLUTION, row * RESOLUTION
 
     def cell(self, x: float, y: float) -> tuple[float, float]:
-        """The row and column in the window of a place, as numbers of which the whole ones are cells' middles."""
+        """Return the row and column of a point in the window; integers are cell centers."""
         row, column = self._grid.corner
         return y / RESOLUTION - row - 0.5, x / RESOLUTION - column - 0.5
 
     def place(self, row: float, column: float) -> tuple[float, float]:
-        """The other way round: x and y."""
+        """Return x and y of a row and column."""
         row0, column0 = self._grid.corner
         return (column + column0 + 0.5) * RESOLUTION, (row + row0 + 0.5) * RESOLUTION

@@ -1,6 +1,6 @@
-"""The module RobotGoto: an action of the hub, a laser and frames, commands to the base, and ports of YARP.
+"""The module RobotGoto: it serves an action on the hub and YARP ports, and commands the base.
 
-What robotology/navigation's ``robotGotoDev`` is to a YARP robot.
+It replaces robotology/navigation's ``robotGotoDev``.
 """
 
 # ruff: noqa: D102 - documented in `PlannerModule` and `Module`
@@ -29,7 +29,7 @@ from navigation.constraints import Constraints
 from navigation.frames import FramesError, RobotFrames, flat, laser_pose, moved_at
 from navigation.goals import MapPlace
 from navigation.ini import laid_under
-from navigation.layers import LayersHeard
+from navigation.layers import LayerSubscriptions
 from navigation.maps.grid import from_grid
 from navigation.messages import stamp_ns
 from navigation.planner_module import PlannerModule
@@ -45,11 +45,11 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.pythonic import Received
 
-CLOUD_EVERY = 0.15  # seconds between two clouds that it uses: 30 Hz of a camera would occupy a core
+CLOUD_PERIOD = 0.15  # seconds between two used clouds: all of a camera at 30 Hz would occupy a core
 
 
 class RobotGoto(PlannerModule):
-    """Drives to goals with only a laser and frames."""
+    """Drives to goals with only a laser and transforms."""
 
     name = "robot_goto"
 
@@ -63,33 +63,33 @@ class RobotGoto(PlannerModule):
         self._lost = self._laser_trouble = ""
         self._clouds: dict[str, float] = {}
         self._open(host, RobotFrames(host, section.frame, section.base_frame, section.odom_frame))
-        self._yarp_scans = Newest(host.loop, self._take_yarp)
+        self._yarp_scans = Newest(host.loop, self._on_yarp_scan)
         self._topics = GotoTopics(host, section.frame, section.cmd_vel, section.prefix)
         self._connection: PortConnection | None = None
         if section.scan:
-            host.node.subscription(section.scan, SCAN, self._scanned, Qos(depth=1))
+            host.node.subscription(section.scan, SCAN, self._on_scan, Qos(depth=1))
         for source in section.obstacles:
             if source.type == "cloud":
-                host.node.subscription(source.topic, POINT_CLOUD, partial(self._clouded, source.topic), Qos(depth=1))
-        seen = self.driver.obstacles
-        self._layers = LayersHeard(host, section.obstacles, self._frames, seen.layer, self.now, seen.trouble)
+                host.node.subscription(source.topic, POINT_CLOUD, partial(self._on_cloud, source.topic), Qos(depth=1))
+        others = self.driver.obstacles
+        self._layers = LayerSubscriptions(host, section.obstacles, self._frames, others.layer, self.now, others.trouble)
         self._serve()
         host.answer("halt", lambda _params: host.loop.call(self.halt))
         if section.prefix:
             self._serve_yarp(host, section)
         if host.clock.simulated:  # the system clock may be set while the robot drives: `now` does not depend on it
-            host.on_jump(self._forget)
+            host.on_jump(self._restart)
         host.every(section.period, self._step)
 
     def _serve_yarp(self, host: Host, section: RobotGotoSection) -> None:
         calls = Calls(host.loop, PlanError, FramesError)
         host.yarp.serve(f"{section.prefix}/rpc", GotoServer(self, calls, self.driver, self.approach))
-        mine = f"{section.prefix}/laser:i"
-        host.yarp.input(mine, self._yarp_scanned)
+        port = f"{section.prefix}/laser:i"
+        host.yarp.input(port, self._queue_yarp_scan)
         if section.laser_port:
-            self._connection = PortConnection(host.yarp.naming, section.laser_port, mine)
+            self._connection = PortConnection(host.yarp.naming, section.laser_port, port)
 
-    # the senses
+    # sensors
 
     def _moved(self, pose: Pose | None) -> Pose | None:
         try:
@@ -97,7 +97,7 @@ class RobotGoto(PlannerModule):
         except FramesError:
             return pose
 
-    def _scanned(self, message: dict[str, Any]) -> None:
+    def _on_scan(self, message: dict[str, Any]) -> None:
         header, frames = message["header"], self._frames
         stamp = stamp_ns(header)
         age = max(self._host.clock.now_ns() - stamp, 0) if stamp else 0
@@ -108,19 +108,19 @@ class RobotGoto(PlannerModule):
 
         self._see(turn, stamp)
 
-    def _yarp_scanned(self, received: Received) -> None:
-        """On the thread of the connection."""
+    def _queue_yarp_scan(self, received: Received) -> None:
+        """Queue a scan, on the thread of the connection."""
         self._yarp_scans.put((self.now(), received.to(LaserScan2D)))
 
-    def _take_yarp(self, said: tuple[float, LaserScan2D]) -> None:
-        came, scan = said
-        if not 0.0 <= self.now() - came <= self.driver.settings.laser_timeout:
-            return  # it waited for the thread, or came before the clock was set back
+    def _on_yarp_scan(self, received: tuple[float, LaserScan2D]) -> None:
+        time_s, scan = received
+        if not 0.0 <= self.now() - time_s <= self.driver.settings.laser_timeout:
+            return  # it waited too long for the thread, or the clock jumped back
         at = self._section.laser_pose
-        self._see(lambda: (of_yarp(scan, round(came * 1e9)), Pose(at.x, at.y, math.radians(at.theta))), 0)
+        self._see(lambda: (of_yarp(scan, round(time_s * 1e9)), Pose(at.x, at.y, math.radians(at.theta))), 0)
 
     def _see(self, read: Callable[[], tuple[Turn, Pose]], stamp: int) -> None:
-        """Give the driver a scan and the place of its laser."""
+        """Pass a scan and its laser's pose to the driver."""
         try:
             turn, laser = read()
             self.driver.scan(turn, moved_at(self._frames, stamp), laser)
@@ -130,10 +130,10 @@ class RobotGoto(PlannerModule):
         else:
             self._laser_trouble = ""
 
-    def _clouded(self, topic: str, message: dict[str, Any]) -> None:
-        """Give the driver a cloud, but not many a second."""
-        now, heard = self.now(), self._clouds.get(topic, -math.inf)
-        if 0.0 <= now - heard < CLOUD_EVERY:
+    def _on_cloud(self, topic: str, message: dict[str, Any]) -> None:
+        """Pass a cloud to the driver, at a limited rate."""
+        now, last = self.now(), self._clouds.get(topic, -math.inf)
+        if 0.0 <= now - last < CLOUD_PERIOD:
             return
         self._clouds[topic] = now
         stamp = stamp_ns(message["header"])
@@ -148,7 +148,7 @@ class RobotGoto(PlannerModule):
         points = placed(points, at) - up.astype(np.float32)
         self.driver.obstacles.cloud(topic, now - age, points, np.array(at.translation) - up, flat(moved))
 
-    # what is asked
+    # requests
 
     @property
     def target(self) -> MapPlace | None:
@@ -168,50 +168,50 @@ class RobotGoto(PlannerModule):
     def drive(self, *places: MapPlace, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
         self.compiled.check()
         (place,) = places
-        here = self.map_name()
-        if place.map_name and here and place.map_name != here:
-            raise PlanError(Fault.BAD_GOAL, f"the robot is on the map {here}, not on {place.map_name}")
+        current = self.map_name()
+        if place.map_name and current and place.map_name != current:
+            raise PlanError(Fault.BAD_GOAL, f"the robot is on the map {current}, not on {place.map_name}")
         self.driver.goal(place.pose, constraints)
         self._goal.replace(goal)
         self._began = self.now()
-        self._tell(None)
+        self._publish(None)
 
     def approach(self, direction: float, speed: float, seconds: float) -> None:
-        """Move with only the laser: radians, m/s. Raises `PlanError` where kernels are not compiled."""
+        """Move with only the laser: radians, m/s, seconds. Raises `PlanError` if kernels are not compiled."""
         self.compiled.check()
         self._goal.replace(None)
         self.driver.approach(direction, speed, seconds)
 
     def pause(self, seconds: float) -> None:
         if not self.driver.pause(seconds):
-            raise PlanError(Fault.OTHER, "there is nothing to suspend")
+            raise PlanError(Fault.OTHER, "no active goal to suspend")
 
     def resume(self) -> None:
         if not self.driver.resume():
-            raise PlanError(Fault.OTHER, "nothing is suspended")
+            raise PlanError(Fault.OTHER, "no suspended goal")
 
     def stop_driving(self, reason: str) -> None:
         self.driver.cancel()
-        self._topics.stand_still()
+        self._topics.stop_base()
         self._goal.end(PlannerStatus(State.IDLE, reason))
-        self._tell(None)
+        self._publish(None)
 
     def local_map(self) -> MapGrid2D | None:
-        """The local grid; None before the first scan, or if the pose is unknown."""
+        """Return the local grid; None before the first scan, or if the pose is unknown."""
         pose = self._pose_now()
         moved = self._moved(pose)
         if pose is None or moved is None or self.driver.grid.scanned is None:
             return None
         return from_grid(local_map(self.driver, pose, moved, {}, self.now()), "local_map")
 
-    # what happens
+    # steps
 
     def _step(self) -> None:
         try:
             self._drive()
         except Exception as err:
-            self._topics.stand_still()
-            self._give_up(f"RobotGoto failed: {type(err).__name__}: {err}", Fault.OTHER)
+            self._topics.stop_base()
+            self._abort(f"RobotGoto failed: {type(err).__name__}: {err}", Fault.OTHER)
             raise
 
     def _drive(self) -> None:
@@ -220,8 +220,8 @@ class RobotGoto(PlannerModule):
         self.driver.obstacles.silent = self._layers.silent()
         command = self.driver.step(self.now(), pose, None if moved is pose else moved, self._lost)
         self._topics.command(command, silent=self.driver.silent)
-        self._tell(pose)
-        self._topics.around(self.now(), self.driver, pose, moved)
+        self._publish(pose)
+        self._topics.publish_surroundings(self.now(), self.driver, pose, moved)
 
     def _pose_now(self) -> Pose | None:
         try:
@@ -232,7 +232,7 @@ class RobotGoto(PlannerModule):
         self._lost = ""
         return pose
 
-    def _tell(self, pose: Pose | None) -> None:
+    def _publish(self, pose: Pose | None) -> None:
         self._topics.status(self.now(), self.driver, self._goal.id)
         status = self.driver.status
         if status.state.ended:
@@ -245,23 +245,23 @@ class RobotGoto(PlannerModule):
         left = 0.0 if target is None else pose.distance(target.pose)
         return left, self.driver.settings.max_lin_speed, 0
 
-    def _forget(self) -> None:
-        """Forget what was seen before the clock was set back."""
-        self.stop_driving("the clock was set back")
-        self.driver.forget()
+    def _restart(self) -> None:
+        """Drop the goal and all observations."""
+        self.stop_driving("the clock jumped back")
+        self.driver.restart()
 
-    # how it is
+    # state
 
     def health(self) -> Health:
         if self.compiled.trouble:
             return Health("waiting", self.compiled.trouble)
         scanned = self.driver.grid.scanned
         if scanned is None or self.now() - scanned > self.driver.settings.laser_timeout:
-            return Health("waiting", self._laser_trouble or "no scan of the laser comes; goals wait for one")
+            return Health("waiting", self._laser_trouble or "waiting for a scan of the laser")
         self.driver.obstacles.silent = self._layers.silent()
-        unheard = self.driver.obstacles.unheard(self.now())
-        if unheard or self._lost:
-            return Health("waiting", unheard or self._lost)
+        silence = self.driver.obstacles.silence(self.now())
+        if silence or self._lost:
+            return Health("waiting", silence or self._lost)
         return Health("running", self.driver.status.words)
 
     def status(self) -> dict[str, Any]:
@@ -274,6 +274,6 @@ class RobotGoto(PlannerModule):
         }
 
     def stop(self) -> None:
-        self._give_up("RobotGoto is stopped")
+        self._abort("RobotGoto has stopped")
         if self._connection is not None:
             self._connection.close()

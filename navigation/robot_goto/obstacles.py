@@ -1,4 +1,4 @@
-"""What is in the robot's way beside what its laser sees: clouds of points at any height, and layers of the map."""
+"""Obstacles that the laser does not see: point clouds at any height, and layers of the map."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from navigation.layers import Places, on
 from navigation.pose import Pose
 from navigation.robot_goto.local_grid import RESOLUTION, SIDE
 
-LEAST = 2  # points of a cloud by which a voxel is occupied: one may be noise
-MOST, RAYS = 50_000, 10_000  # points of a cloud that are taken for obstacles, and for rays: evenly ones of more
-_BIN = math.radians(2.0)  # rays that are so near to one another look the same way
-_BEYOND = 0.15  # metres that rays go on behind a voxel that is free, which is more than the noise of most cameras
+LEAST = 2  # points of a cloud in an occupied voxel: a single one may be noise
+MOST, RAYS = 50_000, 10_000  # points of a cloud that are used as obstacles and as rays
+_BIN = math.radians(2.0)  # rays within this angle count as one direction
+_BEYOND = 0.15  # meters by which rays pass through a free voxel; more than the noise of most cameras
 _NEVER = -math.inf
-_AGAIN = 0.2  # seconds after which it is looked what is too old, where no cloud comes
+_AGAIN = 0.2  # seconds between two checks for old voxels if no cloud arrives
 
 
 class CloudWindow:
-    """Voxels of 5 cm around the robot, from the floor up to its height, and when a cloud had points in each last.
+    """Voxels of 5 cm around the robot, from the floor to its height, with the time of the last points in each.
 
-    A voxel is free again once all rays of a cloud that look its way go on behind it, or after ``memory`` seconds. The
-    lowest level is the floor: it is occupied where a cloud has points that are lower than it, seen through it.
+    A voxel is free when all rays of a cloud in its direction pass through it, or after ``memory`` seconds. The lowest
+    level is the floor: it is occupied if a cloud has points below it, seen through it, as at a stair.
 
     Args:
         memory: seconds.
-        height: metres; what is higher is not touched.
-        step: metres above and below the floor that the wheels take.
-        radius: metres; nothing within it of the robot's middle is an obstacle, but the robot itself.
+        height: meters above which the robot touches nothing.
+        step: meters above and below the floor that the wheels can drive over.
+        radius: meters around the robot's center; points within it are the robot's own.
     """
 
     def __init__(self, memory: float, height: float, step: float, radius: float) -> None:
@@ -40,18 +40,18 @@ class CloudWindow:
         self._row0 = self._column0 = 0
         self._looked, self._places = _NEVER, np.empty((0, 2))
 
-    def take(self, now: float, points: Points, eye: NDArray[np.float64], at: Pose) -> None:
-        """Take up a cloud (n, 3) of an eye (3), metres in the grid's frame with z above the floor.
+    def add(self, now: float, points: Points, eye: NDArray[np.float64], at: Pose) -> None:
+        """Add a cloud (n, 3), seen from an eye (3), in meters in the grid's frame with z above the floor.
 
-        The robot was at a pose in that frame.
+        `at` is the robot's pose in that frame.
         """
         self._move(math.floor(at.y / RESOLUTION) - SIDE // 2, math.floor(at.x / RESOLUTION) - SIDE // 2)
         points = thinned(points, MOST)
-        own = np.hypot(points[:, 0] - at.x, points[:, 1] - at.y) < self._radius
+        robot = np.hypot(points[:, 0] - at.x, points[:, 1] - at.y) < self._radius
         z = points[:, 2]
         hit = np.zeros(self._seen.shape, np.bool_)
-        hit[1:] = self._counted(points[(z >= self._step) & (z < self._height) & ~own], len(hit) - 1) >= LEAST
-        hit[:1] = self._counted(_through_floor(points[(z < -self._step) & ~own], eye)) >= LEAST
+        hit[1:] = self._counted(points[(z >= self._step) & (z < self._height) & ~robot], len(hit) - 1) >= LEAST
+        hit[:1] = self._counted(_through_floor(points[(z < -self._step) & ~robot], eye)) >= LEAST
         floor = self._counted(points[np.abs(z) < self._step])[0] >= LEAST
         self._seen[0][floor] = _NEVER
         self._clear(thinned(points, RAYS), eye, hit)
@@ -59,7 +59,7 @@ class CloudWindow:
         self._looked = _NEVER
 
     def places(self, now: float) -> Places:
-        """(n, 2) the middles of the columns with anything in them, metres."""
+        """Return the centers of occupied columns, (n, 2) meters."""
         if 0.0 <= now - self._looked < _AGAIN:
             return self._places
         rows, columns = np.nonzero(self._seen.max(axis=0) > now - self._memory)
@@ -72,12 +72,12 @@ class CloudWindow:
             moved = min(max(new - old, -SIDE), SIDE)
             if moved:
                 self._seen = np.roll(self._seen, -moved, axis)
-                gone = slice(SIDE - moved, SIDE) if moved > 0 else slice(0, -moved)
-                self._seen[(slice(None), gone) if axis == 1 else (slice(None), slice(None), gone)] = _NEVER
+                entered = slice(SIDE - moved, SIDE) if moved > 0 else slice(0, -moved)
+                self._seen[(slice(None), entered) if axis == 1 else (slice(None), slice(None), entered)] = _NEVER
         self._row0, self._column0 = row0, column0
 
     def _counted(self, points: Points, levels: int = 0) -> NDArray[np.int64]:
-        """How many points lie in each voxel of so many levels, or with none in each column, whatever their height."""
+        """Count the points in each voxel of the levels, or in each column at any height without levels."""
         x, y, z = np.floor(points.T / RESOLUTION).astype(np.int64)
         x, y, z = x - self._column0, y - self._row0, z if levels else z * 0
         count = max(levels, 1)
@@ -86,49 +86,49 @@ class CloudWindow:
         return np.bincount(flat, minlength=count * SIDE * SIDE).reshape(count, SIDE, SIDE)
 
     def _clear(self, rays: Points, eye: NDArray[np.float64], hit: NDArray[np.bool_]) -> None:
-        """Forget voxels behind which all rays of their direction go on."""
+        """Free the voxels that all rays in their direction pass through."""
         levels, rows, columns = np.nonzero(np.isfinite(self._seen[1:]) & ~hit[1:])
         if not len(levels) or not len(rays):
             return
         middles = (np.stack((columns + self._column0, rows + self._row0, levels), axis=1) + 0.5) * RESOLUTION
-        away, ways = _polar(middles - eye)
+        away, directions = _polar(middles - eye)
         far, seen = _polar(rays - eye)
         nearest = np.full((round(math.tau / _BIN) + 2, round(math.pi / _BIN) + 2), math.inf)
         np.minimum.at(nearest, tuple(seen.T), far)
-        # a voxel is wider than a ray: what is seen beside it counts, too
+        # a voxel is wider than a ray: neighboring directions count, too
         around = np.min([np.roll(nearest, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
-        free = np.isfinite(nearest[tuple(ways.T)]) & (around[tuple(ways.T)] > away + _BEYOND)
+        free = np.isfinite(nearest[tuple(directions.T)]) & (around[tuple(directions.T)] > away + _BEYOND)
         self._seen[1:][levels[free], rows[free], columns[free]] = _NEVER
 
 
 def thinned(points: Points, most: int) -> Points:
-    """So many of the points at most, evenly; by an odd step, so that a picture's rows give not the same columns all."""
+    """Return at most this many points, evenly; the odd step avoids the same columns in all rows of an image."""
     return points[:: math.ceil(len(points) / most) | 1] if len(points) > most else points
 
 
 def _through_floor(points: Points, eye: NDArray[np.float64]) -> Points:
-    """Where the rays from an eye above the floor to points below it come through."""
+    """Return where the rays from an eye above the floor to points below it cross the floor."""
     if eye[2] <= 0.0:
         return points[:0]
     share = (eye[2] / (eye[2] - points[:, 2]))[:, None]
-    found: Points = (eye + (points - eye) * share).astype(np.float32)
-    return found
+    crossings: Points = (eye + (points - eye) * share).astype(np.float32)
+    return crossings
 
 
-def _polar(ways: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.intp]]:
-    """Ways (n, 3) as their lengths, and numbers of their directions (n, 2)."""
-    flat = np.hypot(ways[:, 0], ways[:, 1])
-    azimuth, elevation = np.arctan2(ways[:, 1], ways[:, 0]), np.arctan2(ways[:, 2], flat)
+def _polar(vectors: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.intp]]:
+    """Return the lengths of vectors (n, 3), and the bins of their directions (n, 2)."""
+    flat = np.hypot(vectors[:, 0], vectors[:, 1])
+    azimuth, elevation = np.arctan2(vectors[:, 1], vectors[:, 0]), np.arctan2(vectors[:, 2], flat)
     numbers = np.stack(((azimuth + math.pi) / _BIN, (elevation + math.pi / 2) / _BIN), axis=1)
-    return np.hypot(flat, ways[:, 2]), numbers.astype(np.intp)
+    return np.hypot(flat, vectors[:, 2]), numbers.astype(np.intp)
 
 
 class Obstacles:
-    """All that was said by the sources of a configuration; how old a cloud may be is theirs. On one thread.
+    """The obstacles of all configured sources, each with its own time-out. On one thread.
 
     Attributes:
-        trouble: by topic, why what it says cannot be used.
-        silent: which layer says nothing any more, "" where none does; whoever gives layers sets it.
+        trouble: by topic, why its last message is invalid.
+        silent: which layer is silent, else ""; set by the source of the layers.
     """
 
     def __init__(self, settings: RobotGotoSection) -> None:
@@ -139,51 +139,51 @@ class Obstacles:
         self.clear()
 
     def clear(self) -> None:
-        """Forget what clouds showed; layers stand on the map, and a latched one is not said again."""
+        """Drop the points of clouds; layers stay, as they are on the map and a latched one is not published again."""
         settings = self._settings
-        self._heard: dict[str, float] = {}
+        self._received: dict[str, float] = {}
         self._window = CloudWindow(settings.memory, settings.height, settings.max_step, 0.7 * settings.robot_radius)
 
-    def forget_places(self) -> None:
-        """The odometry has jumped: what clouds showed stands somewhere else."""
-        heard = self._heard
+    def clear_clouds(self) -> None:
+        """Drop the points of clouds after the odometry has jumped, but not the clouds' time-outs."""
+        received = self._received
         self.clear()
-        self._heard = heard
+        self._received = received
 
     def cloud(self, topic: str, now: float, points: Points, eye: NDArray[np.float64], at: Pose) -> None:
-        """Take up a cloud that was made at seconds; see `CloudWindow.take`. One without points says nothing."""
+        """Add a cloud with a time in seconds; see `CloudWindow.add`. A cloud without points is invalid."""
         if len(points):
-            self._heard[topic] = max(now, self._heard.get(topic, -math.inf))
+            self._received[topic] = max(now, self._received.get(topic, -math.inf))
             self.trouble.pop(topic, None)
-            self._window.take(now, points, eye, at)
+            self._window.add(now, points, eye, at)
         else:
-            self.trouble[topic] = "none of its points says anything"
+            self.trouble[topic] = "the cloud has no valid points"
 
     def layer(self, topic: str, places: Places) -> None:
-        """Take up a layer's occupied places, (n, 2) on the map."""
+        """Replace a layer's occupied points, (n, 2) on the map."""
         self._layers[topic] = places
 
     def places(self, now: float, pose: Pose | None, moved: Pose) -> Places:
-        """(n, 2) what stands in the way, in the grid's frame, in which the robot is at ``moved``; on the map at a pose.
+        """Return all obstacles, (n, 2) in the grid's frame. ``moved`` is the robot's pose there, ``pose`` on the map.
 
-        Layers do not matter while it is not known where the robot is on the map: it does not drive then.
+        Layers are left out while the robot's pose on the map is unknown, as it does not drive then.
         """
-        found = [self._window.places(now)] if any(one.type == "cloud" for one in self._sources) else []
+        parts = [self._window.places(now)] if any(source.type == "cloud" for source in self._sources) else []
         if pose is not None:
             reach = SIDE / 2 * RESOLUTION
             for places in self._layers.values():
                 near = (np.abs(places - (pose.x, pose.y)) < reach * math.sqrt(2.0)).all(axis=1)
-                found.append(on(places[near], moved @ pose.inverse))
-        return np.concatenate(found) if found else np.empty((0, 2))
+                parts.append(on(places[near], moved @ pose.inverse))
+        return np.concatenate(parts) if parts else np.empty((0, 2))
 
-    def unheard(self, now: float) -> str:
-        """Which source is silent and since when; "" where none is."""
+    def silence(self, now: float) -> str:
+        """Return which source is silent, and for how long; "" if none is."""
         for source in self._sources:
             if source.type == "layer":
                 silent = "" if source.topic in self._layers else source.silent(None, now)
             else:
-                silent = source.silent(self._heard.get(source.topic), now)
+                silent = source.silent(self._received.get(source.topic), now)
             if silent:
-                why = self.trouble.get(source.topic)
-                return silent + (f" ({why})" if why else "")
+                reason = self.trouble.get(source.topic)
+                return silent + (f" ({reason})" if reason else "")
         return self.silent

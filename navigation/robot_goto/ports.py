@@ -1,6 +1,6 @@
-"""The topics and YARP ports of RobotGoto: what it publishes, INavigation2D, and the commands of its own port."""
+"""The topics and YARP ports of RobotGoto: its publishers, INavigation2D, and its own commands."""
 
-# ruff: noqa: N802, D102 - YARP's names, and its interfaces say what each does
+# ruff: noqa: N802, D102 - YARP's names, documented in its interfaces
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.robotgoto_commands import RobotGotoMsgs
 from yarp_compat.os.data.stamp import Stamp
 
-_SAID_AGAIN = 1.0
-_MAP_EVERY = 0.5
+_REPEAT = 1.0  # seconds
+_MAP_PERIOD = 0.5  # seconds
 _FULL_GAIN = 100.0
 _POLAR = 2
 
@@ -43,11 +43,11 @@ class GotoTopics(PlannerTopics):
         names = ("control:o", "status:o", "speak:o", "gui:o") if prefix else ()
         self._ports = {name: host.yarp.output(f"{prefix}/{name}") for name in names}
         self._stamp = Stamp()
-        self._said = self._mapped = -math.inf
+        self._written = self._mapped = -math.inf
         self._silent = True
 
     def command(self, command: DriveCommand, *, silent: bool) -> None:
-        """Command the base; once more to stand still before falling silent."""
+        """Command the base; the last command before silence is published once."""
         if silent and self._silent:
             return
         self._silent = silent
@@ -55,8 +55,8 @@ class GotoTopics(PlannerTopics):
         if self._ports:
             self._write("control:o", [_POLAR, *command.polar, _FULL_GAIN])
 
-    def stand_still(self) -> None:
-        """Command the base to stand still, whatever was commanded before."""
+    def stop_base(self) -> None:
+        """Command the base to stop, and publish no further commands."""
         self._silent = False
         self.command(STILL, silent=True)
 
@@ -65,35 +65,35 @@ class GotoTopics(PlannerTopics):
         status, target = driver.status, driver.target
         if (status, goal_id) != self._last:
             self._publish_status(status, target.pose if target else None, goal_id)
-            self._said = -math.inf
-        if self._ports and not 0.0 <= now - self._said < _SAID_AGAIN:
-            self._said = now
+            self._written = -math.inf
+        if self._ports and not 0.0 <= now - self._written < _REPEAT:
+            self._written = now
             self._write("status:o", [f"navigation_status_{status.state.value}"])
         while driver.spoken:
-            words = driver.spoken.popleft()
+            phrase = driver.spoken.popleft()
             if self._ports:
-                self._ports["speak:o"].write([words])
+                self._ports["speak:o"].write([phrase])
 
-    def around(self, now: float, driver: Driver, pose: Pose | None, moved: Pose | None) -> None:
-        """Show the local grid, and the way ahead; twice a second while there is a goal."""
+    def publish_surroundings(self, now: float, driver: Driver, pose: Pose | None, moved: Pose | None) -> None:
+        """Publish the local grid, and with a goal the path ahead, twice a second."""
         if self._ports and self._ports["gui:o"].heard:
             self._write("gui:o", gui(driver))
-        if pose is None or moved is None or 0.0 <= now - self._mapped < _MAP_EVERY:
+        if pose is None or moved is None or 0.0 <= now - self._mapped < _MAP_PERIOD:
             return
         self._mapped = now
         self._map.publish(local_map(driver, pose, moved, self._header(), now))
         if driver.target is not None:
             fixed = pose @ moved.inverse
-            self._publish_path([pose, *(fixed @ Pose(x, y, 0.0) for x, y in driver.way), driver.target.pose])
+            self._publish_path([pose, *(fixed @ Pose(x, y, 0.0) for x, y in driver.detour), driver.target.pose])
 
     def _write(self, name: str, values: list[Any]) -> None:
-        """Write with a time stamp, as YARP's robotGoto does at these ports."""
+        """Write with a time stamp, as YARP's robotGoto does on these ports."""
         self._stamp.update(self._host.clock.now_ns() / 1e9)
         self._ports[name].write(values, self._stamp.to_text())
 
 
 def local_map(driver: Driver, pose: Pose, moved: Pose, header: Message, now: float) -> Message:
-    """The local grid as ``nav_msgs/msg/OccupancyGrid`` on the map, turned as the odometry's frame lies there."""
+    """Return the local grid as ``nav_msgs/msg/OccupancyGrid`` on the map, rotated like the odometry frame."""
     x, y = driver.grid.origin
     origin = pose @ moved.inverse @ Pose(x, y, 0.0)
     info = {"resolution": RESOLUTION, "width": SIDE, "height": SIDE, "origin": pose_message(origin)}
@@ -102,19 +102,19 @@ def local_map(driver: Driver, pose: Pose, moved: Pose, header: Message, now: flo
 
 
 def gui(driver: Driver) -> list[float]:
-    """The nine numbers of ``gui:o``: command, forces and goal, degrees (`robotGotoDev`, ``sendGui``)."""
+    """Return the nine numbers of ``gui:o``: command, forces and goal, degrees (`robotGotoDev`, ``sendGui``)."""
     aside, angle = float(driver.ahead[3]), math.degrees(float(driver.ahead[4]))
     weight = max(0.0, 1.0 - aside / INFLUENCE) / 2.0
     return [*driver.command.polar, angle, angle + 90.0, weight, 0.0, INFLUENCE, math.degrees(driver.bearing)]
 
 
 class GotoDevice(PlannerDevice):
-    """Answers INavigation2D: the way of a local navigator is a straight line to its goal."""
+    """Serves INavigation2D; the only waypoint is the goal."""
 
     def recomputeCurrentNavigationPath(self) -> None:
         def recompute() -> None:
             if self._module.target is None:
-                raise PlanError(Fault.OTHER, "there is no goal")
+                raise PlanError(Fault.OTHER, "no active goal")
 
         self._do(recompute)
 
@@ -130,7 +130,7 @@ class GotoDevice(PlannerDevice):
 
 
 class GotoServer(Navigation2DServer, RobotGotoMsgs):
-    """Answers INavigation2D and RobotGoto's own commands at one port; ``approach`` takes radians, m/s and seconds."""
+    """Serves INavigation2D and RobotGoto's own commands on one port; ``approach`` takes radians, m/s and seconds."""
 
     def __init__(
         self, module: PlannerModule, calls: Calls, driver: Driver, approach: Callable[[float, float, float], None]
@@ -144,7 +144,10 @@ class GotoServer(Navigation2DServer, RobotGotoMsgs):
 
     def Approach(self, dir: float, speed: float, time: float) -> ReturnValue:  # noqa: A002 - its name
         if not all(map(math.isfinite, (dir, speed, time))) or time < 0.0:
-            raise CallFailed(ReturnCode.METHOD_FAILED, f"approach {dir:g} {speed:g} {time:g}: these are no numbers")
+            raise CallFailed(
+                ReturnCode.METHOD_FAILED,
+                f"approach {dir:g} {speed:g} {time:g}: the values must be finite, the time at least 0",
+            )
         self._move(lambda: self._approach(math.radians(dir), speed, time))
         return OK
 
@@ -173,22 +176,22 @@ class GotoServer(Navigation2DServer, RobotGotoMsgs):
         return self._number("ang_speed_gain", AngGain, 0.001, 100.0)
 
     def SetObstacoleAvoidance(self, enable: bool) -> ReturnValue:
-        return self._take("enable_obstacles_avoidance", enable)
+        return self._change_setting("enable_obstacles_avoidance", enable)
 
     def SetObstacoleStop(self, enable: bool) -> ReturnValue:
-        return self._take("enable_obstacles_emergency_stop", enable)
+        return self._change_setting("enable_obstacles_emergency_stop", enable)
 
     def GetNavigationStatus(self) -> tuple[ReturnValue, str]:
         return OK, f"navigation_status_{self._driver.status.state.value}"
 
     def _number(self, name: str, value: float, least: float, most: float) -> ReturnValue:
         if not least <= value <= most:
-            raise CallFailed(ReturnCode.METHOD_FAILED, f"{name} is within {least:g} and {most:g}, not {value:g}")
-        return self._take(name, value)
+            raise CallFailed(ReturnCode.METHOD_FAILED, f"{name} must be within {least:g} and {most:g}, not {value:g}")
+        return self._change_setting(name, value)
 
-    def _take(self, name: str, value: Any) -> ReturnValue:
-        def take() -> None:
+    def _change_setting(self, name: str, value: Any) -> ReturnValue:
+        def change() -> None:
             self._driver.settings = self._driver.settings.model_copy(update={name: value})
 
-        self._do(take)
+        self._do(change)
         return OK

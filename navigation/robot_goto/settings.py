@@ -1,4 +1,4 @@
-"""``robotGoto`` files of existing robots, of robotology/navigation's releases of 2016 and since."""
+"""Reads ``robotGoto`` files of existing robots, of robotology/navigation's releases since 2016."""
 
 from __future__ import annotations
 
@@ -29,58 +29,60 @@ _AVOIDANCE = (
 )
 
 OTHERS = frozenset({"localizationServer_name", "localization_server_name"})
-"""Keys that say where YARP's servers are: the hub knows them."""
+"""Keys with the names of YARP's servers: the hub has them."""
 
 STALE = {
-    ("ROBOT_TRAJECTORY", "max_gamma_angle"): "upstream does not read it either; goal_tolerance_ang is what holds",
-    ("ROBOTGOTO_GENERAL", "autoconnect"): "laser_port is connected always",
+    ("ROBOT_TRAJECTORY", "max_gamma_angle"): "upstream ignores it, too; use goal_tolerance_ang",
+    ("ROBOTGOTO_GENERAL", "autoconnect"): "laser_port is always connected",
 } | {
-    (group, key): "upstream computes no forces by it any more, and the way round obstacles here needs none"
+    (group, key): "neither upstream nor Midspan computes forces from it"
     for group in ("OBSTACLES_AVOIDANCE", "OBSTACLES_EMERGENCY_STOP")
     for key in ("max_obstacle_distance", "w_f", "w_t", "max_obst_distance")
 }
-"""Keys that real files have and that change nothing, with why."""
+"""Keys that real files contain and that have no effect, with the reason."""
 
 
 def read_file(_section: RobotGotoSection, ini: Ini) -> dict[str, Any]:
-    """The fields that a file sets; see `navigation.ini.laid_under`."""
-    found: dict[str, Any] = {}
+    """Return the fields that a file sets; see `navigation.ini.laid_under`."""
+    fields: dict[str, Any] = {}
     general = ini.group("ROBOTGOTO_GENERAL") if "ROBOTGOTO_GENERAL" in ini else ini.top
-    found["prefix"] = port_name(general.text("name", "/robotGoto"))
+    fields["prefix"] = port_name(general.text("name", "/robotGoto"))
     trajectory = ini.group("ROBOT_TRAJECTORY", needed=True)
-    found["robot_is_holonomic"] = trajectory.flag("robot_is_holonomic", default=False)
-    _take(trajectory, _TRAJECTORY, found)
-    _take_geometry(ini, found)
-    _take_obstacles(ini, found)
-    ini.group("LOCALIZATION").take_texts(found, frame_name, base_frame="robot_frame_id", frame="map_frame_id")
-    ini.group("LASER").take_texts(found, port_name, laser_port="laser_port")
+    fields["robot_is_holonomic"] = trajectory.flag("robot_is_holonomic", default=False)
+    _read_numbers(trajectory, _TRAJECTORY, fields)
+    _read_geometry(ini, fields)
+    _read_obstacles(ini, fields)
+    ini.group("LOCALIZATION").add_texts(fields, frame_name, base_frame="robot_frame_id", frame="map_frame_id")
+    ini.group("LASER").add_texts(fields, port_name, laser_port="laser_port")
     ini.note_unread(STALE, OTHERS)
-    return found
+    return fields
 
 
-def _take(group: IniGroup, keys: tuple[tuple[str, float, float, float, str], ...], found: dict[str, Any]) -> None:
+def _read_numbers(
+    group: IniGroup, keys: tuple[tuple[str, float, float, float, str], ...], fields: dict[str, Any]
+) -> None:
     for key, default, low, high, unit in keys:
-        found[key] = group.number(key, default, low, high, unit)
+        fields[key] = group.number(key, default, low, high, unit)
 
 
-def _take_geometry(ini: Ini, found: dict[str, Any]) -> None:
+def _read_geometry(ini: Ini, fields: dict[str, Any]) -> None:
     geometry = ini.group("ROBOT_GEOMETRY", needed=True)
-    found["robot_radius"] = geometry.number("robot_radius", None, 0.01, 3.0, "m")
-    found["laser_pose"] = LaserPose(
+    fields["robot_radius"] = geometry.number("robot_radius", None, 0.01, 3.0, "m")
+    fields["laser_pose"] = LaserPose(
         x=geometry.number("laser_pos_x", 0.0, -10.0, 10.0, "m"),
         y=geometry.number("laser_pos_y", 0.0, -10.0, 10.0, "m"),
         theta=geometry.number("laser_pos_theta", 0.0, -360.0, 360.0, "deg"),
     )
 
 
-def _take_obstacles(ini: Ini, found: dict[str, Any]) -> None:
+def _read_obstacles(ini: Ini, fields: dict[str, Any]) -> None:
     stop = ini.group("OBSTACLES_EMERGENCY_STOP")
     for key in ("enable_obstacles_emergency_stop", "enable_dynamic_max_distance"):
-        found[key] = stop.flag(key, default=False)
-    _take(stop, _STOP, found)
+        fields[key] = stop.flag(key, default=False)
+    _read_numbers(stop, _STOP, fields)
     avoidance = ini.group("OBSTACLES_AVOIDANCE")
-    found["enable_obstacles_avoidance"] = avoidance.flag("enable_obstacles_avoidance", default=False)
-    _take(avoidance, _AVOIDANCE, found)
+    fields["enable_obstacles_avoidance"] = avoidance.flag("enable_obstacles_avoidance", default=False)
+    _read_numbers(avoidance, _AVOIDANCE, fields)
     retreat = ini.group("RETREAT_OPTION")
-    found["enable_retreat"] = retreat.flag("enable_retreat", default=False)
-    found["retreat_duration"] = retreat.number("retreat_duration", 0.3, 0.0, 2.0, "s")
+    fields["enable_retreat"] = retreat.flag("enable_retreat", default=False)
+    fields["retreat_duration"] = retreat.number("retreat_duration", 0.3, 0.0, 2.0, "s")

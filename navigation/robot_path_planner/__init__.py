@@ -1,1 +1,1 @@
-"""RobotPathPlanner: ways over the map to a goal, driven waypoint by waypoint by a local navigator."""
+"""RobotPathPlanner: plans paths on the map; a local navigator drives them waypoint by waypoint."""

@@ -1,4 +1,4 @@
-"""All maps that are planned on, and the way from one to another over links such as lifts."""
+"""All maps for planning, and the path from one to another over links such as elevators."""
 
 from __future__ import annotations
 
@@ -24,76 +24,78 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 
 @dataclass(frozen=True)
 class LinkedPlaces:
-    """Two places between which robots change maps, either way."""
+    """Two places at which robots change from one map to the other, in both directions."""
 
-    first: MapPlace  #: one of them
-    second: MapPlace  #: the other, on another map
-    cost: float = 0.0  #: as so many metres of way
-    name: str = ""  #: as it is kept
+    first: MapPlace
+    second: MapPlace  #: on another map
+    cost: float = 0.0  #: equivalent metres of path
+    name: str = ""  #: in the store
 
 
 @dataclass(frozen=True)
 class Leg:
-    """The part of a way to drive on the map at hand."""
+    """The part of a path on one map."""
 
-    end: MapPlace  #: where it ends
-    onto: MapPlace | None = None  #: where the robot goes on, on another map; None where the end is the goal
+    end: MapPlace
+    onto: MapPlace | None = None  #: the link's place on the next map; None if the end is the goal
 
 
 class Atlas:
-    """All maps, and the links between them; this one knows of none."""
+    """All maps and the links between them; this base class has none."""
 
-    def ground(self, name: str) -> Ground | None:  # noqa: ARG002 - for those that know some
-        """The map of a name, if any."""
+    def ground(self, name: str) -> Ground | None:  # noqa: ARG002 - for subclasses
+        """Return the map of this name, or None."""
         return None
 
     def links(self) -> Sequence[LinkedPlaces]:
-        """All links."""
+        """Return all links."""
         return ()
 
 
 def leg(atlas: Atlas, ground: Ground, start: Pose, goal: MapPlace) -> Leg:
-    """What to drive on this map to come to a goal on any map, the shortest way; raises `PlanError` without links."""
+    """Return this map's part of the shortest path to a goal on any map; raises `PlanError` if no links lead there."""
     if goal.map_name == ground.name:
         return Leg(goal)
     if atlas.ground(goal.map_name) is None:
-        raise PlanError(Fault.NO_MAP, f"the goal is on the map '{goal.map_name}', and there is no map of this name")
+        raise PlanError(Fault.NO_MAP, f"the goal is on the map '{goal.map_name}', which is not in the store")
     links = [
-        way for each in atlas.links() for way in (each, LinkedPlaces(each.second, each.first, each.cost, each.name))
+        directed
+        for link in atlas.links()
+        for directed in (link, LinkedPlaces(link.second, link.first, link.cost, link.name))
     ]
     numbers = itertools.count()
     waiting: list[tuple[float, int, MapPlace, Leg | None]] = [(0.0, next(numbers), MapPlace(ground.name, start), None)]
     done: set[MapPlace] = set()
     while waiting:
-        cost, _, here, first = heapq.heappop(waiting)
-        if here == goal and first is not None:
+        cost, _, place, first = heapq.heappop(waiting)
+        if place == goal and first is not None:
             return first
-        if here in done:
+        if place in done:
             continue
-        done.add(here)
-        there = ground if here.map_name == ground.name else atlas.ground(here.map_name)
-        if there is None:
+        done.add(place)
+        here_ground = ground if place.map_name == ground.name else atlas.ground(place.map_name)
+        if here_ground is None:
             continue
-        ends = [(each.first, each.second, each.cost) for each in links if each.first.map_name == here.map_name]
-        if here.map_name == goal.map_name:
+        ends = [(link.first, link.second, link.cost) for link in links if link.first.map_name == place.map_name]
+        if place.map_name == goal.map_name:
             ends.append((goal, goal, 0.0))
         for end, onto, price in ends:
-            length = _length(there, here.pose, end.pose)
+            length = _length(here_ground, place.pose, end.pose)
             if math.isfinite(length):
                 began = first or Leg(end, onto)
                 heapq.heappush(waiting, (cost + length + price, next(numbers), onto, began))
-    raise PlanError(Fault.NO_PATH, f"no link leads from the map {ground.name} to the goal on the map {goal.map_name}")
+    raise PlanError(Fault.NO_PATH, f"no links from the map {ground.name} to the goal on the map {goal.map_name}")
 
 
-def _length(ground: Ground, one: Pose, other: Pose) -> float:
-    """Metres of the way between two places of a map; infinite without a way."""
-    here, there = ground.cell(one.x, one.y), ground.cell(other.x, other.y)
-    if here is None or there is None or not ground.fits(there):
+def _length(ground: Ground, start: Pose, end: Pose) -> float:
+    """Return the metres of the path between two poses on a map; infinite without a path."""
+    start_cell, end_cell = ground.cell(start.x, start.y), ground.cell(end.x, end.y)
+    if start_cell is None or end_cell is None or not ground.fits(end_cell):
         return math.inf
-    if here == there:
-        return one.distance(other)
-    found = astar(ground.weights, here, there)
-    return math.inf if found is None else found.length * ground.grid.resolution
+    if start_cell == end_cell:
+        return start.distance(end)
+    path = astar(ground.weights, start_cell, end_cell)
+    return math.inf if path is None else path.length * ground.grid.resolution
 
 
 _log = logging.getLogger(__name__)
@@ -106,43 +108,43 @@ class StoreAtlas(Atlas):
         self._store, self.settings = store, settings
         self._grounds: dict[str, Ground] = {}
 
-    def forget(self) -> None:
-        """Maps, areas or the robot have changed."""
+    def clear(self) -> None:
+        """Drop cached maps, since maps, areas or the robot have changed."""
         self._grounds.clear()
 
     def ground(self, name: str) -> Ground | None:
-        """A map of the store."""
-        found = self._grounds.get(name)
-        if found is None:
+        """Return a map of the store, or None."""
+        ground = self._grounds.get(name)
+        if ground is None:
             grid = self._store.get(MAP, name) if name else None
             if grid is None:
                 return None
-            found = self._grounds[name] = self.made(grid)
-        return found
+            ground = self._grounds[name] = self.ground_of(grid)
+        return ground
 
-    def made(self, grid: MapGrid2D) -> Ground:
-        """Any map, with the store's areas."""
+    def ground_of(self, grid: MapGrid2D) -> Ground:
+        """Return any map with the store's areas."""
         return Ground(grid, self.settings.robot_radius, self.settings.clearance, self._zones())
 
     def links(self) -> Sequence[LinkedPlaces]:
-        """The store's links whose two locations are there."""
-        made = []
+        """Return the store's links whose two locations exist."""
+        links = []
         for name, link in self._store.all(LINK).items():
             first, second = self._store.get(LOCATION, link.first), self._store.get(LOCATION, link.second)
             if first is None or second is None:
-                _log.warning("link %s: there is no location %s", name, link.second if first else link.first)
+                _log.warning("link %s: location %s not found", name, link.second if first else link.first)
                 continue
-            made.append(LinkedPlaces(_place(link.first, first), _place(link.second, second), link.cost, name))
-        return made
+            links.append(LinkedPlaces(_place(link.first, first), _place(link.second, second), link.cost, name))
+        return links
 
     def _zones(self) -> list[Zone]:
-        made = []
+        zones = []
         for name, area in self._store.all(AREA).items():
             try:
-                made.append(Zone(area, self._store.behaviour(name)))
+                zones.append(Zone(area, self._store.behaviour(name)))
             except StoreError as err:
                 _log.warning("%s", err)
-        return made
+        return zones
 
 
 def _place(name: str, location: Map2DLocation) -> MapPlace:

@@ -1,6 +1,6 @@
-"""The module RobotPathPlanner: an action of the hub, ports of YARP, and a local navigator below.
+"""The module RobotPathPlanner: it serves an action on the hub and YARP ports, and sends waypoints to a local navigator.
 
-What robotology/navigation's ``robotPathPlannerDev`` is to a YARP robot.
+It replaces robotology/navigation's ``robotPathPlannerDev``.
 """
 
 # ruff: noqa: D102 - documented in `PlannerModule` and `Module`
@@ -23,7 +23,7 @@ from navigation.constraints import Constraints
 from navigation.frames import LATE, FramesError, RobotFrames
 from navigation.goals import MapPlace
 from navigation.ini import laid_under
-from navigation.layers import LayersHeard
+from navigation.layers import LayerSubscriptions
 from navigation.map_in_use import MapInUse
 from navigation.messages import stamp_ns
 from navigation.planner_module import PlannerModule
@@ -41,24 +41,24 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.pythonic import Received
 from yarp_compat.wire.errors import WireError
 
-_EVERY = 0.2
+_SCAN_PERIOD = 0.2  # seconds
 _SILENT = 1.0  # seconds without a usable scan, after which the laser counts as silent
 
 
 class ObstacleScans:
-    """Gives the planner some of the scans."""
+    """Passes scans to the planner at a limited rate."""
 
     def __init__(self, planner: PathPlanner, frames: RobotFrames) -> None:
         self._planner, self._frames = planner, frames
         self._last, self._seen = float("-inf"), float("inf")
         self.trouble = ""
 
-    def take(self, now: float, message: dict[str, Any]) -> None:
-        """Take a ``sensor_msgs/LaserScan``."""
+    def on_scan(self, now: float, message: dict[str, Any]) -> None:
+        """Handle a ``sensor_msgs/LaserScan``."""
         if not self._planner.active:
             self._seen = now
             return
-        if 0 <= now - self._last < _EVERY:
+        if 0 <= now - self._last < _SCAN_PERIOD:
             return
         self._last = now
         header = message["header"]
@@ -75,16 +75,16 @@ class ObstacleScans:
         self._planner.scan(now, pose, turn)
 
     def silent(self, now: float) -> str:
-        """Return why nothing is seen; "" if there are scans, or if there never was one."""
+        """Return for how long there has been no usable scan; "" if there is one, or if there never was one."""
         silent = now - self._seen
         return f"the laser is silent: no usable scan for {silent:.1f} s" if silent > _SILENT else ""
 
 
-_SPEED = 0.2  # m/s, from which the time that is left is guessed until the robot has driven for some seconds
+_SPEED = 0.2  # m/s, for the estimate of the remaining time until the robot has driven one meter
 
 
 class RobotPathPlanner(PlannerModule):
-    """Plans ways and has them driven."""
+    """Plans paths, which a local navigator drives."""
 
     name = "robot_path_planner"
 
@@ -106,17 +106,17 @@ class RobotPathPlanner(PlannerModule):
         self._closing = [self._map.close, self._executor.close]
         self._local = self._navigator()
         if section.scan:
-            take = lambda scan: self._laser.take(self.now(), scan)  # noqa: E731
-            host.node.subscription(section.scan, SCAN, take, Qos(depth=1))
-        self._layers = LayersHeard(host, section.obstacles, self._frames, self.planner.layer, self.now)
+            on_scan = lambda scan: self._laser.on_scan(self.now(), scan)  # noqa: E731
+            host.node.subscription(section.scan, SCAN, on_scan, Qos(depth=1))
+        self._layers = LayerSubscriptions(host, section.obstacles, self._frames, self.planner.layer, self.now)
         self._serve(self._brake)
         host.answer("picture", lambda _params: host.loop.call(self.picture))
-        host.answer("halt", self._halt_asked)
+        host.answer("halt", self._on_halt)
         if section.prefix:
             self._serve_yarp(host, section.prefix)
-        self._map.take()
+        self._map.update()
         if host.clock.simulated:  # the system clock may be set while the robot drives: `now` does not depend on it
-            host.on_jump(lambda: self.stop_driving("the clock was set back"))
+            host.on_jump(lambda: self.stop_driving("the clock jumped back"))
         host.every(section.period, self._step)
         if section.image_hz > 0:
             host.every(1.0 / section.image_hz, lambda: self._topics.show(self.planner, self._pose_now()))
@@ -125,9 +125,9 @@ class RobotPathPlanner(PlannerModule):
         name = self._section.navigator
         if not name.startswith(YARP):
             return ActionNavigator(self._host, name, self._section.frame)
-        made = YarpNavigator(name.removeprefix(YARP), self.map_name, self._host.yarp.naming)
-        self._closing.append(made.close)
-        return made
+        navigator = YarpNavigator(name.removeprefix(YARP), self.map_name, self._host.yarp.naming)
+        self._closing.append(navigator.close)
+        return navigator
 
     def _serve_yarp(self, host: Host, prefix: str) -> None:
         calls = Calls(host.loop, PlanError, FramesError)
@@ -137,7 +137,7 @@ class RobotPathPlanner(PlannerModule):
         host.yarp.serve(f"{prefix}/rpc", server)
         host.yarp.input(f"{prefix}/yarpviewTarget:i", self._clicked)
 
-    # what is asked
+    # requests
 
     @property
     def target(self) -> MapPlace | None:
@@ -159,45 +159,45 @@ class RobotPathPlanner(PlannerModule):
         place, *further = places
         self.planner.goal(place.pose, place.map_name, constraints, now=self.now(), then=further)
         self._began, self._length = self.now(), 0.0
-        self._tell()
+        self._publish()
 
     def stop_driving(self, reason: str) -> None:
         self.planner.cancel(reason)
         self._step()
 
     def brake(self) -> None:
-        """Stop the robot immediately, on any thread; the request follows on the thread of the module."""
+        """Stop the robot at once, on any thread; the request is then handled on the module's thread."""
         task = self.planner.task
         if task is not None:
             self.planner.brake(task)
             self._local.brake()()
 
     def _brake(self, goal_id: bytes) -> None:
-        """On a thread of the hub, which must not wait."""
-        task, goal = self.planner.task, self._goal.goal  # in this order: a task that has been replaced does not matter
+        """Stop the robot at once, on a thread of the hub, which must not block."""
+        task, goal = self.planner.task, self._goal.goal  # in this order: a replaced task does no harm
         if task is not None and goal is not None and (goal.id == goal_id or not any(goal_id)):
             self.planner.brake(task)
             stop = self._local.brake()
-            if self.planner.task is task:  # else it is of the goal that took its place
+            if self.planner.task is task:  # else `stop` belongs to the goal that replaced it
                 self._executor.submit(stop)
 
-    def _halt_asked(self, _params: dict[str, Any]) -> Any:
-        """On a thread of the hub."""
+    def _on_halt(self, _params: dict[str, Any]) -> Any:
+        """Handle the request "halt", on a thread of the hub."""
         self.brake()
         return self._host.loop.call(self.halt)
 
     def pause(self, seconds: float) -> None:
         if not self.planner.active:
-            raise PlanError(Fault.OTHER, "there is nothing to suspend")
+            raise PlanError(Fault.OTHER, "no active goal to suspend")
         self.planner.pause(self.now(), seconds)
 
     def resume(self) -> None:
         if self.planner.status.state is not State.PAUSED:
-            raise PlanError(Fault.OTHER, "nothing is suspended")
+            raise PlanError(Fault.OTHER, "no suspended goal")
         self.planner.resume()
 
     def local_map(self) -> MapGrid2D | None:
-        """The map with what the laser sees as temporary obstacles."""
+        """Return the map with the laser's obstacles as temporary obstacles."""
         ground, clutter = self.planner.ground, self.planner.clutter
         if ground is None or clutter is None:
             return None
@@ -208,17 +208,17 @@ class RobotPathPlanner(PlannerModule):
         return MapGrid2D.of(flags, grid.occupancy, name=grid.name, resolution=grid.resolution, origin=grid.origin)
 
     def set_radius(self, metres: float) -> None:
-        """Keep another distance to walls."""
+        """Set the robot's radius, which is its distance to walls."""
         self.planner.settings = self._atlas.settings = self.planner.settings.model_copy(update={"robot_radius": metres})
         self._use(self._map.grid)
 
     def picture(self) -> dict[str, Any]:
-        """The map with the path, as PNG in base64."""
+        """Return the map with the path, as PNG in base64."""
         file = png(self.planner, self._pose_now())
         return {"png": base64.b64encode(file).decode() if file else "", "status": self.planner.status.state.value}
 
     def _clicked(self, received: Received) -> None:
-        """On the thread of the connection."""
+        """Handle a click on the picture, on the connection's thread."""
         values = received.values
 
         def drive() -> None:
@@ -227,9 +227,9 @@ class RobotPathPlanner(PlannerModule):
         try:
             self._host.loop.call(drive, late=False)
         except ValueError as err:
-            raise WireError(str(err)) from None  # the port counts it, and logs it at intervals
+            raise WireError(str(err)) from None  # the port counts it and logs it at intervals
 
-    # what happens
+    # steps
 
     def _step(self) -> None:
         try:
@@ -238,11 +238,11 @@ class RobotPathPlanner(PlannerModule):
             self._fail(f"RobotPathPlanner failed: {type(err).__name__}: {err}")
             raise
 
-    def _fail(self, why: str) -> None:
-        """Stand still, and end the goal: what failed once fails again."""
+    def _fail(self, reason: str) -> None:
+        """Stop, and end the goal: another step would fail as well."""
         self._local.cancel()
-        self._goal.end(PlannerStatus(State.ABORTED, why, Fault.OTHER))
-        self.planner.cancel(why)
+        self._goal.end(PlannerStatus(State.ABORTED, reason, Fault.OTHER))
+        self.planner.cancel(reason)
 
     def _drive(self) -> None:
         lost, pose = "", None
@@ -252,11 +252,11 @@ class RobotPathPlanner(PlannerModule):
             lost = str(err)
         self.planner.blind, self.planner.silent = self._laser.silent(self.now()), self._layers.silent()
         self.planner.step(self.now(), pose, self._local, lost)
-        self._tell()
+        self._publish()
         self._feed(pose)
 
-    def _tell(self) -> None:
-        self._topics.tell(self.now(), self.planner, self._goal.id)
+    def _publish(self) -> None:
+        self._topics.publish(self.now(), self.planner, self._goal.id)
         if not self.planner.active:
             self._goal.end(self.planner.status)
 
@@ -268,33 +268,37 @@ class RobotPathPlanner(PlannerModule):
         return left, max(speed, 0.01), self.planner.recoveries
 
     def _use(self, grid: MapGrid2D | None) -> None:
-        self._atlas.forget()
-        self.planner.use_map(None if grid is None else self._atlas.made(grid))
+        self._atlas.clear()
+        self.planner.use_map(None if grid is None else self._atlas.ground_of(grid))
 
-    # how it is
+    # state
 
     def health(self) -> Health:
         trouble = self.compiled.trouble or self._map.trouble or "; ".join(self._layers.trouble.values())
         if trouble:
-            waits = "; goals wait for one" if self.planner.ground is None and not self.compiled.trouble else ""
-            return Health("waiting", trouble + waits)
+            no_map = self.planner.ground is None and not self.compiled.trouble
+            return Health("waiting", trouble + ("; goals wait for a map" if no_map else ""))
         silent = self._layers.silent()
-        return Health("waiting", f"{silent}; goals wait for it") if silent else Health("running", self.progress.words)
+        return (
+            Health("waiting", f"{silent}; goals wait for the layer")
+            if silent
+            else Health("running", self.progress.words)
+        )
 
     def status(self) -> dict[str, Any]:
         target = self.planner.target
         return super().status() | {
             "map": self.map_name(),
             "goal": None if target is None else [target.map_name, *target.pose[:3]],
-            "waypoints": [[each.pose.x, each.pose.y] for each in self.planner.waypoints],
+            "waypoints": [[waypoint.pose.x, waypoint.pose.y] for waypoint in self.planner.waypoints],
             "navigator": {"name": self._section.navigator, "state": self._local.state.value},
             "laser": self._laser.trouble,
             "layers": dict(self._layers.trouble),
         }
 
     def stop(self) -> None:
-        self._goal.end(PlannerStatus(State.ABORTED, "the planner is stopped", Fault.NO_NAVIGATOR))
-        self.planner.cancel("the planner is stopped")
+        self._goal.end(PlannerStatus(State.ABORTED, "the planner has stopped", Fault.NO_NAVIGATOR))
+        self.planner.cancel("the planner has stopped")
         self._step()
         for close in self._closing:
             close()

@@ -1,6 +1,6 @@
-"""Local navigators, which drive from waypoint to waypoint: behind an action of the hub, or a port of YARP."""
+"""Clients of local navigators, which drive to one waypoint at a time: over an action of the hub, or a YARP port."""
 
-# ruff: noqa: D102 - `LocalNavigator` says what each does
+# ruff: noqa: D102 - documented in `LocalNavigator`
 
 from __future__ import annotations
 
@@ -24,41 +24,41 @@ from yarp_compat.ports.naming import Naming
 
 
 class LocalNavigator(Protocol):
-    """A local navigator: RobotGoto in process, or a client of one."""
+    """A local navigator, or a client of one."""
 
     @property
     def state(self) -> State:
-        """Of the goal that was sent last, from then on; `State.ERROR` also where there is no navigator."""
+        """The state of the last goal; `State.ERROR` also if no navigator is available."""
 
     @property
     def reason(self) -> str:
-        """Why it waits, failed or is not there."""
+        """Why it waits, failed or is unavailable."""
 
     @property
     def fault(self) -> Fault:
-        """The same as a number; `Fault.NONE` where it says none."""
+        """The reason as a code; `Fault.NONE` if it has none."""
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
-        """Drive there, instead of where it was sent before."""
+        """Drive to a pose instead of the previous one."""
 
     def cancel(self) -> None:
-        """Stand still."""
+        """Drop the goal and stop."""
 
 
-_OURS = "/planner/robot_goto/"
-_TAIL = "/navigate_to_pose"
+_ROBOT_GOTO = "/planner/robot_goto/"
+_ACTION_SUFFIX = "/navigate_to_pose"
 
 
 class ActionNavigator:
-    """Sends goals to one action; see `LocalNavigator`. On the module's thread."""
+    """A local navigator behind one action. On the module's thread."""
 
     def __init__(self, host: Host, action: str, frame: str) -> None:
         self._frame, self._action = frame, action
         self._client = host.node.action_client(action, NAVIGATE)
         self._goal: SentGoal | None = None
         self._state, self._reason, self._fault = State.IDLE, "", Fault.NONE
-        if action.endswith(_TAIL):
-            host.node.subscription(action.removesuffix(_TAIL) + "/status", STATUS, self._told, LATCHED)
+        if action.endswith(_ACTION_SUFFIX):
+            host.node.subscription(action.removesuffix(_ACTION_SUFFIX) + "/status", STATUS, self._on_status, LATCHED)
 
     @property
     def state(self) -> State:
@@ -66,7 +66,7 @@ class ActionNavigator:
 
     @property
     def reason(self) -> str:
-        return self._reason if self._client.ready else f"nobody serves {self._action}"
+        return self._reason if self._client.ready else f"no server for {self._action}"
 
     @property
     def fault(self) -> Fault:
@@ -74,11 +74,11 @@ class ActionNavigator:
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
         self._state, self._reason, self._fault = State.PREPARING, "", Fault.NONE
-        # without a stamp: how old a goal looks on another machine's clock says nothing
+        # without a stamp: the clock of another machine may differ
         goal = {"pose": {"header": {"frame_id": self._frame}, "pose": pose_message(pose)}}
-        if self._action.startswith(_OURS):
+        if self._action.startswith(_ROBOT_GOTO):
             goal["behavior_tree"] = constraints.to_text()  # type: ignore[assignment]
-        self._goal = self._client.send(goal, self._ended, self._driving)
+        self._goal = self._client.send(goal, self._on_end, self._on_feedback)
 
     def cancel(self) -> None:
         goal, self._goal = self._goal, None
@@ -87,16 +87,16 @@ class ActionNavigator:
             goal.cancel()
 
     def brake(self) -> Callable[[], None]:
-        """What has it give up the goal at hand, and no later one. On any thread; `cancel` is to follow."""
+        """Return a function that cancels the current goal and no later one. On any thread; `cancel` has to follow."""
         goal = self._goal
         return lambda: goal.cancel() if goal is not None and goal.active else None
 
-    def _driving(self, _feedback: dict[str, Any]) -> None:
+    def _on_feedback(self, _feedback: dict[str, Any]) -> None:
         if self._state is State.PREPARING and not self._reason:
             self._state = State.MOVING
 
-    def _told(self, status: dict[str, Any]) -> None:
-        """A planner of Midspan's says more than its action: that it waits, and for what."""
+    def _on_status(self, status: dict[str, Any]) -> None:
+        """Handle the status of a planner of Midspan: unlike the action's feedback, it tells why the planner waits."""
         if self._goal is None or bytes(status["goal_id"]) != self._goal.id or self._goal.status.ended:
             return
         try:
@@ -106,39 +106,39 @@ class ActionNavigator:
         if not state.ended:
             self._state, self._reason, self._fault = state, status["reason"], Fault.parse(status["error_code"])
 
-    def _ended(self, goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
+    def _on_end(self, goal: SentGoal, result: dict[str, Any] | None, reason: str) -> None:
         if goal is not self._goal:
-            return  # another has taken its place
-        said = (result or {}).get("error_msg", "") or why
-        ours = self._action.startswith(_OURS)
-        self._fault = Fault.parse((result or {}).get("error_code", 0)) if ours else Fault.NONE
+            return  # another goal replaced it
+        reason = (result or {}).get("error_msg", "") or reason
+        is_robot_goto = self._action.startswith(_ROBOT_GOTO)
+        self._fault = Fault.parse((result or {}).get("error_code", 0)) if is_robot_goto else Fault.NONE
         if goal.status is GoalState.SUCCEEDED:
-            self._state, self._reason = State.REACHED, said
+            self._state, self._reason = State.REACHED, reason
         elif goal.status is GoalState.CANCELED:
-            self._state, self._reason = State.IDLE, said or "somebody else cancelled its goal"
+            self._state, self._reason = State.IDLE, reason or "another client canceled its goal"
         else:
-            self._state, self._reason = State.FAILING, said or f"{self._action} gave the goal up"
+            self._state, self._reason = State.FAILING, reason or f"{self._action} aborted the goal"
 
 
 _POLL = 0.1
 GRACE = 1.0
-"""Seconds after a goal was taken for which a server that has not been seen to drive may still tell how the goal before
-ended; later its word is believed: a robot that is there already need not move."""
+"""Seconds after accepting a goal for which a server that has not driven yet may still report the end of the previous
+goal. After that its status is valid: a robot that is already at the goal does not move."""
 _STATUS = "navigation_status_"
 _ENDS = (State.REACHED, State.ABORTED, State.FAILING)
 
 
 class YarpNavigator(PolledServer[INavigation2DMsgs]):
-    """Sends goals to the server at ``<server>/rpc``, and asks it how they are. Safe to use from any thread.
+    """A local navigator behind the YARP port ``<server>/rpc``, which it polls for the status. Safe from any thread.
 
-    Speeds and gains of waypoints do not reach it: INavigation2D has no words for them.
+    Speeds and gains of waypoints are dropped: INavigation2D cannot express them.
     """
 
-    fault = Fault.NONE  #: INavigation2D has no words for one
+    fault = Fault.NONE  #: INavigation2D has no error codes
 
     def __init__(self, server: str, map_name: Callable[[], str], naming: Naming) -> None:
         port, self._map_name = f"{server}/rpc", map_name
-        self.state, self.reason = State.ERROR, f"{port} has not answered yet"
+        self.state, self.reason = State.ERROR, f"waiting for {port}"
         self._wanted: Map2DLocation | None = None
         self._number = self._sent = 0
         self._taken_at, self._drove, self._denied = -math.inf, False, False
@@ -146,13 +146,13 @@ class YarpNavigator(PolledServer[INavigation2DMsgs]):
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
         theta = math.degrees(pose.theta) if constraints.heading else math.nan
-        self._want(Map2DLocation(self._map_name(), pose.x, pose.y, theta), State.PREPARING)
+        self._request(Map2DLocation(self._map_name(), pose.x, pose.y, theta), State.PREPARING)
 
     def cancel(self) -> None:
-        self._want(None, State.IDLE)
+        self._request(None, State.IDLE)
 
     def brake(self) -> Callable[[], None]:
-        """What has it give up the goal at hand, and no later one; see `ActionNavigator.brake`."""
+        """Return a function that cancels the current goal and no later one; see `ActionNavigator.brake`."""
         number = self._number
 
         def stop() -> None:
@@ -162,7 +162,7 @@ class YarpNavigator(PolledServer[INavigation2DMsgs]):
 
         return stop
 
-    def _want(self, place: Map2DLocation | None, state: State) -> None:
+    def _request(self, place: Map2DLocation | None, state: State) -> None:
         with self._lock:
             self._wanted = place
             self._number += 1
@@ -176,7 +176,7 @@ class YarpNavigator(PolledServer[INavigation2DMsgs]):
                 self._lock.wait_for(lambda: self._closed or self._number != self._sent, _POLL)
 
     def _step(self, remote: INavigation2DMsgs) -> bool:
-        """Send the wanted goal, and ask for the status; whether to go on."""
+        """Send the wanted goal and request the status; return False to end."""
         with self._lock:
             number, place = self._number, self._wanted
             due, closed = number != self._sent, self._closed
@@ -190,9 +190,9 @@ class YarpNavigator(PolledServer[INavigation2DMsgs]):
                 return True
         outcome, status = remote.get_navigation_status_RPC()
         if outcome:
-            self._heard(number, State(statusToString(status).removeprefix(_STATUS)))
+            self._on_reply(number, State(statusToString(status).removeprefix(_STATUS)))
         else:
-            self._gone(f"{self._port} does not say how it is getting on")
+            self._on_unreachable(f"{self._port} does not report its status")
         return True
 
     def _refused(self, number: int) -> None:
@@ -200,24 +200,24 @@ class YarpNavigator(PolledServer[INavigation2DMsgs]):
             if number == self._number:
                 self.state, self.reason = State.FAILING, f"{self._port} refused the goal"
 
-    def _heard(self, number: int, state: State) -> None:
+    def _on_reply(self, number: int, state: State) -> None:
         with self._lock:
             if number != self._number:
-                return  # of a goal before
+                return  # the reply is about a previous goal
             if self._wanted is not None:
                 if self._denied:
-                    return  # whatever it does, it does not do it for us
+                    return  # the status belongs to another client's goal
                 self._drove = self._drove or not state.ended
                 if not self._drove and time.monotonic() < self._taken_at + GRACE:
                     state = State.PREPARING
                 elif state is State.IDLE and self.state in _ENDS:
-                    return  # robotGoto becomes idle some time after it has arrived
+                    return  # robotGoto becomes idle some time after it arrives
             self.state, self.reason = state, ""
 
-    def _gone(self, why: str) -> None:
+    def _on_unreachable(self, reason: str) -> None:
         with self._lock:
-            self.state, self.reason = State.ERROR, why
+            self.state, self.reason = State.ERROR, reason
             self._taken_at, self._denied = -math.inf, False
-            # a goal is not sent again by itself: the planner does that once the server is back; a stop is
+            # a stop is sent again when the server is back; a goal is not, as the planner sends it
             if self._wanted is not None:
                 self._sent = self._number

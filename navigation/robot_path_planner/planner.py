@@ -1,7 +1,7 @@
-"""RobotPathPlanner without a hub: plans, hands waypoints to a local navigator, and plans anew where that is needed.
+"""RobotPathPlanner without a hub: plans paths, sends waypoints to a local navigator, and replans if necessary.
 
-What robotology/navigation's ``robotPathPlannerDev`` does, driven by time as an argument: a caller steps it some 5 to 50
-times a second.
+It does what robotology/navigation's ``robotPathPlannerDev`` does. Time is an argument: the caller steps it 5 to 50
+times per second.
 """
 
 from __future__ import annotations
@@ -20,39 +20,39 @@ from navigation.pose import Pose
 from navigation.robot_path_planner.atlas import Atlas, Leg, leg
 from navigation.robot_path_planner.ground import Clutter, Ground
 from navigation.robot_path_planner.navigators import LocalNavigator
-from navigation.robot_path_planner.way import (
+from navigation.robot_path_planner.path import (
     DriveTask,
     JumpDetector,
     Places,
-    Way,
+    PlannedPath,
     Waypoint,
     blocked,
     cut,
     is_straight,
     length,
-    way,
+    plan_path,
 )
 from navigation.scan import believed
 from navigation.status import Fault, PlanError, PlannerStatus, State
 
-_JUMP = 0.5  # metres that localisation moves the robot at once, or 30 degrees, after which another way is planned
-_WATCH = 0.5  # seconds from one look at the way ahead to the next
-_AHEAD = 5.0  # metres of the way that are looked at
-_AGAIN = 2.0  # seconds after which a way is looked for again where there was none
+_JUMP = 0.5  # metres; the robot replans if localization moves it by more at once, or by 30 degrees
+_WATCH = 0.5  # seconds between two checks of the path ahead
+_AHEAD = 5.0  # metres of the path that are checked
+_AGAIN = 2.0  # seconds after which planning is repeated if there was no path
 _GLITCH = 0.3  # seconds for which a missing pose does not matter
-_NEARER = 0.5  # metres that the robot has to come nearer for its attempts to be counted anew
+_NEARER = 0.5  # metres of progress towards the goal that reset the count of attempts
 _PATIENCE_PER_METRE, _LONGEST_PATIENCE = 2.0, 20.0
-"""Seconds that the way is waited for to become free again, for each metre by which another one is longer."""
+"""Seconds to wait for a blocked path to clear, per metre by which the alternative is longer."""
 _DETOUR = 3.0
-"""Metres by which a way round what the laser sees may be longer for it to be taken before anything has stopped."""
-_AT_LINK = 3.0  # metres from a link's end within which a robot that has changed maps is believed to be there
+"""Metres by which a path around the laser's obstacles may be longer and still be preferred at the start."""
+_AT_LINK = 3.0  # metres from a link's end within which the pose of a robot that has changed maps is accepted
 
 
 class PathPlanner:
     """Drives one robot to one goal at a time."""
 
     def __init__(self, settings: RobotPathPlannerSection | None = None, atlas: Atlas | None = None) -> None:
-        self.settings = settings or RobotPathPlannerSection()  # may be replaced; what is planned then goes by it
+        self.settings = settings or RobotPathPlannerSection()  # may be replaced; applies to the next plan
         self._atlas = atlas or Atlas()
         self.ground: Ground | None = None
         self.clutter: Clutter | None = None
@@ -62,10 +62,10 @@ class PathPlanner:
         self._paused_until = -math.inf
         self._jumps = JumpDetector()
         self._watched = -math.inf
-        self.status = PlannerStatus()  # as it is now
+        self.status = PlannerStatus()
         self._layers: dict[str, Places] = {}
-        self.blind = ""  # why the laser says nothing, "" where it does; whoever gives scans sets it
-        self.silent = ""  # which layer says nothing any more, "" where none does; whoever gives layers sets it
+        self.blind = ""  # why there are no usable scans, else ""; set by the source of the scans
+        self.silent = ""  # which layer has fallen silent, else ""; set by the source of the layers
 
     @property
     def active(self) -> bool:
@@ -79,125 +79,125 @@ class PathPlanner:
 
     @property
     def waypoints(self) -> tuple[Waypoint, ...]:
-        """All of the way at hand."""
+        """All waypoints of the current path."""
         return self.task.waypoints if self.task else ()
 
     @property
     def waypoint(self) -> Waypoint | None:
-        """The one that is driven to."""
+        """The waypoint that the robot drives to."""
         return self.task.waypoint if self.task and self.task.waypoints else None
 
     @property
     def recoveries(self) -> int:
-        """How often the way was blocked and another was tried."""
+        """How often the path was blocked and another one was tried."""
         return self.task.recoveries if self.task else 0
 
     @property
     def _missing(self) -> str:
-        """A layer of the settings that has not come yet."""
-        return next((one.topic for one in self.settings.obstacles if one.topic not in self._layers), "")
+        """A configured layer that has not been received yet; "" if there is none."""
+        return next((layer.topic for layer in self.settings.obstacles if layer.topic not in self._layers), "")
 
     def remaining(self, pose: Pose) -> float:
-        """Metres to the goal, or to the link from which the way goes on on another map."""
+        """Return the metres to the goal, or to the link at which the robot leaves this map."""
         task = self.task
         if task is None:
             return 0.0
         return length(self._ahead(pose)) if task.waypoints else pose.distance(task.goal.pose)
 
     def use_map(self, ground: Ground | None) -> None:
-        """Plan on another map from now on, or on what has become of this one."""
+        """Plan on another map from now on, or on a new version of this one."""
         before, self.ground = self.ground, ground
         self._forget_clutter()
         task = self.task
         if task is not None and ground is not None and not task.goal.map_name:
-            task.is_on(ground.name)  # it came before the map
-        if task is None or task.due:
+            task.set_map(ground.name)  # the goal arrived before the map
+        if task is None or task.replan_reason:
             return
         if ground is None:
-            if task.arrived is None:  # at a link another map is waited for, whatever comes between
-                task.due = "the map is gone"
+            if task.arrived_at is None:  # at a link, the robot waits for another map, even if there is none for a while
+                task.replan_reason = "the map was removed"
         elif before is None or before.name != ground.name:
-            task.due = f"the map is {ground.name} now"
-        elif task.arrived is None and blocked(ground, ground.weights == 0, self._line(task)):
-            task.due = "the map has changed"
+            task.replan_reason = f"the map changed to {ground.name}"
+        elif task.arrived_at is None and blocked(ground, ground.weights == 0, self._line(task)):
+            task.replan_reason = "the map has changed"
 
     def goal(
         self,
         pose: Pose,  # on the map
-        map_name: str = "",  # which; empty for the map at hand
-        constraints: Constraints | None = None,  # what holds instead of the settings
+        map_name: str = "",  # empty for the current map
+        constraints: Constraints | None = None,  # override the settings
         *,
         now: float = 0.0,  # seconds
-        then: Sequence[MapPlace] = (),  # where to drive on to from there, one after the other
+        then: Sequence[MapPlace] = (),  # further goals, in sequence
     ) -> None:
-        """Drive there, instead of where it is driving."""
-        here = self.ground.name if self.ground else ""
-        further = tuple(replace(place, map_name=place.map_name or here) for place in then)
-        self.task = DriveTask(MapPlace(map_name or here, pose), constraints or Constraints(), now, further)
+        """Drive to this goal instead of the current one."""
+        current_map = self.ground.name if self.ground else ""
+        further = tuple(replace(place, map_name=place.map_name or current_map) for place in then)
+        self.task = DriveTask(MapPlace(map_name or current_map, pose), constraints or Constraints(), now, further)
         self._paused_until = -math.inf
-        self.status = PlannerStatus(State.THINKING, self.task.due)
+        self.status = PlannerStatus(State.THINKING, self.task.replan_reason)
 
     def cancel(self, reason: str = "cancelled") -> None:
-        """Give the goal up; the robot stands still from the next step on. How the last one ended is forgotten."""
+        """Drop the goal; the next step stops the robot. This clears the status of the previous goal."""
         if self.task is not None:
             self.task = None
             self._halting = True
         self.status = PlannerStatus(State.IDLE, reason)
 
     def brake(self, task: DriveTask) -> None:
-        """Send no waypoint of this goal any more, not even that of a plan under way.
+        """Send no further waypoint of this goal, not even from a plan in progress.
 
-        On any thread: planning on a large map takes a second, and a robot is to stop at once. `cancel` or `pause`
-        follows on the planner's own thread.
+        Safe from any thread: planning on a large map takes a second, but a robot has to stop at once. The caller then
+        calls `cancel` or `pause` on the planner's thread.
         """
         self._braked = task
 
     def pause(self, now: float, seconds: float = math.inf) -> None:
-        """Stand still for some seconds, or until `resume`."""
+        """Stop for some seconds, or until `resume`."""
         if self.task is not None:
             self._halting, self._braked = True, None
             self._paused_until = now + seconds if seconds > 0 else math.inf
-            self.task.due = "it goes on"
+            self.task.replan_reason = "resumed"
             self.status = PlannerStatus(State.PAUSED, "paused")
 
     def resume(self) -> None:
-        """Go on, also if the local navigator has paused by itself, as RobotGoto in a deadlock."""
+        """Drive on, also if the local navigator paused itself, as RobotGoto does in a deadlock."""
         self._paused_until = -math.inf
         if self.task is not None and self.status.state is State.PAUSED:
-            self.task.due, self.task.not_before = "it goes on", -math.inf
+            self.task.replan_reason, self.task.not_before = "resumed", -math.inf
 
     def recompute(self) -> None:
-        """Look for a way anew."""
+        """Plan a new path to the goal."""
         if self.task is not None:
-            self.task.due, self.task.not_before = "it was asked for", -math.inf
+            self.task.replan_reason, self.task.not_before = "a new path was requested", -math.inf
 
     def scan(self, now: float, laser: Pose, scan: Turn) -> None:
-        """See what stands in the way: a turn of a laser at a pose on the map; seconds."""
+        """Add a laser scan to the obstacles; `laser` is the laser's pose on the map, `now` in seconds."""
         if self.clutter is not None and self.task is not None:
             farthest = min(self.settings.obstacle_distance, scan.farthest)
             self.clutter.see(laser, believed(scan), scan.first, scan.step, farthest)
-            self.clutter.forget(now)
+            self.clutter.fade(now)
 
     def layer(self, topic: str, places: Places) -> None:
-        """Plan around a layer's places from now on, (n, 2) metres on the map, in place of what it had."""
+        """Plan around a layer's points from now on, (n, 2) metres on the map; they replace its previous ones."""
         self._layers[topic] = places
         if self.clutter is None or self.ground is None:
             return
         self.clutter.layers(list(self._layers.values()))
         task = self.task
-        if task is None or not task.waypoints or task.due or task.arrived is not None:
+        if task is None or not task.waypoints or task.replan_reason or task.arrived_at is not None:
             return
         if blocked(self.ground, self.clutter.closed_by_layers, self._line(task)):
-            task.due, task.not_before = f"{topic} has changed", -math.inf
+            task.replan_reason, task.not_before = f"{topic} has changed", -math.inf
 
     def _forget_clutter(self) -> None:
         ground, layers = self.ground, list(self._layers.values())
         self.clutter = Clutter(ground, self.settings.obstacle_memory, layers) if ground else None
 
     def step(self, now: float, pose: Pose | None, local: LocalNavigator, lost: str = "") -> PlannerStatus:
-        """Take one step, at seconds that never go back, with the one who drives to waypoints.
+        """Run one step of the planner; `now` in seconds never decreases.
 
-        The pose is the robot's on the map; None where it is not known, for the reason ``lost``.
+        `pose` is the robot's on the map, or None if it is unknown for the reason ``lost``.
         """
         if self._halting:
             self._halting = False
@@ -216,77 +216,77 @@ class PathPlanner:
 
     def _go(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator) -> None:
         jump = self._jumps.add(now, pose, _JUMP)
-        if jump and not task.due:
-            task.due = jump
+        if jump and not task.replan_reason:
+            task.replan_reason = jump
         if jump and self.ground is not None:
-            # what was seen from where the robot is not stands somewhere else
+            # obstacles were seen from a wrong pose, so they are elsewhere
             self._forget_clutter()
-        task.lost_since = None
+        task.pose_lost_since = None
         if not self.silent:
-            task.silent_since = None
-        if task.gone_since is not None:
+            task.layer_silent_since = None
+        if task.navigator_lost_since is not None:
             self._wait_for_navigator(task, now, local)
-        elif self.silent and (task.due or task.arrived is None):
+        elif self.silent and (task.replan_reason or task.arrived_at is None):
             self._wait_for_layer(task, now, local)
-        elif task.due and self.ground is None and not task.driven:
-            self._wait(task, now - task.since, "there is no map to plan on yet", Fault.NO_MAP)
-        elif task.due and (missing := self._missing) and not task.driven:
-            self._wait(task, now - task.since, f"the layer {missing} has not come yet", Fault.NO_MAP)
-        elif task.due:
+        elif task.replan_reason and self.ground is None and not task.driven:
+            self._wait(task, now - task.since, "waiting for a map", Fault.NO_MAP)
+        elif task.replan_reason and (missing := self._missing) and not task.driven:
+            self._wait(task, now - task.since, f"waiting for layer {missing}", Fault.NO_MAP)
+        elif task.replan_reason:
             if now >= task.not_before:
                 self._plan(task, now, pose, local)
-        elif task.arrived is not None:
+        elif task.arrived_at is not None:
             self._wait_for_map(task, now)
         else:
             self._drive(task, now, pose, local)
 
     def _plan(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator) -> None:
-        """Find a way and set out on it; where the laser closes all, stand and wait."""
+        """Plan a path and start on it; stop and wait if the laser's obstacles block every path."""
         if not self._is_at_link(task, now, pose):
             return
         try:
-            found = self._way(task, pose) if task.attempts else self._first_way(task, pose)
+            path = self._path(task, pose) if task.attempts else self._first_path(task, pose)
         except PlanError as err:
             if not err.passing:
                 raise
-            self._wait_for_way(task, now, local, str(err))
+            self._wait_for_path(task, now, local, str(err))
             return
-        task.due, task.blocked_since = "", None
-        self._set_out(task, now, pose, local, found)
+        task.replan_reason, task.all_blocked_since = "", None
+        self._set_out(task, now, pose, local, path)
 
-    def _first_way(self, task: DriveTask, pose: Pose) -> Way:
-        """The way round what the laser sees, where that is not much longer: it may be gone when the robot is there."""
-        short = self._way(task, pose, around=False)
+    def _first_path(self, task: DriveTask, pose: Pose) -> PlannedPath:
+        """Return the path around the laser's obstacles if it is not much longer: they may move away in time."""
+        short = self._path(task, pose, around=False)
         try:
-            around = self._way(task, pose)
+            around = self._path(task, pose)
         except PlanError as err:
             if not err.passing:
                 raise
             return short
         return around if around.length <= short.length + _DETOUR else short
 
-    def _way(self, task: DriveTask, pose: Pose, *, around: bool = True) -> Way:
-        """A way by the map, and around what the laser sees."""
+    def _path(self, task: DriveTask, pose: Pose, *, around: bool = True) -> PlannedPath:
+        """Plan a path on the map, and around the laser's obstacles."""
         ground, clutter = self.ground, self.clutter
         if ground is None or clutter is None:
-            raise PlanError(Fault.NO_MAP, "there is no map to plan on")
+            raise PlanError(Fault.NO_MAP, "no map to plan on")
         try:
             task.leg = leg(self._atlas, ground, pose, task.goal)
         except PlanError as err:
             if task.driven and task.goal.map_name != ground.name:
-                raise PlanError(Fault.MAP_CHANGED, f"the map was changed to {ground.name} on the way: {err}") from None
+                raise PlanError(Fault.MAP_CHANGED, f"the map changed to {ground.name} while driving: {err}") from None
             raise
-        wanted = task.wanted if task.leg.onto is None else None
+        constraints = task.constraints if task.leg.onto is None else None
         around = around and bool(len(clutter.cells))
         weights = clutter.weights(seen=around) if around or len(clutter.fixed) else None
-        return way(ground, pose, task.leg.end.pose, self.settings, wanted, weights)
+        return plan_path(ground, pose, task.leg.end.pose, self.settings, constraints, weights)
 
-    def _set_out(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator, found: Way) -> None:
-        task.waypoints, task.at, task.note = found.waypoints, 0, found.note
-        task.arrived = task.closed_since = None
+    def _set_out(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator, path: PlannedPath) -> None:
+        task.waypoints, task.index, task.note = path.waypoints, 0, path.note
+        task.arrived_at = task.path_blocked_since = None
         self._watched = now
-        if task.last and task.waypoint.is_there(pose):
-            if not local.state.ended:  # it drives to where the robot was sent before
+        if task.last and task.waypoint.is_reached(pose):
+            if not local.state.ended:  # it still drives to the previous goal
                 local.cancel()
             self._arrive(task, now, local)
             return
@@ -305,16 +305,16 @@ class PathPlanner:
             if task.last:
                 self._arrive(task, now, local)
             else:
-                task.at += 1
+                task.index += 1
                 self._send(task, local)
         elif state in (State.FAILING, State.ABORTED):
-            why = local.reason or "the local navigator gave up"
+            reason = local.reason or "the local navigator failed"
             if local.fault.anywhere:
-                raise PlanError(local.fault, why)
-            self._recover(task, now, pose, why)
+                raise PlanError(local.fault, reason)
+            self._recover(task, now, pose, reason)
         elif state is State.IDLE:
-            why = local.reason or "somebody else stopped it"
-            raise PlanError(Fault.OTHER, f"the local navigator drives no more: {why}")
+            reason = local.reason or "another client stopped it"
+            raise PlanError(Fault.OTHER, f"the local navigator stopped: {reason}")
         elif state is State.ERROR:
             self._wait_for_navigator(task, now, local)
         else:
@@ -325,136 +325,140 @@ class PathPlanner:
                 self._watch(task, now, pose, local)
 
     def _count(self, task: DriveTask, pose: Pose) -> None:
-        """A robot that comes nearer has all its attempts again."""
+        """Reset the count of attempts if the robot has come nearer to the goal."""
         left = self.remaining(pose)
         if left < task.best - _NEARER:
             task.best, task.attempts = left, 0
 
     def _watch(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator) -> None:
-        """Look for another way where a wall or what the laser sees has come between."""
+        """Replan if a wall is between the robot and its waypoint; try another path if obstacles block this one."""
         ground, clutter = self.ground, self.clutter
         assert ground is not None
         assert clutter is not None
         if not is_straight(ground, pose, task.waypoint.pose):
-            task.due = "the way is not straight any more"
+            task.replan_reason = "a wall is between the robot and its waypoint"
             return
         if not (len(clutter.cells) or len(clutter.fixed)) or not blocked(
             ground, clutter.struck(), cut(self._ahead(pose), _AHEAD)
         ):
-            task.closed_since = None
+            task.path_blocked_since = None
             return
-        task.closed_since = now if task.closed_since is None else task.closed_since
+        task.path_blocked_since = now if task.path_blocked_since is None else task.path_blocked_since
         if (
-            task.waypoint.waits
-            or now - task.closed_since < self.settings.patience
+            task.waypoint.waits_for_obstacles
+            or now - task.path_blocked_since < self.settings.patience
             or task.attempts >= self.settings.recoveries
         ):
             return
         try:
-            found = self._way(task, pose)
+            alternative = self._path(task, pose)
         except PlanError as err:
             if not err.passing:
                 raise
-            task.closed_since = now  # there is no other; who drives waits for it
+            task.path_blocked_since = now  # there is no other path: the local navigator waits
             return
-        longer = found.length - self.remaining(pose)
-        if now - task.closed_since < min(_PATIENCE_PER_METRE * longer, _LONGEST_PATIENCE):
-            return  # somebody in a corridor is gone sooner than a long way round is driven
+        longer = alternative.length - self.remaining(pose)
+        if now - task.path_blocked_since < min(_PATIENCE_PER_METRE * longer, _LONGEST_PATIENCE):
+            return  # a person in a corridor moves away sooner than the robot drives a long detour
         task.attempts += 1
         task.recoveries += 1
-        self._set_out(task, now, pose, local, found)
+        self._set_out(task, now, pose, local, alternative)
 
-    def _recover(self, task: DriveTask, now: float, pose: Pose, why: str) -> None:
-        """The local navigator failed: try another way, or this one again."""
+    def _recover(self, task: DriveTask, now: float, pose: Pose, reason: str) -> None:
+        """Handle a failure of the local navigator: try another path, or this one again."""
         self._count(task, pose)
         if task.attempts >= self.settings.recoveries:
-            tried = f"; given up after {task.attempts} further attempts" if task.attempts else ""
-            raise PlanError(Fault.BLOCKED, why + tried)
-        task.due, task.not_before = why, now + 2.0**task.attempts - 0.5
+            tried = f"; aborted after {task.attempts} more attempts" if task.attempts else ""
+            raise PlanError(Fault.BLOCKED, reason + tried)
+        task.replan_reason, task.not_before = reason, now + 2.0**task.attempts - 0.5
         task.attempts += 1
         task.recoveries += 1
-        self.status = PlannerStatus(State.WAITING, f"{why}; it is tried again", Fault.BLOCKED)
+        self.status = PlannerStatus(State.WAITING, f"{reason}; trying again", Fault.BLOCKED)
 
     def _arrive(self, task: DriveTask, now: float, local: LocalNavigator) -> None:
         assert task.leg is not None
-        if task.leg.onto is None and task.then:
-            task.goal, *further = task.then
-            task.then, task.due, task.waypoints, task.best = tuple(further), "the next place", (), math.inf
+        if task.leg.onto is None and task.further:
+            task.goal, *further = task.further
+            task.further, task.replan_reason, task.waypoints, task.best = tuple(further), "the next goal", (), math.inf
         elif task.leg.onto is None:
-            self._end(local, PlannerStatus(State.REACHED, "the goal is reached"))
+            self._end(local, PlannerStatus(State.REACHED, "goal reached"))
         else:
             self._wait_at_link(task, task.leg, now)
 
     def _wait_at_link(self, task: DriveTask, part: Leg, now: float) -> None:
         assert part.onto is not None
-        task.arrived = now
+        task.arrived_at = now
         name = part.end.name or f"({part.end.pose.x:.2f}, {part.end.pose.y:.2f})"
-        self.status = PlannerStatus(State.WAITING, f"at {name}: waits to be on the map {part.onto.map_name}")
+        self.status = PlannerStatus(State.WAITING, f"at {name}: waiting for the map to change to {part.onto.map_name}")
 
     def _wait_for_map(self, task: DriveTask, now: float) -> None:
-        assert task.arrived is not None
-        if now - task.arrived > self.settings.max_map_waiting_time:
+        assert task.arrived_at is not None
+        if now - task.arrived_at > self.settings.max_map_waiting_time:
             raise PlanError(
-                Fault.MAP_CHANGED, f"the map has not changed for {now - task.arrived:.0f} s; was {_to(task)}"
+                Fault.MAP_CHANGED, f"the map has not changed for {now - task.arrived_at:.0f} s; {_expected(task)}"
             )
 
     def _is_at_link(self, task: DriveTask, now: float, pose: Pose) -> bool:
-        """Whether a robot that has changed maps is known to be where its link leads; else that is waited for."""
-        if task.arrived is None or task.leg is None or task.leg.onto is None or self.ground is None:
+        """Whether a robot that has changed maps is localized near the link's end; if not, wait for it."""
+        if task.arrived_at is None or task.leg is None or task.leg.onto is None or self.ground is None:
             return True
         onto = task.leg.onto
         if onto.map_name != self.ground.name or pose.distance(onto.pose) <= _AT_LINK:
             return True
         self._wait_for_map(task, now)
         self.status = PlannerStatus(
-            State.WAITING, f"on the map {onto.map_name}: waits to be localised near {onto.name}"
+            State.WAITING, f"on the map {onto.map_name}: waiting to be localized near {onto.name}"
         )
         return False
 
-    def _wait_for_way(self, task: DriveTask, now: float, local: LocalNavigator, why: str) -> None:
-        if task.blocked_since is None:
-            task.blocked_since = now
+    def _wait_for_path(self, task: DriveTask, now: float, local: LocalNavigator, reason: str) -> None:
+        if task.all_blocked_since is None:
+            task.all_blocked_since = now
             local.cancel()
-        if now - task.blocked_since > self.settings.max_waiting_time:
-            raise PlanError(Fault.BLOCKED, f"{why}, and has for {now - task.blocked_since:.0f} s")
+        if now - task.all_blocked_since > self.settings.max_waiting_time:
+            raise PlanError(Fault.BLOCKED, f"{reason}, for {now - task.all_blocked_since:.0f} s now")
         task.not_before = now + _AGAIN
-        self.status = PlannerStatus(State.WAITING, why, Fault.BLOCKED)
+        self.status = PlannerStatus(State.WAITING, reason, Fault.BLOCKED)
 
-    def _wait_for_pose(self, task: DriveTask, now: float, local: LocalNavigator, why: str) -> None:
-        why = f"it is not known where the robot is: {why}" if why else "it is not known where the robot is"
+    def _wait_for_pose(self, task: DriveTask, now: float, local: LocalNavigator, reason: str) -> None:
+        reason = f"the robot's pose is unknown: {reason}" if reason else "the robot's pose is unknown"
         fault = Fault.NOT_LOCALIZED
-        if self.blind:  # without a laser the localisation is lost too
-            why, fault = self.blind, Fault.NO_LASER
-        task.lost_since = now if task.lost_since is None else task.lost_since
-        lost = now - task.lost_since
-        if lost >= _GLITCH and not task.due:
+        if self.blind:  # without a laser, localization is lost too
+            reason, fault = self.blind, Fault.NO_LASER
+        task.pose_lost_since = now if task.pose_lost_since is None else task.pose_lost_since
+        lost = now - task.pose_lost_since
+        if lost >= _GLITCH and not task.replan_reason:
             local.cancel()
-            task.due, task.not_before = "it is known again where the robot is", -math.inf
-        self._wait(task, lost, why, fault, told=bool(task.due))
+            task.replan_reason, task.not_before = "the robot's pose is known again", -math.inf
+        self._wait(task, lost, reason, fault, reported=bool(task.replan_reason))
 
     def _wait_for_layer(self, task: DriveTask, now: float, local: LocalNavigator) -> None:
-        """Stand, as what has come into the way since is not known."""
-        if task.silent_since is None:
-            task.silent_since, task.due = now, task.due or "the layer is heard again"
+        """Stop: obstacles that the silent layer would show are unknown."""
+        if task.layer_silent_since is None:
+            task.layer_silent_since, task.replan_reason = now, task.replan_reason or "the layer is received again"
             local.cancel()
-        self._wait(task, now - task.silent_since, self.silent, Fault.NO_LASER)
+        self._wait(task, now - task.layer_silent_since, self.silent, Fault.NO_LASER)
 
-    def _wait(self, task: DriveTask, waited: float, why: str, fault: Fault, *, told: bool = True) -> None:
-        """Report what is missing, and give up the goal if it does not come in time."""
+    def _wait(self, task: DriveTask, waited: float, reason: str, fault: Fault, *, reported: bool = True) -> None:
+        """Report what is missing, and abort the goal if it stays missing too long."""
         if waited > self.settings.max_waiting_time:
-            again = "" if task.driven else f", and has been so for {waited:.0f} s: ask again once it has changed"
-            raise PlanError(fault, why + again)
-        if told:
-            self.status = PlannerStatus(State.WAITING if task.driven else State.PREPARING, why, fault)
+            again = "" if task.driven else f", for {waited:.0f} s now: send the goal again once that has changed"
+            raise PlanError(fault, reason + again)
+        if reported:
+            self.status = PlannerStatus(State.WAITING if task.driven else State.PREPARING, reason, fault)
 
     def _wait_for_navigator(self, task: DriveTask, now: float, local: LocalNavigator) -> None:
-        if task.gone_since is None:
-            task.gone_since = now
+        if task.navigator_lost_since is None:
+            task.navigator_lost_since = now
         if local.state is not State.ERROR:
-            task.gone_since, task.due, task.not_before = None, "the local navigator is back", -math.inf
+            task.navigator_lost_since, task.replan_reason, task.not_before = (
+                None,
+                "the local navigator is back",
+                -math.inf,
+            )
             return
-        why = local.reason or "there is no local navigator"
-        self._wait(task, now - task.gone_since, why, Fault.NO_NAVIGATOR)
+        reason = local.reason or "no local navigator"
+        self._wait(task, now - task.navigator_lost_since, reason, Fault.NO_NAVIGATOR)
 
     def _end(self, local: LocalNavigator, status: PlannerStatus) -> None:
         if status.state is not State.REACHED:
@@ -462,19 +466,19 @@ class PathPlanner:
         self.task, self.status = None, status
 
     def _ahead(self, pose: Pose) -> Places:
-        """(n, 2) the robot, and the waypoints that are left."""
+        """Return the robot's position and the remaining waypoints, (n, 2)."""
         task = self.task
-        left = task.waypoints[task.at :] if task else ()
-        return np.array([(pose.x, pose.y), *((each.pose.x, each.pose.y) for each in left)])
+        left = task.waypoints[task.index :] if task else ()
+        return np.array([(pose.x, pose.y), *((waypoint.pose.x, waypoint.pose.y) for waypoint in left)])
 
     def _line(self, task: DriveTask) -> Places:
-        """(n, 2) the waypoints that are left, and the robot where that is known."""
-        line = [(each.pose.x, each.pose.y) for each in task.waypoints[task.at :]]
+        """Return the remaining waypoints, (n, 2), after the robot's position if it is known."""
+        line = [(waypoint.pose.x, waypoint.pose.y) for waypoint in task.waypoints[task.index :]]
         if self._jumps.pose is not None:
             line.insert(0, self._jumps.pose[:2])
         return np.array(line)
 
 
-def _to(task: DriveTask) -> str:
+def _expected(task: DriveTask) -> str:
     assert task.leg is not None
-    return f"to become {task.leg.onto.map_name}" if task.leg.onto else "to stay"
+    return f"expected {task.leg.onto.map_name}" if task.leg.onto else "no other map expected"

@@ -1,6 +1,6 @@
 """The topics and YARP ports of the planner: what it publishes, its map as a picture to click on, and INavigation2D."""
 
-# ruff: noqa: N802, D102 - YARP's names, and its interface says what each does
+# ruff: noqa: N802, D102 - YARP's names, documented in its interface
 
 from __future__ import annotations
 
@@ -29,59 +29,59 @@ from yarp_compat.sig.image import ImageRgb
 
 _SPHERES, _LINES, _ARROW, _DELETE_ALL = 7, 4, 0, 3
 _BLUE, _PINK = {"r": 0.0, "g": 0.25, "b": 0.9, "a": 1.0}, {"r": 0.8, "g": 0.0, "b": 0.5, "a": 1.0}
-_SAID_AGAIN = 5.0  # seconds after which YARP's status port says the same again, as upstream's does
-_REASON_AGAIN = 1.0
+_REPEAT = 5.0  # seconds after which YARP's status port repeats the status, as upstream's does
+_REASON_PERIOD = 1.0
 
 
 class PathPlannerTopics(PlannerTopics):
-    """Publishes what has changed; no YARP ports without a prefix. On the module's thread."""
+    """Publishes status, path and picture when they change; no YARP ports without a prefix. On the module's thread."""
 
     def __init__(self, host: Host, frame: str, prefix: str) -> None:
         super().__init__(host, "robot_path_planner", frame)
         markers = "visualization_msgs/msg/MarkerArray"
         self._markers = host.node.publisher(f"{self._prefix}/markers", markers, LATCHED, priority="state")
-        self._words = host.yarp.output(f"{prefix}/plannerStatus:o") if prefix else None
+        self._status_port = host.yarp.output(f"{prefix}/plannerStatus:o") if prefix else None
         self._image = host.yarp.output(f"{prefix}/map:o") if prefix else None
-        self._way: object = None
-        self._said = self._published = -math.inf
+        self._path_shown: object = None
+        self._written = self._published = -math.inf
 
-    def tell(self, now: float, planner: PathPlanner, goal_id: bytes = NO_GOAL) -> None:
-        """Publish the status and the way, where they have changed."""
+    def publish(self, now: float, planner: PathPlanner, goal_id: bytes = NO_GOAL) -> None:
+        """Publish the status and the path if they have changed."""
         status, target = planner.status, planner.target
         if self._is_news(now, status, goal_id):
             self._published = now
             self._publish_status(status, target.pose if target else None, goal_id)
-            self._said = -math.inf
-        if self._words is not None and now - self._said >= _SAID_AGAIN:
-            self._said = now
-            self._words.write([f"navigation_status_{status.state.value}"])
-        if planner.waypoints is not self._way:
-            self._way = planner.waypoints
-            self._tell_way(planner)
+            self._written = -math.inf
+        if self._status_port is not None and now - self._written >= _REPEAT:
+            self._written = now
+            self._status_port.write([f"navigation_status_{status.state.value}"])
+        if planner.waypoints is not self._path_shown:
+            self._path_shown = planner.waypoints
+            self._publish_plan(planner)
 
     def _is_news(self, now: float, status: PlannerStatus, goal_id: bytes) -> bool:
-        """Whether to publish a status; one with another reason only, as with seconds that pass, once a second."""
+        """Whether to publish a status; if only the reason changed, such as a count of seconds, once a second."""
         if self._last is None or (status, goal_id) == self._last:
             return self._last is None
         before, goal_before = self._last
         same = (status.state, status.fault, goal_id) == (before.state, before.fault, goal_before)
-        return not same or not 0 <= now - self._published < _REASON_AGAIN
+        return not same or not 0 <= now - self._published < _REASON_PERIOD
 
     def show(self, planner: PathPlanner, pose: Pose | None) -> None:
-        """Send a picture to whoever sees."""
+        """Send a picture if the port has receivers."""
         if self._image is None or not self._image.heard:
             return
         pixels = draw(planner, pose)
         if pixels is not None:
             self._image.write(ImageRgb.of(pixels))
 
-    def _tell_way(self, planner: PathPlanner) -> None:
+    def _publish_plan(self, planner: PathPlanner) -> None:
         header = self._header()
-        poses = [each.pose for each in planner.waypoints]
+        poses = [waypoint.pose for waypoint in planner.waypoints]
         self._publish_path(poses)
         markers: list[Message] = [{"header": header, "action": _DELETE_ALL}]
         if poses:
-            points = [{"x": each.x, "y": each.y, "z": 0.05} for each in poses]
+            points = [{"x": pose.x, "y": pose.y, "z": 0.05} for pose in poses]
             still = {"header": header, "pose": pose_message(Pose(0.0, 0.0, 0.0)), "color": _BLUE, "points": points}
             dots = {"x": 0.1, "y": 0.1, "z": 0.1}
             markers += [
@@ -93,16 +93,16 @@ class PathPlannerTopics(PlannerTopics):
         self._markers.publish({"markers": markers})
 
 
-_ROBOT, _NOSE, _GOAL, _WAY, _POINT = (0, 120, 0), (255, 255, 255), (200, 0, 120), (0, 60, 220), (0, 160, 255)
+_ROBOT, _NOSE, _GOAL, _PATH, _POINT = (0, 120, 0), (255, 255, 255), (200, 0, 120), (0, 60, 220), (0, 160, 255)
 _TIGHT = (255, 236, 190)  # free cells in which the robot does not fit
 
 Pixels = NDArray[np.uint8]
 
 
 def draw(planner: PathPlanner, pose: Pose | None, scale: int = 1) -> Pixels | None:
-    """The map from above, (height, width, 3) bytes, so many pixels a cell; None where there is no map.
+    """Draw the map from above, (height, width, 3) bytes with `scale` pixels per cell; None without a map.
 
-    With one pixel a cell, a pixel's column and row are the cell's: so clicks on it are goals.
+    With one pixel per cell, a pixel's column and row are the cell's, so that clicks are goals.
     """
     ground = planner.ground
     if ground is None:
@@ -115,34 +115,34 @@ def draw(planner: PathPlanner, pose: Pose | None, scale: int = 1) -> Pixels | No
     if clutter is not None and len(clutter.cells):
         rows, columns = clutter.cells.T
         pixels[rows, columns] = COLOURS[MapFlag.TEMPORARY_OBSTACLE]
-    from PIL import Image, ImageDraw  # most planners are never looked at
+    from PIL import Image, ImageDraw  # most planners are never drawn
 
     image = Image.fromarray(pixels)
     if scale > 1:
         image = image.resize((image.width * scale, image.height * scale), Image.Resampling.NEAREST)
     canvas = ImageDraw.Draw(image)
 
-    def at(x: float, y: float) -> tuple[float, float]:
+    def pixel(x: float, y: float) -> tuple[float, float]:
         column, row = ground.grid.in_cells((x, y))
         return float(column) * scale, float(row) * scale
 
-    way = [each.pose for each in planner.waypoints]
-    line = [at(each.x, each.y) for each in ([pose, *way] if pose is not None else way)]
+    poses = [waypoint.pose for waypoint in planner.waypoints]
+    line = [pixel(point.x, point.y) for point in ([pose, *poses] if pose is not None else poses)]
     if len(line) > 1:
-        canvas.line(line, fill=_WAY, width=max(1, scale))
-    for each in way:
-        _disc(canvas, at(each.x, each.y), max(1.0, scale), _POINT)
+        canvas.line(line, fill=_PATH, width=max(1, scale))
+    for waypoint in poses:
+        _disc(canvas, pixel(waypoint.x, waypoint.y), max(1.0, scale), _POINT)
     size = ground.radius / ground.grid.resolution * scale
     target = planner.target
     if target is not None and target.map_name == ground.name:
-        _arrow(canvas, at(target.pose.x, target.pose.y), target.pose.theta, size, _GOAL)
+        _arrow(canvas, pixel(target.pose.x, target.pose.y), target.pose.theta, size, _GOAL)
     if pose is not None:
-        _arrow(canvas, at(pose.x, pose.y), pose.theta, size, _ROBOT)
+        _arrow(canvas, pixel(pose.x, pose.y), pose.theta, size, _ROBOT)
     return np.asarray(image)
 
 
 def png(planner: PathPlanner, pose: Pose | None) -> bytes | None:
-    """The same as a PNG file of 600 pixels or more; None where there is no map."""
+    """Draw the map as a PNG file, 600 pixels or more in its longer side; None without a map."""
     if planner.ground is None:
         return None
     rows, columns = planner.ground.weights.shape
@@ -162,7 +162,7 @@ def _disc(canvas: Any, place: tuple[float, float], radius: float, colour: tuple[
 
 
 def _arrow(canvas: Any, place: tuple[float, float], theta: float, size: float, colour: tuple[int, int, int]) -> None:
-    """A disc with a line where it heads."""
+    """Draw a disc with a line towards its heading."""
     _disc(canvas, place, size, colour)
     if math.isfinite(theta):
         end = place[0] + size * math.cos(theta), place[1] - size * math.sin(theta)
@@ -170,33 +170,33 @@ def _arrow(canvas: Any, place: tuple[float, float], theta: float, size: float, c
 
 
 def goal_of_click(ground: Ground | None, values: Sequence[Any]) -> Pose:
-    """The goal of a click or drag on the picture of the map; raises `ValueError` if it is none, or there is no map.
+    """Return the goal of a click or drag on the map's picture; raises `ValueError` if it is invalid, or without a map.
 
-    A click is ``x y``, a drag ``x0 y0 x1 y1``: the robot heads on from the first pixel to the second; 0, 0 is the upper
-    left one.
+    A click is ``x y``, a drag ``x0 y0 x1 y1``: the goal is the first pixel, its heading points to the second. Pixel
+    0, 0 is the upper left one.
     """
     if ground is None:
-        raise ValueError("there is no map to click on")
+        raise ValueError("no map to click on")
     numbers = [float(value) for value in values if isinstance(value, (int, float)) and not isinstance(value, bool)]
     if len(numbers) != len(values) or len(numbers) not in (2, 4) or not all(map(math.isfinite, numbers)):
         raise ValueError(f"a click is x y, a drag x0 y0 x1 y1: {list(values)!r:.100} is neither")
-    x, y = (float(each) for each in ground.grid.centers_of(numbers[:2]))
+    x, y = map(float, ground.grid.centers_of(numbers[:2]))
     if len(numbers) == 2 or numbers[:2] == numbers[2:]:
         return Pose(x, y, math.nan)
-    to_x, to_y = (float(each) for each in ground.grid.centers_of(numbers[2:]))
+    to_x, to_y = map(float, ground.grid.centers_of(numbers[2:]))
     return Pose(x, y, math.atan2(to_y - y, to_x - x))
 
 
 HELP = (
-    "help: these lines",
-    "get_robot_radius: metres kept to walls",
-    "set_robot_radius R: keep R metres to walls; the way is planned anew",
+    "help: list the commands",
+    "get_robot_radius: distance to walls in metres",
+    "set_robot_radius R: keep R metres from walls, and plan a new path",
 )
 _MOST = 3.0
 
 
 class PathPlannerDevice(PlannerDevice):
-    """Answers INavigation2D; ``brake`` makes the robot stand at once, on any thread, before a stop or a pause."""
+    """Serves INavigation2D; ``brake`` stops the robot at once, on any thread, before a stop or a pause."""
 
     def __init__(self, module: PlannerModule, calls: Calls, planner: PathPlanner, brake: Callable[[], None]) -> None:
         super().__init__(module, calls)
@@ -216,26 +216,26 @@ class PathPlannerDevice(PlannerDevice):
     def recomputeCurrentNavigationPath(self) -> None:
         def recompute() -> None:
             if not self._planner.active:
-                raise PlanError(Fault.OTHER, "there is no goal")
+                raise PlanError(Fault.OTHER, "no active goal")
             self._planner.recompute()
 
         self._do(recompute)
 
     def getCurrentNavigationWaypoint(self) -> Map2DLocation | None:
-        def found() -> Map2DLocation | None:
+        def current() -> Map2DLocation | None:
             ground, point = self._planner.ground, self._planner.waypoint
             return None if point is None or ground is None else location_of(ground.name, point.pose)
 
-        return self._do(found)
+        return self._do(current)
 
     def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath | None:  # noqa: ARG002
-        """YARP's answers either kind with its way."""
+        """YARP's own planner answers either kind with its path."""
 
-        def found() -> Map2DPath | None:
+        def path() -> Map2DPath | None:
             ground, points = self._planner.ground, self._planner.waypoints
-            return None if ground is None else Map2DPath([location_of(ground.name, each.pose) for each in points])
+            return None if ground is None else Map2DPath([location_of(ground.name, point.pose) for point in points])
 
-        return self._do(found)
+        return self._do(path)
 
     def getCurrentNavigationMap(self, kind: NavigationMapTypeEnum) -> MapGrid2D | None:
         if kind is NavigationMapTypeEnum.local_map:
@@ -245,24 +245,24 @@ class PathPlannerDevice(PlannerDevice):
 
 
 class PlannerServer(Navigation2DServer):
-    """Answers INavigation2D, and words that get and set the robot's radius, metres."""
+    """Serves INavigation2D, and commands that get and set the robot's radius, metres."""
 
     def __init__(self, device: object, get_radius: Callable[[], float], set_radius: Callable[[float], Any]) -> None:
         super().__init__(device)
         self._get, self._set = get_radius, set_radius
 
     def command(self, words: list[Any]) -> list[Any] | None:
-        """The answer to a Bottle, None where it is no command of these; raises `ValueError` if its value cannot be."""
-        word, *rest = words or [""]
-        if word in ("help", "[help]") and not rest:
+        """Answer a Bottle; return None for an unknown command; raises `ValueError` for an invalid radius."""
+        verb, *arguments = words or [""]
+        if verb in ("help", "[help]") and not arguments:
             return ["[many]", *HELP]
-        if word == "get_robot_radius":
+        if verb == "get_robot_radius":
             return [self._get()]
-        if word != "set_robot_radius":
+        if verb != "set_robot_radius":
             return None
-        value = rest[0] if len(rest) == 1 else None
+        value = arguments[0] if len(arguments) == 1 else None
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value <= _MOST:
-            told = " ".join(map(str, rest)) or "nothing"
-            raise ValueError(f"a robot's radius is one number above 0 and at most {_MOST:g} m, not {told}")
+            given = " ".join(map(str, arguments)) or "nothing"
+            raise ValueError(f"the robot's radius must be one number above 0 and at most {_MOST:g} m, not {given}")
         self._set(float(value))
         return ["[ok]"]

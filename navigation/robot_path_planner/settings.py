@@ -1,6 +1,6 @@
-"""``robotPathPlanner`` files of existing robots, of robotology/navigation's releases of 2016 and since.
+"""Reads ``robotPathPlanner`` files of existing robots, of robotology/navigation's releases since 2016.
 
-Older ones have no group ``NAVIGATION``: its keys stand at the top, and one set of speeds holds for waypoints and goal.
+Older files have no group ``NAVIGATION``: its keys are at the top, with one set of speeds for waypoints and goal.
 """
 
 from __future__ import annotations
@@ -25,50 +25,50 @@ OTHERS = frozenset({
     "laser_port", "laser_pos_x", "laser_pos_y", "laser_pos_theta", "localizationServer_name", "mapServer_name",
     "localization_server_name", "map_server_name",
 })  # fmt: skip
-"""Keys that say where YARP's servers and the laser are: the hub knows both."""
+"""Keys with the names of YARP's servers and the laser's pose: the hub has both."""
 
 STALE = {
-    ("RECOVERY", key): "a blocked robot is led another way; turning in place is not tried"
+    ("RECOVERY", key): "a blocked robot takes another path; it does not try to turn in place"
     for key in ("enable", "lin_tolerance", "ang_tolerance", "time_tolerance", "algorithm_name")
 } | {
-    ("NAVIGATION", "pathplanner_thinking_timeout"): "a way is found or not, in milliseconds",
-    ("INTERNAL_NAVIGATOR", "plugin"): "modules.robot_path_planner.navigator says who drives",
-    ("INTERNAL_NAVIGATOR", "context"): "give robotGoto's own file as modules.robot_goto.ini",
-    ("INTERNAL_NAVIGATOR", "from"): "give robotGoto's own file as modules.robot_goto.ini",
-    ("MAP", "file_name"): "the map is the store's: put it there with 'midspan map import'",
+    ("NAVIGATION", "pathplanner_thinking_timeout"): "planning takes milliseconds",
+    ("INTERNAL_NAVIGATOR", "plugin"): "set modules.robot_path_planner.navigator instead",
+    ("INTERNAL_NAVIGATOR", "context"): "set modules.robot_goto.ini to robotGoto's own file",
+    ("INTERNAL_NAVIGATOR", "from"): "set modules.robot_goto.ini to robotGoto's own file",
+    ("MAP", "file_name"): "maps are in the store: use 'midspan map import'",
 }
-"""Keys that real files have and that change nothing, with why."""
+"""Keys that real files contain and that have no effect, with the reason."""
 
 
 def read_file(section: RobotPathPlannerSection, ini: Ini) -> dict[str, Any]:
-    """The fields that a file sets; see `navigation.ini.laid_under`."""
-    found: dict[str, Any] = {}
-    ways = ini.group("NAVIGATION") if "NAVIGATION" in ini else ini.top
+    """Return the fields that a file sets; see `navigation.ini.laid_under`."""
+    fields: dict[str, Any] = {}
+    navigation = ini.group("NAVIGATION") if "NAVIGATION" in ini else ini.top
     for kind in MERGED:
-        said = _driven(ways, kind, named="NAVIGATION" in ini)
+        from_file = _driven(navigation, kind, named="NAVIGATION" in ini)
         given: DrivenSection = getattr(section, kind)
-        own = {} if kind not in section.model_fields_set else given.model_dump(include=given.model_fields_set)
-        found[kind] = type(given)(**{**said, **own})
-    _take_least(ways, found, section)
-    found["use_optimized_path"] = ways.flag("use_optimized_path", default=True)
-    if not ways.flag("enable_try_recovery", default=True):
-        found["recoveries"] = 0
+        from_section = {} if kind not in section.model_fields_set else given.model_dump(include=given.model_fields_set)
+        fields[kind] = type(given)(**{**from_file, **from_section})
+    _take_least(navigation, fields, section)
+    fields["use_optimized_path"] = navigation.flag("use_optimized_path", default=True)
+    if not navigation.flag("enable_try_recovery", default=True):
+        fields["recoveries"] = 0
     name = "PATHPLANNER_GENERAL" if "PATHPLANNER_GENERAL" in ini else "GENERAL"
     general = ini.group(name) if name in ini else ini.top
-    found["image_hz"] = general.number("publish_map_image_Hz", section.image_hz, 0.0, 30.0, "Hz")
-    general.take_texts(found, port_name, prefix="name")
+    fields["image_hz"] = general.number("publish_map_image_Hz", section.image_hz, 0.0, 30.0, "Hz")
+    general.add_texts(fields, port_name, prefix="name")
     geometry = ini.group("ROBOT_GEOMETRY", needed=True)
-    found["robot_radius"] = geometry.number("robot_radius", None, 0.01, 3.0, "m")
-    ini.group("LOCALIZATION").take_texts(found, frame_name, base_frame="robot_frame_id", frame="map_frame_id")
+    fields["robot_radius"] = geometry.number("robot_radius", None, 0.01, 3.0, "m")
+    ini.group("LOCALIZATION").add_texts(fields, frame_name, base_frame="robot_frame_id", frame="map_frame_id")
     for group in ("LASER", "RECOVERY", "INTERNAL_NAVIGATOR", "MAP"):
         ini.group(group)
     ini.note_unread(STALE, OTHERS)
-    return found
+    return fields
 
 
-def _driven(ways: IniGroup, kind: str, *, named: bool) -> dict[str, float]:
-    """The keys of one kind that are there; in files without groups the speeds of both."""
-    made: dict[str, float] = {}
+def _driven(navigation: IniGroup, kind: str, *, named: bool) -> dict[str, float]:
+    """Return the keys of one kind that are present; in files without groups, the common speeds."""
+    values: dict[str, float] = {}
     for key, low, high, unit in (
         ("tolerance_lin", 0.001, 5.0, "m"),
         ("tolerance_ang", 0.01, 180.0, "deg"),
@@ -76,19 +76,21 @@ def _driven(ways: IniGroup, kind: str, *, named: bool) -> dict[str, float]:
     ):
         speed = not key.startswith("tolerance")
         name = f"{kind}_{key}" if named or not speed else key
-        if ways.has(name):
+        if navigation.has(name):
             default = {"waypoint": 0.1, "goal": 0.05}[kind] if key == "tolerance_lin" else None
-            made[key] = ways.number(name, default, low, high, unit)
-    return made
+            values[key] = navigation.number(name, default, low, high, unit)
+    return values
 
 
-def _take_least(ways: IniGroup, found: dict[str, Any], section: RobotPathPlannerSection) -> None:
+def _take_least(navigation: IniGroup, fields: dict[str, Any], section: RobotPathPlannerSection) -> None:
     cells = (
-        ways.number("min_waypoint_distance", -1.0, 0.0, 1000.0, "cells") if ways.has("min_waypoint_distance") else -1.0
+        navigation.number("min_waypoint_distance", -1.0, 0.0, 1000.0, "cells")
+        if navigation.has("min_waypoint_distance")
+        else -1.0
     )
-    found["min_waypoint_distance"] = section.min_waypoint_distance if cells <= 0 else cells * _CELL
+    fields["min_waypoint_distance"] = section.min_waypoint_distance if cells <= 0 else cells * _CELL
     if cells > 0:
-        ways.note(
+        navigation.note(
             "min_waypoint_distance",
-            f"upstream reads it and uses it nowhere; here it is {cells * _CELL:g} m (cells of {_CELL:g} m)",
+            f"upstream ignores it; here it is {cells * _CELL:g} m (cells of {_CELL:g} m)",
         )

@@ -28,7 +28,7 @@ NEAR, FAR, NOWHERE = 1.0, 40.0, 999.0
 """Goals in meters along x: reached soon, not reached for a while, unreachable."""
 
 PARTS = ("goto", "feedback", "pause", "resume", "cancel", "abort")
-WHY = {OURS: "is off the map", MOVE_BASE: "Failed to find a valid plan.", NAV2: "no path to the goal"}
+WHY = {OURS: "is outside the map", MOVE_BASE: "Failed to find a valid plan.", NAV2: "no path to the goal"}
 """Each planner's reason for a goal that cannot be reached."""
 
 ONE_EACH = {

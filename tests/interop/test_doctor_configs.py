@@ -216,9 +216,9 @@ def test_the_pages_combined(fresh: Begin) -> None:
 def test_map_server_beside_map2d_server(fresh: Begin) -> None:
     site = fresh(from_file("ros_map_server.yaml"))
     site.until_it_waits(
-        "localization_server waits: no map has come from /map",
-        "robot_path_planner waits: no map has come",
-        "robot_goto waits: .*no map is there yet",
+        "localization_server waits: waiting for a map on /map",
+        "robot_path_planner waits: waiting for a map",
+        "robot_goto waits: .*waiting for a map",
     )
     site.ros1("ros1_map_server.py", APARTMENT)
     site.until_all_is_well()

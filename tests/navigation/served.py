@@ -1,4 +1,4 @@
-"""A module that drives, with YARP and a program on its hub that sends goals to it."""
+"""A planner module with YARP, and a program on its hub that sends goals to it."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ ACTION, STATUS = "nav2_msgs/action/NavigateToPose", "midspan_msgs/NavigationStat
 
 
 class Program:
-    """A node with a thread of its own, and a client of a planner.
+    """A node with its own thread, and a client of a planner.
 
     Args:
-        hub: what it is on.
-        registry: of types.
-        planner: what the planner's names begin with.
+        hub: the node's hub.
+        registry: of message types.
+        planner: the prefix of the planner's names.
     """
 
     def __init__(self, hub: Hub, registry: Registry, planner: str) -> None:
@@ -40,15 +40,15 @@ class Program:
         self.connect()
 
     def connect(self) -> None:
-        """Be a client of the planner, also again."""
+        """Connect to the planner, or reconnect."""
         self.client = self.node.action_client(self._action, ACTION)
 
     def beat(self, seconds: float, tick: Callable[[], Any]) -> None:
-        """Do something again and again."""
+        """Call a function periodically."""
         self._timer = self.loop.every(seconds, tick)
 
     def send(self, x: float, y: float, yaw: float = 0.0, text: str = "", frame: str = "map") -> Sent:
-        until(lambda: self.client.ready, "the planner is there", 30)
+        until(lambda: self.client.ready, "the planner is available", 30)
         turn = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
         pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
         return Sent(self, {"pose": {"header": {"frame_id": frame}, "pose": pose}, "behavior_tree": text})
@@ -60,7 +60,7 @@ class Program:
 
 
 class Sent:
-    """A goal that was sent."""
+    """A sent goal."""
 
     def __init__(self, program: Program, goal: dict[str, Any]) -> None:
         self.feedback: list[dict[str, Any]] = []
@@ -69,23 +69,23 @@ class Sent:
         self._loop, client = program.loop, program.client
         self.goal: SentGoal = self._loop.call(lambda: client.send(goal, self._ended, self.feedback.append))
 
-    def _ended(self, goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
-        self._end = goal.status, result, why
+    def _ended(self, goal: SentGoal, result: dict[str, Any] | None, reason: str) -> None:
+        self._end = goal.status, result, reason
         self._over.set()
 
     def cancel(self) -> None:
         self._loop.call(self.goal.cancel)
 
     def end(self) -> tuple[GoalState, dict[str, Any]]:
-        assert self._over.wait(60), "it ends"
+        assert self._over.wait(60), "the goal ends"
         assert self._end is not None
-        status, result, why = self._end
-        assert result is not None, why
+        status, result, reason = self._end
+        assert result is not None, reason
         return status, result
 
 
 class Served(Place):
-    """A place with a name server, and a module that runs there.
+    """A place with a name server and a running module.
 
     Args:
         folder: for its state.
@@ -107,8 +107,8 @@ class Served(Place):
         return self.worker.running(self._name).module
 
     def received(self, port: str) -> int:
-        """Messages that came by one of the module's ports."""
-        return sum(one["messages"] for one in self.host.yarp.status() if one["port"] == port)
+        """Return the number of messages that a port of the module has received."""
+        return sum(status["messages"] for status in self.host.yarp.status() if status["port"] == port)
 
     def registered(self, port: str) -> str:
         until(lambda: connections.exists(self.names, port), f"{port} is registered", 30)

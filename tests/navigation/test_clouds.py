@@ -1,4 +1,4 @@
-"""Point clouds of all layouts, and those that do not fit their own words."""
+"""Point clouds of all layouts, and clouds with inconsistent fields."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ POINTS = np.array([[1.0, -2.0, 0.5], [3.0, 4.0, -5.0], [6.0, 7.0, 8.0], [-9.0, 1
 
 
 def cloud(points=POINTS, kind="<f4", datatype=7, order="xyz", gap=0, height=1, row_gap=0):
-    """A message of points (n, 3), with so many bytes before the first field and between rows."""
+    """Return a cloud of points (n, 3), with gaps of some bytes before the first field and between rows."""
     layout = np.dtype(
         {"names": list(order), "formats": [kind] * 3, "offsets": [gap + i * int(kind[2]) for i in range(3)]}
     )
@@ -28,23 +28,23 @@ def cloud(points=POINTS, kind="<f4", datatype=7, order="xyz", gap=0, height=1, r
 
 @pytest.mark.parametrize(("kind", "datatype"), [("<f4", 7), (">f4", 7), ("<f8", 8), (">f8", 8), ("<i2", 3), (">i4", 5)])
 @pytest.mark.parametrize(("order", "gap", "height", "row_gap"), [("xyz", 0, 1, 0), ("zxy", 4, 2, 12), ("yxz", 3, 4, 1)])
-def test_points_of_any_layout(kind, datatype, order, gap, height, row_gap):
+def test_points_of_any_layout_are_read(kind, datatype, order, gap, height, row_gap):
     expected = POINTS.astype(kind).astype(np.float32)
-    found = read_points(cloud(POINTS, kind, datatype, order, gap, height, row_gap))
-    assert found.dtype == np.float32
-    np.testing.assert_array_equal(found, expected)
+    points_read = read_points(cloud(POINTS, kind, datatype, order, gap, height, row_gap))
+    assert points_read.dtype == np.float32
+    np.testing.assert_array_equal(points_read, expected)
 
 
-def test_points_that_are_not_finite_are_left_out_whatever_is_dense_says():
+def test_points_that_are_not_finite_are_dropped_even_if_is_dense():
     points = np.array([[1.0, 2.0, 3.0], [np.nan, 0.0, 0.0], [0.0, np.inf, 0.0], [0.0, 0.0, 1e300], [4.0, 5.0, 6.0]])
-    found = read_points({**cloud(points, "<f8", 8), "is_dense": True})
-    np.testing.assert_array_equal(found, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    points_read = read_points({**cloud(points, "<f8", 8), "is_dense": True})
+    np.testing.assert_array_equal(points_read, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     far = np.array([[3.4e38, 0.0, 0.0], [1.0, 2.0, 3.0], [0.0, 0.0, -1e9]])
     np.testing.assert_array_equal(read_points(cloud(far)), [[1.0, 2.0, 3.0]])
     assert read_points({**cloud(), "width": 0, "data": b""}).shape == (0, 3)
 
 
-def test_of_several_fields_of_a_name_the_first_counts():
+def test_the_first_of_several_fields_with_one_name_is_used():
     message = cloud()
     message["fields"].append({"name": "x", "offset": 4, "datatype": 7, "count": 1})
     np.testing.assert_array_equal(read_points(message), POINTS)
@@ -64,8 +64,8 @@ def field(name, changed):
         ({"row_step": 47}, "row_step: 47 bytes hold no 4 points of 12 bytes"),
         ({"point_step": 11}, "fields.z.offset: byte 8 is not within a point of 11 bytes"),
         ({"point_step": 0}, "fields.x.offset"),
-        ({"fields": cloud()["fields"][:2]}, "fields: there is no z among x, y"),
-        ({"fields": []}, "fields: there is no x, y, z among none"),
+        ({"fields": cloud()["fields"][:2]}, "fields: no z among x, y"),
+        ({"fields": []}, "fields: no x, y, z among none"),
         (field("y", {"datatype": 9}), "fields.y.datatype: 9"),
         (field("x", {"count": 2}), "fields.x.count"),
         (field("z", {"offset": 4_294_967_295}), "fields.z.offset"),
@@ -73,12 +73,12 @@ def field(name, changed):
         ({"width": 1, "point_step": 2**32 - 1, "row_step": 2**32 - 1}, "data: 48 bytes"),
     ],
 )
-def test_a_bad_cloud_is_refused_by_the_name_of_its_field(change, words):
+def test_an_invalid_cloud_is_rejected_with_the_field_name(change, words):
     with pytest.raises(CloudError, match=words):
         read_points({**cloud(), **change})
 
 
-def test_as_many_points_as_are_allowed():
+def test_a_cloud_may_have_the_maximum_number_of_points():
     assert MOST_POINTS >= 640 * 480
     with pytest.raises(CloudError, match="more than 3"):
         read_points(cloud(), most=3)

@@ -1,4 +1,4 @@
-"""A script's devices on Midspan's own servers: planner, maps, localiser and frames in one worker, over real ports."""
+"""YARP devices of a script with Midspan's servers: planner, maps, localizer and transforms, over real ports."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ AT = {"translation": {"x": 1.0, "y": 2.0}, "rotation": TURNED}
 
 
 class Served(Rig):
-    """All modules that answer a script, and a robot that stands at (1, 2) on the map ``house``, looking along y."""
+    """All modules that serve a script, and a robot at (1, 2) on the map ``house``, heading along y."""
 
     def configured(self, **changed: Any) -> Any:
         modules = {
@@ -40,25 +40,25 @@ class Served(Rig):
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    with Served(tmp_path_factory.mktemp("devices")) as made, network_of(made.names):
-        store = made.worker.store
+    with Served(tmp_path_factory.mktemp("devices")) as rig, network_of(rig.names):
+        store = rig.worker.store
         store.put(MAP, "house", MapGrid2D.of([[0] * 4] * 3, name="house"))
         store.use_map("house")
-        frames = made.client.node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=10))
+        frames = rig.client.node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=10))
 
-        def say() -> None:
-            head = {"stamp": made.client.node.clock.stamp(), "frame_id": "map"}
+        def publish() -> None:
+            head = {"stamp": rig.client.node.clock.stamp(), "frame_id": "map"}
             frames.publish({"transforms": [{"header": head, "child_frame_id": "base_link", "transform": AT}]})
 
-        made.client.loop.every(0.05, say)
+        rig.client.loop.every(0.05, publish)
         for port in (
             "/mapServer/rpc",
             "/localizationServer/rpc",
             "/frameTransformServer/frameTransformGet_nws_yarp/tf:o",
         ):
-            until(lambda name=port: connections.exists(made.names, name), f"{port} is there", 30)
-        until(made.gateway.robot, "it is known where the robot is", 20)
-        yield made
+            until(lambda name=port: connections.exists(rig.names, name), f"{port} is registered", 30)
+        until(rig.gateway.robot, "the robot's pose is known", 20)
+        yield rig
 
 
 @pytest.fixture
@@ -77,9 +77,9 @@ def opened(options: str) -> yarp.PolyDriver:
 def test_a_script_sends_the_robot_to_a_place(rig: Served, device: str) -> None:
     driver = opened(f"(device {device}) (local /script) {SERVERS}")
     robot, maps, where = driver.viewINavigation2D(), driver.viewIMap2D(), driver.viewILocalization2D()
-    until(lambda: where.getCurrentPosition().map_id == "house", "it is localised")
-    here = where.getCurrentPosition()
-    assert (here.x, here.y, here.theta) == pytest.approx((1.0, 2.0, 90.0))
+    until(lambda: where.getCurrentPosition().map_id == "house", "the robot is localized")
+    position = where.getCurrentPosition()
+    assert (position.x, position.y, position.theta) == pytest.approx((1.0, 2.0, 90.0))
     assert where.getLocalizationStatus() is yarp.localization_status_localized_ok
     assert maps.storeLocation("kitchen", Map2DLocation("house", 3.0, 1.0, 0.0))
     assert robot.storeCurrentPosition("here")
@@ -115,11 +115,11 @@ def test_a_script_reads_the_map(device: str) -> None:
 
 @pytest.mark.usefixtures("running")
 @pytest.mark.parametrize("device", ["localization2D_nwc_yarp", "localization2DClient"])
-def test_a_script_asks_where_the_robot_is(device: str) -> None:
+def test_a_script_reads_the_robots_pose(device: str) -> None:
     driver = opened(f"(device {device}) (local /script) (remote /localizationServer)")
-    here = Map2DLocation()
-    until(lambda: driver.viewILocalization2D().getCurrentPosition(here), "it is localised")
-    assert (here.map_id, here.x, here.y) == ("house", pytest.approx(1.0), pytest.approx(2.0))
+    position = Map2DLocation()
+    until(lambda: driver.viewILocalization2D().getCurrentPosition(position), "the robot is localized")
+    assert (position.map_id, position.x, position.y) == ("house", pytest.approx(1.0), pytest.approx(2.0))
     driver.close()
 
 
@@ -133,16 +133,16 @@ def test_a_script_asks_where_the_robot_is(device: str) -> None:
         "(device transformClient) (local /script) (remote /transformServer) (period 10)",
     ],
 )
-def test_a_script_has_the_frames(options: str) -> None:
+def test_a_script_reads_and_sets_transforms(options: str) -> None:
     driver = opened(options)
-    frames, found = driver.viewIFrameTransform(), yarp.Matrix()
-    until(lambda: frames.getTransform("base_link", "map", found), "the robot's frame is known")
-    assert (found[0, 3], found[1, 3]) == pytest.approx((1.0, 2.0))
+    frames, transform = driver.viewIFrameTransform(), yarp.Matrix()
+    until(lambda: frames.getTransform("base_link", "map", transform), "the robot's transform is known")
+    assert (transform[0, 3], transform[1, 3]) == pytest.approx((1.0, 2.0))
     assert frames.canTransform("base_link", "map")
     corner = yarp.Matrix(4, 4)
     corner.eye()
     assert bool(frames.setTransformStatic("corner", "map", corner)) is ("ftc_sub_yarp_only" not in options)
     if "ftc_sub" not in options:
-        until(lambda: frames.frameExists("corner"), "the server has it")
+        until(lambda: frames.frameExists("corner"), "the server has the transform")
         assert frames.deleteTransform("corner", "map")
     driver.close()

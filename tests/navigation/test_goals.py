@@ -1,4 +1,4 @@
-"""Goals of another machine's clients end once those are cut off; those of this machine's do not."""
+"""Goals of clients on other machines end when the link is cut; those of this machine's clients do not."""
 
 from __future__ import annotations
 
@@ -14,80 +14,82 @@ from navigation.status import Fault, PlanError
 
 
 class World:
-    """A hub on which sessions come and go, and a goal of the client ``client``."""
+    """A hub whose sessions appear and disappear, and a goal of the client ``client``."""
 
     def __init__(self) -> None:
-        self.seen = {b"client": "there"}
-        self.near = {"here"}
+        self.seen = {b"client": "other"}
+        self.near = {"this"}
         self.goal = SimpleNamespace(id=b"goal", client=b"client")
         self.goals = [self.goal]
-        self.gone: list[Any] = []
+        self.unreachable: list[Any] = []
         hub = SimpleNamespace(
             zid="own", neighbours=lambda: self.near, graph=SimpleNamespace(zid_of=lambda gid: self.seen.get(gid, ""))
         )
-        looks: list[Any] = []
-        loop = SimpleNamespace(every=lambda _seconds, look: looks.append(look))
+        timers: list[Any] = []
+        loop = SimpleNamespace(every=lambda _seconds, check: timers.append(check))
         self.server: Any = type("Server", (), {"active": property(lambda _: self.goals)})()
         host: Any = SimpleNamespace(node=SimpleNamespace(hub=hub), loop=loop)
-        FarClients(host, self.server, self.gone.append)
-        (self._look,) = looks
+        FarClients(host, self.server, self.unreachable.append)
+        (self._check,) = timers
 
-    def look(self, times: int = 5) -> list[Any]:
+    def check(self, times: int = 5) -> list[Any]:
         for _ in range(times):
-            self._look()
-        return self.gone
+            self._check()
+        return self.unreachable
 
 
-def test_who_is_cut_off_loses_its_goal() -> None:
+def test_the_goal_of_a_client_that_is_cut_off_ends() -> None:
     world = World()
-    assert world.look() == []
+    assert world.check() == []
     world.seen.clear()
-    assert world.look(2) == [], "a link may be made again"
-    assert world.look(1) == [world.goal]
+    assert world.check(2) == [], "a link may be reopened"
+    assert world.check(1) == [world.goal]
 
 
-def test_who_is_cut_off_before_the_first_look_loses_its_goal_too() -> None:
+def test_the_goal_of_a_client_cut_off_before_the_first_check_ends() -> None:
     world = World()
     world.server.met(world.goal)
     world.seen.clear()
-    assert world.look(3) == [world.goal]
+    assert world.check(3) == [world.goal]
     world = World()
-    world.near.add("there")
+    world.near.add("other")
     world.server.met(world.goal)
     world.seen.clear()
-    assert world.look() == [], "it is of this machine"
+    assert world.check() == [], "the client is on this machine"
 
 
-@pytest.mark.parametrize("why", ["of this machine", "of this worker", "never seen", "unnamed", "back in time", "ended"])
-def test_all_others_goals_go_on(why: str) -> None:
+@pytest.mark.parametrize(
+    "client", ["of this machine", "of this worker", "never seen", "unnamed", "back in time", "ended"]
+)
+def test_all_other_goals_continue(client: str) -> None:
     world = World()
-    if why == "of this machine":
-        world.near = {"here", "there"}
-    elif why == "of this worker":
+    if client == "of this machine":
+        world.near = {"this", "other"}
+    elif client == "of this worker":
         world.seen[b"client"] = "own"
-    elif why == "never seen":
+    elif client == "never seen":
         world.seen.clear()
-    elif why == "unnamed":
+    elif client == "unnamed":
         world.goal.client = b""
-    world.look()
+    world.check()
     world.seen.clear()
-    if why == "back in time":
-        world.look(2)
-        world.seen = {b"client": "there"}
-    elif why == "ended":
+    if client == "back in time":
+        world.check(2)
+        world.seen = {b"client": "other"}
+    elif client == "ended":
         world.goals = []
-    assert world.look(5) == []
+    assert world.check(5) == []
 
 
 def goal(turn: dict[str, float], tree: str = "") -> Any:
-    """What `goal_of` returns for a ``NavigateToPose`` goal with this orientation."""
+    """Return the result of `goal_of` for a ``NavigateToPose`` goal with this orientation."""
     pose = {"position": {"x": 1.0, "y": 2.0, "z": 0.0}, "orientation": {**dict.fromkeys("xyzw", 0.0), **turn}}
     frames: Any = SimpleNamespace(map_frame="map")
     return goal_of({"pose": {"header": {"frame_id": "map"}, "pose": pose}, "behavior_tree": tree}, frames, list)
 
 
 @pytest.mark.parametrize("turn", [{}, {"w": 3.0}, {"z": 1e-9}, {"x": 0.5, "w": 0.5}])
-def test_a_planner_refuses_a_goal_whose_quaternion_is_not_a_rotation(turn: dict[str, float]) -> None:
+def test_a_goal_whose_quaternion_is_not_a_rotation_is_rejected(turn: dict[str, float]) -> None:
     with pytest.raises(PlanError, match="the goal's quaternion is not a rotation: its length is") as caught:
         goal(turn)
     assert caught.value.fault is Fault.BAD_GOAL

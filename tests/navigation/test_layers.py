@@ -1,4 +1,4 @@
-"""Layers of the hub: the places of their cells, and those that are no grids."""
+"""Layers on the hub: the points of their cells, and invalid grids."""
 
 import math
 
@@ -19,23 +19,23 @@ def layer(cells, resolution=0.05, x=1.0, y=2.0, yaw=0.0, changed=None):
     return {"info": {**info, **(changed or {})}, "data": rows.ravel()}
 
 
-def test_cells_from_50_on_are_places():
-    found = read_layer(layer([[0, 100, 49], [-1, 50, 0]]))
-    assert sorted(map(tuple, found.round(9).tolist())) == [(1.075, 2.025), (1.075, 2.075)]
+def test_cells_from_50_on_become_points():
+    points = read_layer(layer([[0, 100, 49], [-1, 50, 0]]))
+    assert sorted(map(tuple, points.round(9).tolist())) == [(1.075, 2.025), (1.075, 2.075)]
     assert read_layer(layer([[0, -1]])).shape == (0, 2)
 
 
-def test_a_turned_layer_and_one_of_another_frame():
-    (found,) = read_layer(layer([[0, 100]], yaw=math.pi / 2))
-    np.testing.assert_allclose(found, (1.0 - 0.025, 2.0 + 0.075), atol=1e-9)
-    np.testing.assert_allclose(on(np.array([found]), Pose(1.0, 0.0, math.pi)), [(1.0 - 0.975, -2.075)], atol=1e-9)
+def test_a_rotated_layer_and_one_in_another_frame():
+    (points,) = read_layer(layer([[0, 100]], yaw=math.pi / 2))
+    np.testing.assert_allclose(points, (1.0 - 0.025, 2.0 + 0.075), atol=1e-9)
+    np.testing.assert_allclose(on(np.array([points]), Pose(1.0, 0.0, math.pi)), [(1.0 - 0.975, -2.075)], atol=1e-9)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6])
-def test_a_wide_cell_is_its_parts(yaw):
-    found = read_layer(layer([[0, 100]], resolution=0.2, yaw=yaw))
-    assert len(found) == 16
-    back = on(found - (1.0, 2.0), Pose(0.0, 0.0, -yaw))
+def test_a_large_cell_is_split(yaw):
+    points = read_layer(layer([[0, 100]], resolution=0.2, yaw=yaw))
+    assert len(points) == 16
+    back = on(points - (1.0, 2.0), Pose(0.0, 0.0, -yaw))
     np.testing.assert_allclose(sorted(set(back[:, 0].round(6))), [0.225, 0.275, 0.325, 0.375], atol=1e-6)
     np.testing.assert_allclose(sorted(set(back[:, 1].round(6))), [0.025, 0.075, 0.125, 0.175], atol=1e-6)
 
@@ -43,13 +43,13 @@ def test_a_wide_cell_is_its_parts(yaw):
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"width": 3}, "3 x 1 cells does not have 2"),
+        ({"width": 3}, "3 x 1 cells must not have 2"),
         ({"width": 0}, "0 x 1 cells"),
         ({"width": 100_000, "height": 100_000}, "100000"),
         ({"resolution": 0.0}, "0.0"),
         ({"resolution": math.nan}, "nan"),
     ],
 )
-def test_what_is_no_grid_is_refused(changed, words):
+def test_an_invalid_grid_is_rejected(changed, words):
     with pytest.raises(LayerError, match=words):
         read_layer(layer([[0, 100]], changed=changed))

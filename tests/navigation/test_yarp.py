@@ -1,4 +1,4 @@
-"""Calls of YARP clients that a module's thread comes to too late, and a robot's ports connected to ours."""
+"""Calls of YARP clients that time out before the module's thread runs them, and connections to a robot's ports."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ MOVES: dict[str, tuple[Any, ...]] = {
 
 @pytest.fixture
 def held() -> Iterator[tuple[EventLoop, threading.Event]]:
-    """A thread that is in one step until the event is set."""
-    loop, go_on, begun = EventLoop("the module"), threading.Event(), threading.Event()
+    """A module's thread that is busy until the event is set."""
+    loop, resume, begun = EventLoop("the module"), threading.Event(), threading.Event()
     loop.start()
-    loop.post(lambda: (begun.set(), go_on.wait(40)))
+    loop.post(lambda: (begun.set(), resume.wait(40)))
     assert begun.wait(40)
-    yield loop, go_on
-    go_on.set()
+    yield loop, resume
+    resume.set()
     loop.close()
 
 
@@ -52,39 +52,39 @@ def refused(ask: Callable[[], Any]) -> str:
     return str(error.value)
 
 
-def test_what_moves_the_robot_is_not_done_once_its_client_was_told_that_it_failed(
+def test_a_move_is_dropped_once_its_client_has_timed_out(
     held: tuple[EventLoop, threading.Event], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    loop, go_on = held
+    loop, resume = held
     done: list[str] = []
     monkeypatch.setattr(calls_module, "ANSWER_SECONDS", 0.05)
     assert "has not answered" in refused(lambda: Calls(loop).move(lambda: done.append("move"), 0.05))
     assert "has not answered" in refused(lambda: Calls(loop).do(lambda: done.append("stop")))
-    go_on.set()
+    resume.set()
     loop.call(lambda: None)
     assert done == ["stop"]
     loop.close()
     assert "has ended" in refused(lambda: Calls(loop).do(lambda: done.append("too late")))
 
 
-def test_what_moves_the_robot_and_has_begun_is_wait_for() -> None:
-    loop, tired = EventLoop("the module"), threading.Event()
+def test_a_move_that_has_started_is_waited_for() -> None:
+    loop, timed_out = EventLoop("the module"), threading.Event()
     loop.start()
     withdrawn = loop._withdrawn
 
     def seen(call: Any) -> bool:
-        found = withdrawn(call)
+        result = withdrawn(call)
         if threading.current_thread() is not loop._thread:
-            tired.set()
-        return found
+            timed_out.set()
+        return result
 
     loop._withdrawn = seen  # type: ignore[method-assign]
-    assert Calls(loop).move(lambda: tired.wait(40), seconds=0.05)
+    assert Calls(loop).move(lambda: timed_out.wait(40), seconds=0.05)
     loop.close()
 
 
-def test_a_velocity_that_waited_is_not_commanded(held: tuple[EventLoop, threading.Event]) -> None:
-    loop, go_on = held
+def test_a_velocity_whose_client_timed_out_is_not_published(held: tuple[EventLoop, threading.Event]) -> None:
+    loop, resume = held
     out = MagicMock()
     host: Any = SimpleNamespace(
         loop=loop, log=MagicMock(), node=SimpleNamespace(publisher=lambda *_args, **_options: out)
@@ -92,7 +92,7 @@ def test_a_velocity_that_waited_is_not_commanded(held: tuple[EventLoop, threadin
     commander = VelocityCommander(host, "/cmd_vel")
     device = gateway.GatewayDevice(host, MagicMock(has_base=False), MagicMock(), commander, MagicMock())
     refused(lambda: device.applyVelocityCommand(0.3, 0.0, 0.0, 1.0))
-    go_on.set()
+    resume.set()
     loop.call(lambda: None)
     out.publish.assert_not_called()
     assert commander.last is None
@@ -113,7 +113,7 @@ def test_a_velocity_that_waited_is_not_commanded(held: tuple[EventLoop, threadin
         (robot_goto.GotoServer, "Approach"),
     ],
 )
-def test_of_every_device_what_moves_the_robot_is_bound_in_time_and_a_stop_is_not(
+def test_moves_of_every_device_expire_with_their_client_but_stops_do_not(
     kind: Any, move: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = MagicMock()
@@ -129,36 +129,36 @@ def test_of_every_device_what_moves_the_robot_is_bound_in_time_and_a_stop_is_not
     assert not calls.do.called
     if hasattr(device, "stopNavigation"):
         calls.move.reset_mock()
-        calls.do.return_value = told = StopAnswer()
-        told.put("")  # it has stopped
+        calls.do.return_value = answer = StopAnswer()
+        answer.put("")  # the robot has stopped
         device.stopNavigation()
         assert calls.do.called
         assert not calls.move.called
 
 
 class Hanging:
-    """A name server that does not answer for long."""
+    """A name server that takes long to answer."""
 
     def __init__(self) -> None:
-        self.asked, self.goes_on = threading.Event(), threading.Event()
+        self.queried, self.resume = threading.Event(), threading.Event()
 
     def query(self, *_arguments: object, **_options: object) -> None:
-        self.asked.set()
-        self.goes_on.wait(40)
+        self.queried.set()
+        self.resume.wait(40)
 
 
 @pytest.fixture
 def names() -> Iterator[Hanging]:
     hanging = Hanging()
     yield hanging
-    hanging.goes_on.set()
+    hanging.resume.set()
 
 
-def test_a_module_stops_in_time_also_while_its_ports_are_being_connected(names: Hanging):
-    """`bridge.modules.worker` gives it one second; what hangs here does for longer than a loaded machine takes."""
+def test_a_module_stops_in_time_while_its_ports_connect(names: Hanging):
+    """`bridge.modules.worker` gives it one second; the name server hangs for longer than a loaded machine needs."""
     connected = PortConnection(cast("Any", names), "/laser:o", "/mine/laser:i")
-    assert names.asked.wait(40)
+    assert names.queried.wait(40)
     begun = time.monotonic()
     connected.close()
     assert time.monotonic() - begun < 20.0
-    assert connected.trouble == "/laser:o is not connected yet"
+    assert connected.trouble == "connecting to /laser:o"

@@ -1,4 +1,4 @@
-"""A build that lacks a kernel."""
+"""A build without one kernel."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ from navigation.status import Compiled
 
 
 def uncompiled(monkeypatch: pytest.MonkeyPatch) -> Compiled:
-    """What a module finds that starts where one kernel is not compiled."""
+    """Return the state of a module that started without one compiled kernel."""
     monkeypatch.setattr(kernels, "state", lambda: kernels.KernelState(("navigation.some_kernel",), ()))
     return Compiled()

@@ -122,7 +122,7 @@ def test_why_it_is_not_known_where_the_robot_is(desk: Desk) -> None:
         page.watch("robot")
         page.until(lambda: "robot" in page.values, "the robot has a value")
         assert page.values["robot"]["value"] is None
-        assert "not known where" in page.values["robot"]["why"]
+        assert "no transform from" in page.values["robot"]["why"]
 
 
 @pytest.mark.usefixtures("frames")

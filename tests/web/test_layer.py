@@ -78,7 +78,7 @@ def test_a_bad_layer_is_told_of_by_the_name_of_its_field(changed: dict[str, Any]
 
 
 def test_bad_heights_are_told_of() -> None:
-    with pytest.raises(ValueError, match="of its heights, layers: there is no 'lowest' among x"):
+    with pytest.raises(ValueError, match="of its heights, layers: no 'lowest' among x"):
         tint(GRID, {**heights(), "layers": ["x"]}, HERE)
 
 

@@ -43,7 +43,7 @@ class FrameFollower:
         """One less."""
         self._users -= 1
         if not self._users:
-            self.frames.rest()
+            self.frames.unsubscribe()
 
 
 class FrameFeed(Feed):

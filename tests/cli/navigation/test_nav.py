@@ -256,7 +256,7 @@ def test_a_killed_client_is_not_said_to_be_on_another_machine(rig: Rig, midspan:
     goto.kill()
     goto.communicate(timeout=20)
     reason = rig.state(State.ABORTED)["reason"]
-    assert "the client that gave the goal is gone: the program has ended" in reason
+    assert "the goal's client is unreachable: the program has exited" in reason
 
 
 def process(midspan: Midspan, *words: str) -> subprocess.Popen[str]:

@@ -1,4 +1,4 @@
-"""The words of ``/baseControl/rpc``, and how a base obeys them."""
+"""The commands of ``/baseControl/rpc``, and their effects on a base."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def base() -> DrivenBase:
 
 
 @pytest.fixture
-def words(base: DrivenBase) -> BaseCommands:
+def commands(base: DrivenBase) -> BaseCommands:
     return BaseCommands(base)
 
 
@@ -31,79 +31,79 @@ def drive(base: DrivenBase, velocity: Velocity, seconds: float = 2.0, start: flo
     return base.limiter.now
 
 
-def test_help_tells_every_word(words: BaseCommands) -> None:
-    many, *lines = words.answer(["help"])
+def test_help_lists_every_command(commands: BaseCommands) -> None:
+    many, *lines = commands.answer(["help"])
     assert (many, tuple(lines)) == ("[many]", HELP)
 
 
-def test_idle_and_run(base: DrivenBase, words: BaseCommands) -> None:
+def test_idle_stops_the_base_until_run(base: DrivenBase, commands: BaseCommands) -> None:
     assert drive(base, Velocity(0.2)).x == pytest.approx(0.2)
-    words.answer(["idle"])
+    commands.answer(["idle"])
     assert drive(base, Velocity(0.2), start=102.0).x == 0.0
-    words.answer(["run"])
+    commands.answer(["run"])
     assert drive(base, Velocity(0.2), start=104.0).x == pytest.approx(0.2)
 
 
-def test_wheels_that_stand_are_told_so_more_seldom_and_all_else_at_once(base: DrivenBase) -> None:
+def test_stopped_wheels_get_fewer_commands_and_motion_starts_immediately(base: DrivenBase) -> None:
     period = base.section.period
     assert period == 0.02
     command = base.inputs["command"]
-    told = []
+    sent = []
     for step in range(200):
         now = 100.0 + step * period
         if 100 <= step < 105:
             command.command(Velocity(0.2), now)
         velocities = base.step(now)
         if base.due(velocities):
-            told.append((step, bool(velocities.any())))
-    standing = [step for step, turns in told if not turns and step < 100]
+            sent.append((step, bool(velocities.any())))
+    standing = [step for step, turns in sent if not turns and step < 100]
     assert standing[:24] == list(range(24))
     assert {after - before for before, after in itertools.pairwise(standing[24:])} == {2}
-    turning = [step for step, turns in told if turns]
+    turning = [step for step, turns in sent if turns]
     assert turning == list(range(100, turning[-1] + 1))
-    after = [step for step, turns in told if not turns and step > 100]
+    after = [step for step, turns in sent if not turns and step > 100]
     assert after[:24] == list(range(turning[-1] + 1, turning[-1] + 25))
 
 
-def test_a_base_with_a_slow_period_is_told_each_time() -> None:
+def test_a_base_with_a_slow_period_gets_every_command() -> None:
     base = DrivenBase(resolved(BaseControlSection(period=0.05))[0])
     assert all(base.due(base.step(100.0 + step * 0.05)) for step in range(40))
 
 
-def test_limits_are_lowered_and_never_raised_above_the_robots_own(base: DrivenBase, words: BaseCommands) -> None:
-    words.answer(["set_max_lin_vel", 0.1])
-    words.answer(["set_max_ang_vel", 10])
+def test_limits_can_be_lowered_but_not_raised_above_the_robots(base: DrivenBase, commands: BaseCommands) -> None:
+    commands.answer(["set_max_lin_vel", 0.1])
+    commands.answer(["set_max_ang_vel", 10])
     assert drive(base, Velocity(0.2, 0.0, 1.0)) == pytest.approx((0.1, 0.0, math.radians(10)))
     with pytest.raises(ValueError, match=r"at most 0.3 m/s"):
-        words.answer(["set_max_lin_vel", 3.0])
-    words.answer(["set_max_lin_vel", 0.3])
+        commands.answer(["set_max_lin_vel", 3.0])
+    commands.answer(["set_max_lin_vel", 0.3])
     assert base.limiter.limits.linear == 0.3
 
 
-def test_joysticks(base: DrivenBase, words: BaseCommands) -> None:
-    words.answer(["set_max_joy_lin_vel", 0.2])
-    words.answer(["set_max_joy_ang_vel", 20])
+def test_joystick_speeds_are_set(base: DrivenBase, commands: BaseCommands) -> None:
+    commands.answer(["set_max_joy_lin_vel", 0.2])
+    commands.answer(["set_max_joy_ang_vel", 20])
     assert base.full == (0.2, 20.0)
 
 
-def test_filters(base: DrivenBase, words: BaseCommands) -> None:
-    words.answer(["set_prefilter", 2])
-    words.answer(["set_motors_filter", 8])
+def test_filters_are_set(base: DrivenBase, commands: BaseCommands) -> None:
+    commands.answer(["set_prefilter", 2])
+    commands.answer(["set_motors_filter", 8])
     assert (base.limiter.limits.filter_hz, base.motors_filter) == (2, 8)
 
 
-def test_odometry_is_reset_and_its_velocity_smoothed(base: DrivenBase, words: BaseCommands) -> None:
+def test_odometry_is_reset_and_its_velocity_smoothed(base: DrivenBase, commands: BaseCommands) -> None:
     base.motors_filter = 1
     base.measured([0.0, 0.0], 1.0)
-    found = base.measured([0.02, 0.02], 1.02)
-    assert 0.0 < found.velocity.x < 0.16416
-    assert found.x == pytest.approx(0.02 * 0.16416)
-    assert words.answer(["reset_odometry"]) == ["Odometry reset done."]
+    travelled = base.measured([0.02, 0.02], 1.02)
+    assert 0.0 < travelled.velocity.x < 0.16416
+    assert travelled.x == pytest.approx(0.02 * 0.16416)
+    assert commands.answer(["reset_odometry"]) == ["Odometry reset done."]
     assert base.odometry.now.x == 0.0
 
 
 @pytest.mark.parametrize(
-    ("values", "says"),
+    ("values", "reason"),
     [
         ([], "unknown command"),
         (["dance"], "unknown command 'dance'"),
@@ -116,16 +116,16 @@ def test_odometry_is_reset_and_its_velocity_smoothed(base: DrivenBase, words: Ba
         (["change_pid", "linear", 1, 0, 0], "nothing was changed"),
     ],
 )
-def test_words_that_are_none(words: BaseCommands, values: list[Any], says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        words.answer(values)
+def test_invalid_commands_are_rejected(commands: BaseCommands, values: list[Any], reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        commands.answer(values)
 
 
-def test_a_clock_that_is_set_back_leaves_the_pose_and_no_command(base: DrivenBase) -> None:
+def test_a_clock_jump_keeps_the_pose_and_drops_commands(base: DrivenBase) -> None:
     drive(base, Velocity(0.2))
     base.measured([0.0, 0.0], 100.0)
     base.measured([1.0, 1.0], 101.0)
-    base.forget()
+    base.restart()
     base.measured([5.0, 5.0], 1.0)
     assert base.odometry.now.x == pytest.approx(0.16416)
     base.step(1.0)

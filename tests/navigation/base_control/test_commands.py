@@ -1,4 +1,4 @@
-"""Who commands a base, and until when."""
+"""Which input commands a base, and for how long."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import pytest
 
 from navigation.base_control.commands import (
-    NOBODY,
+    NO_CHOICE,
     STILL,
     Arbiter,
     CommandChoice,
@@ -33,31 +33,31 @@ def arbiter(inputs: list[CommandInput]) -> Arbiter:
     return Arbiter(inputs, 0.02)
 
 
-def test_nobody_commands(arbiter: Arbiter) -> None:
-    assert arbiter.choose(1.0) == NOBODY
+def test_no_input_has_commanded(arbiter: Arbiter) -> None:
+    assert arbiter.choose(1.0) == NO_CHOICE
 
 
-def test_a_command_holds_until_its_time_out(arbiter: Arbiter, inputs: list[CommandInput]) -> None:
+def test_a_command_is_active_until_its_timeout(arbiter: Arbiter, inputs: list[CommandInput]) -> None:
     inputs[1].command(FORWARD, 1.0)
     assert arbiter.choose(1.5) == CommandChoice(FORWARD, "navigation", fresh=True)
     assert arbiter.choose(1.51) == CommandChoice(STILL, "navigation")
 
 
-def test_a_joystick_outranks_navigation_and_gives_back_after_100_periods(
+def test_a_joystick_outranks_navigation_until_100_periods_after_its_timeout(
     arbiter: Arbiter, inputs: list[CommandInput]
 ) -> None:
-    def at(now: float) -> CommandChoice:
-        inputs[1].command(FORWARD, now)  # it goes on all the time
+    def choose(now: float) -> CommandChoice:
+        inputs[1].command(FORWARD, now)  # navigation never stops
         return arbiter.choose(now)
 
     inputs[0].command(BACK, 1.0)
-    assert at(1.2) == CommandChoice(BACK, "joystick", fresh=True)
-    assert at(1.21) == CommandChoice(STILL, "joystick")
-    assert at(3.2) == CommandChoice(STILL, "joystick")
-    assert at(3.21) == CommandChoice(FORWARD, "navigation", fresh=True)
+    assert choose(1.2) == CommandChoice(BACK, "joystick", fresh=True)
+    assert choose(1.21) == CommandChoice(STILL, "joystick")
+    assert choose(3.2) == CommandChoice(STILL, "joystick")
+    assert choose(3.21) == CommandChoice(FORWARD, "navigation", fresh=True)
 
 
-def test_a_command_may_bring_a_shorter_time_out_only(arbiter: Arbiter, inputs: list[CommandInput]) -> None:
+def test_a_command_can_only_shorten_the_timeout(arbiter: Arbiter, inputs: list[CommandInput]) -> None:
     inputs[1].command(FORWARD, 1.0, timeout=0.1)
     assert not arbiter.choose(1.2).fresh
     inputs[1].command(FORWARD, 2.0, timeout=9.0)
@@ -65,29 +65,29 @@ def test_a_command_may_bring_a_shorter_time_out_only(arbiter: Arbiter, inputs: l
 
 
 @pytest.mark.parametrize(
-    ("velocity", "says"),
+    ("velocity", "reason"),
     [
         (Velocity(math.nan), "NaN or infinity"),
         (Velocity(turn=-math.inf), "NaN or infinity"),
         (Velocity(8.0, 8.0), "above 10 m/s"),
-        (Velocity(turn=30.0), "are its units"),
+        (Velocity(turn=30.0), "check that its units"),
     ],
 )
-def test_nonsense_is_refused_and_the_last_good_command_goes_on(
-    arbiter: Arbiter, inputs: list[CommandInput], velocity: Velocity, says: str
+def test_invalid_commands_are_rejected_and_the_last_valid_one_stays(
+    arbiter: Arbiter, inputs: list[CommandInput], velocity: Velocity, reason: str
 ) -> None:
     inputs[1].command(FORWARD, 1.0)
-    with pytest.raises(CommandError, match=says):
+    with pytest.raises(CommandError, match=reason):
         inputs[1].command(velocity, 1.4)
     assert arbiter.choose(1.4).velocity == FORWARD
     assert not arbiter.choose(1.6).fresh
     assert (inputs[1].commands, inputs[1].refused) == (1, 1)
 
 
-def test_what_was_commanded_is_forgotten(arbiter: Arbiter, inputs: list[CommandInput]) -> None:
+def test_clear_drops_all_commands(arbiter: Arbiter, inputs: list[CommandInput]) -> None:
     inputs[0].command(FORWARD, 1.0)
-    arbiter.forget()
-    assert arbiter.choose(1.0) == NOBODY
+    arbiter.clear()
+    assert arbiter.choose(1.0) == NO_CHOICE
 
 
 @pytest.mark.parametrize(
@@ -100,12 +100,12 @@ def test_what_was_commanded_is_forgotten(arbiter: Arbiter, inputs: list[CommandI
         ((3, 0.1, -0.2, 20.0), Velocity(0.1, -0.2, math.radians(20.0))),
     ],
 )
-def test_commands_in_bottles(values: tuple[float, ...], wanted: Velocity) -> None:
+def test_bottles_are_parsed(values: tuple[float, ...], wanted: Velocity) -> None:
     assert of_bottle(values, FULL) == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize(
-    ("values", "says"),
+    ("values", "reason"),
     [
         ((), "five numbers"),
         ((2, 0.0, 0.1), "five numbers"),
@@ -117,10 +117,10 @@ def test_commands_in_bottles(values: tuple[float, ...], wanted: Velocity) -> Non
         ((1, 0.0, math.nan, 0.0, 100.0), "percent"),
     ],
 )
-def test_bottles_that_are_no_commands(values: tuple[object, ...], says: str) -> None:
-    with pytest.raises(CommandError, match=says):
+def test_invalid_bottles_are_rejected(values: tuple[object, ...], reason: str) -> None:
+    with pytest.raises(CommandError, match=reason):
         of_bottle(values, FULL)
 
 
-def test_yarps_degrees() -> None:
+def test_degrees_are_converted() -> None:
     assert of_degrees(0.1, 0.2, 180.0) == pytest.approx((0.1, 0.2, math.pi))

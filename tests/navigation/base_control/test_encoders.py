@@ -28,7 +28,7 @@ def angles(seconds: float, speed: float = SPEED, turn: float = TURN) -> list[flo
 
 
 def late(delay: float, period: float, count: int = 1000) -> Iterator[tuple[float, float]]:
-    """Times of stamps and of measurements: each stamp up to a delay late, and none before the last."""
+    """Return the times of stamps and measurements: each stamp is late by up to a delay, and none decreases."""
     random_delay = random.Random(1)
     last = 0.0
     for reading in range(count):
@@ -38,7 +38,7 @@ def late(delay: float, period: float, count: int = 1000) -> Iterator[tuple[float
 
 
 def bursts(longest: int, count: int = 1000) -> Iterator[tuple[float, float]]:
-    """Readings of 100 Hz that are stamped in bursts, 0.4 ms apart, as a simulator that catches up on its ticks does."""
+    """Return readings at 100 Hz stamped in bursts, 0.4 ms apart, as from a simulator that catches up on its ticks."""
     size, reading = random.Random(2), 0
     while reading < count:
         burst = size.randint(1, longest)
@@ -74,23 +74,23 @@ def driven(stream: Sequence[tuple[float, float]], *, measured: bool = False) -> 
 
 
 @pytest.mark.parametrize("stream", STREAMS.values(), ids=STREAMS)
-def test_velocities_of_angles_stay_near_the_true_ones(stream: list[tuple[float, float]]) -> None:
+def test_velocities_from_angles_stay_near_the_true_ones(stream: list[tuple[float, float]]) -> None:
     readings = driven(stream)
-    assert max(one.velocity.speed for one in readings) <= TOLERATED * SPEED
-    assert max(abs(one.velocity.turn) for one in readings) <= TOLERATED * TURN
+    assert max(travelled.velocity.speed for travelled in readings) <= TOLERATED * SPEED
+    assert max(abs(travelled.velocity.turn) for travelled in readings) <= TOLERATED * TURN
     settled = readings[len([stamp for stamp, _ in stream if stamp < 2 * WINDOW]) :]
-    assert min(one.velocity.x for one in settled) >= 0.8 * SPEED
+    assert min(travelled.velocity.x for travelled in settled) >= 0.8 * SPEED
     assert readings[-1].distance == pytest.approx(SPEED * stream[-1][1], rel=0.02)
 
 
 @pytest.mark.parametrize("stream", STREAMS.values(), ids=STREAMS)
-def test_velocities_that_the_encoders_measure_are_used_as_they_are(stream: list[tuple[float, float]]) -> None:
+def test_measured_velocities_are_used_unchanged(stream: list[tuple[float, float]]) -> None:
     for travelled in driven(stream, measured=True)[1:]:
         assert travelled.velocity == pytest.approx((SPEED, 0.0, TURN))
 
 
 @pytest.mark.parametrize("rates", [None, [], [0.0, 0.0], [math.nan, 1.0], [math.inf, 1.0], [1.0]], ids=str)
-def test_encoders_that_measure_no_velocity_are_differentiated(rates: list[float] | None) -> None:
+def test_angles_are_differentiated_without_measured_velocities(rates: list[float] | None) -> None:
     odometry = WheelOdometry(BASE, FASTEST)
     for reading in range(100):
         odometry.update(angles(reading * 0.01), reading * 0.01, rates)
@@ -99,7 +99,7 @@ def test_encoders_that_measure_no_velocity_are_differentiated(rates: list[float]
 
 @pytest.mark.parametrize("stream", [STREAMS[name] for name in ("even", "20 ms late", "bursts of 5", "20 Hz")])
 @pytest.mark.parametrize("noise", [None, 0.01], ids=["angles", "noisy velocities"])
-def test_a_stop_is_exactly_zero_at_once(stream: list[tuple[float, float]], noise: float | None) -> None:
+def test_a_stop_gives_exactly_zero_immediately(stream: list[tuple[float, float]], noise: float | None) -> None:
     odometry = WheelOdometry(BASE, FASTEST)
     stop = stream[len(stream) // 2][1]
     zero_after = math.inf
@@ -113,7 +113,7 @@ def test_a_stop_is_exactly_zero_at_once(stream: list[tuple[float, float]], noise
     assert zero_after <= 0.2
 
 
-def test_a_pause_of_readings_is_a_mean_and_no_peak() -> None:
+def test_a_gap_in_readings_gives_the_mean_and_no_peak() -> None:
     odometry = WheelOdometry(BASE, FASTEST)
     for reading in [*range(100), *range(250, 400)]:
         odometry.update(angles(reading * 0.01), reading * 0.01)
@@ -125,7 +125,7 @@ def test_a_pause_of_readings_is_a_mean_and_no_peak() -> None:
 @pytest.mark.parametrize("low", [-math.pi, 0.0])
 @pytest.mark.parametrize("rate", [20, 100])
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_encoders_that_count_within_one_turn(low: float, rate: int, direction: float) -> None:
+def test_encoders_that_wrap_within_one_turn_are_unwrapped(low: float, rate: int, direction: float) -> None:
     base = DrivenBase(resolved(BaseControlSection())[0])
     for reading in range(10 * rate):
         at = direction * reading / rate
@@ -137,7 +137,7 @@ def test_encoders_that_count_within_one_turn(low: float, rate: int, direction: f
 
 
 @pytest.mark.parametrize("before", [-1.5, 0.0, 3.0, 30.0])
-def test_encoders_that_start_again_move_nothing(before: float) -> None:
+def test_restarted_encoders_count_as_not_turned(before: float) -> None:
     base = DrivenBase(resolved(BaseControlSection())[0])
     for reading in range(400):
         at = reading * 0.01
@@ -146,7 +146,7 @@ def test_encoders_that_start_again_move_nothing(before: float) -> None:
     assert base.odometry.now.distance == pytest.approx(0.25 * 3.98, rel=1e-3)
 
 
-def test_a_base_that_is_pushed_fast_is_followed() -> None:
+def test_a_fast_push_is_tracked() -> None:
     base = DrivenBase(resolved(BaseControlSection())[0])
     for reading in range(100):
         base.measured(angles(reading * 0.05, 1.5, 0.0), START + reading * 0.05)
@@ -159,56 +159,56 @@ TICK = 10_000_000
 
 
 def times(stamps: Sequence[int]) -> list[tuple[int, float] | None]:
-    """The times of readings that arrive every 10 ms."""
+    """Return the times of readings that arrive every 10 ms."""
     clock = ReadingTimes()
     return [clock.add(stamp, 5.0 + i * 0.01, NOW + i * TICK) for i, stamp in enumerate(stamps)]
 
 
-def steady(found: Sequence[tuple[int, float] | None]) -> None:
-    seconds = [one[1] for one in found if one is not None]
+def assert_steady(readings: Sequence[tuple[int, float] | None]) -> None:
+    seconds = [reading[1] for reading in readings if reading is not None]
     assert all(0.0 < after - before <= 2 * PATIENCE for before, after in itertools.pairwise(seconds))
 
 
-def test_stamps_that_run_are_used() -> None:
-    found = times([NOW + i * TICK for i in range(100)])
-    assert [one and one[0] for one in found] == [NOW + i * TICK for i in range(100)]
-    steady(found)
+def test_running_stamps_are_used() -> None:
+    readings = times([NOW + i * TICK for i in range(100)])
+    assert [reading and reading[0] for reading in readings] == [NOW + i * TICK for i in range(100)]
+    assert_steady(readings)
 
 
-def test_a_stamp_that_is_not_newer_is_left_out() -> None:
+def test_readings_without_a_newer_stamp_are_dropped() -> None:
     assert times([NOW, NOW + TICK, NOW + TICK, NOW + TICK // 2, NOW + 2 * TICK])[2:4] == [None, None]
 
 
 @pytest.mark.parametrize("hours", [-1, 1])
-def test_a_driver_whose_clock_is_set_goes_on(hours: int) -> None:
+def test_readings_continue_after_the_drivers_clock_is_set(hours: int) -> None:
     jump = hours * 3_600_000_000_000
-    found = times([NOW + i * TICK + (jump if i >= 50 else 0) for i in range(200)])
-    steady(found)
-    assert found[-1] is not None
-    assert found[-1][0] == NOW + jump + 199 * TICK
-    assert sum(one is None for one in found) <= 100 * PATIENCE
+    readings = times([NOW + i * TICK + (jump if i >= 50 else 0) for i in range(200)])
+    assert_steady(readings)
+    assert readings[-1] is not None
+    assert readings[-1][0] == NOW + jump + 199 * TICK
+    assert sum(reading is None for reading in readings) <= 100 * PATIENCE
 
 
-def test_a_step_of_a_simulation_counts_in_full_though_it_arrives_at_once() -> None:
+def test_a_simulation_step_counts_in_full_even_if_it_arrives_at_once() -> None:
     clock, base = ReadingTimes(simulated=True), DrivenBase(resolved(BaseControlSection())[0])
-    for reading in range(20):  # steps of a second, of which only the last reading arrives, some before /clock
+    for reading in range(20):  # steps of one second, whose last reading arrives, sometimes before /clock
         at = clock.add((reading + 1) * 100 * TICK, 2.0 * (reading // 2), 0)
         assert at is not None
         base.measured(angles(at.seconds, 0.25, 0.1), at.seconds)
     assert base.odometry.now.distance == pytest.approx(0.25 * 19)
 
 
-@pytest.mark.parametrize("stamp", [0, NOW - 10**12], ids=["no stamp", "a clock that stands"])
-def test_readings_without_a_usable_stamp_have_the_time_at_which_they_arrive(stamp: int) -> None:
-    found = times([stamp] * 200)
-    steady(found)
-    assert found[-1] is not None
-    assert found[-1][0] == NOW + 199 * TICK
-    assert sum(one is None for one in found) <= 100 * PATIENCE
+@pytest.mark.parametrize("stamp", [0, NOW - 10**12], ids=["no stamp", "a stopped clock"])
+def test_readings_without_a_usable_stamp_get_their_arrival_time(stamp: int) -> None:
+    readings = times([stamp] * 200)
+    assert_steady(readings)
+    assert readings[-1] is not None
+    assert readings[-1][0] == NOW + 199 * TICK
+    assert sum(reading is None for reading in readings) <= 100 * PATIENCE
 
 
-def test_a_driver_whose_clock_stands_and_then_runs_has_its_own_stamps_again() -> None:
-    found = times([NOW] * 100 + [NOW + i * TICK for i in range(101, 200)])
-    steady(found)
-    assert found[-1] is not None
-    assert found[-1][0] == NOW + 199 * TICK
+def test_stamps_are_used_again_once_a_stopped_clock_runs() -> None:
+    readings = times([NOW] * 100 + [NOW + i * TICK for i in range(101, 200)])
+    assert_steady(readings)
+    assert readings[-1] is not None
+    assert readings[-1][0] == NOW + 199 * TICK

@@ -1,4 +1,4 @@
-"""No limit is ever exceeded, whatever is commanded."""
+"""No limit is ever exceeded, for any command."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def check(base: Kinematics, limits: BaseLimits, before: Velocity, after: Velocit
     assert after.speed <= limits.linear + little
     assert abs(after.turn) <= limits.angular + little
     assert max(map(abs, wheels)) <= limits.wheel + little
-    told = base.velocity(wheels)
-    assert abs(told.x - after.x) + abs(told.y - after.y) + abs(told.turn - after.turn) <= little
+    from_wheels = base.velocity(wheels)
+    assert abs(from_wheels.x - after.x) + abs(from_wheels.y - after.y) + abs(from_wheels.turn - after.turn) <= little
     if limits.ratio is not None:
         assert after.speed / limits.linear + abs(after.turn) / limits.angular <= 1.0 + little
-    way = math.hypot(after.x - before.x, after.y - before.y)
-    assert way <= max(limits.linear_acceleration, limits.linear_braking) * PERIOD + little
+    change = math.hypot(after.x - before.x, after.y - before.y)
+    assert change <= max(limits.linear_acceleration, limits.linear_braking) * PERIOD + little
     assert after.speed - before.speed <= limits.linear_acceleration * PERIOD + little
     assert abs(after.turn) - abs(before.turn) <= limits.angular_acceleration * PERIOD + little
     turned = max(limits.angular_acceleration, limits.angular_braking) * PERIOD
@@ -65,7 +65,7 @@ def test_wheel_commands_stay_within_all_limits(
 @pytest.mark.parametrize("kind", BASES)
 @settings(max_examples=2000)
 @given(limits=LIMITS, commands=COMMANDS)
-def test_wheel_commands_stay_within_all_limits_of_many(
+def test_many_wheel_commands_stay_within_all_limits(
     kind: str, limits: BaseLimits, commands: list[tuple[Velocity, int]]
 ) -> None:
     check_all(BASES[kind], limits, commands)
@@ -85,7 +85,7 @@ def driven(limiter: Limiter, wanted: Velocity, periods: int) -> Velocity:
     return limiter.now
 
 
-def test_what_can_be_held_is_reached_and_left_again() -> None:
+def test_an_allowed_velocity_is_reached_and_left() -> None:
     limiter = Limiter(BASES["cer"], BaseLimits())
     assert driven(limiter, Velocity(0.2, 0.0, 0.1), 60) == pytest.approx((0.2, 0.0, 0.1))
     assert driven(limiter, STILL, 60) == STILL
@@ -98,12 +98,12 @@ def test_speeding_up_and_braking_have_their_own_limits() -> None:
     assert limiter.step(STILL, PERIOD).x == pytest.approx(0.18)
 
 
-def test_a_differential_base_takes_no_side_step() -> None:
+def test_a_differential_base_ignores_sideways_motion() -> None:
     assert driven(Limiter(BASES["cer"], BaseLimits()), Velocity(0.1, 0.2, 0.0), 100) == pytest.approx((0.1, 0.0, 0.0))
     assert driven(Limiter(BASES["ikart_V1"], BaseLimits(wheel=100.0)), Velocity(0.1, 0.2), 100).y == pytest.approx(0.2)
 
 
-def test_wheels_that_are_too_fast_keep_the_path() -> None:
+def test_slowing_too_fast_wheels_keeps_the_path() -> None:
     fast = held(Velocity(0.3, 0.0, 0.5), BASES["cer"], BaseLimits())
     assert float(np.abs(BASES["cer"].wheels(fast)).max()) == pytest.approx(math.radians(100.0))
     assert fast.x / fast.turn == pytest.approx(0.3 / 0.5)
@@ -113,20 +113,20 @@ def test_wheels_that_are_too_fast_keep_the_path() -> None:
     ("percent", "left"),
     [((90, 5), (90, 5)), ((100, 50), (70, 30)), ((100, 10), (90, 10)), ((50, 100), (50, 50)), ((100, 0), (100, 0))],
 )
-def test_driving_and_turning_share_what_there_is(percent: tuple[int, int], left: tuple[int, int]) -> None:
+def test_driving_and_turning_share_100_percent(percent: tuple[int, int], left: tuple[int, int]) -> None:
     limits = BaseLimits(linear=1.0, angular=1.0, wheel=1000.0, ratio=0.7)
     cut = held(Velocity(percent[0] / 100, 0.0, -percent[1] / 100), BASES["cer"], limits)
     assert cut == pytest.approx((left[0] / 100, 0.0, -left[1] / 100))
 
 
-def test_limits_that_are_lowered_hold_at_once() -> None:
+def test_lowered_limits_apply_immediately() -> None:
     limiter = Limiter(BASES["cer"], BaseLimits(linear_acceleration=10.0))
     driven(limiter, Velocity(0.25), 50)
     limiter.limits = BaseLimits(linear=0.1)
     assert limiter.step(Velocity(0.25), PERIOD).x <= 0.1
 
 
-def test_an_input_filter_smooths() -> None:
+def test_the_input_filter_smooths_commands() -> None:
     quick = BaseLimits(linear_acceleration=1000.0, angular_acceleration=1000.0, filter_hz=1)
     limiter = Limiter(BASES["cer"], quick)
     tenth = driven(limiter, Velocity(0.2), 1).x
@@ -136,7 +136,7 @@ def test_an_input_filter_smooths() -> None:
     )
 
 
-def test_an_emergency_stop_takes_no_braking() -> None:
+def test_an_emergency_stop_ignores_the_braking_limit() -> None:
     limiter = Limiter(BASES["cer"], BaseLimits())
     driven(limiter, Velocity(0.2), 50)
     limiter.stop()

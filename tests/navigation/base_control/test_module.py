@@ -1,4 +1,4 @@
-"""BaseControl on a hub and on YARP, with a driver of the wheels that follows its commands."""
+"""BaseControl on a hub and on YARP, with a motor driver that follows its commands."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ QUICK = {"max_linear_acc": 100.0, "max_angular_acc": 7000.0, "max_motor_vel": 36
 
 
 class Wheels:
-    """A motors' driver on the hub: follows its commands, and stops 0.1 s after the last one."""
+    """A motor driver on the hub that follows commands, and stops 0.1 s after the last one."""
 
     def __init__(self, place: Place) -> None:
         self._hub, self._registry = place.far.hub, place.far.registry
         type_id = self._registry.ros2(JOINTS).type_id
         self._out = self._hub.publisher("/joint_states", JOINTS, type_id, Qos())
-        self._in = self._hub.subscription("/wheel_command", JOINTS, type_id, Qos(depth=1), self._take)
+        self._in = self._hub.subscription("/wheel_command", JOINTS, type_id, Qos(depth=1), self._on_command)
         self.commanded, self._commanded_at = [0.0, 0.0], 0.0
         self.fastest = 0.0
         self.names: list[str] = ["mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint"]
@@ -44,7 +44,7 @@ class Wheels:
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
-    def _take(self, sample: Any) -> None:
+    def _on_command(self, sample: Any) -> None:
         message = to_json(self._registry, JOINTS, sample.data())
         assert message["name"] == self.names
         self.commanded, self._commanded_at = message["velocity"], time.monotonic()
@@ -52,7 +52,7 @@ class Wheels:
 
     @property
     def velocity(self) -> tuple[float, float]:
-        """The base's: m/s, rad/s."""
+        """The base's velocity: m/s, rad/s."""
         left, right = self.commanded if time.monotonic() - self._commanded_at < 0.1 else (0.0, 0.0)
         return (left + right) / 2 * RADIUS, (right - left) * RADIUS / DISTANCE
 
@@ -60,7 +60,7 @@ class Wheels:
         angles, last = [0.0, 0.0], time.time()
         while not self._ending.wait(0.01):
             now = time.time()
-            angles = [angle + told * (now - last) for angle, told in zip(angles, self.commanded, strict=True)]
+            angles = [angle + rate * (now - last) for angle, rate in zip(angles, self.commanded, strict=True)]
             last = now
             stamp = {"sec": int(now), "nanosec": int(now % 1 * 1e9)} if self.stamped else {}
             message = {"header": {"stamp": stamp}, "name": self.names, "position": angles}
@@ -73,15 +73,15 @@ class Wheels:
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    with Place(tmp_path) as made:
-        yield made
+    with Place(tmp_path) as place:
+        yield place
 
 
 @pytest.fixture
 def wheels(place: Place) -> Iterator[Wheels]:
-    made = Wheels(place)
-    yield made
-    made.close()
+    wheels = Wheels(place)
+    yield wheels
+    wheels.close()
 
 
 def started(place: Place, **section: Any) -> None:
@@ -96,7 +96,7 @@ def twist(x: float, turn: float) -> dict[str, Any]:
     return {"linear": {"x": x, "y": 0.5, "z": 0.25}, "angular": {"x": 0.75, "y": 0.125, "z": turn}}
 
 
-def test_velocities_of_the_hub_drive_it_and_silence_stops_it(place: Place, wheels: Wheels) -> None:
+def test_hub_velocities_drive_the_base_and_silence_stops_it(place: Place, wheels: Wheels) -> None:
     odometry = place.far.subscribe("/odom", "nav_msgs/Odometry")
     frames = place.far.subscribe("/tf", "tf2_msgs/TFMessage")
     started(place)
@@ -107,7 +107,7 @@ def test_velocities_of_the_hub_drive_it_and_silence_stops_it(place: Place, wheel
         return drives(wheels, 0.2, -0.5)()
 
     until(driven, "the wheels follow", 20)
-    until(drives(wheels, 0.0, 0.0), "they stop without commands", 10)
+    until(drives(wheels, 0.0, 0.0), "the wheels stop without commands", 10)
     last = lambda: place.far.wait(odometry, 1)[-1]  # noqa: E731
     assert (last()["header"]["frame_id"], last()["child_frame_id"]) == ("odom", "base_link")
     until(lambda: last()["pose"]["pose"]["position"]["x"] > 0.0, "odometry follows", 20)
@@ -118,7 +118,7 @@ def test_velocities_of_the_hub_drive_it_and_silence_stops_it(place: Place, wheel
     until(lambda: wheels.commanded == [0.0, 0.0], "the last command to the wheels is zero", 10)
 
 
-def test_nonsense_is_refused_and_told(place: Place, wheels: Wheels) -> None:
+def test_invalid_commands_are_rejected_and_reported(place: Place, wheels: Wheels) -> None:
     started(place)
     out = place.far.advertise("/cmd_vel", TWIST)
 
@@ -130,9 +130,9 @@ def test_nonsense_is_refused_and_told(place: Place, wheels: Wheels) -> None:
     assert wheels.velocity == (0.0, 0.0)
 
 
-def test_no_encoders_are_told(place: Place) -> None:
+def test_missing_encoders_are_reported(place: Place) -> None:
     started(place)
-    until(lambda: "no wheel encoders" in place.worker.health().text, "it waits for encoders")
+    until(lambda: "no wheel encoders" in place.worker.health().text, "the module waits for encoders")
 
 
 def test_a_gamepad_drives_while_its_button_is_held(place: Place, wheels: Wheels) -> None:
@@ -142,43 +142,43 @@ def test_a_gamepad_drives_while_its_button_is_held(place: Place, wheels: Wheels)
     until(lambda: (place.far.publish(out, held), drives(wheels, 0.3, math.radians(15))())[1], "the gamepad drives", 20)
     until(
         lambda: (place.far.publish(out, {**held, "buttons": []}), drives(wheels, 0.0, 0.0)())[1],
-        "a button that is let go stops it",
+        "releasing the button stops the base",
         20,
     )
 
 
-def test_halt_forgets_commands(place: Place, wheels: Wheels) -> None:
+def test_halt_drops_commands(place: Place, wheels: Wheels) -> None:
     started(place, inputs=[{"name": "long", "timeout": 5.0, "twist": ["/cmd_vel"]}])
     module: Any = place.worker.running("base_control").module
     module.base.inputs["long"].timeout = 60.0  # longer than the test waits
     out = place.far.advertise("/cmd_vel", TWIST)
-    until(lambda: (place.far.publish(out, twist(0.2, 0.0)), drives(wheels, 0.2, 0.0)())[1], "it drives", 20)
+    until(lambda: (place.far.publish(out, twist(0.2, 0.0)), drives(wheels, 0.2, 0.0)())[1], "the base drives", 20)
     place.far.publish(out, twist(0.1, 0.0))
-    until(drives(wheels, 0.1, 0.0), "the last command is there: none comes after the halt", 20)
+    until(drives(wheels, 0.1, 0.0), "the last command has arrived: none follows the halt", 20)
     answers = place.far.hub.ask("halt", {}, worker="base_control", timeout=20.0)
     assert [answer.value for answer in answers] == [{"halted": True}]
-    until(drives(wheels, 0.0, 0.0), "it stands", 40)
+    until(drives(wheels, 0.0, 0.0), "the base stops", 40)
 
 
-def test_its_yarp_ports_of_both_generations(place: Place, wheels: Wheels) -> None:
+def test_yarp_ports_of_both_generations_are_served(place: Place, wheels: Wheels) -> None:
     started(place)
     names = place.names
     with NameServer(port=place.port, gc_seconds=0):
-        until(lambda: names.query("/baseControl/rpc"), "the ports are there", 20)
-        until(lambda: "waiting" not in str(place.answer("base_control")["ports"]), "all are open", 20)
+        until(lambda: names.query("/baseControl/rpc"), "the ports are registered", 20)
+        until(lambda: "waiting" not in str(place.answer("base_control")["ports"]), "all ports are open", 20)
         with MobileBaseVelocityControl("/baseControl/input/command/rpc:i", naming=names) as base:
             until(lambda: (base.drive(0.1, 0.0, 90.0), drives(wheels, 0.1, math.radians(30.0))())[1], "by RPC", 20)
 
-            def told() -> bool:
-                base.drive(0.1, 0.0, 90.0)  # it holds for a fifth of a second
+            def reported() -> bool:
+                base.drive(0.1, 0.0, 90.0)  # valid for a fifth of a second
                 outcome, *velocity = base.getLastVelocityCommand()
                 assert velocity == pytest.approx([0.1, 0.0, 90.0] if outcome else [0.0, 0.0, 0.0])
                 return bool(outcome)
 
-            until(told, "the command is reported while it holds", 20)
-            until(lambda: not base.getLastVelocityCommand()[0], "and not when its time is over", 20)
+            until(reported, "the command is reported while it is valid", 20)
+            until(lambda: not base.getLastVelocityCommand()[0], "the command times out", 20)
             assert not base.applyVelocityCommand(math.nan, 0.0, 0.0)
-        until(lambda: base_input(place) == "", "the command input has given back", 20)
+        until(lambda: base_input(place) == "", "the command input is no longer active", 20)
         velocity = MobileBaseVelocity(0.05, 0.0, 20.0)
         with Writer("/test/command:o", naming=names) as writer:
             for port, content, wanted in (
@@ -190,25 +190,25 @@ def test_its_yarp_ports_of_both_generations(place: Place, wheels: Wheels) -> Non
                 writer.connect(port)
                 until(lambda c=content, w=wanted: (writer.write(c), drives(wheels, *w)())[1], f"by {port}", 20)
                 connections.disconnect(names, "/test/command:o", port)
-        until(drives(wheels, 0.0, 0.0), "it stands still again", 10)
-        with Client("/baseControl/rpc", naming=names) as words:
-            assert words.ask(["set_max_lin_vel", 0.2], timeout=10) == ["Max linear velocity set."]
-            assert words.ask(["help"], timeout=10)[0] == "many"
-            assert "unknown command" in str(words.ask(["dance"], timeout=10))
+        until(drives(wheels, 0.0, 0.0), "the base stops again", 10)
+        with Client("/baseControl/rpc", naming=names) as rpc:
+            assert rpc.ask(["set_max_lin_vel", 0.2], timeout=10) == ["Max linear velocity set."]
+            assert rpc.ask(["help"], timeout=10)[0] == "many"
+            assert "unknown command" in str(rpc.ask(["dance"], timeout=10))
         with Odometry2DClient("/baseControl/odometry", naming=names) as odometry:
-            found = odometry.read()
-            assert found is not None
-            assert found[0].odom_x != 0.0
-            assert found[1] == pytest.approx(time.time(), abs=30.0)
+            reading = odometry.read()
+            assert reading is not None
+            assert reading[0].odom_x != 0.0
+            assert reading[1] == pytest.approx(time.time(), abs=30.0)
             assert odometry.resetOdometry()
             until(lambda: odometry.getOdometry()[1].odom_x == 0.0, "the odometry is reset", 20)
             outcome, _, stamp = odometry.getOdometry()
             assert outcome
-            assert stamp > found[1]
+            assert stamp > reading[1]
         with Reader("/test/odometry:i", naming=names) as reader:
             for port, count in (("odometry:o", 9), ("odometer:o", 2), ("velocity:o", 2), ("odometry_vector:o", 3)):
                 connections.connect(names, f"/baseControl/{port}", "/test/odometry:i")
-                # what the port before wrote last may still come
+                # the previous port's last message may still arrive
                 until(lambda n=count: len(reader.read().values) == n, f"{port} has {count} numbers", 20)
                 connections.disconnect(names, f"/baseControl/{port}", "/test/odometry:i")
 
@@ -221,7 +221,7 @@ def base_input(place: Place) -> str:
     return str(place.answer("base_control")["input"])
 
 
-def test_a_link_that_is_cut_stops_it_and_one_that_is_mended_brings_nothing_old(place: Place, wheels: Wheels) -> None:
+def test_a_cut_link_stops_the_base_and_a_restored_one_brings_no_old_commands(place: Place, wheels: Wheels) -> None:
     started(place)
     with FaultProxy(place.hubs.port) as link:
         settings = HubSettings(router=f"tcp/127.0.0.1:{link.port}", zenoh={"mode": "client"}, shared_memory=False)
@@ -230,20 +230,22 @@ def test_a_link_that_is_cut_stops_it_and_one_that_is_mended_brings_nothing_old(p
             kind = "geometry_msgs/msg/Twist"
             stick = operator.publisher("/cmd_vel", kind, registry.ros2(kind).type_id, Qos(depth=1), priority="command")
             payload = from_json(registry, kind, twist(0.2, 0.0))
-            until(lambda: (stick.put(payload), drives(wheels, 0.2, 0.0)())[1], "it drives", 20)
+            until(lambda: (stick.put(payload), drives(wheels, 0.2, 0.0)())[1], "the base drives", 20)
             link.freeze()
-            until(lambda: (stick.put(payload), drives(wheels, 0.0, 0.0)())[1], "it stands while the link is cut", 10)
+            until(
+                lambda: (stick.put(payload), drives(wheels, 0.0, 0.0)())[1], "the base stops while the link is cut", 10
+            )
             stood = time.monotonic()
             until(lambda: time.monotonic() - stood > 1.0, "messages in the link are older than the time-out")
             before, wheels.fastest = base_stale(place), 0.0
             link.thaw()
-            until(lambda: base_stale(place) > before, "what waited is dropped", 30)
+            until(lambda: base_stale(place) > before, "waiting commands are dropped", 30)
             assert wheels.fastest == 0.0
-            until(lambda: (stick.put(payload), drives(wheels, 0.2, 0.0)())[1], "it goes on", 30)
+            until(lambda: (stick.put(payload), drives(wheels, 0.2, 0.0)())[1], "the base drives again", 30)
 
 
 @pytest.mark.parametrize("measured", [False, True], ids=["angles", "velocities"])
-def test_a_driver_that_stamps_in_bursts_has_steady_odometry(place: Place, measured: bool) -> None:
+def test_burst_stamps_give_steady_odometry(place: Place, measured: bool) -> None:
     odometry = place.far.subscribe("/odom", "nav_msgs/Odometry", depth=1000)
     started(place)
     out = place.far.advertise("/joint_states", "sensor_msgs/JointState")
@@ -278,7 +280,7 @@ def test_a_driver_that_stamps_in_bursts_has_steady_odometry(place: Place, measur
     assert messages[-1]["pose"]["pose"]["position"]["x"] == pytest.approx(0.3 * (readings - 1) * 0.01)
 
 
-def test_a_driver_without_stamps_has_odometry(place: Place, wheels: Wheels) -> None:
+def test_odometry_works_without_stamps(place: Place, wheels: Wheels) -> None:
     wheels.stamped = False
     odometry = place.far.subscribe("/odom", "nav_msgs/Odometry")
     started(place)
@@ -290,7 +292,7 @@ def test_a_driver_without_stamps_has_odometry(place: Place, wheels: Wheels) -> N
         20,
     )
     assert stamp_ns(last()) / 1e9 == pytest.approx(time.time(), abs=5.0)
-    until(lambda: last()["twist"]["twist"]["linear"]["x"] == 0.0, "odometry stands when the base does", 20)
+    until(lambda: last()["twist"]["twist"]["linear"]["x"] == 0.0, "the odometry stops with the base", 20)
 
 
 def stamp_ns(message: dict[str, Any]) -> int:

@@ -1,4 +1,4 @@
-"""Sections and files of existing robots."""
+"""Configuration sections, and files of existing robots."""
 
 from __future__ import annotations
 
@@ -82,95 +82,103 @@ def read(folder: Path, text: str, **section: object) -> tuple[BaseControlSection
     return resolved(BaseControlSection(ini=file, **section))  # type: ignore[arg-type]
 
 
-def test_what_holds_by_default_is_r1() -> None:
-    found, _ = resolved(BaseControlSection())
-    assert limits(found) == BaseLimits()
-    assert found.joints == ("mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint")
-    assert [one.name for one in found.inputs] == [one.name for one in INPUTS]
+def test_the_defaults_are_r1s() -> None:
+    section, _ = resolved(BaseControlSection())
+    assert limits(section) == BaseLimits()
+    assert section.joints == ("mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint")
+    assert [source.name for source in section.inputs] == [source.name for source in INPUTS]
 
 
-def test_a_file_of_r1(tmp_path: Path) -> None:
-    found, notes = read(tmp_path, R1)
-    assert DrivenBase(found).limiter.kinematics.matrix[0] == pytest.approx([1 / 0.16, 0.0, -0.17 / 0.16])
-    assert limits(found) == BaseLimits(ratio=None)
-    assert found.motors_filter == 10
-    assert DrivenBase(found).full == (0.25, 40.0)
-    told = [(one.name, one.timeout, one.ports, one.twist) for one in found.inputs]
-    assert told == [
+def test_a_file_of_r1_is_read(tmp_path: Path) -> None:
+    section, notes = read(tmp_path, R1)
+    assert DrivenBase(section).limiter.kinematics.matrix[0] == pytest.approx([1 / 0.16, 0.0, -0.17 / 0.16])
+    assert limits(section) == BaseLimits(ratio=None)
+    assert section.motors_filter == 10
+    assert DrivenBase(section).full == (0.25, 40.0)
+    inputs = [(source.name, source.timeout, source.ports, source.twist) for source in section.inputs]
+    assert inputs == [
         ("joystick", 0.2, ("/baseControl/input/joystick",), ()),
         ("aux", 0.1, ("/baseControl/input/aux",), ()),
         ("ros2", 0.5, (), ("/cmd_vel",)),
     ]
     notes = [note.removeprefix(str(tmp_path)) for note in notes]
     assert [note.split(": ")[0] for note in notes] == ["/geometry.ini:4", "/baseCtrl.ini:33"]
-    assert "'g_angle' does nothing" in notes[0]
-    assert "'max_motor_pwm' does nothing" in notes[1]
+    assert "'g_angle' is ignored" in notes[0]
+    assert "'max_motor_pwm' is ignored" in notes[1]
 
 
-def test_a_file_of_before_2022(tmp_path: Path) -> None:
-    found, notes = read(tmp_path, OLD)
-    assert DrivenBase(found).limiter.kinematics.holonomic
-    assert (found.odom_frame, found.base_frame, found.odom) == ("odometry", "mobile_base_body_link", "/odometry")
-    assert [one.name for one in found.inputs] == [one.name for one in INPUTS]
-    assert found.inputs[-1].twist == ("/robot/cmd_vel",)
+def test_a_file_from_before_2022_is_read(tmp_path: Path) -> None:
+    section, notes = read(tmp_path, OLD)
+    assert DrivenBase(section).limiter.kinematics.holonomic
+    assert (section.odom_frame, section.base_frame, section.odom) == ("odometry", "mobile_base_body_link", "/odometry")
+    assert [source.name for source in section.inputs] == [source.name for source in INPUTS]
+    assert section.inputs[-1].twist == ("/robot/cmd_vel",)
     assert not notes
 
 
-def test_what_the_section_sets_is_stronger(tmp_path: Path) -> None:
-    found, _ = read(tmp_path, R1, max_linear_vel=0.1, base_frame="mobile_base_body_link")
-    assert limits(found).linear == 0.1
-    assert limits(found).angular == math.radians(30.0)
-    assert found.base_frame == "mobile_base_body_link"
+def test_the_sections_values_override_the_files(tmp_path: Path) -> None:
+    section, _ = read(tmp_path, R1, max_linear_vel=0.1, base_frame="mobile_base_body_link")
+    assert limits(section).linear == 0.1
+    assert limits(section).angular == math.radians(30.0)
+    assert section.base_frame == "mobile_base_body_link"
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "note"),
     [
-        ("max_linear_vel          0.30", "max_linear_vel 300 // mm/s", ":11: 'max_linear_vel 300' is not believed"),
+        ("max_linear_vel          0.30", "max_linear_vel 300 // mm/s", ":11: 'max_linear_vel 300' is out of range"),
         (
             "max_timeout   0.2",
             "max_timeout 200",
-            ":21: 'max_timeout 200' is not believed: it is within 0.01 and 5 s; 0.1",
+            ":21: 'max_timeout 200' is out of range (0.01 to 5 s); using 0.1",
         ),
-        ("ratio_limiter_enabled   0", "ratio_limiter_enabled 1", ":9: 'ratio_limiter_enabled 1' is left off"),
+        ("ratio_limiter_enabled   0", "ratio_limiter_enabled 1", ":9: 'ratio_limiter_enabled 1' is ignored"),
         (
             "number_of_inputs        3",
             "number_of_inputs 2",
-            ":15: 'number_of_inputs 2', but there are BASECTRL_INPUTS_0",
+            ":15: 'number_of_inputs 2', but the groups are BASECTRL_INPUTS_0",
         ),
-        ("[JOYSTICK]", "[JOYSTIK]", ": the group [JOYSTIK] is not read"),
-        ("robot         cer", "robott cer", ":2: 'robott' does nothing"),
+        ("[JOYSTICK]", "[JOYSTIK]", ": the group [JOYSTIK] is ignored"),
+        ("robot         cer", "robott cer", ":2: 'robott' is ignored"),
     ],
 )
-def test_what_is_odd_is_named_with_file_and_line(tmp_path: Path, old: str, new: str, says: str) -> None:
+def test_problems_are_noted_with_file_and_line(tmp_path: Path, old: str, new: str, note: str) -> None:
     assert old in R1
     _, notes = read(tmp_path, R1.replace(old, new, 1))
-    assert any(says in note for note in notes), notes
+    assert any(note in line for line in notes), notes
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "note"),
     [
-        ("cer\nlinear", "ikart_V2\nlinear", "baseCtrl.ini:7: no base of the kind 'ikart_V2' is driven yet"),
+        ("cer\nlinear", "ikart_V2\nlinear", "baseCtrl.ini:7: unknown kind of base 'ikart_V2'"),
         ('[include "geometry.ini"]', "", "the group [ROBOT_GEOMETRY] is missing"),
         ("max_linear_vel          0.30", "", "baseCtrl.ini:5: 'max_linear_vel' is missing"),
-        ("max_linear_vel          0.30", "max_linear_vel fast", "baseCtrl.ini:11: 'max_linear_vel' is a number"),
-        ("input_filter_enabled    0", "input_filter_enabled 3", "baseCtrl.ini:10: 'input_filter_enabled' is one of"),
-        ("ratio_limiter_enabled   0", "ratio_limiter_enabled 7", "baseCtrl.ini:9: 'ratio_limiter_enabled' is 0 or 1"),
+        ("max_linear_vel          0.30", "max_linear_vel fast", "baseCtrl.ini:11: 'max_linear_vel' must be a number"),
+        (
+            "input_filter_enabled    0",
+            "input_filter_enabled 3",
+            "baseCtrl.ini:10: 'input_filter_enabled' must be one of",
+        ),
+        (
+            "ratio_limiter_enabled   0",
+            "ratio_limiter_enabled 7",
+            "baseCtrl.ini:9: 'ratio_limiter_enabled' must be 0 or 1",
+        ),
     ],
 )
-def test_what_cannot_be_used_is_an_error_with_file_and_line(tmp_path: Path, old: str, new: str, says: str) -> None:
+def test_errors_are_reported_with_file_and_line(tmp_path: Path, old: str, new: str, note: str) -> None:
     assert old in R1
     with pytest.raises(RuntimeError) as refused:
         read(tmp_path, R1.replace(old, new, 1))
-    assert says in str(refused.value)
+    assert note in str(refused.value)
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_file_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="no such file"):
         resolved(BaseControlSection(ini=tmp_path / "none.ini"))
 
 
-def test_joints_that_do_not_fit() -> None:
+def test_a_wrong_number_of_joints_is_rejected() -> None:
     with pytest.raises(RuntimeError, match="has 2 wheels, not 1"):
         resolved(BaseControlSection(joints=("one",)))

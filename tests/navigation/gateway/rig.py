@@ -73,7 +73,7 @@ class Planner(Program):
             self.rejects -= 1
             return False
         for previous in self.goals:
-            previous.canceled({"error_msg": "another goal took its place"})
+            previous.canceled({"error_msg": "another goal replaced it"})
         self.goals.append(goal)
         goal.execute()
         return True

@@ -265,7 +265,7 @@ def test_a_direct_goal_that_takes_the_place_is_told_to_our_client(rig: Rig) -> N
     asked = Asked(rig.client, pose(1.0))
     rig.planner.until(1)
     Asked(rig.client, pose(2.0), "/planner/robot_goto/navigate_to_pose")
-    assert asked.end() == ("CANCELED", "another goal took its place")
+    assert asked.end() == ("CANCELED", "another goal replaced it")
     rig.state(State.MOVING, "its own client")
 
 

@@ -19,7 +19,7 @@ from sim.simulation import Simulation
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-_EVERY = 0.05
+_PERIOD = 0.05
 _UNIT = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -46,7 +46,7 @@ class Robot:
         # the laser is mounted upside down and turned by half a circle
         static.publish_cdr(write([Stamped("base_link", "laser", 0, (0.0, 0.0, 0.2), (0.0, 1.0, 0.0, 0.0))]))
         self._scan = self.node.publisher("/scan", "sensor_msgs/msg/LaserScan", Qos(depth=1))
-        self._timer = self._loop.every(_EVERY, self._publish)
+        self._timer = self._loop.every(_PERIOD, self._publish)
 
     @property
     def pose(self) -> Pose:

@@ -38,7 +38,7 @@ def error_of(localizer: Localizer, run: Tour) -> tuple[float, float]:
     return pose.distance(true), abs(math.degrees(wrapped(pose.theta - true.theta)))
 
 
-def test_it_tracks_the_robot_while_odometry_drifts() -> None:
+def test_the_localizer_tracks_the_robot_while_odometry_drifts() -> None:
     run = tour()
     localizer = Localizer(run.grid)
     start = truth(run)
@@ -58,13 +58,13 @@ def test_it_tracks_the_robot_while_odometry_drifts() -> None:
 
 
 @pytest.mark.parametrize("world", ["apartment", "lab"])
-def test_it_recovers_from_a_wrong_start(world: str) -> None:
+def test_the_localizer_recovers_from_a_wrong_start(world: str) -> None:
     run = tour(world, 1)
     localizer = Localizer(run.grid)
     true = truth(run)
     localizer.initial(Pose(true.x + 2.1, true.y - 2.1, true.theta + math.radians(30.0)))
-    for _, metres, degrees in drive(run, localizer, 60.0, []):
-        if metres < METERS and degrees < DEGREES and localizer.estimate().status is LocalizationStatus.OK:
+    for _, meters, degrees in drive(run, localizer, 60.0, []):
+        if meters < METERS and degrees < DEGREES and localizer.estimate().status is LocalizationStatus.OK:
             return
     pytest.fail(f"still an error of {error_of(localizer, run)}")
 
@@ -78,11 +78,11 @@ def stand(localizer: Localizer, run: Tour, scans: int) -> None:
         localizer.scan(stamp, points)
 
 
-def test_it_reports_missing_inputs() -> None:
+def test_missing_inputs_are_reported() -> None:
     run = tour()
     localizer = Localizer(run.grid)
     assert localizer.pose is None
-    assert localizer.check(0) == (LocalizationStatus.NOT_YET, "no start was given")
+    assert localizer.check(0) == (LocalizationStatus.NOT_YET, "no start pose")
     localizer.initial(truth(run))
     assert localizer.check(0) == (LocalizationStatus.NOT_YET, "odometry is not arriving")
     stand(localizer, run, 1)
@@ -103,7 +103,7 @@ def test_frozen_odometry_is_reported_and_the_laser_still_locates_the_robot() -> 
     stand(localizer, run, 8)
     status, reason = localizer.check(run.there.time_ns)
     assert status is LocalizationStatus.ERROR
-    assert "odometry reports that the base has not moved: is it frozen, or was the robot carried?" in reason
+    assert "by odometry the base has not moved: the odometry is frozen, or the robot was carried" in reason
     for _ in range(40):
         stand(localizer, run, 10)
         run.there.run(1.0)
@@ -119,10 +119,10 @@ def test_a_laser_without_echoes_gives_no_pose() -> None:
     for n in range(20):
         localizer.odometry(Pose(0.1 * n, 0.0, 0.0, n * S // 10))
         assert not localizer.scan(n * S // 10, np.empty((0, 2)))
-    assert localizer.check(2 * S) == (LocalizationStatus.ERROR, "the laser sees nothing: all its beams are empty")
+    assert localizer.check(2 * S) == (LocalizationStatus.ERROR, "too few echoes in the scan")
 
 
-def test_a_map_with_a_rotated_origin() -> None:
+def test_a_map_with_a_rotated_origin_is_used() -> None:
     sim = Simulation(SimSection(plan="lab", laser=LaserSection(beams=180)))
     grid = Tour(sim, 0).grid
     # the same walls in a frame that is rotated by 40 degrees and moved, as given by the origin of a ROS map
@@ -143,14 +143,14 @@ def test_a_map_with_a_rotated_origin() -> None:
     assert np.hypot(*(localizer.cloud()[:, :2].mean(axis=0) - true[:2])) < 0.1
 
 
-def test_a_map_without_walls_is_refused() -> None:
+def test_a_map_without_walls_is_rejected() -> None:
     with pytest.raises(ValueError, match="the map 'empty' is impossible: it has no walls"):
         Localizer(MapGrid2D.of(np.full((9, 9), MapFlag.FREE, np.uint8), name="empty", resolution=0.1))
 
 
-def test_a_start_that_is_not_a_pose_is_refused() -> None:
+def test_a_start_pose_that_is_not_finite_is_rejected() -> None:
     localizer = Localizer(tour().grid)
-    with pytest.raises(ValueError, match="cannot begin"):
+    with pytest.raises(ValueError, match="invalid start pose"):
         localizer.initial(Pose(math.nan, 0.0, 0.0))
 
 
@@ -163,7 +163,7 @@ def test_points_of_a_scan_are_in_the_base_frame() -> None:
     assert points == pytest.approx(np.array([[-0.9, 0.0], [-1.9, 0.0]]), abs=1e-6)
 
 
-def test_it_tracks_a_holonomic_base_that_moves_sideways() -> None:
+def test_a_holonomic_base_that_moves_sideways_is_tracked() -> None:
     settings = LocaliserSection(holonomic=True)
     sim = Simulation(SimSection(plan="lab", robot="ikart_v1", laser=LaserSection(beams=180)))
     localizer = Localizer(Tour(sim, 0).grid, settings)
@@ -183,10 +183,10 @@ def test_it_tracks_a_holonomic_base_that_moves_sideways() -> None:
 def test_a_pose_is_stored_across_restarts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     memory = Memory(tmp_path)
     assert memory.recall("lab", of_this_run=False) is None
-    memory.keep("lab", Pose(1.0, 2.0, 0.5, 7))
-    memory.keep("lab", Pose(3.0, 2.0, 0.5))  # too soon after the last one
+    memory.save("lab", Pose(1.0, 2.0, 0.5, 7))
+    memory.save("lab", Pose(3.0, 2.0, 0.5))  # too soon after the last one
     assert memory.recall("lab", of_this_run=True) == Pose(1.0, 2.0, 0.5)
-    memory.keep("lab", Pose(3.0, 2.0, 0.5), now=True)
+    memory.save("lab", Pose(3.0, 2.0, 0.5), now=True)
     again = Memory(tmp_path)
     assert again.recall("lab", of_this_run=True) == Pose(3.0, 2.0, 0.5)
     assert again.recall("hall", of_this_run=False) is None
@@ -198,7 +198,7 @@ def test_a_pose_is_stored_across_restarts(tmp_path: Path, monkeypatch: pytest.Mo
     assert again.recall("lab", of_this_run=False) is None
 
 
-def test_it_stays_localized_when_the_system_clock_is_set() -> None:
+def test_the_robot_stays_localized_when_the_system_clock_is_set() -> None:
     run = tour()
     localizer = Localizer(run.grid)
     localizer.initial(truth(run))

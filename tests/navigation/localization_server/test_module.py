@@ -37,8 +37,8 @@ OK = "localized_ok"
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    with Place(tmp_path) as opened:
-        yield opened
+    with Place(tmp_path) as place:
+        yield place
 
 
 @pytest.fixture
@@ -94,8 +94,8 @@ def near(place: Place, pose: Pose, meters: float = 0.15) -> Callable[[], bool]:
 
 
 def start_publisher(place: Place, pose: Pose, covariance: Any = None, frame: str = "map") -> Callable[[], None]:
-    out = place.far.advertise("/initialpose", POSE_COVARIANCE.replace("/msg", ""))
     """Return a function that publishes a start pose."""
+    out = place.far.advertise("/initialpose", POSE_COVARIANCE.replace("/msg", ""))
     covariance = np.zeros(36) if covariance is None else spatial(covariance)
     message = {
         "header": {"frame_id": frame},
@@ -105,17 +105,17 @@ def start_publisher(place: Place, pose: Pose, covariance: Any = None, frame: str
 
 
 @pytest.mark.parametrize("rotation", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 2.0), (math.nan, 0.0, 0.0, 1.0)])
-def test_a_start_whose_quaternion_is_not_a_rotation_is_refused(
+def test_a_start_pose_whose_quaternion_is_not_a_rotation_is_ignored(
     place: Place, robot: Robot, caplog: pytest.LogCaptureFixture, rotation: tuple[float, ...]
 ) -> None:
     """As for goals; a zero quaternion would otherwise mean yaw 0."""
     started(place, robot)
-    until(reports(place, "not_yet_localized", "no start was given"), "it waits for a start", 20)
+    until(reports(place, "not_yet_localized", "no start pose"), "the module waits for a start pose", 20)
     pose = {**pose_message(robot.pose), "orientation": dict(zip("xyzw", rotation, strict=True))}
     start = {"header": {"frame_id": "map"}, "pose": {"pose": pose, "covariance": [0.0] * 36}}
     out = place.far.advertise("/initialpose", POSE_COVARIANCE.replace("/msg", ""))
-    error = "/initialpose: refused: the start's quaternion is not a rotation: its length is"
-    until(lambda: error in caplog.text or place.far.publish(out, start), "the start is refused", 20, every=0.2)
+    error = "/initialpose: ignored: the start pose's quaternion is not a rotation: its length is"
+    until(lambda: error in caplog.text or place.far.publish(out, start), "the start pose is ignored", 20, every=0.2)
     assert status_of(place)["localization"] == "not_yet_localized"
     publish_start = start_publisher(place, robot.pose)
     until(lambda: reports(place, OK)() or publish_start(), "the next start is accepted", 20, every=0.5)
@@ -127,9 +127,9 @@ def test_our_localizer_serves_all_sides(place: Place, robot: Robot) -> None:
     clouds = place.far.subscribe("/localization/particles", "geometry_msgs/PoseArray", latched=True)
     frames = place.far.subscribe("/tf", "tf2_msgs/TFMessage")
     started(place, robot, particles_period=0.2)
-    until(reports(place, "not_yet_localized", "no start was given"), "it waits for a start", 20)
+    until(reports(place, "not_yet_localized", "no start pose"), "the module waits for a start pose", 20)
     true = robot.pose
-    start_publisher(place, true, frame="odom")()  # is refused
+    start_publisher(place, true, frame="odom")()  # is ignored
     publish_start = start_publisher(place, true @ Pose(0.4, -0.3, 0.2))
     until(lambda: reports(place, OK)() or publish_start(), "the start is accepted", 20, every=0.5)
     until(near(place, true), "the pose is the true one", 20)
@@ -164,11 +164,11 @@ def test_our_localizer_serves_all_sides(place: Place, robot: Robot) -> None:
     robot.silent = {"odometry"}
     until(reports(place, "error", "odometry is silent"), "silent odometry is reported", 20)
     robot.silent = set()
-    until(reports(place, OK), "it is localized again", 20)
+    until(reports(place, OK), "the robot is localized again", 20)
     before = len(place.far.wait(statuses, 1))
     robot.carry(6.6, 0.8, 1.5)
     until(lambda: {"data": "error"} in place.far.wait(statuses, 1)[before:], "a lost robot is reported", 20)
-    until(near(place, robot.pose), "it is located again", 20)
+    until(near(place, robot.pose), "the robot is located again", 20)
     place.worker.stop()
     until(lambda: place.far.wait(statuses, 1)[-1] == {"data": "not_yet_localized"}, "its end is reported", 20)
 
@@ -177,18 +177,18 @@ def test_a_carried_robot_is_reported_as_lost_at_any_pose_period(place: Place, ro
     statuses = place.far.subscribe("/localization/status", "std_msgs/String", latched=True)
     true = robot.pose
     started(place, robot, period=5.0, initial_pose=[*true[:2], math.degrees(true.theta)])
-    until(lambda: {"data": OK} in place.far.wait(statuses, 1), "it is localized")
+    until(lambda: {"data": OK} in place.far.wait(statuses, 1), "the robot is localized")
     before = len(place.far.wait(statuses, 1))
     robot.carry(6.6, 0.8, 1.5)
     until(lambda: {"data": "error"} in place.far.wait(statuses, 1)[before:], "it is lost")
-    until(lambda: place.far.wait(statuses, 1)[-1] == {"data": OK}, "it is located again")
+    until(lambda: place.far.wait(statuses, 1)[-1] == {"data": OK}, "the robot is located again")
 
 
-def test_it_continues_at_its_last_pose(place: Place, robot: Robot) -> None:
+def test_localization_continues_at_the_last_pose(place: Place, robot: Robot) -> None:
     true = robot.pose
     wrong = {"initial_pose": [3.0, 3.0, 0.0]}
     started(place, robot, initial_pose=[*true[:2], math.degrees(true.theta)])
-    until(reports(place, OK), "it is localized", 20)
+    until(reports(place, OK), "the robot is localized", 20)
     place.worker.stop()
     robot.silent = {"scan"}  # so that only the stored pose can give the result
     out = robot.node.publisher("/map", "nav_msgs/msg/OccupancyGrid", LATCHED, priority="state")
@@ -216,7 +216,7 @@ def test_it_continues_at_its_last_pose(place: Place, robot: Robot) -> None:
     until(near(place, true), "it continues at its last pose", 20)
 
 
-def test_status_requests_do_not_run_on_its_thread(place: Place, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_status_requests_do_not_query_the_source(place: Place, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     started(place, robot)
     server: Any = place.worker.running("localization_server").module
     threads: list[str] = []
@@ -239,7 +239,7 @@ def test_areas_drawn_on_a_map_do_not_restart_localization() -> None:
         assert same_walls(original, other) is same
 
 
-def test_its_yarp_ports(place: Place, robot: Robot) -> None:
+def test_yarp_ports_serve_the_pose(place: Place, robot: Robot) -> None:
     started(place, robot)
     true = robot.pose
     start = Map2DLocation("lab", true.x + 0.2, true.y, math.degrees(true.theta) + 5.0)
@@ -265,7 +265,7 @@ def test_its_yarp_ports(place: Place, robot: Robot) -> None:
             def localized() -> bool:
                 return client.getLocalizationStatus() is LocalizationStatusEnum.localization_status_localized_ok
 
-            until(localized, "it is localized", 20)
+            until(localized, "the robot is localized", 20)
             until(near(place, true), "the pose is the true one", 20)
             assert client.getCurrentPosition(location, covariance)
             assert location.map_id == "lab"
@@ -291,9 +291,9 @@ def test_its_yarp_ports(place: Place, robot: Robot) -> None:
             assert moved.values[3:] == pytest.approx([0.0] * 6, abs=1e-3)
             assert isinstance(client.getEstimatedOdometry(), OdometryData)
             assert client.stopLocalizationService()
-            until(reports(place, "not_yet_localized", "was stopped"), "it is stopped", 20)
+            until(reports(place, "not_yet_localized", "is stopped"), "localization is stopped", 20)
             assert client.startLocalizationService()
-            until(localized, "it is localized again", 20)
+            until(localized, "the robot is localized again", 20)
             assert not client.setInitialPose(Map2DLocation("nowhere", 0.0, 0.0, 0.0))
             use(place, "lab2", robot)
             until(lambda: status_of(place).get("map") == "lab2", "it uses the other map", 20)
@@ -302,7 +302,7 @@ def test_its_yarp_ports(place: Place, robot: Robot) -> None:
             until(lambda: status_of(place).get("map") == "lab", "it uses the map of the start", 20)
 
 
-def test_source_amcl(place: Place, robot: Robot) -> None:
+def test_the_pose_of_amcl_is_served(place: Place, robot: Robot) -> None:
     maps: list[dict[str, Any]] = []
 
     def set_map(request: dict[str, Any], answer: Any) -> None:
@@ -318,7 +318,7 @@ def test_source_amcl(place: Place, robot: Robot) -> None:
     cloud = robot.node.publisher("/particlecloud", "geometry_msgs/msg/PoseArray", LATCHED, priority="state")
     cloud.publish({"poses": [pose_message(Pose(1.0, 2.0, 0.5))] * 7})
     started(place, robot, source="amcl")
-    until(reports(place, "not_yet_localized", "not known where odom is in map"), "it waits for the frames", 20)
+    until(reports(place, "not_yet_localized", "no transform from odom to map"), "it waits for the frames", 20)
     robot.localized = Pose(1.0, 2.0, 0.5)
     until(reports(place, OK), "amcl's frames arrive", 20)
     assert near(place, robot.localized @ robot.odometry, 0.01)()
@@ -352,7 +352,7 @@ def test_source_amcl(place: Place, robot: Robot) -> None:
     for wide, status in ((3.0, "not_yet_localized"), (0.55, OK)):  # the second is that of starts from rviz
         spread = np.diag([wide**2, wide**2, 0.1])
         amcl.publish({"header": {"frame_id": "map"}, "pose": {"covariance": spatial(spread)}})
-        until(reports(place, status, "" if status == OK else "3.0 m apart"), f"a spread of {wide} m is {status}", 20)
+        until(reports(place, status, "" if status == OK else "over 3.0 m"), f"a spread of {wide} m is {status}", 20)
     before = len(maps)
     section = {"enabled": True, "period": 0.05, "source": "amcl"}
     assert place.worker.reload(
@@ -363,7 +363,7 @@ def test_source_amcl(place: Place, robot: Robot) -> None:
     until(lambda: len(maps) > before, "amcl receives the map of another source, too", 20)
     assert (from_grid(maps[-1]["map"], "floor").flags == robot.grid.flags).all()
     robot.localized = None
-    until(reports(place, "error", "localisation is stale"), "a dead amcl is reported", 20)
+    until(reports(place, "error", "localization is stale"), "a dead amcl is reported", 20)
 
 
 def test_poses_from_a_topic_and_from_a_port(place: Place, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -374,7 +374,7 @@ def test_poses_from_a_topic_and_from_a_port(place: Place, robot: Robot, monkeypa
         return place.config(navigation={"localizer": source}, modules={"localization_server": section}, store={})
 
     place.worker.start(by("topic"))
-    until(reports(place, "not_yet_localized", "no pose has come from /uwb"), "it waits for poses", 20)
+    until(reports(place, "not_yet_localized", "waiting for a pose on /uwb"), "it waits for poses", 20)
     out = place.far.advertise("/uwb", "geometry_msgs/PoseStamped")
     given = Pose(4.0, 5.0, 1.0)
     wrong = {"header": {"frame_id": "uwb"}, "pose": pose_message(given)}
@@ -395,7 +395,7 @@ def test_poses_from_a_topic_and_from_a_port(place: Place, robot: Robot, monkeypa
         until(lambda: "waiting" not in str(status_of(place).get("ports")), "all ports are open", 20)
         writer.connect("/localizationServer/pose:i")
         until(
-            lambda: (writer.write([1.0, "x"]), "neither" in status_of(place)["reason"])[1],
+            lambda: (writer.write([1.0, "x"]), "invalid pose" in status_of(place)["reason"])[1],
             "an invalid value is reported",
             20,
         )
@@ -407,7 +407,7 @@ def test_poses_from_a_topic_and_from_a_port(place: Place, robot: Robot, monkeypa
         until(near(place, Pose(5.0, 2.0, -math.pi / 2), 0.01), "all writes have arrived", 20)
         running, resume, accepted = place.worker.running("localization_server"), threading.Event(), list[Pose]()
         assert isinstance(running.module, LocalizationServer)
-        monkeypatch.setattr(running.module.source, "take", accepted.append)
+        monkeypatch.setattr(running.module.source, "set_pose", accepted.append)
         running.host.loop.post(lambda: resume.wait(40))
         (port,) = (port for port in running.host.yarp.status() if port["port"] == "/localizationServer/pose:i")
         for x in (1.0, 2.0):
@@ -445,17 +445,17 @@ def test_poses_with_a_covariance_and_from_odometry(place: Place) -> None:
         until(published, "the covariance is forwarded", 20)
 
 
-def test_source_tf(place: Place, robot: Robot) -> None:
+def test_the_pose_of_tf_is_served(place: Place, robot: Robot) -> None:
     started(place, robot, source="tf")
-    until(reports(place, "not_yet_localized", "not known where odom is in map"), "it waits for the frames", 20)
+    until(reports(place, "not_yet_localized", "no transform from odom to map"), "it waits for the frames", 20)
     robot.localized = Pose(1.0, 2.0, 0.5)
     until(reports(place, OK), "the frames arrive", 20)
     assert near(place, robot.localized @ robot.odometry, 0.01)()
     robot.localized = None
-    until(reports(place, "error", "localisation is stale"), "their end is reported", 20)
+    until(reports(place, "error", "localization is stale"), "their end is reported", 20)
 
 
-def test_source_server(place: Place, robot: Robot, tmp_path: Path) -> None:
+def test_the_pose_of_another_yarp_server_is_served(place: Place, robot: Robot, tmp_path: Path) -> None:
     started(place, robot, ports=["/other"])
     with NameServer(port=place.port, gc_seconds=0), Place(tmp_path / "second") as second:
         until(lambda: place.names.query("/other/odometry:o"), "the other's ports are registered", 20)

@@ -1,4 +1,4 @@
-"""A start on a map that is not in use switches to that map and keeps the given uncertainty."""
+"""A start pose on another map switches to that map and keeps its uncertainty."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_the_start_is_sent_to_amcl(outside: Outside, set_map: str, before: str, 
     assert plane_of(start["covariance"]) == pytest.approx(START.covariance)
 
 
-def test_a_start_without_a_subscriber_is_refused(outside: Outside) -> None:
+def test_a_start_pose_without_a_subscriber_is_rejected(outside: Outside) -> None:
     outside.subscribers = []
     module = outside.module(source="amcl", set_map="")
     with pytest.raises(RuntimeError, match="no subscriber to /initialpose"):
@@ -109,17 +109,17 @@ def test_a_pose_from_a_topic_stays_known_if_the_system_clock_is_set(outside: Out
     clock: Any = RunClock(system=SystemClock(lambda: now[0], poll=0))
     outside.clock = clock
     source: Any = outside.module(source="topic").source
-    source.take(START.pose)
+    source.set_pose(START.pose)
     now[0] += jump * 1_000_000_000
-    source.forget()
+    source.on_clock_jump()
     assert source.estimate().pose[:3] == START.pose[:3]
 
 
-def test_a_pose_from_a_topic_is_unknown_after_a_simulation_started_again(outside: Outside) -> None:
+def test_a_pose_from_a_topic_is_unknown_after_a_simulation_restarts(outside: Outside) -> None:
     clock: Any = RunClock(simulated=True)
     outside.clock = clock
     source: Any = outside.module(source="topic").source
-    source.take(START.pose)
+    source.set_pose(START.pose)
     assert source.estimate().pose is not None
-    source.forget()
+    source.on_clock_jump()
     assert source.estimate().pose is None

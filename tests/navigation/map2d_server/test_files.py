@@ -1,4 +1,4 @@
-"""Names of files that clients may say, and those that they may not."""
+"""File names of clients: accepted and rejected ones."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ HOSTILE = (
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_what_is_no_plain_name_of_a_map_is_refused(tmp_path: Path, name: str) -> None:
+def test_names_that_are_not_plain_are_rejected(tmp_path: Path, name: str) -> None:
     folder = MapsFolder(tmp_path / "maps")
     for ask in (folder.file, folder.existing, folder.new):
-        with pytest.raises(ValueError, match=r"refused|no name"):
+        with pytest.raises(ValueError, match=r"refused|invalid file name"):
             ask(name, ".map")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_plain_names(tmp_path: Path) -> None:
+def test_plain_names_are_accepted(tmp_path: Path) -> None:
     folder = MapsFolder(tmp_path / "maps")
     assert folder.new("first floor.map", ".map") == tmp_path / "maps" / "first floor.map"
     assert folder.file("Küche", ".map").name == "Küche.map"
@@ -34,13 +34,13 @@ def test_plain_names(tmp_path: Path) -> None:
     assert folder.existing("m1", ".map", ".yaml").name == "m1.yaml"
 
 
-def test_links_do_not_lead_out(tmp_path: Path) -> None:
+def test_links_out_of_the_folder_are_rejected(tmp_path: Path) -> None:
     folder = MapsFolder(tmp_path / "maps")
     folder.path.mkdir()
     (tmp_path / "outside.map").write_text("secret")
     (folder.path / "link.map").symlink_to(tmp_path / "outside.map")
     (folder.path / "good.map").write_text("")
     (folder.path / "near.map").symlink_to("good.map")
-    with pytest.raises(ValueError, match="leads out"):
+    with pytest.raises(ValueError, match="a link out of"):
         folder.existing("link.map", ".map")
     assert folder.existing("near.map", ".map").name == "near.map"

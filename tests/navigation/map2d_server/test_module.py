@@ -62,17 +62,17 @@ class Served(Place):
         """Empty the store."""
         for kind in KINDS.values():
             self.store.clear(kind)
-        until(lambda: not (self.status("map2d_server") or {"current": "?"})["current"], "no map is current", 20)
+        until(lambda: not (self.status("map2d_server") or {"current": "?"})["current"], "no current map", 20)
 
     def client(self, port: str = "/map2D_nws_yarp/rpc") -> Map2DClient:
         return Map2DClient(port, naming=self.names, timeout=20)
 
     def latest(self, topic: str, type_: str) -> Any:
-        """Hears a latched topic; calling it gives the newest message."""
-        heard = self.far.subscribe(topic, type_, latched=True, depth=1)
+        """Subscribe to a latched topic; return a function that returns the newest message."""
+        subscription = self.far.subscribe(topic, type_, latched=True, depth=1)
 
         def newest() -> dict[str, Any] | None:
-            return next(reversed(self.far.wait(heard, 0, 0)), None)
+            return next(reversed(self.far.wait(subscription, 0, 0)), None)
 
         return newest
 
@@ -83,8 +83,8 @@ class Served(Place):
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    with Served(tmp_path_factory.mktemp("served")) as made:
-        yield made
+    with Served(tmp_path_factory.mktemp("served")) as served:
+        yield served
 
 
 @pytest.fixture
@@ -98,35 +98,35 @@ def six_flags(name: str = "office", seed: int = 1) -> MapGrid2D:
     return MapGrid2D.of(flags, name=name, resolution=0.5, origin=(-1.0, -2.0, 0.0))
 
 
-def test_a_map_of_a_yarp_client_is_everywhere_with_all_six_flags(served: Served) -> None:
+def test_a_yarp_clients_map_is_served_with_all_six_flags(served: Served) -> None:
     grid = six_flags()
     current, mask = served.latest("/map", GRID), served.latest("/keepout_filter_mask", GRID)
     info, all_maps = served.latest("/keepout_costmap_filter_info", INFO), served.latest("/maps/office", GRID)
-    with served.client() as client, Client("/map2D_server/command", naming=served.names) as words:
+    with served.client() as client, Client("/map2D_server/command", naming=served.names) as rpc:
         client.maps["office"] = grid
         until(all_maps, "the map has its own topic", 20)
         assert current() is None
-        assert words.ask(["use", "office"], timeout=10) == ["ok"]
-        until(lambda: current() and mask() and info(), "the map and its mask are out", 20)
-        assert words.ask(["current"], timeout=10) == ["office"]
+        assert rpc.ask(["use", "office"], timeout=10) == ["ok"]
+        until(lambda: current() and mask() and info(), "the map and its mask are published", 20)
+        assert rpc.ask(["current"], timeout=10) == ["office"]
         with served.client("/mapServer/rpc") as older:
             assert older.maps["office"] == grid
-    made = from_grid(current(), "office")
+    received = from_grid(current(), "office")
     values = np.asarray(mask()["data"], np.int8).reshape(12, 17)[::-1]
-    assert np.array_equal(flags_from(made.occupancy, values), grid.flags)
+    assert np.array_equal(flags_from(received.occupancy, values), grid.flags)
     assert {**info(), "header": None} == {"header": None, "type": 0, "filter_mask_topic": "/keepout_filter_mask",
                                           "base": 0.0, "multiplier": 1.0}  # fmt: skip
     assert all_maps()["data"] == current()["data"]
 
 
-def test_a_map_in_three_dimensions_has_a_topic_of_its_form(served: Served) -> None:
+def test_a_3d_map_is_published_with_its_type(served: Served) -> None:
     octomap = Octomap.of(OcTree.of([[32_768, 32_768, 32_770]], 1.5, resolution=0.05), binary=True)
-    heard = served.latest("/maps3d/n1st", "octomap_msgs/Octomap")
+    latest = served.latest("/maps3d/n1st", "octomap_msgs/Octomap")
     served.store.put(MAP3D, "1st", octomap)
-    until(heard, "the octomap is out", 20)
-    found = heard()
-    assert (found["header"]["frame_id"], found["binary"], found["id"], found["resolution"]) == ("map", True, "OcTree", 0.05)  # fmt: skip # noqa: E501
-    assert np.array(found["data"], np.int8).tobytes() == octomap.data
+    until(latest, "the octomap is published", 20)
+    message = latest()
+    assert (message["header"]["frame_id"], message["binary"], message["id"], message["resolution"]) == ("map", True, "OcTree", 0.05)  # fmt: skip # noqa: E501
+    assert np.array(message["data"], np.int8).tobytes() == octomap.data
     for binary, data in ((True, octomap.data), (False, octomap.tree().full())):
         service = f"/maps3d/n1st/octomap_{'binary' if binary else 'full'}"
         got = served.far.call(service, "octomap_msgs/GetOctomap").result(20)["reply"]["map"]
@@ -135,14 +135,14 @@ def test_a_map_in_three_dimensions_has_a_topic_of_its_form(served: Served) -> No
     cloud = PointCloud.of(np.ones(3, LAYOUTS[PointType.XYZ]))
     served.store.put(MAP3D, "1st", cloud)
     points = served.latest("/maps3d/n1st", "sensor_msgs/PointCloud2")
-    until(points, "the cloud is out", 20)
+    until(points, "the cloud is published", 20)
     assert (points()["width"], points()["point_step"]) == (3, 16)
     until(lambda: not served.far.hub.graph.servers("/maps3d/n1st/octomap_full"), "a cloud is not an octomap", 20)
     served.store.delete(MAP3D, "1st")
     served.far.until_unpublished("/maps3d/n1st")
 
 
-def test_each_change_is_heard(served: Served) -> None:
+def test_each_change_is_published(served: Served) -> None:
     served.store.put(MAP, "one", six_flags("one"))
     served.store.use_map("one")
     current, other = served.latest("/map", GRID), served.latest("/maps/one", GRID)
@@ -157,13 +157,13 @@ def test_each_change_is_heard(served: Served) -> None:
         served.far.until_unpublished("/map")
 
 
-def test_map_services(served: Served) -> None:
+def test_the_map_services_answer(served: Served) -> None:
     served.store.put(MAP, "one", six_flags("one"))
     served.store.put(MAP, "two", six_flags("two", seed=2))
     far = served.far
     load = "nav2_msgs/LoadMap"
     refused = far.call("/static_map", "nav_msgs/GetMap").result(20)
-    assert "no map is current" in refused["error"]
+    assert "no current map" in refused["error"]
     assert far.call("/map_server/map", "nav_msgs/GetMap").result(20)["reply"]["map"]["data"] == []
     loaded = far.call("/map_server/load_map", load, map_url="two").result(20)["reply"]
     assert loaded["result"] == 0
@@ -189,10 +189,10 @@ def test_map_services(served: Served) -> None:
     ] == {"result": False}
     status = served.answer("map2d_server")
     assert status["refusals"] >= 9
-    assert "/camera is none of the store's maps" in status["last_refusal"]
+    assert "/camera is not a map of the store" in status["last_refusal"]
 
 
-def test_files_of_a_yarp_client(served: Served) -> None:
+def test_yarp_clients_save_and_load_files(served: Served) -> None:
     folder = served.folder / "here/map2d_server/maps"
     with served.client() as client:
         client.maps["office"] = grid = six_flags()
@@ -239,8 +239,8 @@ def test_files_of_a_yarp_client(served: Served) -> None:
         ]
 
 
-def test_the_publisher_of_a_map_behind_a_bridge_is_named_by_its_side(served: Served) -> None:
-    """The node of the bridged publisher is a worker's own; it must not pass for the program that has the map."""
+def test_the_publisher_of_a_bridged_map_is_named_by_its_side(served: Served) -> None:
+    """The bridged publisher belongs to a worker's node, which must not be named as the source of the map."""
 
     def text() -> str:
         return str((served.status("map2d_server") or {}).get("text"))
@@ -255,10 +255,10 @@ def test_the_publisher_of_a_map_behind_a_bridge_is_named_by_its_side(served: Ser
         )
         until(lambda: "/map is published by a node on ROS 2, not by this module" in text(), text, 20)
         assert "midspan" not in text()
-    until(lambda: "published by" not in text(), "it has left", 20)
+    until(lambda: "published by" not in text(), "the publisher is gone", 20)
 
 
-def test_a_map_of_somebody_else_is_taken_and_never_echoed(served: Served) -> None:
+def test_another_programs_map_is_imported_and_not_republished(served: Served) -> None:
     theirs = six_flags("taken")
     theirs.flags[theirs.flags == MapFlag.KEEP_OUT] = MapFlag.FREE
     served.store.put(MAP, "other", six_flags("other"))
@@ -268,24 +268,28 @@ def test_a_map_of_somebody_else_is_taken_and_never_echoed(served: Served) -> Non
     out = served.far.advertise("/map", GRID, latched=True, depth=1)
     try:
         served.far.publish(out, mine)
-        until(lambda: served.store.get(MAP, "taken"), "it is in the store", 20)
-        until(lambda: served.store.current_map() == "taken", "it is current", 20)
+        until(lambda: served.store.get(MAP, "taken"), "the map is in the store", 20)
+        until(lambda: served.store.current_map() == "taken", "the map is current", 20)
         served.far.until_unpublished("/map")
-        found = served.store.get(MAP, "taken")
-        assert found is not None
-        assert np.array_equal(found.occupancy, theirs.occupancy)
-        until(lambda: "published by /far" in str((served.status("map2d_server") or {}).get("text")), "it tells", 20)
-        # what people drew stays when the mapper goes on
-        found.flags[0, 0] = MapFlag.KEEP_OUT
-        served.store.put(MAP, "taken", found)
+        stored = served.store.get(MAP, "taken")
+        assert stored is not None
+        assert np.array_equal(stored.occupancy, theirs.occupancy)
+        until(
+            lambda: "published by /far" in str((served.status("map2d_server") or {}).get("text")),
+            "the status names the publisher",
+            20,
+        )
+        # painted cells stay when the mapper continues
+        stored.flags[0, 0] = MapFlag.KEEP_OUT
+        served.store.put(MAP, "taken", stored)
         theirs.occupancy[5, 5] = 100 - theirs.occupancy[5, 5] % 101
         served.far.publish(out, mine | {"data": data(theirs)})
 
-        def gone_on() -> bool:
+        def updated() -> bool:
             now = served.store.get(MAP, "taken")
             return now is not None and bool(now.occupancy[5, 5] == theirs.occupancy[5, 5])
 
-        until(gone_on, "the next one is taken", 20)
+        until(updated, "the next map is imported", 20)
         now = served.store.get(MAP, "taken")
         assert now is not None
         assert now.flags[0, 0] == MapFlag.KEEP_OUT
@@ -294,7 +298,7 @@ def test_a_map_of_somebody_else_is_taken_and_never_echoed(served: Served) -> Non
     served.far.until_published("/map")
 
 
-def test_a_map_of_another_map_server_of_midspan_is_not_taken(served: Served) -> None:
+def test_a_map_of_another_map2d_server_is_not_imported(served: Served) -> None:
     served.store.put(MAP, "other", six_flags("other"))
     served.store.use_map("other")
     served.far.until_published("/map")
@@ -304,11 +308,11 @@ def test_a_map_of_another_map_server_of_midspan_is_not_taken(served: Served) -> 
         twin.wait(current, 1, 20)
         out = twin.advertise("/map", GRID, latched=True, depth=1)
         theirs = six_flags("theirs", seed=3)
-        for name in ("one", "two"):  # the second is looked at after the first was settled
+        for name in ("one", "two"):  # the second one is handled after the first
             twin.publish(out, {"header": {"frame_id": "map"}, "info": message_info(theirs), "data": data(theirs)})
             served.store.put(MAP, name, theirs)
-            until(lambda n=name: n in (served.status("map2d_server") or {}).get("maps", {}), "it goes on", 20)
-            until(lambda: not intake(served)._due, "the message is settled", 20)
+            until(lambda n=name: n in (served.status("map2d_server") or {}).get("maps", {}), "the map is served", 20)
+            until(lambda: not intake(served)._due, "the message is handled", 20)
         served.far.until_published("/map", 2)
     assert served.store.get(MAP, "taken") is None
     assert served.store.current_map() == "other"
@@ -319,7 +323,7 @@ def intake(served: Served) -> Any:
     return module._intakes[0]
 
 
-def test_explain_tells_how_a_client_is_answered(
+def test_explain_shows_the_protocol_of_a_client(
     served: Served, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "midspan.yaml"
@@ -327,9 +331,9 @@ def test_explain_tells_how_a_client_is_answered(
     with served.client() as client:
         assert list(client.maps) == []
         assert main(["explain", "/map2D_nws_yarp/rpc", "--config", str(file)]) == 0
-    told = capsys.readouterr().out
-    assert "its calls are answered as YARP 3.12 does (it asked for the protocol's version, and is of YARP 3" in told
-    assert "has decided nothing" not in told
+    output = capsys.readouterr().out
+    assert "its calls are answered as YARP 3.12 does (it asked for the protocol's version, and is of YARP 3" in output
+    assert "has decided nothing" not in output
 
 
 def message_info(grid: MapGrid2D) -> dict[str, Any]:
@@ -342,14 +346,14 @@ def data(grid: MapGrid2D) -> list[int]:
     return [int(value) if value <= 100 else -1 for value in grid.occupancy[::-1].reshape(-1)]
 
 
-def test_areas_and_places(served: Served) -> None:
+def test_areas_and_places_are_published(served: Served) -> None:
     free = MapGrid2D.of(np.zeros((10, 10), np.uint8), name="hall", resolution=1.0)
     served.store.put(MAP, "hall", free)
     served.store.use_map("hall")
     corners = [Vec2D(0.1, 0.1), Vec2D(2.9, 0.1), Vec2D(2.9, 2.9), Vec2D(0.1, 2.9)]
     mask, speed = served.latest("/keepout_filter_mask", GRID), served.latest("/speed_filter_mask", GRID)
     info, shown = served.latest("/speed_costmap_filter_info", INFO), served.latest("/map_locations", MARKERS)
-    until(lambda: mask() and speed() and info() and shown(), "all is out", 20)
+    until(lambda: mask() and speed() and info() and shown(), "all topics are published", 20)
     assert not any(mask()["data"])
     assert not any(speed()["data"])
     with served.client() as client:
@@ -361,7 +365,7 @@ def test_areas_and_places(served: Served) -> None:
         client.paths["way"] = Map2DPath([Map2DLocation("hall", 1, 1), Map2DLocation("hall", 2, 2)])
     served.store.put(BEHAVIOUR, "shut", AreaBehaviour(keep_out=True))
     until(lambda: sum(value > 0 for value in speed()["data"]) == 9, "the slow area is in the mask", 20)
-    until(lambda: sum(value == 100 for value in mask()["data"]) == 9, "the closed one is in the other", 20)
+    until(lambda: sum(value == 100 for value in mask()["data"]) == 9, "the closed area is in the keep-out mask", 20)
     limit = info()["base"] + info()["multiplier"] * max(speed()["data"])
     assert (info()["type"], info()["filter_mask_topic"]) == (2, "/speed_filter_mask")
     assert limit == pytest.approx(0.2)
@@ -370,40 +374,42 @@ def test_areas_and_places(served: Served) -> None:
     assert not any("far away" in marker["ns"] for marker in shown()["markers"])
     assert shown()["markers"][0]["action"] == 3
     served.store.delete(AREA, "slow")
-    until(lambda: not any(speed()["data"]), "it is gone", 20)
+    until(lambda: not any(speed()["data"]), "the speed limit is gone", 20)
 
 
-def test_a_turned_map_goes_out_straight(served: Served) -> None:
+def test_a_rotated_map_is_published_aligned(served: Served) -> None:
     turned = MapGrid2D.of(np.full((4, 8), MapFlag.WALL, np.uint8), name="t", resolution=0.5, origin=(0, 0, 90))
     served.store.put(MAP, "t", turned)
     served.store.use_map("t")
     current = served.latest("/map", GRID)
-    until(current, "it is out", 20)
+    until(current, "the map is published", 20)
     info = current()["info"]
     assert info["origin"]["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
     assert (info["width"], info["height"]) == (4, 8)
     assert set(current()["data"]) == {100}
 
 
-def test_clicked_points(served: Served) -> None:
+def test_clicked_points_become_locations(served: Served) -> None:
     served.store.put(MAP, "hall", six_flags("hall"))
     served.store.use_map("hall")
-    until(lambda: (served.status("map2d_server") or {}).get("current") == "hall", "it is current", 20)
+    until(lambda: (served.status("map2d_server") or {}).get("current") == "hall", "the map is current", 20)
     out = served.far.advertise("/clicked_point", "geometry_msgs/PointStamped")
 
     def click() -> dict[str, Map2DLocation]:
         served.far.publish(out, {"header": {"frame_id": "map"}, "point": {"x": 1.5, "y": -2.0, "z": 0.0}})
         return served.store.all(LOCATION)
 
-    places = until(click, "a point is a location", 20, every=0.1)
+    places = until(click, "the point is stored", 20, every=0.1)
     assert places["point1"] == Map2DLocation("hall", 1.5, -2.0, 0.0, "clicked")
     served.far.publish(out, {"header": {"frame_id": "odom"}, "point": {"x": 1.5, "y": -2.0, "z": 0.0}})
-    until(lambda: "'odom'" in str((served.status("map2d_server") or {}).get("last_refusal")), "it is refused", 20)
+    until(
+        lambda: "'odom'" in str((served.status("map2d_server") or {}).get("last_refusal")), "the point is refused", 20
+    )
     served.far.drop(out)
 
 
-def test_several_clients_at_once(served: Served) -> None:
-    """Of 4 clients' 40 locations each, all are kept."""
+def test_several_clients_write_at_once(served: Served) -> None:
+    """All 40 locations of each of 4 clients are stored."""
     failed: list[str] = []
 
     def write(number: int) -> None:
@@ -420,7 +426,7 @@ def test_several_clients_at_once(served: Served) -> None:
     assert len(served.store.names(LOCATION)) == 160
 
 
-def test_topics_of_maps() -> None:
+def test_topic_names_of_maps() -> None:
     assert topic_of("office") == "/maps/office"
     assert topic_of("1st floor") == "/maps/n1st_floor"
     first = topic_of("a b")

@@ -1,4 +1,4 @@
-"""The parameters that the docs give Nav2 for keep-out areas: each filter is there, and its areas are inflated."""
+"""Nav2's parameters for keep-out areas in the docs: the filters exist, and their areas are inflated."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ KNOWN = {
 
 
 def snippets() -> Iterator[tuple[str, dict[str, Any]]]:
-    """The costmaps' parameters in all pages and files, by file and costmap."""
+    """Yield the costmaps' parameters in all pages and files, by file and costmap."""
     for folder in FOLDERS:
         for file in sorted([*(ROOT / folder).rglob("*.md"), *(ROOT / folder).rglob("*.yaml")]):
             text = file.read_text()
@@ -44,10 +44,10 @@ def test_both_costmaps_are_shown() -> None:
 @pytest.mark.parametrize("name", SNIPPETS)
 def test_keep_out_areas_are_inflated(name: str) -> None:
     parameters = SNIPPETS[name]
-    filters = [parameters[each] for each in parameters["filters"]]
-    for each in filters:
-        assert each.keys() <= KNOWN[each["plugin"]]
-    plugins = [each["plugin"].removeprefix("nav2_costmap_2d::") for each in filters]
+    filters = [parameters[key] for key in parameters["filters"]]
+    for section in filters:
+        assert section.keys() <= KNOWN[section["plugin"]]
+    plugins = [section["plugin"].removeprefix("nav2_costmap_2d::") for section in filters]
     assert plugins[0] == "KeepoutFilter"
-    assert plugins[-1] == "InflationLayer", "what runs before the filters does not see their areas"
+    assert plugins[-1] == "InflationLayer", "a layer before the filters does not see their areas"
     assert filters[-1]["inflation_radius"] > 0.0

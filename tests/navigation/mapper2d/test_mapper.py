@@ -1,4 +1,4 @@
-"""The map's core: scans with poses in, a map out, paint over it."""
+"""The mapper: it builds a map from scans with poses, and overlays paint."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WALL, FREE, KEEP_OUT = MapFlag.WALL, MapFlag.FREE, MapFlag.KEEP_OUT
 
 
 def circle(mapper: Mapper, x: float, y: float, radius: float = 2.02, times: int = 5) -> None:
-    """Scans from the middle of a round room."""
+    """Add scans from the center of a round room."""
     for _ in range(times):
         mapper.scan(Pose(x, y, 0.3), np.full(BEAMS, radius), 0.0, STEP, 10.0)
 
@@ -34,7 +34,7 @@ def mapper() -> Mapper:
     return Mapper(Mapper2DSection(map_name="here", width=6.0, height=6.0, farthest=8.0, largest=30.0))
 
 
-def test_the_map_begins_about_the_first_pose(mapper: Mapper) -> None:
+def test_the_map_is_centered_on_the_first_pose(mapper: Mapper) -> None:
     circle(mapper, 100.02, -50.0)
     grid = mapper.grid()
     assert grid.name == "here"
@@ -44,7 +44,7 @@ def test_the_map_begins_about_the_first_pose(mapper: Mapper) -> None:
     assert set(np.unique(grid.occupancy)) == {0, 100, UNKNOWN}
 
 
-def test_it_grows_to_where_the_laser_sees_and_what_is_known_stays_in_place(mapper: Mapper) -> None:
+def test_the_map_grows_with_the_laser_range_and_keeps_known_cells(mapper: Mapper) -> None:
     circle(mapper, 0.0, 0.0)
     mapper.paint((0.5, 0.5), KEEP_OUT, 2)
     before = mapper.grid()
@@ -57,7 +57,7 @@ def test_it_grows_to_where_the_laser_sees_and_what_is_known_stays_in_place(mappe
     assert not mapper.full
 
 
-def test_it_grows_no_further_than_it_may(mapper: Mapper) -> None:
+def test_the_map_does_not_exceed_its_largest_size(mapper: Mapper) -> None:
     circle(mapper, 0.0, 0.0)
     circle(mapper, 40.0, 0.0)
     assert mapper.full
@@ -69,14 +69,14 @@ def test_it_grows_no_further_than_it_may(mapper: Mapper) -> None:
         mapper.enlarge(1e9)
 
 
-def test_beams_that_see_nothing_make_it_no_larger(mapper: Mapper) -> None:
+def test_beams_without_echoes_do_not_grow_the_map(mapper: Mapper) -> None:
     mapper.scan(Pose(0.0, 0.0, 0.0), np.full(BEAMS, math.inf), 0.0, STEP, 100.0)
     mapper.scan(Pose(0.0, 0.0, 0.0), np.full(BEAMS, math.nan), 0.0, STEP, 100.0)
     assert mapper.size == pytest.approx((6.0, 6.0))
     assert mapper.scans == 2
 
 
-def test_scans_are_taken_only_between_start_and_stop(mapper: Mapper) -> None:
+def test_scans_are_used_only_between_start_and_stop(mapper: Mapper) -> None:
     mapper.mapping = False
     circle(mapper, 0.0, 0.0)
     assert (mapper.grid().flags == MapFlag.UNKNOWN).all()
@@ -87,7 +87,7 @@ def test_scans_are_taken_only_between_start_and_stop(mapper: Mapper) -> None:
     assert (mapper.grid().flags == MapFlag.UNKNOWN).all()
 
 
-def test_paint_stays_whatever_the_laser_finds_until_it_is_forgotten(mapper: Mapper) -> None:
+def test_paint_overrides_the_laser_until_it_is_reset(mapper: Mapper) -> None:
     circle(mapper, 0.0, 0.0)
     assert mapper.paint((1.0, 0.0), WALL, 1) == 1
     mapper.paint((-1.0, 0.0), KEEP_OUT, 3)
@@ -109,21 +109,21 @@ def test_a_line_is_painted_without_gaps(mapper: Mapper) -> None:
     assert cells == round(2.52 / 0.05) + 1
     grid = mapper.grid()
     for share in np.linspace(0.0, 1.0, 51):
-        at = grid.cells_at((-1.0 + share * 2.52, -1.0 + share * 1.37))
-        around = grid.flags[at[1] - 1 : at[1] + 2, at[0] - 1 : at[0] + 2]
+        column, row = grid.cells_at((-1.0 + share * 2.52, -1.0 + share * 1.37))
+        around = grid.flags[row - 1 : row + 2, column - 1 : column + 2]
         assert (around == WALL).any()
 
 
-def test_a_brush_at_the_border_paints_what_is_there(mapper: Mapper) -> None:
+def test_a_brush_at_the_border_paints_only_cells_on_the_map(mapper: Mapper) -> None:
     assert mapper.paint((-2.99, -2.99), WALL, 5) == 9
-    with pytest.raises(ValueError, match="not on the map"):
+    with pytest.raises(ValueError, match="outside the map"):
         mapper.paint((3.1, 0.0), WALL, 1)
     for brush in (0, -3, 1_000_000):
-        with pytest.raises(ValueError, match="a brush has"):
+        with pytest.raises(ValueError, match="a brush must have"):
             mapper.paint((0.0, 0.0), WALL, brush)
 
 
-def test_what_was_saved_goes_on_where_it_was(mapper: Mapper) -> None:
+def test_a_saved_map_is_continued(mapper: Mapper) -> None:
     circle(mapper, 0.0, 0.0)
     mapper.paint((-1.0, 0.0), KEEP_OUT, 3)
     saved = mapper.grid()
@@ -135,7 +135,7 @@ def test_what_was_saved_goes_on_where_it_was(mapper: Mapper) -> None:
     assert (flag(other.grid(), 1.52, 0.0), flag(other.grid(), -1.0, 0.0)) == (WALL, KEEP_OUT)
 
 
-def test_a_turned_map_is_made_straight(mapper: Mapper) -> None:
+def test_a_rotated_map_is_aligned_with_the_axes(mapper: Mapper) -> None:
     flags = np.zeros((40, 20), np.uint8)
     flags[:, 0] = WALL
     mapper.load(MapGrid2D.of(flags, name="turned", resolution=0.05, origin=(0.0, 0.0, 90.0)))
@@ -144,8 +144,8 @@ def test_a_turned_map_is_made_straight(mapper: Mapper) -> None:
     assert (mapper.grid().flags == WALL).sum() >= 38
 
 
-def test_maps_that_do_not_fit_are_refused(mapper: Mapper) -> None:
-    with pytest.raises(ValueError, match=r"cells are of 0\.1 m"):
+def test_maps_with_another_resolution_or_size_are_rejected(mapper: Mapper) -> None:
+    with pytest.raises(ValueError, match=r"cells have 0\.1 m"):
         mapper.load(MapGrid2D.of(np.zeros((4, 4), np.uint8), name="coarse", resolution=0.1))
     with pytest.raises(ValueError, match="larger than 30 m"):
         mapper.load(MapGrid2D.of(np.zeros((4, 700), np.uint8), name="wide", resolution=0.05))
@@ -153,7 +153,7 @@ def test_maps_that_do_not_fit_are_refused(mapper: Mapper) -> None:
         mapper.scan(Pose(math.nan, 0.0, 0.0), np.ones(4), 0.0, STEP, 10.0)
 
 
-def test_obstacles_are_enlarged_in_what_is_given_out_alone(mapper: Mapper) -> None:
+def test_obstacles_are_enlarged_only_on_published_maps(mapper: Mapper) -> None:
     circle(mapper, 0.0, 0.0)
     mapper.enlarged = 0.2
     assert flag(mapper.grid(), 1.85, 0.0) == MapFlag.ENLARGED_OBSTACLE
@@ -161,7 +161,7 @@ def test_obstacles_are_enlarged_in_what_is_given_out_alone(mapper: Mapper) -> No
     assert flag(mapper.grid(), 1.85, 0.0) == FREE
 
 
-def test_it_is_enlarged_on_all_sides(mapper: Mapper) -> None:
+def test_enlarge_adds_cells_on_all_sides(mapper: Mapper) -> None:
     circle(mapper, 0.0, 0.0)
     mapper.enlarge(2.0)
     assert mapper.size == pytest.approx((10.0, 10.0))

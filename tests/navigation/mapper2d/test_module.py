@@ -83,11 +83,11 @@ def scans(place: Place) -> None:
 
 
 def test_a_map_is_made_painted_and_saved(place: Place) -> None:
-    assert ask(place, "clear") == ["A new map is begun."]
+    assert ask(place, "clear") == ["Started a new map."]
     assert ask(place, "start") == ["Mapping."]
     topic = place.far.subscribe("/mapper2d/map", "nav_msgs/OccupancyGrid", latched=True, depth=1)
     scans(place)
-    assert ask(place, "stop") == ["Not mapping; 'start' goes on."]
+    assert ask(place, "stop") == ["Stopped; 'start' continues."]
     # the laser: half a meter ahead of the robot, which is turned by 30 degrees
     middle = 1.0 + 0.5 * math.cos(math.radians(30)), 2.0 + 0.5 * math.sin(math.radians(30))
     until(lambda: {100, 0, -1} <= set(place.far.wait(topic, 1)[-1]["data"]), "the map is published", 20)
@@ -123,7 +123,7 @@ def test_a_map_is_made_painted_and_saved(place: Place) -> None:
     column, row = grid.cells_at((middle[0], middle[1] - RADIUS))
     assert (grid.flags[row - 1 : row + 2, column] == MapFlag.WALL).any()
     assert (grid.flags[80, 70], grid.flags[20, 60], grid.flags[20, 100]) == (MapFlag.KEEP_OUT,) * 3
-    assert "not on the map's picture" in str(place.answer("mapper2d"))
+    assert "outside the map's picture" in str(place.answer("mapper2d"))
 
 
 def test_laser_and_pose_ports_of_yarp_are_connected(place: Place) -> None:
@@ -138,7 +138,7 @@ def test_laser_and_pose_ports_of_yarp_are_connected(place: Place) -> None:
             return place.answer("mapper2d")["scans"] > 3
 
         until(mapped, "scans are mapped", 30)
-    assert ask(place, "stop") == ["Not mapping; 'start' goes on."]
+    assert ask(place, "stop") == ["Stopped; 'start' continues."]
     assert place.answer("mapper2d")["scans"] > 3
     assert ask(place, "save_to_mapserver") == ["Map map saved into the store."]
     grid = place.worker.store.get(MAP, "map")
@@ -163,7 +163,7 @@ def test_a_map_is_saved_to_a_file_and_loaded(place: Place) -> None:
     assert ask(place, "save_to_file", "flat") == ["Map map saved as flat.map."]
     assert list(Path(place.folder).rglob("flat.map"))
     ask(place, "clear")
-    assert ask(place, "load_from_file", "flat") == ["Map map loaded; mapping goes on on it."]
+    assert ask(place, "load_from_file", "flat") == ["Map map loaded; mapping continues on it."]
     assert place.answer("mapper2d")["size"] == pytest.approx([10.0, 10.0])
     assert ask(place, "initLoc", "other", 0.0, 0.0, 90.0)[0].startswith("The robot is at 0, 0 m, 90 degrees")
     assert ask(place, "initLoc", "map", 1.0, 2.0, 30)[0].endswith("30 degrees on map.")
@@ -175,15 +175,15 @@ def test_a_map_is_saved_to_a_file_and_loaded(place: Place) -> None:
     assert all(any(command in line for line in help_) for command in ("save_to_file", "initLoc", "set_pixel_type"))
 
 
-def test_a_pose_whose_quaternion_is_not_a_rotation_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_pose_whose_quaternion_is_not_a_rotation_is_ignored(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     section = {"enabled": True, "map_frame": "odom", "initial_pose": "/initialpose"}
     with Place(tmp_path) as place:
         place.worker.start(place.config(modules={"mapper2d": section}))
         out = place.far.advertise("/initialpose", "geometry_msgs/PoseWithCovarianceStamped")
         pose = {"position": {"x": 1.0}, "orientation": dict.fromkeys("xyzw", 0.0)}
         message = {"header": {"frame_id": "odom"}, "pose": {"pose": pose}}
-        error = "/initialpose: refused: the pose's quaternion is not a rotation: its length is 0.00, not 1"
-        until(lambda: error in caplog.text or place.far.publish(out, message), "the pose is refused", 20, every=0.2)
+        error = "/initialpose: ignored: the pose's quaternion is not a rotation: its length is 0.00, not 1"
+        until(lambda: error in caplog.text or place.far.publish(out, message), "the pose is ignored", 20, every=0.2)
 
 
 @pytest.mark.parametrize("by", ["tf", "topic"])
@@ -217,7 +217,7 @@ def test_poses_from_frames_and_from_topics(tmp_path: Path, by: str) -> None:
                 place.far.publish(frames, {"transforms": [transform("odom", "base_link", moved, stamp)]})
                 pose = {"position": {"x": moved}, "orientation": {"w": 1.0}}
                 place.far.publish(truth, {"header": {"stamp": stamp, "frame_id": "odom"}, "pose": {"pose": pose}})
-                # both starts are refused
+                # both poses are ignored
                 for frame, x in (("odom", math.nan), ("elsewhere", 9.0)):
                     place.far.publish(starts, {"header": {"frame_id": frame}, "pose": {"pose": {"position": {"x": x}}}})
                 beams = {
@@ -258,7 +258,7 @@ def test_a_scan_from_before_a_clock_jump_is_not_used(untouched: Place, monkeypat
 
     def receives_scans() -> bool:
         assert running.module is not None
-        return "no scan arrives" not in running.module.health().text
+        return "no scans on" not in running.module.health().text
 
     def counts() -> list[int]:
         host.loop.call(lambda: None)

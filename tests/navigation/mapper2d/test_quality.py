@@ -8,8 +8,8 @@ from benchmarks.mapper import quality
 
 
 @pytest.mark.parametrize(("plan", "seconds"), [("apartment", 12.0), ("lab", 12.0)])
-def test_a_maps_walls_are_the_plans(plan: str, seconds: float) -> None:
-    found, scans = quality(plan, seconds)
+def test_the_maps_walls_match_the_plan(plan: str, seconds: float) -> None:
+    result, scans = quality(plan, seconds)
     assert len(scans) >= 10 * (seconds - 1.0)
-    assert found.near == 1.0
-    assert found.found >= 0.95
+    assert result.near == 1.0
+    assert result.found >= 0.95

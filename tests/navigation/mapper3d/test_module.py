@@ -1,4 +1,4 @@
-"""Mapper3D on a hub: depth images and clouds in; a layer, a map and files out."""
+"""Mapper3D on a hub: it builds a layer, a map and files from depth images and clouds."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ WIDTH, HEIGHT, FOCUS = 64, 48, 40.0
 
 
 def settings(**more: Any) -> dict[str, Any]:
-    found = {"enabled": True, "clouds": ["/cloud"], "depth": [{"image": "/depth", "info": "/info"}], "period": 0.1}
-    return {**found, "map_name": "house", "map_frame": "odom", "layer": {"period": 0.1}, "keep": True, **more}
+    section = {"enabled": True, "clouds": ["/cloud"], "depth": [{"image": "/depth", "info": "/info"}], "period": 0.1}
+    return {**section, "map_name": "house", "map_frame": "odom", "layer": {"period": 0.1}, "keep": True, **more}
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    with Place(tmp_path_factory.mktemp("place")) as made:
-        server = NameServer(port=made.port, gc_seconds=0)
+    with Place(tmp_path_factory.mktemp("place")) as place:
+        server = NameServer(port=place.port, gc_seconds=0)
         server.open()
-        made.worker.start(made.config(modules={"mapper3d": settings()}))
-        until(lambda: connections.exists(made.names, "/mapper3D/rpc"), "the port is registered", 30)
-        yield made
-        made.worker.stop()
+        place.worker.start(place.config(modules={"mapper3d": settings()}))
+        until(lambda: connections.exists(place.names, "/mapper3D/rpc"), "the port is registered", 30)
+        yield place
+        place.worker.stop()
         server.close()
 
 
 class Robot:
-    """A robot with a camera, that says what it sees until something is so."""
+    """A robot with a camera, which publishes clouds, depth images and transforms."""
 
     def __init__(self, place: Place) -> None:
         far = place.far
@@ -66,209 +66,207 @@ class Robot:
         return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": place}
 
     def stamp(self) -> dict[str, int]:
-        """Say where the robot is now; the time of it."""
+        """Publish the robot's current pose; return its time."""
         now = time.time_ns()
         stamp = {"sec": now // 10**9, "nanosec": now % 10**9}
         self.far.publish(self.frames, {"transforms": [self.transform("odom", "base_link", 0.0, {"w": 1.0}, stamp)]})
         return stamp
 
-    def see_cloud(self, points: np.ndarray, **changed: Any) -> None:
+    def publish_cloud(self, points: np.ndarray, **changed: Any) -> None:
         header = {"stamp": self.stamp(), "frame_id": "base_link"}
         self.far.publish(self.cloud, {**cloud_message(header, points.astype(np.float32)), **changed})
 
-    def see_depth(self, depth: np.ndarray, info: bool = True) -> None:
+    def publish_depth(self, depth: np.ndarray, info: bool = True) -> None:
         header = {"stamp": self.stamp(), "frame_id": "camera"}
         k = [FOCUS, 0.0, WIDTH / 2, 0.0, FOCUS, HEIGHT / 2, 0.0, 0.0, 1.0]
-        millimetres = (depth * 1000).astype("<u2")
+        millimeters = (depth * 1000).astype("<u2")
         image = {"width": WIDTH, "height": HEIGHT, "encoding": "16UC1", "step": 2 * WIDTH}
-        self.far.publish(self.depth, {"header": header, **image, "data": millimetres.view(np.uint8).reshape(-1)})
+        self.far.publish(self.depth, {"header": header, **image, "data": millimeters.view(np.uint8).reshape(-1)})
         if info:
             self.far.publish(self.info, {"header": header, "width": WIDTH, "height": HEIGHT, "k": k})
 
 
-def asked(place: Place, *words: Any) -> Any:
+def ask(place: Place, *words: Any) -> Any:
     with Client("/mapper3D/rpc", naming=place.names) as client:
         return client.ask(list(words))
 
 
-def triggered(place: Place, word: str) -> dict[str, Any]:
-    return place.far.call(f"/mapper3d/{word}", "std_srvs/Trigger").result(20)["reply"]
+def trigger(place: Place, service: str) -> dict[str, Any]:
+    return place.far.call(f"/mapper3d/{service}", "std_srvs/Trigger").result(20)["reply"]
 
 
-def rested(place: Place) -> None:
-    """Take no more clouds: those that are on their way still come to nothing."""
-    assert triggered(place, "stop")["success"]
+def stop_mapping(place: Place) -> None:
+    """Stop mapping, so that pending clouds are ignored."""
+    assert trigger(place, "stop")["success"]
 
 
 def table() -> np.ndarray:
-    """Points of a floor and of a table's top in the robot's frame."""
+    """Return points of a floor and a table's top in the robot's frame."""
     x, y = np.meshgrid(np.arange(0.5, 3.0, 0.02), np.arange(-1.0, 1.0, 0.02))
     floor = np.stack((x, y, np.full(x.shape, -0.01)), -1).reshape(-1, 3)
     top = floor[(np.abs(floor[:, 0] - 2.0) < 0.3) & (np.abs(floor[:, 1]) < 0.4)] + np.array([0.0, 0.0, 0.75])
     return np.concatenate([floor, top])
 
 
-def test_a_cloud_becomes_a_layer_files_and_a_map_of_the_store(place: Place) -> None:
+def test_a_cloud_is_mapped_into_layer_files_and_store(place: Place) -> None:
     robot = Robot(place)
     layers = place.far.subscribe("/mapper3d/layer", "nav_msgs/OccupancyGrid", latched=True, depth=1)
     updates = place.far.subscribe("/mapper3d/layer_updates", "map_msgs/OccupancyGridUpdate", depth=10)
-    asked(place, "start")
+    ask(place, "start")
 
     def value(x: float, y: float) -> int:
         message = place.far.wait(layers, 1)[-1]
         info, origin = message["info"], message["info"]["origin"]["position"]
-        column, row = (int((at - origin[axis]) / info["resolution"]) for at, axis in ((x, "x"), (y, "y")))
+        column, row = (int((value - origin[axis]) / info["resolution"]) for value, axis in ((x, "x"), (y, "y")))
         assert message["header"]["frame_id"] == "odom"
         inside = 0 <= column < info["width"] and 0 <= row < info["height"]
         return int(message["data"][row * info["width"] + column]) if inside else -1
 
-    def cleared() -> bool:  # of what tests before have mapped
+    def cleared() -> bool:  # from earlier tests
         robot.stamp()
-        asked(place, "clear")
+        ask(place, "clear")
         return value(2.0, 0.0) == -1
 
     def mapped() -> bool:
-        robot.see_cloud(table())
+        robot.publish_cloud(table())
         return (value(2.0, 0.0), value(1.0, 0.8), value(2.9, -0.9)) == (100, 0, 0)
 
     until(cleared, "the layer is empty", 30)
     until(mapped, "the table is in the layer", 30)
-    rested(place)
+    stop_mapping(place)
     heights = place.far.subscribe("/mapper3d/layer_heights", "grid_map_msgs/GridMap", latched=True, depth=1)
 
     def height(layer: str) -> float:
         return float(values_at(place.far.wait(heights, 1)[-1], layer, np.array([(2.01, 0.01)]))[0])
 
-    until(lambda: height("lowest") == pytest.approx(0.75), "how high the table is", 20)
+    until(lambda: height("lowest") == pytest.approx(0.75), "the table's height is published", 20)
     assert height("highest") == pytest.approx(0.75)
-    assert asked(place, "save_to_mapserver") == ["3D map house and layer layer saved into the store."]
+    assert ask(place, "save_to_mapserver") == ["3D map house and layer layer saved into the store."]
     grid = place.worker.store.get(MAP, "layer")
     column, row = grid.cells_at((2.0, 0.0))
     assert grid.flags[row, column] == MapFlag.WALL
     place.worker.store.delete(MAP3D, "house")
-    assert triggered(place, "save")["success"]
+    assert trigger(place, "save")["success"]
     stored = place.worker.store.get(MAP3D, "house")
     assert (stored.search(2.0, 0.0, 0.74) > 0, stored.binary) == (True, False)
 
     for name in ("house.bt", "house.ot"):
-        assert asked(place, "save_to_file", name) == [f"Map saved as {name}."]
+        assert ask(place, "save_to_file", name) == [f"Map saved as {name}."]
         (file,) = place.folder.rglob(name)
         assert Octomap.load(file).search(2.0, 0.0, 0.74) > 0
-    asked(place, "clear")
+    ask(place, "clear")
     assert place.answer("mapper3d")["blocks"] == 0
-    assert asked(place, "load_from_file", "house.ot") == ["Map house.ot loaded; mapping goes on on it."]
-    until(lambda: value(2.0, 0.0) == 100, "the layer is of the file", 20)
-    asked(place, "clear")
-    assert asked(place, "load_from_mapserver", "house") == ["3D map house loaded; mapping goes on on it."]
-    until(lambda: place.answer("mapper3d")["blocks"] > 20, "it is the store's map", 20)
-    asked(place, "start")
+    assert ask(place, "load_from_file", "house.ot") == ["Map house.ot loaded; mapping continues on it."]
+    until(lambda: value(2.0, 0.0) == 100, "the layer shows the file's map", 20)
+    ask(place, "clear")
+    assert ask(place, "load_from_mapserver", "house") == ["3D map house loaded; mapping continues on it."]
+    until(lambda: place.answer("mapper3d")["blocks"] > 20, "the store's map is loaded", 20)
+    ask(place, "start")
     higher = table()[:500] + np.array([0.0, 0.0, 0.4])
 
     def changed() -> bool:
-        robot.see_cloud(np.concatenate([table(), higher]))
+        robot.publish_cloud(np.concatenate([table(), higher]))
         return bool(place.far.wait(updates, 1, 0.3))
 
-    until(changed, "what changed is said", 20)
+    until(changed, "the update is published", 20)
     update = place.far.wait(updates, 1)[-1]
     assert len(update["data"]) == update["width"] * update["height"] > 0
 
 
-def test_depth_images_are_taken_with_the_info_of_their_time(place: Place) -> None:
+def test_depth_images_are_used_with_the_info_of_their_time(place: Place) -> None:
     robot = Robot(place)
-    asked(place, "clear")
-    asked(place, "start")
+    ask(place, "clear")
+    ask(place, "start")
     depth = np.full((HEIGHT, WIDTH), 2.0)
     depth[:, : WIDTH // 2] = 0.0
 
     def mapped() -> bool:
-        robot.see_depth(depth)
+        robot.publish_depth(depth)
         return int(place.answer("mapper3d")["blocks"]) > 20
 
     until(mapped, "the wall is mapped", 30)
-    assert asked(place, "save_to_file", "wall.ot") == ["Map saved as wall.ot."]
+    assert ask(place, "save_to_file", "wall.ot") == ["Map saved as wall.ot."]
     (file,) = place.folder.rglob("wall.ot")
-    found = Octomap.load(file)
-    assert found.search(2.01, -0.5, 1.0) > 0  # what is at the right of the picture is at the right of the robot
-    assert found.search(1.0, -0.25, 1.0) < 0
-    assert np.isnan(found.search(2.01, 0.5, 1.0))
+    octomap = Octomap.load(file)
+    assert octomap.search(2.01, -0.5, 1.0) > 0  # the right side of the image is at the robot's right
+    assert octomap.search(1.0, -0.25, 1.0) < 0
+    assert np.isnan(octomap.search(2.01, 0.5, 1.0))
 
     dropped = place.answer("mapper3d")["dropped"]
 
-    def told() -> bool:
-        robot.see_depth(depth, info=False)
+    def reported() -> bool:
+        robot.publish_depth(depth, info=False)
         answer = place.answer("mapper3d")
         return answer["dropped"] > dropped and "CameraInfo" in answer["trouble"]
 
-    until(told, "an image without its info is dropped", 30)
+    until(reported, "an image without its info is dropped", 30)
 
 
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
         ({"width": 100_000_000}, f"width, height: 100000000 x 1 points are declared, more than {MOST_POINTS}"),
-        ({"fields": []}, "fields: there is no x, y, z among none"),
+        ({"fields": []}, "fields: no x, y, z among none"),
         ({"row_step": 4}, "row_step: 4 bytes"),
         ({"header": {"frame_id": "nowhere"}}, "nowhere"),
     ],
 )
-def test_a_bad_cloud_is_told_of_by_the_name_of_its_field(place: Place, changed: dict[str, Any], words: str) -> None:
+def test_an_invalid_cloud_is_reported_with_the_field_name(place: Place, changed: dict[str, Any], words: str) -> None:
     robot = Robot(place)
 
-    def told() -> bool:
-        robot.see_cloud(table(), **changed)
+    def reported() -> bool:
+        robot.publish_cloud(table(), **changed)
         return words in place.answer("mapper3d")["trouble"]
 
-    until(told, "the trouble is told", 30)
+    until(reported, "the error is reported", 30)
 
 
-def test_the_floor_is_that_of_base_footprint(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """The frame of the base is at its axle, 0.2 m up."""
+def test_the_floor_is_at_base_footprint(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """The base frame is at the axle, 0.2 m above the floor."""
     with Place(tmp_path_factory.mktemp("axle")) as place:
         place.worker.start(place.config(modules={"mapper3d": settings(keep=False)}))
         robot = Robot(place)
         below = table() - np.array([0.0, 0.0, 0.2])
 
-        def told(word: str) -> bool:
-            robot.see_cloud(below)
-            return word in place.worker.health().text
+        def health_has(text: str) -> bool:
+            robot.publish_cloud(below)
+            return text in place.worker.health().text
 
-        until(lambda: told("set modules.mapper3d.floor"), "it says that the floor is not there", 30)
-        told_of = robot.transform("base_link", "base_footprint", -0.2, {"w": 1.0}, {"sec": 1})
-        place.far.publish(robot.static, {"transforms": [told_of]})
-        until(lambda: not told("floor"), "all is well", 30)
+        until(lambda: health_has("set modules.mapper3d.floor"), "the missing floor is reported", 30)
+        footprint = robot.transform("base_link", "base_footprint", -0.2, {"w": 1.0}, {"sec": 1})
+        place.far.publish(robot.static, {"transforms": [footprint]})
+        until(lambda: not health_has("floor"), "the floor is found", 30)
 
 
-def test_services_and_words(place: Place) -> None:
+def test_services_and_rpc_commands(place: Place) -> None:
     robot = Robot(place)
-    assert triggered(place, "stop")["message"] == "not mapping"
+    assert trigger(place, "stop")["message"] == "not mapping"
     clouds = place.answer("mapper3d")["clouds"]
 
-    def told(points: bool) -> bool:
-        robot.see_cloud(table(), **({} if points else {"row_step": 8}))
+    def handled(points: bool) -> bool:
+        robot.publish_cloud(table(), **({} if points else {"row_step": 8}))
         return ("row_step: 8 bytes" in place.answer("mapper3d")["trouble"]) != points
 
-    until(lambda: told(points=False), "a bad cloud is told of", 30)
-    until(lambda: told(points=True), "a good one came after it", 30)
+    until(lambda: handled(points=False), "an invalid cloud is reported", 30)
+    until(lambda: handled(points=True), "a valid cloud clears the error", 30)
     assert place.answer("mapper3d")["clouds"] == clouds
-    assert triggered(place, "start")["success"]
+    assert trigger(place, "start")["success"]
     for words in (["fly"], ["save_to_file"], ["save_to_file", "../out"], ["load_from_file", "none"]):
-        assert asked(place, *words)[0] == "fail"
-    assert any("save_to_mapserver" in line for line in asked(place, "help"))
+        assert ask(place, *words)[0] == "fail"
+    assert any("save_to_mapserver" in line for line in ask(place, "help"))
 
 
-def test_the_map_is_kept_over_a_restart(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_map_survives_a_restart(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     with Place(tmp_path_factory.mktemp("kept")) as place:
         config = place.config(modules={"mapper3d": settings()})
         place.worker.start(config)
         robot = Robot(place)
 
         def mapped() -> bool:
-            robot.see_cloud(table())
+            robot.publish_cloud(table())
             return int(place.answer("mapper3d")["blocks"]) > 20
 
-        until(mapped, "it is mapped", 30)
+        until(mapped, "the cloud is mapped", 30)
         place.worker.stop()
         (file,) = place.folder.rglob("mapper3d/map.ot")
         assert Octomap.load(file).search(2.0, 0.0, 0.74) > 0
@@ -280,14 +278,14 @@ def test_the_map_is_kept_over_a_restart(
         place.worker = type(place.worker)()
         place.worker.start(config)
         assert "map.ot" in place.answer("mapper3d")["trouble"]
-        until(mapped, "it is mapped again", 30)
+        until(mapped, "the cloud is mapped again", 30)
         running: Any = place.worker.running("mapper3d")
         monkeypatch.setattr(octree, "MAX_NODES", 8)
-        running.host.loop.call(running.module._keep)
-        assert "the map is not kept: data: more than 8 nodes" in place.answer("mapper3d")["trouble"]
+        running.host.loop.call(running.module._save_state)
+        assert "cannot save the map: data: more than 8 nodes" in place.answer("mapper3d")["trouble"]
 
 
-def test_a_map_of_the_store_is_gone_on_with(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_map_of_the_store_is_continued(tmp_path_factory: pytest.TempPathFactory) -> None:
     with Place(tmp_path_factory.mktemp("stored")) as place:
         place.worker.start(place.config())
         keys, store = [[32_768, 32_768, 32_770]], place.worker.store
@@ -295,30 +293,30 @@ def test_a_map_of_the_store_is_gone_on_with(tmp_path_factory: pytest.TempPathFac
         store.put(MAP3D, "coarse", Octomap.of(OcTree.of(keys, 1.5, resolution=0.1)))
         store.put(MAP3D, "points", PointCloud.of(np.zeros(0, LAYOUTS[PointType.XYZ])))
 
-        def begun(**more: Any) -> dict[str, Any]:
+        def start(**more: Any) -> dict[str, Any]:
             place.worker.stop()
             place.worker = type(place.worker)()
             place.worker.start(place.config(modules={"mapper3d": settings(**more)}))
             return place.answer("mapper3d")
 
-        found = begun(load="house")
-        assert (found["blocks"], found["trouble"]) == (1, "")
+        status = start(load="house")
+        assert (status["blocks"], status["trouble"]) == (1, "")
         got = place.far.call("/octomap_full", "octomap_msgs/GetOctomap").result(20)["reply"]["map"]
         assert OcTree.from_full(np.array(got["data"], np.int8).tobytes(), 0.05).search(0.01, 0.01, 0.11) == 1.5
         for name, words in (
-            ("attic", "there is no 3D map 'attic'; 3D maps in the store: coarse, house, points"),
+            ("attic", "no 3D map 'attic'; 3D maps in the store: coarse, house, points"),
             ("points", "the 3D map 'points' is a cloud"),
-            ("coarse", "voxels are of 0.1 m"),
+            ("coarse", "voxels have 0.1 m"),
         ):
-            found = begun(load=name)
-            assert found["blocks"] == 0
-            assert words in found["trouble"]
+            status = start(load=name)
+            assert status["blocks"] == 0
+            assert words in status["trouble"]
 
 
-def test_it_serves_what_octomap_server_serves(place: Place) -> None:
+def test_octomap_servers_topics_and_services_are_served(place: Place) -> None:
     robot, far = Robot(place), place.far
-    asked(place, "clear")
-    asked(place, "start")
+    ask(place, "clear")
+    ask(place, "start")
     topics = {
         name: far.subscribe(f"/octomap_{name}", kind, depth=1)
         for name, kind in (
@@ -339,14 +337,14 @@ def test_it_serves_what_octomap_server_serves(place: Place) -> None:
         if name != "point_cloud_centers":
             return any(tree(message).search(2.0, 0.0, 0.74) > 0 for message in newest)
         centers = (read_points({**cloud, "data": base64.b64decode(cloud["data"])}) for cloud in newest)
-        return any((np.abs(each - (2.0, 0.0, 0.74)).max(-1) < 0.06).any() for each in centers)
+        return any((np.abs(points - (2.0, 0.0, 0.74)).max(-1) < 0.06).any() for points in centers)
 
     def seen() -> bool:
-        robot.see_cloud(table())
+        robot.publish_cloud(table())
         return all(shown(name) for name in topics)
 
     until(seen, "the table is on all topics", 30)
-    rested(place)
+    stop_mapping(place)
     for name in ("binary", "full"):
         got = far.call(f"/octomap_{name}", "octomap_msgs/GetOctomap").result(20)["reply"]["map"]
         assert got["binary"] == (name == "binary")
@@ -368,6 +366,6 @@ def test_it_serves_what_octomap_server_serves(place: Place) -> None:
         ({"clouds": ["/a", "/a"]}, "two sources have the topic /a"),
     ],
 )
-def test_settings_that_fit_nothing(section: dict[str, Any], words: str) -> None:
+def test_invalid_settings_are_rejected(section: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         Config.model_validate({"modules": {"mapper3d": section}})

@@ -1,4 +1,4 @@
-"""What is mapped of space: learnt, forgotten, saved, and what the robot would touch."""
+"""The 3D map: adding, forgetting, saving, and the obstacles that the robot would touch."""
 
 import math
 from typing import Any
@@ -9,16 +9,16 @@ import pytest
 from bridge.config.sections.mapper3d import Mapper3DSection
 from navigation.algorithms.voxel_layer import EDGE, FLOOR, OBSTACLE
 from navigation.mapper3d.layer import grid_of
-from navigation.mapper3d.space import OPTICAL, FieldOfView, Seat, Space, view_of
+from navigation.mapper3d.space import OPTICAL, FieldOfView, SensorPose, Space, view_of
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.octree import OcTree
 
-SEAT = Seat(OPTICAL, (0.02, 0.03, 1.01))  # a camera at a height of 1 m that looks along x
+CAMERA = SensorPose(OPTICAL, (0.02, 0.03, 1.01))  # at a height of 1 m, looking along x
 WIDE = FieldOfView(OPTICAL, (-1.0, 1.0, -1.0, 1.0))
 
 
 def wall(at, size=0.4, middle=(0.0, 0.0), step=0.02):
-    """Points of a square before a camera, so far away."""
+    """Return points of a square in front of a camera, at a distance."""
     side = np.arange(-size, size, step)
     x, y = np.meshgrid(side + middle[0], side + middle[1])
     return np.stack((x, y, np.full(x.shape, at)), -1).reshape(-1, 3).astype(np.float32)
@@ -28,9 +28,9 @@ def space(**settings: Any) -> Space:
     return Space(Mapper3DSection(resolution=0.05, **settings))
 
 
-def test_points_are_where_the_camera_saw_them():
+def test_points_are_mapped_at_their_true_positions():
     mapped = space()
-    mapped.take(wall(2.0), SEAT, WIDE, 1.0)
+    mapped.add(wall(2.0), CAMERA, WIDE, 1.0)
     middles = mapped.occupied()
     assert len(middles) == pytest.approx(17 * 17, abs=20)
     assert np.abs(middles[:, 0] - 2.02).max() < 0.05
@@ -38,41 +38,41 @@ def test_points_are_where_the_camera_saw_them():
     assert mapped.voxels.log_odds(np.array([[1.0, 0.03, 1.01]]))[0] < 0
 
 
-def test_what_is_too_near_or_beyond_belief_is_not_hit():
+def test_points_too_near_or_too_far_are_not_occupied():
     mapped = space(nearest=0.5, farthest=3.0)
-    mapped.take(wall(0.3, size=0.2), SEAT, WIDE, 1.0)
+    mapped.add(wall(0.3, size=0.2), CAMERA, WIDE, 1.0)
     assert not mapped.voxels.count
-    mapped.take(wall(9.0), SEAT, WIDE, 1.0)
+    mapped.add(wall(9.0), CAMERA, WIDE, 1.0)
     assert not len(mapped.occupied())
     free = mapped.voxels.log_odds(np.array([[x, 0.03, 1.01] for x in (0.1, 2.9, 3.3)]))
     assert (free[:2] < 0).all()
     assert np.isnan(free[2])
 
 
-def test_what_has_gone_is_cleared_by_rays():
+def test_removed_obstacles_are_cleared_by_rays():
     mapped = space()
     for _ in range(3):
-        mapped.take(wall(1.0), SEAT, WIDE, 1.0)
+        mapped.add(wall(1.0), CAMERA, WIDE, 1.0)
     for _ in range(10):
-        mapped.take(wall(2.0, size=1.0), SEAT, WIDE, 1.0)
+        mapped.add(wall(2.0, size=1.0), CAMERA, WIDE, 1.0)
     assert (mapped.occupied()[:, 0] > 1.9).all()
 
 
-def test_what_is_in_plain_sight_and_not_seen_any_more_is_forgotten():
-    """Somebody went; behind them is nothing that echoes."""
+def test_visible_voxels_that_are_no_longer_seen_are_forgotten():
+    """A person has left, and no surface is behind them."""
     kept, mapped = space(), space(forget_after=5.0)
-    for each in (kept, mapped):
-        each.take(wall(1.0, middle=(-0.5, 0.0), size=0.2), SEAT, WIDE, 1.0)  # at the left
-        each.take(wall(1.5, middle=(3.0, 0.0), size=0.2), SEAT, WIDE, 1.0)  # beyond the right edge
+    for target in (kept, mapped):
+        target.add(wall(1.0, middle=(-0.5, 0.0), size=0.2), CAMERA, WIDE, 1.0)  # at the left
+        target.add(wall(1.5, middle=(3.0, 0.0), size=0.2), CAMERA, WIDE, 1.0)  # beyond the right edge
         hidden = np.concatenate([wall(1.0, middle=(0.5, 0.0), size=0.2), wall(2.0, middle=(1.0, 0.0), size=0.1)])
-        each.take(hidden, SEAT, WIDE, 1.0)
-        before = len(each.occupied())
+        target.add(hidden, CAMERA, WIDE, 1.0)
+        before = len(target.occupied())
         for second in (3.0, 5.0, 7.0, 9.0):
-            each.take(wall(1.0, middle=(0.5, 0.0), size=0.2), SEAT, WIDE, second)
+            target.add(wall(1.0, middle=(0.5, 0.0), size=0.2), CAMERA, WIDE, second)
     assert len(kept.occupied()) == before
     left = mapped.occupied()
     assert mapped.forgotten == before - len(left)
-    assert (left[:, 1] < 0.0).all()  # what was at the left is gone, what was at the right and behind it is not
+    assert (left[:, 1] < 0.0).all()  # only the left part is forgotten
     assert (left[:, 0] > 1.9).any()
     assert (left[:, 1] < -2.5).any()
 
@@ -80,65 +80,65 @@ def test_what_is_in_plain_sight_and_not_seen_any_more_is_forgotten():
 @pytest.mark.parametrize(("axes", "edges"), [
     (OPTICAL, (-0.2, 0.2, -0.2, 0.2)), (np.eye(3), (-0.2, 0.2, -0.2, 0.2)),
 ])  # fmt: skip
-def test_the_view_of_a_cloud_is_as_wide_as_it(axes, edges):
+def test_the_view_is_as_wide_as_the_cloud(axes, edges):
     cloud = wall(2.0) @ (OPTICAL.T @ axes).astype(np.float32)
-    found = view_of(cloud.astype(np.float32))
-    np.testing.assert_array_equal(found.axes, axes)
-    np.testing.assert_allclose(found.edges, edges, atol=0.011)
+    view = view_of(cloud.astype(np.float32))
+    np.testing.assert_array_equal(view.axes, axes)
+    np.testing.assert_allclose(view.edges, edges, atol=0.011)
     inside, outside = np.array([[2.0, 0.1, 0.1], [2.0, 0.5, 0.0]]) @ axes
-    assert found.has(np.array([inside, outside, -inside])).tolist() == [True, False, False]
+    assert view.contains(np.array([inside, outside, -inside])).tolist() == [True, False, False]
 
 
-def test_the_view_of_a_scanner_is_all_around():
+def test_the_view_of_a_scanner_covers_all_directions():
     turn = np.linspace(0, math.tau, 100)
     cloud = np.concatenate([np.stack((3 * np.cos(turn), 3 * np.sin(turn), 0 * turn + z), -1) for z in (-0.5, 0.5)])
-    found = view_of(cloud.astype(np.float32))
-    assert found.has(np.array([[-3.0, 0.0, 0.1], [0.0, 3.0, 0.1], [1.0, 0.0, 1.0]])).tolist() == [True, True, False]
-    assert not view_of(np.empty((0, 3), np.float32)).has(np.array([[1.0, 0.0, 0.0]])).any()
+    view = view_of(cloud.astype(np.float32))
+    assert view.contains(np.array([[-3.0, 0.0, 0.1], [0.0, 3.0, 0.1], [1.0, 0.0, 1.0]])).tolist() == [True, True, False]
+    assert not view_of(np.empty((0, 3), np.float32)).contains(np.array([[1.0, 0.0, 0.0]])).any()
 
 
-def test_without_a_view_what_is_within_the_cloud_is_forgotten():
+def test_without_a_view_voxels_within_the_clouds_extent_are_forgotten():
     mapped = space(forget_after=5.0)
-    mapped.take(wall(1.0, size=0.2), SEAT, None, 1.0)
+    mapped.add(wall(1.0, size=0.2), CAMERA, None, 1.0)
     assert len(mapped.occupied())
-    sides = np.concatenate([wall(1.0, middle=(way, 0.0), size=0.3) for way in (-0.6, 0.6)])
+    sides = np.concatenate([wall(1.0, middle=(y, 0.0), size=0.3) for y in (-0.6, 0.6)])
     for second in (4.0, 9.0):
-        mapped.take(sides, SEAT, None, second)
+        mapped.add(sides, CAMERA, None, second)
     assert mapped.forgotten > 30
     assert (np.abs(mapped.occupied()[:, 1]) > 0.25).all()
 
 
-def test_a_full_map_stops_or_gives_up_what_is_farthest():
+def test_a_full_map_stops_or_drops_the_farthest_blocks():
     stops, forgets = space(memory=1), space(memory=1, when_full="forget")
-    for each in (stops, forgets):
+    for target in (stops, forgets):
         for x in range(0, 20, 2):
-            each.take(wall(3.0, size=1.5), Seat(SEAT.turn, (float(x), 0.0, 1.0)), WIDE, 1.0)
-        assert each.voxels.count <= (1 << 20) // 4700
-        assert each.voxels.megabytes <= 1.1
+            target.add(wall(3.0, size=1.5), SensorPose(CAMERA.rotation, (float(x), 0.0, 1.0)), WIDE, 1.0)
+        assert target.voxels.count <= (1 << 20) // 4700
+        assert target.voxels.megabytes <= 1.1
     assert stops.voxels.full
     assert stops.occupied()[:, 0].max() < 10.0
     assert forgets.given_up > 0
     assert forgets.occupied()[:, 0].max() > 20.0
 
 
-def test_a_tree_is_gone_on_with():
+def test_a_loaded_tree_is_continued():
     mapped, other = space(), space()
-    mapped.take(wall(1.0), SEAT, WIDE, 1.0)
+    mapped.add(wall(1.0), CAMERA, WIDE, 1.0)
     tree = mapped.tree()
     other.load(OcTree.from_full(tree.full(), 0.05))
     assert other.tree().full() == tree.full()
-    with pytest.raises(ValueError, match=r"voxels are of 0.1 m, Mapper3D's of 0.05 m: set modules.mapper3d.resolution"):
+    with pytest.raises(ValueError, match=r"voxels have 0.1 m, Mapper3D's 0.05 m: set modules.mapper3d.resolution"):
         other.load(OcTree.of([[0, 0, 0]], [1.0], resolution=0.1))
     with pytest.raises(ValueError, match=r"more than the .* \(modules.mapper3d.memory\)"):
         other.load(OcTree.of([[0, 0, 0]], [1.0], [2], resolution=0.05))
     assert other.tree().full() == tree.full()
 
 
-def test_the_tree_is_octomaps(tmp_path):
+def test_octomap_reads_the_tree(tmp_path):
     octomap = pytest.importorskip("pyoctomap")
     mapped = space()
-    for at in (1.0, 1.2, 2.0):
-        mapped.take(wall(at), SEAT, WIDE, 1.0)
+    for distance in (1.0, 1.2, 2.0):
+        mapped.add(wall(distance), CAMERA, WIDE, 1.0)
     file = tmp_path / "map.ot"
     from yarp_compat.octomap import Octomap
 
@@ -149,9 +149,9 @@ def test_the_tree_is_octomaps(tmp_path):
     assert node.getLogOdds() == mapped.voxels.log_odds(np.array([[2.02, 0.03, 1.01]]))[0]
 
 
-def test_a_box_is_made_free():
+def test_clear_box_frees_known_voxels():
     mapped = space()
-    mapped.take(wall(1.0), SEAT, WIDE, 1.0)
+    mapped.add(wall(1.0), CAMERA, WIDE, 1.0)
     unknown = int(np.isnan(mapped.voxels.values).sum())
     mapped.clear_box(np.array([0.0, -5.0, -5.0]), np.array([5.0, 0.0, 5.0]))
     assert (mapped.occupied()[:, 1] > 0.0).all()
@@ -159,23 +159,24 @@ def test_a_box_is_made_free():
     assert np.isnan(mapped.voxels.values).sum() == unknown
 
 
-def test_a_table_that_a_laser_does_not_see_is_in_the_layer_and_a_stair_downwards_is_keep_out():
+def test_a_table_is_an_obstacle_and_a_stair_down_is_keep_out_in_the_layer():
     mapped = space(farthest=8.0)
     rng = np.random.default_rng(1)
     turn = np.linspace(0.0, math.tau, 16, endpoint=False)
-    for angle in turn:  # from all sides, from 3 m away, down to the middle
-        at = np.array([3.0 * math.cos(angle), 3.0 * math.sin(angle), 1.3])
-        ways = rng.normal(size=(40_000, 3)) * (0.3, 0.3, 0.15) - at / np.linalg.norm(at)
-        ways[:, 2] -= 0.1
-        reach = np.full(len(ways), np.inf)
+    for angle in turn:  # from all sides, from 3 m away, towards the center
+        origin = np.array([3.0 * math.cos(angle), 3.0 * math.sin(angle), 1.3])
+        rays = rng.normal(size=(40_000, 3)) * (0.3, 0.3, 0.15) - origin / np.linalg.norm(origin)
+        rays[:, 2] -= 0.1
+        reach = np.full(len(rays), np.inf)
         for height, radius, beyond in ((0.75, 0.5, False), (0.0, 2.0, False), (-0.5, 9.0, True)):
-            there = (height - at[2]) / ways[:, 2]
-            x, y = at[0] + ways[:, 0] * there, at[1] + ways[:, 1] * there
-            inside = (there > 0) & (np.hypot(x, y) < radius if not beyond else (x > -9.0))
-            inside &= ~((height == 0.0) & (x > 1.5))  # the stair begins there
-            reach = np.where(inside & (there < reach), there, reach)
+            distance = (height - origin[2]) / rays[:, 2]
+            x, y = origin[0] + rays[:, 0] * distance, origin[1] + rays[:, 1] * distance
+            inside = (distance > 0) & (np.hypot(x, y) < radius if not beyond else (x > -9.0))
+            inside &= ~((height == 0.0) & (x > 1.5))  # the stair begins here
+            reach = np.where(inside & (distance < reach), distance, reach)
         seen = np.isfinite(reach)
-        mapped.take((ways * reach[:, None])[seen].astype(np.float32), Seat(np.eye(3), tuple(at.tolist())), WIDE, 1.0)
+        pose = SensorPose(np.eye(3), tuple(origin.tolist()))
+        mapped.add((rays * reach[:, None])[seen].astype(np.float32), pose, WIDE, 1.0)
     columns = mapped.layer((-1.5, 0.0, 0.0))
 
     def kinds(x0, x1, y0, y1) -> np.ndarray:

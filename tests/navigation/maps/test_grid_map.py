@@ -1,4 +1,4 @@
-"""Numbers by place as GridMap has them, which goes the other way round than an OccupancyGrid."""
+"""GridMaps, whose cells are in the opposite order of an OccupancyGrid's."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ PLACES = np.array([(1.25 + 0.5 * column, 2.25 + 0.5 * row) for row in range(2) f
 
 
 def message(**changed: Any) -> dict[str, Any]:
-    made = to_grid_map({"one": -VALUES, "two": VALUES}, (1.0, 2.0), 0.5, {"frame_id": "map"})
-    return {**made, "inner_start_index": 0, "outer_start_index": 0, **changed}
+    grid_map = to_grid_map({"one": -VALUES, "two": VALUES}, (1.0, 2.0), 0.5, {"frame_id": "map"})
+    return {**grid_map, "inner_start_index": 0, "outer_start_index": 0, **changed}
 
 
-def test_cells_as_grid_map_has_them() -> None:
-    made = message()
-    assert made["data"][1]["data"].tolist() == [5.0, 4.0, 3.0, 2.0, 1.0, 0.0]  # those of one y stand together
-    assert [(dim["label"], dim["size"], dim["stride"]) for dim in made["data"][1]["layout"]["dim"]] == [
+def test_cells_are_in_grid_maps_order() -> None:
+    grid_map = message()
+    assert grid_map["data"][1]["data"].tolist() == [5.0, 4.0, 3.0, 2.0, 1.0, 0.0]  # cells of one y are contiguous
+    assert [(dim["label"], dim["size"], dim["stride"]) for dim in grid_map["data"][1]["layout"]["dim"]] == [
         ("column_index", 2, 6), ("row_index", 3, 3),
     ]  # fmt: skip
-    info = made["info"]
+    info = grid_map["info"]
     assert (info["length_x"], info["length_y"], info["pose"]["position"]) == (1.5, 1.0, {"x": 1.75, "y": 2.5, "z": 0.0})
 
 
-def test_values_come_back_by_place() -> None:
+def test_values_are_read_by_position() -> None:
     assert values_at(message(), "two", PLACES).tolist() == VALUES.reshape(-1).tolist()
     assert np.isnan(values_at(message(), "two", np.array([(0.99, 2.1), (2.51, 2.1), (1.1, 1.99), (1.1, 3.01)]))).all()
 
 
-def test_a_turned_map_and_one_that_begins_elsewhere() -> None:
-    """As `grid_map_core`'s `move` leaves it: the first row in memory is not the first one on the map."""
-    made = message()
-    made["info"]["pose"]["orientation"] = {"z": math.sin(math.pi / 4), "w": math.cos(math.pi / 4)}
+def test_a_rotated_map_and_one_with_a_start_index_are_read() -> None:
+    """After `move` of `grid_map_core`, the first row in memory is not the first row of the map."""
+    grid_map = message()
+    grid_map["info"]["pose"]["orientation"] = {"z": math.sin(math.pi / 4), "w": math.cos(math.pi / 4)}
     apart = PLACES - (1.75, 2.5)
     turned = np.stack([1.75 - apart[:, 1], 2.5 + apart[:, 0]], 1)
-    assert values_at(made, "two", turned).tolist() == VALUES.reshape(-1).tolist()
-    rolled = np.roll(made["data"][1]["data"].reshape(2, 3), (1, 2), (0, 1)).reshape(-1)
-    data = [made["data"][0], {**made["data"][1], "data": rolled}]
+    assert values_at(grid_map, "two", turned).tolist() == VALUES.reshape(-1).tolist()
+    rolled = np.roll(grid_map["data"][1]["data"].reshape(2, 3), (1, 2), (0, 1)).reshape(-1)
+    data = [grid_map["data"][0], {**grid_map["data"][1], "data": rolled}]
     moved = message(data=data, inner_start_index=1, outer_start_index=2)
     assert values_at(moved, "two", PLACES).tolist() == VALUES.reshape(-1).tolist()
 
@@ -51,13 +51,13 @@ def test_a_turned_map_and_one_that_begins_elsewhere() -> None:
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"layers": ["one", "three"]}, "there is no 'two' among one, three"),
+        ({"layers": ["one", "three"]}, "no 'two' among one, three"),
         ({"data": []}, "data: 0 arrays for 2 layers"),
-        ({"data": [{}, {"layout": {"dim": []}, "data": []}]}, r"data.layout.dim: \[\]"),
-        ({"info": {"resolution": 0.0}}, "info.resolution: 0"),
+        ({"data": [{}, {"layout": {"dim": []}, "data": []}]}, r"data.layout.dim: labels must be .*, not \[\]"),
+        ({"info": {"resolution": 0.0}}, "info.resolution: invalid size 0"),
     ],
 )
-def test_a_bad_map_is_refused_by_the_name_of_its_field(changed: dict[str, Any], words: str) -> None:
+def test_an_invalid_map_is_rejected_with_the_field_name(changed: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         values_at(message(**changed), "two", PLACES)
 
@@ -65,9 +65,9 @@ def test_a_bad_map_is_refused_by_the_name_of_its_field(changed: dict[str, Any], 
 @pytest.mark.parametrize(
     ("sizes", "words"), [((3, 3), "6 values are not 3 x 3"), ((1 << 16, 1 << 16), "65536 x 65536 cells are more than")]
 )
-def test_declared_sizes_are_not_believed(sizes: tuple[int, int], words: str) -> None:
-    made = message()
-    for dim, size in zip(made["data"][1]["layout"]["dim"], sizes, strict=True):
+def test_wrong_declared_sizes_are_rejected(sizes: tuple[int, int], words: str) -> None:
+    grid_map = message()
+    for dim, size in zip(grid_map["data"][1]["layout"]["dim"], sizes, strict=True):
         dim["size"] = size
     with pytest.raises(ValueError, match=words):
-        values_at(made, "two", PLACES)
+        values_at(grid_map, "two", PLACES)

@@ -1,4 +1,4 @@
-"""Maps as planners take them: grids, masks, polygons, turned maps."""
+"""Maps for planners: grids, masks, polygons and rotated maps."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ from yarp_compat.sig.vec2d import Vec2D
 
 @given(grid=maps())
 @settings(max_examples=60)
-def test_yarp_to_ros_to_mask_and_back_is_the_same_cell_by_cell(grid: MapGrid2D) -> None:
+def test_flags_survive_the_round_trip_through_grid_and_mask(grid: MapGrid2D) -> None:
     mask = from_rows(data_of(keepout_mask(grid)), grid)
     again = from_grid(to_grid(grid), grid.name)
     assert (flags_from(again.occupancy, mask) == grid.flags).all()
     assert (again.occupancy == grid.occupancy).all()
     assert (again.name, again.resolution) == (grid.name, grid.resolution)
     assert again.getOrigin() == pytest.approx(grid.getOrigin(), abs=1e-7)
-    with tempfile.TemporaryDirectory() as folder:  # and by the files of ROS between
+    with tempfile.TemporaryDirectory() as folder:  # also through ROS's files
         grid.save(Path(folder, "m.yaml"))
         stored = MapGrid2D.load(Path(folder, "m.yaml"))
     assert (flags_from(from_grid(to_grid(stored), "m").occupancy, mask) == grid.flags).all()
@@ -56,9 +56,7 @@ def schema() -> Schema:
 
 @given(grid=maps(), frame=st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=9), data=st.data())
 @settings(max_examples=60)
-def test_a_map_as_cdr_is_what_the_writer_makes_of_its_message(
-    schema: Schema, grid: MapGrid2D, frame: str, data: st.DataObject
-) -> None:
+def test_to_cdr_matches_the_message_writer(schema: Schema, grid: MapGrid2D, frame: str, data: st.DataObject) -> None:
     stamp = data.draw(st.integers(0, 2**31 * 10**9 - 1))
     assert bytes(to_cdr(grid, frame, stamp)) == MessageWriter(schema).message(to_grid(grid, frame, stamp))
 
@@ -67,7 +65,7 @@ def from_rows(data: np.ndarray, grid: MapGrid2D) -> np.ndarray:
     return data.reshape(grid.height(), grid.width())[::-1]
 
 
-def test_a_grid() -> None:
+def test_a_map_becomes_an_occupancy_grid() -> None:
     flags = np.array([[0, 1, 2], [3, 4, 5]], np.uint8)
     grid = MapGrid2D.of(flags, [[0, 7, 255], [101, 60, 255]], name="m", resolution=0.5, origin=(-1, 2, 0))
     message = to_grid(grid, "map", 5_000_000_007)
@@ -90,7 +88,7 @@ CELLS = pytest.mark.parametrize(
 
 
 @CELLS
-def test_every_pair_of_occupancy_and_flag(cells: ModuleType) -> None:
+def test_join_handles_every_pair_of_occupancy_and_flag(cells: ModuleType) -> None:
     occupancy, flags = (np.ascontiguousarray(part, np.uint8) for part in np.mgrid[:256, :256])
     values = np.empty_like(flags)
     cells.join(occupancy.data, flags.data, values.data)
@@ -101,7 +99,7 @@ def test_every_pair_of_occupancy_and_flag(cells: ModuleType) -> None:
 
 
 @CELLS
-def test_every_value_of_a_grid(cells: ModuleType) -> None:
+def test_part_handles_every_grid_value(cells: ModuleType) -> None:
     values = np.arange(256, dtype=np.uint8).reshape(8, 32)
     occupancy, flags = np.empty_like(values), np.empty_like(values)
     cells.part(values.data, occupancy.data, flags.data)
@@ -114,19 +112,19 @@ def test_every_value_of_a_grid(cells: ModuleType) -> None:
 @CELLS
 @pytest.mark.parametrize("odd", range(3))
 @pytest.mark.parametrize("shape", [(3, 5), (4, 4), (0, 4)])
-def test_cells_of_two_shapes(cells: ModuleType, odd: int, shape: tuple[int, int]) -> None:
+def test_different_shapes_are_rejected(cells: ModuleType, odd: int, shape: tuple[int, int]) -> None:
     for kernel in (cells.join, cells.part):
         arrays = [np.zeros(shape if number == odd else (3, 4), np.uint8).data for number in range(3)]
         with pytest.raises(ValueError, match="one shape"):
             kernel(*arrays)
 
 
-def test_painted_walls_and_unknown_cells_reach_planners() -> None:
+def test_painted_walls_and_unknown_cells_are_in_the_grid() -> None:
     grid = MapGrid2D.of([[4, 4, 4, 5, 0, 0]], [[0, 255, 70, 0, 100, 101]])
     assert to_grid(grid)["data"].tolist() == [100, 100, 70, -1, 100, -1]
 
 
-def test_the_cells_of_a_turned_map_stay_in_their_places() -> None:
+def test_cells_of_a_rotated_map_keep_their_positions() -> None:
     grid = MapGrid2D.of(np.zeros((3, 5), np.uint8), name="m", resolution=0.5, origin=(1, -2, 40))
     message = to_grid(grid)["info"]
     turn, place = message["origin"]["orientation"], message["origin"]["position"]
@@ -140,13 +138,13 @@ def test_the_cells_of_a_turned_map_stay_in_their_places() -> None:
     ("changes", "reason"),
     [
         ({"width": 31623, "height": 31623}, "cells: up to"),
-        ({"width": 3}, "3 x 2 cells does not have 4"),
-        ({"width": 0, "height": 0}, "0 x 0 cells does not have"),
+        ({"width": 3}, "3 x 2 cells must not have 4"),
+        ({"width": 0, "height": 0}, "0 x 0 cells must not have"),
         ({"resolution": 0.0}, "metres wide"),
         ({"resolution": math.nan}, "metres wide"),
     ],
 )
-def test_grids_that_are_refused(changes: dict[str, float], reason: str) -> None:
+def test_invalid_grids_are_rejected(changes: dict[str, float], reason: str) -> None:
     message = to_grid(MapGrid2D())
     message["info"] |= changes
     with pytest.raises(ValueError, match=reason):
@@ -161,13 +159,13 @@ def empty(width: int = 10, height: int = 8, theta: float = 0.0) -> MapGrid2D:
     return MapGrid2D.of(np.zeros((height, width), np.uint8), name="m", resolution=0.5, origin=(-1, -1, theta))
 
 
-def test_areas_to_be_kept_out_of_are_in_the_mask() -> None:
+def test_keep_out_areas_are_in_the_mask() -> None:
     grid = empty()
     mask = keepout_mask(grid, [square(0.1, 0.9), square(2, 3, "other")])
     assert np.argwhere(mask).tolist() == [[4, 2], [4, 3], [5, 2], [5, 3]]
     assert set(mask[mask > 0]) == {KEEP_OUT}
     assert not grid.flags.any()
-    # one thinner than a cell leaves no gap
+    # an area thinner than a cell leaves no gap
     line = Map2DArea("m", [Vec2D(-0.9, -0.9), Vec2D(2.9, 1.9), Vec2D(2.9, 1.901)])
     marked = keepout_mask(grid, [line]) > 0
     assert (marked.sum(axis=0)[:8] > 0).all()
@@ -179,7 +177,7 @@ def test_areas_to_be_kept_out_of_are_in_the_mask() -> None:
     theta=st.sampled_from([0.0, 30.0, -135.0]),
 )
 @settings(max_examples=60)
-def test_the_cells_of_a_polygon(corners: list[tuple[float, float]], theta: float) -> None:
+def test_cells_of_matches_the_polygon(corners: list[tuple[float, float]], theta: float) -> None:
     grid = empty(theta=theta)
     area = Map2DArea("m", [Vec2D(x, y) for x, y in corners])
     part, inside = cells_of(grid, area.points)
@@ -187,26 +185,26 @@ def test_the_cells_of_a_polygon(corners: list[tuple[float, float]], theta: float
     marked[part] = inside
     columns, rows = np.meshgrid(np.arange(grid.width()), np.arange(grid.height()))
     middles = grid.centers_of(np.stack((columns, rows), -1))
-    for (row, column), found in np.ndenumerate(marked):
+    for (row, column), is_marked in np.ndenumerate(marked):
         x, y = middles[row, column]
         if area.contains(x + 1e-9, y + 1e-9) and area.contains(x - 1e-9, y - 1e-9):
-            assert found
-        elif found:  # else its border is near
+            assert is_marked
+        elif is_marked:  # its border is near
             assert nearest(x, y, corners) <= 0.5 * math.sqrt(0.5) + 1e-6
 
 
 def nearest(x: float, y: float, corners: list[tuple[float, float]]) -> float:
-    """How far a place is from a polygon's border."""
-    here, best = np.array((x, y)), math.inf
+    """Return the distance of a point to a polygon's border."""
+    point, best = np.array((x, y)), math.inf
     for start, end in zip(corners, [*corners[1:], corners[0]], strict=True):
-        way = np.subtract(end, start)
-        length = float(way @ way)
-        part = np.clip(float((here - start) @ way) / length, 0, 1) if length else 0.0
-        best = min(best, float(np.linalg.norm(here - (start + part * way))))
+        side = np.subtract(end, start)
+        length = float(side @ side)
+        part = np.clip(float((point - start) @ side) / length, 0, 1) if length else 0.0
+        best = min(best, float(np.linalg.norm(point - (start + part * side))))
     return best
 
 
-def test_polygons_far_too_large_or_none() -> None:
+def test_huge_and_invalid_polygons() -> None:
     grid = empty()
     assert keepout_mask(grid, [square(-1e12, 1e12)]).all()
     for points in (
@@ -218,12 +216,12 @@ def test_polygons_far_too_large_or_none() -> None:
         assert not cells_of(grid, points)[1].any()
 
 
-def test_a_speed_mask() -> None:
+def test_a_speed_mask_encodes_the_limits() -> None:
     grid = empty()
-    one = speed_mask(grid, [(square(0.1, 0.9), 0.2), (square(0, 1, "other"), 0.01)])
-    assert (one.base, one.multiplier, one.type) == (0.0, 0.002, 2)
-    assert set(one.values.flat) == {0, 100}
-    assert one.values[4, 2] == 100
+    single = speed_mask(grid, [(square(0.1, 0.9), 0.2), (square(0, 1, "other"), 0.01)])
+    assert (single.base, single.multiplier, single.type) == (0.0, 0.002, 2)
+    assert set(single.values.flat) == {0, 100}
+    assert single.values[4, 2] == 100
     limits = [(square(-0.9, 2.9), 1.5), (square(0.1, 0.9), 0.2), (square(1.6, 2.4), 0.7)]
     many = speed_mask(grid, limits)
     meant = many.base + many.multiplier * many.values[[7, 5, 2], [0, 2, 6]].astype(float)
@@ -239,7 +237,7 @@ def test_a_speed_mask() -> None:
 
 @given(limits=st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=6))
 @settings(max_examples=60)
-def test_a_limit_is_never_passed_and_never_none(limits: list[float]) -> None:
+def test_encoded_limits_are_never_higher_and_never_unlimited(limits: list[float]) -> None:
     for limit in limits:
         mask = speed_mask(empty(2, 2), [(square(-9, 9), limit), *((square(90, 99), other) for other in limits)])
         value = int(mask.values[0, 0])
@@ -248,7 +246,7 @@ def test_a_limit_is_never_passed_and_never_none(limits: list[float]) -> None:
 
 
 @pytest.mark.parametrize("theta", [15.0, 30.0, 45.0, 90.0, -77.0, 180.0])
-def test_a_turned_map_made_straight_keeps_its_walls_closed(theta: float) -> None:
+def test_aligning_a_rotated_map_keeps_its_walls_closed(theta: float) -> None:
     flags = np.zeros((40, 50), np.uint8)
     flags[5:35, [5, 44]] = flags[[5, 34], 5:45] = MapFlag.WALL
     flags[10, 10] = MapFlag.KEEP_OUT
@@ -257,7 +255,7 @@ def test_a_turned_map_made_straight_keeps_its_walls_closed(theta: float) -> None
     assert (straight.name, straight.resolution, straight.origin.theta) == ("m", 0.1, 0.0)
     spot = straight.cells_at(grid.centers_of((10, 10)))
     assert straight.flags[spot[1], spot[0]] == MapFlag.KEEP_OUT
-    # from inside, no way of steps to the sides and to the corners leads out
+    # no path of steps to neighboring cells leads from inside to outside
     free, seen = straight.flags < MapFlag.WALL, np.zeros(straight.flags.shape, bool)
     column, row = straight.cells_at(grid.centers_of((25, 20)))
     seen[row, column], before = True, 0
@@ -274,7 +272,7 @@ def test_a_turned_map_made_straight_keeps_its_walls_closed(theta: float) -> None
     assert (straight.occupancy[straight.flags == MapFlag.WALL] == 100).all()
 
 
-def test_what_is_beyond_a_turned_map_is_unknown() -> None:
+def test_cells_outside_a_rotated_map_are_unknown() -> None:
     grid = MapGrid2D.of(np.zeros((4, 4), np.uint8), [[0, 30, 0, 0]] * 4, origin=(0, 0, 45))
     straight = turned(grid)
     assert (straight.flags[0, 0], straight.occupancy[0, 0]) == (MapFlag.UNKNOWN, UNKNOWN)
@@ -283,7 +281,7 @@ def test_what_is_beyond_a_turned_map_is_unknown() -> None:
     assert turned(level) is level
 
 
-def test_a_map_that_would_be_too_large_is_not_made_straight() -> None:
+def test_a_map_too_large_to_align_is_rejected() -> None:
     grid = MapGrid2D.of(np.zeros((1, MAX_CELLS // 64), np.uint8), origin=(0, 0, 45))
     with pytest.raises(ValueError, match="yaw 0"):
         turned(grid)

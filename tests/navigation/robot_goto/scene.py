@@ -22,23 +22,23 @@ RADIUS = {"r1": 0.3, "ikart_v1": 0.4}
 
 
 class Scene:
-    """A robot in a simulated place, which the driver drives.
+    """A simulated robot that the driver drives.
 
     Attributes:
         driver: the driver.
         sim: the simulation.
-        touched: how often the robot touched something.
-        states: the states that the driver was in, in turn, with their reasons.
+        touched: the number of collisions.
+        states: the driver's states in sequence, with their reasons.
         commands: all commands, with the time.
-        edit: changes a scan's ranges before the driver gets it; None where it gets none.
-        known: whether the driver is told where the robot is.
-        depth: whether what a camera sees, if it has one, reaches the driver as the source ``/points``.
+        edit: changes a scan's ranges before the driver gets it; None drops the scan.
+        known: whether the driver gets the robot's pose.
+        depth: whether the camera's points, if there is a camera, reach the driver as the source ``/points``.
     """
 
     def __init__(
         self, plan: str = "hall", robot: str = "r1", *, laser: str = "ideal", camera: bool = False, **settings: Any
     ) -> None:
-        # a D435's picture, made four times smaller
+        # a D435's image, four times smaller
         eye = CameraSection(rate=5.0 if camera else 0.0, width=160, height=120, noise=0.02)
         section = SimSection(plan=plan, robot=robot, laser=LaserSection(kind=laser, noise=0.01), camera=eye)
         self.sim = Simulation(section)
@@ -71,9 +71,9 @@ class Scene:
         return "; ".join(reason for _, reason in self.states)
 
     def tick(self) -> None:
-        """10 ms."""
+        """Advance by 10 ms."""
         sim, pose = self.sim, self.pose
-        # the odometry began elsewhere, turned
+        # the odometry frame is elsewhere on the map, and rotated
         if self._fault == "slipping wheels":
             command = self.driver.command
             self._moved = self._moved @ Pose(command.vx * 0.01, command.vy * 0.01, command.omega * 0.01)
@@ -91,7 +91,7 @@ class Scene:
             points = sim.camera.points(sim.depth()).reshape(-1, 3)
             points = points[np.isfinite(points).all(axis=1)] @ turned.T + place
             self.driver.obstacles.cloud("/points", self.now, points.astype(np.float32), place, moved)
-        command = self.driver.step(self.now, pose if self.known else None, moved, "" if self.known else "nobody says")
+        command = self.driver.step(self.now, pose if self.known else None, moved, "" if self.known else "no localizer")
         self.commands.append((self.now, command))
         status = self.driver.status
         if not self.states or (status.state, status.reason) != self.states[-1]:
@@ -101,7 +101,7 @@ class Scene:
         self.touched += len(sim.bumps)
 
     def fail(self, fault: str) -> None:
-        """``emergency stop``, ``slipping wheels`` or ``frozen odometry``; nothing fails any more with none."""
+        """Set a fault: ``emergency stop``, ``slipping wheels`` or ``frozen odometry``; "" clears it."""
         self.sim.stop(on=fault in ("emergency stop", "slipping wheels"))
         self._fault = fault
 
@@ -110,14 +110,14 @@ class Scene:
             self.tick()
 
     def until(self, done: Callable[[], bool], seconds: float) -> None:
-        """Go on until something is so; at most so long."""
+        """Run until a condition holds, at most for some seconds."""
         end = self.now + seconds
         while not done():
             assert self.now < end, f"not in {seconds} s: {self.pose}, {self.driver.status}"
             self.tick()
 
-    def goto(self, x: float, y: float, degrees: float = math.nan, seconds: float = 60.0, **asked: Any) -> State:
-        """Drive there; the state in which that ends."""
-        self.driver.goal(Pose(x, y, math.radians(degrees)), Constraints(**asked))
+    def goto(self, x: float, y: float, degrees: float = math.nan, seconds: float = 60.0, **constraints: Any) -> State:
+        """Drive to a goal; return the final state."""
+        self.driver.goal(Pose(x, y, math.radians(degrees)), Constraints(**constraints))
         self.until(lambda: self.driver.status.state.ended, seconds)
         return self.driver.status.state

@@ -1,4 +1,4 @@
-"""The guard, by itself."""
+"""The guard without a driver."""
 
 import math
 
@@ -18,28 +18,28 @@ FORWARD = DriveCommand(0.3)
 
 @pytest.fixture
 def guard():
-    """A robot with walls 0.8 m from its middle all round."""
+    """A robot with walls 0.8 m from its center in all directions."""
     grid = LocalGrid(10.0, SETTINGS.robot_radius, 0.0)
     grid.scan(Turn(1_000_000_000, -math.pi, math.tau / 720, 0.1, 20.0, np.full(720, 0.8)), ORIGIN)
     return Guard(grid)
 
 
-def test_it_follows_what_was_commanded_as_fast_as_the_base_can(guard):
+def test_the_velocity_estimate_follows_commands_within_the_acceleration_limits(guard):
     for _ in range(50):
         guard.follow(SETTINGS, DriveCommand(0.3, 0.0, 1.0), 0.01)
     assert guard.has == pytest.approx([0.15, 0.0, 0.5 * math.radians(SETTINGS.max_ang_acc)], abs=0.01)
 
 
-def test_what_is_allowed_depends_on_the_speed_that_it_has(guard):
+def test_the_allowed_speed_depends_on_the_current_speed(guard):
     assert guard.allowed(SETTINGS, 1.0, ORIGIN, FORWARD) == FORWARD
     assert not guard.unseen
-    for tick in range(30):  # somebody else drives it, at 0.6 m/s
+    for tick in range(30):  # another program drives the base at 0.6 m/s
         guard.measure(SETTINGS, 1.0 + 0.01 * tick, Pose(0.006 * tick, 0.0, 0.0))
     assert guard.has[:2] == pytest.approx([0.6, 0.0])
     assert guard.allowed(SETTINGS, 1.0, ORIGIN, FORWARD).vx == 0.0
 
 
-def test_noise_of_the_odometry_and_its_jumps_are_no_speed(guard):
+def test_odometry_noise_and_jumps_do_not_count_as_speed(guard):
     rng = np.random.default_rng(1)
     for tick in range(100):
         x, y = rng.normal(0.0, 0.003, 2)
@@ -48,14 +48,14 @@ def test_noise_of_the_odometry_and_its_jumps_are_no_speed(guard):
     assert not guard.has.any()
 
 
-def test_turning_is_always_allowed_and_standing_needs_no_leave(guard):
+def test_turning_and_stopping_are_always_allowed(guard):
     near = Pose(0.49, 0.0, 0.0)
     assert guard.allowed(SETTINGS, 1.0, near, DriveCommand(0.3, 0.0, 0.5)) == (0.0, 0.0, 0.5)
     assert guard.allowed(SETTINGS, 1.0, near, STILL) == STILL
     assert guard.allowed(SETTINGS, 1.0, near, DriveCommand(-0.2)).vx == -0.2
 
 
-def test_after_its_memory_is_over_all_is_unseen(guard):
+def test_cells_are_unseen_after_the_memory_time(guard):
     guard.allowed(SETTINGS, 1.0, ORIGIN, FORWARD)
     assert not guard.unseen
     assert guard.allowed(SETTINGS, 30.0, Pose(0.1, 0.0, 0.0), FORWARD).vx < 0.1

@@ -1,4 +1,4 @@
-"""The module on a hub, with YARP, and a robot in a room that goes as it is commanded."""
+"""The module on a hub, with YARP, and a robot in a room that follows its commands."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ BEAMS = 180
 
 
 class Robot(Program):
-    """A robot that holonomically does what it is told, with a laser; and a client of RobotGoto."""
+    """A holonomic robot with a laser, and a client of RobotGoto."""
 
     def __init__(self, hub: Hub, registry: Registry) -> None:
         super().__init__(hub, registry, PLANNER)
@@ -58,7 +58,7 @@ class Robot(Program):
         self._scan = self.node.publisher("/scan", "sensor_msgs/msg/LaserScan")
         self._points = self.node.publisher("/points", "sensor_msgs/msg/PointCloud2")
         latched = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-        self._localized, self._why = (
+        self._localized, self._reason = (
             self.node.publisher(f"/localization/{name}", "std_msgs/msg/String", latched)
             for name in ("status", "reason")
         )
@@ -70,9 +70,9 @@ class Robot(Program):
         self.x, self.y, self.yaw = x, y, yaw
         self._velocity = (0.0, 0.0, 0.0)
 
-    def localized(self, word: str, why: str = "") -> None:
-        self._localized.publish({"data": word})
-        self._why.publish({"data": why})
+    def localized(self, status: str, reason: str = "") -> None:
+        self._localized.publish({"data": status})
+        self._reason.publish({"data": reason})
 
     def _command(self, message: dict[str, Any]) -> None:
         linear, angular = message["linear"], message["angular"]
@@ -82,13 +82,13 @@ class Robot(Program):
 
     def _tick(self) -> None:
         now = time.monotonic()
-        passed, self._ticked = max(0.0, min(now, self._until) - self._ticked), now  # a busy machine leaves ticks out
+        passed, self._ticked = max(0.0, min(now, self._until) - self._ticked), now  # a busy machine skips ticks
         vx, vy, turn = self._velocity
         self.yaw += turn * passed
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         self.x, self.y = self.x + (c * vx - s * vy) * passed, self.y + (s * vx + c * vy) * passed
         stamp = SYSTEM.stamp()
-        # the odometry began elsewhere
+        # the odometry frame is elsewhere on the map
         frames = [("map", "odom", 5.0, 0.0, 0.0)] if self.knows else []
         frames += [("odom", "base_link", self.x - 5.0, self.y, self.yaw)]
         self._tf.publish({"transforms": [_transform(stamp, *frame) for frame in frames]})
@@ -128,7 +128,7 @@ class Goto(Served):
             "goal_tolerance_lin": 0.1,
             "goal_tolerance_ang": 5.0,
             "max_waiting_time": 30.0,
-            "laser_timeout": 1.5,  # a loaded machine is no silent laser
+            "laser_timeout": 1.5,  # on a loaded machine scans are late
             **more,
         }
         self.worker.start(self.config(modules={"robot_goto": section}))
@@ -144,11 +144,11 @@ class Goto(Served):
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Goto]:
-    made = Goto(tmp_path_factory.mktemp("goto"))
+    goto = Goto(tmp_path_factory.mktemp("goto"))
     try:
-        yield made
+        yield goto
     finally:
-        made.close()
+        goto.close()
 
 
 def pose_of(module: PlannerModule) -> Pose | None:
@@ -159,7 +159,7 @@ def pose_of(module: PlannerModule) -> Pose | None:
 
 @pytest.fixture
 def place(running: Goto) -> Goto:
-    """RobotGoto with nothing to do, its robot in the middle of the room."""
+    """The idle RobotGoto, with its robot in the center of the room."""
     robot, module = running.robot, running.module
     robot.sees = robot.knows = True
     running.host.loop.call(lambda: module.stop_driving("the test begins"))
@@ -171,15 +171,15 @@ def place(running: Goto) -> Goto:
     def ready() -> bool:
         pose, scanned = pose_of(module), module.driver.grid.scanned
         stands = pose is not None and abs(pose.x) < 1e-6
-        # where it was stood elsewhere it forgets what it saw: wait for a later scan
+        # the jump of the robot's pose clears the grid: wait for a later scan
         return stands and scanned is not None and scanned > begun + 0.3 and module.health().state == "running"
 
-    until(ready, "the robot is in the middle and sees", 30)
+    until(ready, "the robot is in the center and its laser works", 30)
     robot.commands.clear()
     return running
 
 
-def test_a_goal_of_the_hub_is_driven_to_and_then_it_is_silent(place: Goto) -> None:
+def test_a_hub_goal_is_reached_and_commands_end(place: Goto) -> None:
     states = place.far.subscribe(f"{PLANNER}/status", STATUS, latched=True)
     grids = place.far.subscribe(f"{PLANNER}/local_map", "nav_msgs/OccupancyGrid", latched=True)
     paths = place.far.subscribe(f"{PLANNER}/path", "nav_msgs/Path", latched=True)
@@ -189,34 +189,34 @@ def test_a_goal_of_the_hub_is_driven_to_and_then_it_is_silent(place: Goto) -> No
     assert math.hypot(robot.x - 1.0, robot.y - 0.5) < 0.2
     assert abs(math.remainder(robot.yaw - 1.0, math.tau)) < 0.3
     assert sent.feedback
-    until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "it is told to stand still", 20)
+    until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "the robot is stopped", 20)
     count = len(robot.commands)
-    until(lambda: place.far.wait(paths, 0, 0) and place.far.wait(grids, 0, 0), "way and local map are told", 20)
-    assert len(robot.commands) == count, "nobody is to be driven: it is silent"
+    until(lambda: place.far.wait(paths, 0, 0) and place.far.wait(grids, 0, 0), "path and local map are published", 20)
+    assert len(robot.commands) == count, "no commands without a goal"
     grid = place.far.wait(grids, 0, 0)[-1]
     assert (grid["info"]["width"], grid["header"]["frame_id"]) == (100, "map")
     assert {0, -1} <= set(grid["data"])
-    assert "moving" in [each["state"] for each in place.far.wait(states, 0, 0)]
+    assert "moving" in [status["state"] for status in place.far.wait(states, 0, 0)]
 
 
-def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Goto) -> None:
+def test_a_new_goal_preempts_the_first_and_a_canceled_goal_stops_the_robot(place: Goto) -> None:
     first = place.robot.send(2.0, 0.0)
-    until(lambda: place.robot.x > 0.1, "it drives", 30)
+    until(lambda: place.robot.x > 0.1, "the robot drives", 30)
     second = place.robot.send(-2.0, 0.0)
-    assert first.end() == (GoalState.CANCELED, {"error_code": Fault.OTHER, "error_msg": "another goal took its place"})
-    until(lambda: place.robot.commands[-1][0] != 0.0 or place.robot.commands[-1][2] != 0.0, "it drives on", 30)
+    assert first.end() == (GoalState.CANCELED, {"error_code": Fault.OTHER, "error_msg": "another goal replaced it"})
+    until(lambda: place.robot.commands[-1][0] != 0.0 or place.robot.commands[-1][2] != 0.0, "the robot drives on", 30)
     second.cancel()
     assert second.end()[0] is GoalState.CANCELED
-    until(lambda: place.robot.commands[-1] == (0.0, 0.0, 0.0), "it stands", 20)
+    until(lambda: place.robot.commands[-1] == (0.0, 0.0, 0.0), "the robot stops", 20)
 
 
-def test_a_goal_is_given_up_when_nobody_is_left_who_could_cancel_it(place: Goto) -> None:
+def test_a_goal_is_aborted_when_no_client_can_cancel_it(place: Goto) -> None:
     robot = place.robot
     robot.send(2.0, 0.0, 0.0, Constraints(max_lin_speed=0.1).to_text())
-    until(lambda: robot.x > 0.1, "it drives", 30)
+    until(lambda: robot.x > 0.1, "the robot drives", 30)
     robot.loop.call(robot.client.close)
     try:
-        until(lambda: place.state == "idle" and robot.commands[-1] == (0.0, 0.0, 0.0), "it stands", 20)
+        until(lambda: place.state == "idle" and robot.commands[-1] == (0.0, 0.0, 0.0), "the robot stops", 20)
         assert robot.x < 1.9
     finally:
         robot.connect()
@@ -234,43 +234,43 @@ def test_without_compiled_kernels_goals_are_refused_with_the_cure(place: Goto, m
     assert not [command for command in place.robot.commands if any(command)]
 
 
-def test_a_goal_that_cannot_be_says_why(place: Goto) -> None:
+def test_an_invalid_goal_is_aborted_with_the_reason(place: Goto) -> None:
     status, result = place.robot.send(math.nan, 0.0).end()
     assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.BAD_GOAL)
     status, result = place.robot.send(1.0, 0.0, 0.0, "midspan: speed=2").end()
     assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.BAD_GOAL)
-    assert "'speed' is no constraint" in result["error_msg"]
+    assert "unknown constraint 'speed'" in result["error_msg"]
 
 
-@pytest.mark.parametrize("trouble", ["laser", "frames", "localisation"])
-def test_in_trouble_it_stands_says_why_and_goes_on(place: Goto, trouble: str) -> None:
+@pytest.mark.parametrize("trouble", ["laser", "frames", "localization"])
+def test_missing_inputs_stop_the_robot_until_they_return(place: Goto, trouble: str) -> None:
     robot, driver = place.robot, place.module.driver
-    sent = robot.send(1.5, 0.0, 0.0, Constraints(max_lin_speed=0.2).to_text())  # not there before it is told
-    until(lambda: robot.x > 0.05, "it drives", 30)
+    sent = robot.send(1.5, 0.0, 0.0, Constraints(max_lin_speed=0.2).to_text())  # slow enough for the test
+    until(lambda: robot.x > 0.05, "the robot drives", 30)
     if trouble == "laser":
         robot.sees = False
     elif trouble == "frames":
         robot.knows = False
     else:
         robot.localized("error", "the scans do not fit")
-    lost = "the localisation says 'error': the scans do not fit"
-    said = {"laser": "the laser is silent", "frames": "stale", "localisation": lost}[trouble]
-    until(lambda: said in driver.status.reason, "it says why it waits", 30)
+    lost = "localization status is 'error': the scans do not fit"
+    reason = {"laser": "the laser is silent", "frames": "stale", "localization": lost}[trouble]
+    until(lambda: reason in driver.status.reason, "the status gives the reason", 30)
     assert place.state == "waiting_obstacle"
-    until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "one that was under way has come", 20)
+    until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "pending commands have arrived", 20)
     robot.commands.clear()
-    until(lambda: len(robot.commands) > 3, "it commands to stand", 20)
+    until(lambda: len(robot.commands) > 3, "it commands zero velocity", 20)
     assert set(robot.commands) == {(0.0, 0.0, 0.0)}
     stood = robot.x
     robot.sees = robot.knows = True
-    if trouble == "localisation":
+    if trouble == "localization":
         robot.localized("localized_ok")
-    until(lambda: robot.x > stood + 0.1 and place.state == "moving", "it goes on", 30)
+    until(lambda: robot.x > stood + 0.1 and place.state == "moving", "the robot drives on", 30)
     sent.cancel()
     assert sent.end()[0] is GoalState.CANCELED
 
 
-def test_yarp_drives_it_and_hears_its_commands(place: Goto) -> None:
+def test_yarp_clients_send_goals_and_receive_commands(place: Goto) -> None:
     names, robot = place.names, place.robot
     rpc = place.registered("/robotGoto/rpc")
     ok = NavigationStatusEnum
@@ -280,12 +280,12 @@ def test_yarp_drives_it_and_hears_its_commands(place: Goto) -> None:
     ):
         connections.connect(names, place.registered("/robotGoto/control:o"), "/test/control")
         robot.loop.call(lambda: robot.stand(0.0, 0.0, math.pi / 2))
-        until(lambda: (pose := pose_of(place.module)) and pose.theta > 1.5, "it has turned", 20)
+        until(lambda: (pose := pose_of(place.module)) and pose.theta > 1.5, "the robot has turned", 20)
         driver = place.module.driver
         slowly = driver.settings.model_copy(update={"max_lin_speed": 0.2})
-        place.host.loop.call(lambda: setattr(driver, "settings", slowly))  # it is to be suspended on its way
-        assert client.remote.goto_target_by_relative_location1_RPC(1.0, 0.0), "a metre to its front, which is north"
-        until(lambda: robot.y > 0.2, "it drives", 30)
+        place.host.loop.call(lambda: setattr(driver, "settings", slowly))  # slow enough to suspend it
+        assert client.remote.goto_target_by_relative_location1_RPC(1.0, 0.0), "one meter ahead, which is north"
+        until(lambda: robot.y > 0.2, "the robot drives", 30)
         assert client.remote.suspend_navigation_RPC(0.0)
         assert client.remote.get_navigation_status_RPC()[1] is ok.navigation_status_paused
         place.host.loop.call(place.module.driver.reset)
@@ -293,75 +293,75 @@ def test_yarp_drives_it_and_hears_its_commands(place: Goto) -> None:
         target = client.remote.get_absolute_location_of_current_target_RPC()[1]
         assert (target.x, target.y) == pytest.approx((0.0, 1.0), abs=0.05)
         reached = ok.navigation_status_goal_reached
-        until(lambda: client.remote.get_navigation_status_RPC()[1] is reached, "it is there", 30)
+        until(lambda: client.remote.get_navigation_status_RPC()[1] is reached, "the robot arrives", 30)
         assert (robot.x, robot.y) == pytest.approx((0.0, 1.0), abs=0.2)
-        said = control.read_now()
-        assert said is not None
-        assert (said.values[0], len(said.values), said.values[4]) == (2, 5, 100.0)
-        sequence, seconds = map(float, said.envelope.split())
+        command = control.read_now()
+        assert command is not None
+        assert (command.values[0], len(command.values), command.values[4]) == (2, 5, 100.0)
+        sequence, seconds = map(float, command.envelope.split())
         assert (sequence > 0, seconds) == (True, pytest.approx(time.time(), abs=60.0))
-        found, grid = client.remote.get_current_navigation_map_RPC(NavigationMapTypeEnum.local_map)
-        assert found
+        available, grid = client.remote.get_current_navigation_map_RPC(NavigationMapTypeEnum.local_map)
+        assert available
         assert (np.asarray(grid.flags) == MapFlag.FREE).mean() > 0.5
         assert not client.remote.get_current_navigation_map_RPC(NavigationMapTypeEnum.global_map)[0]
-        assert not client.remote.suspend_navigation_RPC(1.0), "there is nothing to suspend"
+        assert not client.remote.suspend_navigation_RPC(1.0), "no goal to suspend"
         assert client.remote.goto_target_by_absolute_location_RPC(Map2DLocation("", 0.0, -1.0, math.nan))
         assert client.remote.stop_navigation_RPC()
         assert client.remote.get_navigation_status_RPC()[1] is ok.navigation_status_idle
 
 
-def test_a_scan_of_yarp_that_waited_is_of_when_it_came(place: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
-    module, go_on = place.module, threading.Event()
-    taken: list[int] = []
+def test_a_yarp_scan_is_stamped_on_reception(place: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
+    module, resume = place.module, threading.Event()
+    stamps: list[int] = []
     monkeypatch.setattr(
-        module.driver, "scan", lambda turn, *_where: taken.append(turn.time_ns) if turn.farthest == 7.0 else None
+        module.driver, "scan", lambda turn, *_where: stamps.append(turn.time_ns) if turn.farthest == 7.0 else None
     )
     scan = LaserScan2D(0.0, 360.0, 0.1, 7.0, Vector([1.0] * 90), 1)
     port, now = place.registered("/robotGoto/laser:i"), module.now
     with Writer("/test/laser:o", naming=place.names) as writer:
         writer.connect(port)
 
-        def come(count: int) -> None:
-            """While the thread is busy."""
-            told = place.received(port)
-            go_on.clear()
-            place.host.loop.post(lambda: go_on.wait(20))
+        def receive(count: int) -> None:
+            """Send scans while the module's thread is busy."""
+            earlier = place.received(port)
+            resume.clear()
+            place.host.loop.post(lambda: resume.wait(20))
             for _ in range(count):
                 assert writer.write(scan, strict=True) == 1
-            until(lambda: place.received(port) == told + count, "they have come", 20)
+            until(lambda: place.received(port) == earlier + count, "the scans are received", 20)
 
         before = now()
-        come(2)
-        came = now()
-        until(lambda: now() > came + 0.01, "some time passes")
-        go_on.set()
+        receive(2)
+        received = now()
+        until(lambda: now() > received + 0.01, "some time passes")
+        resume.set()
         place.host.loop.call(lambda: None)
-        assert len(taken) == 1, "the newest alone"
-        assert before - 1e-6 <= taken[0] / 1e9 <= came + 1e-6
+        assert len(stamps) == 1, "only the newest"
+        assert before - 1e-6 <= stamps[0] / 1e9 <= received + 1e-6
         for shift in (10.0, -10.0):
-            come(1)
+            receive(1)
             monkeypatch.setattr(module, "now", lambda shift=shift: now() + shift)
-            go_on.set()
+            resume.set()
             place.host.loop.call(lambda: None)
             monkeypatch.setattr(module, "now", now)
-        assert len(taken) == 1, "an old one, and one of before the clock was set back, are left out"
+        assert len(stamps) == 1, "an old scan, and one from before a clock jump, are dropped"
 
 
-def test_its_commands_in_words_and_as_a_service(place: Goto) -> None:
+def test_robot_gotos_own_commands_as_text_and_as_a_service(place: Goto) -> None:
     rpc = place.registered("/robotGoto/rpc")
     driver = place.module.driver
-    with Client(rpc, naming=place.names) as words:
-        assert words.ask(["set", "linear_tol", 0.2]) == ["linear_tol set."]
-        assert words.ask(["set", "max_ang_speed", 20.0]) == ["max_ang_speed set."]
+    with Client(rpc, naming=place.names) as rpc_client:
+        assert rpc_client.ask(["set", "linear_tol", 0.2]) == ["linear_tol set."]
+        assert rpc_client.ask(["set", "max_ang_speed", 20.0]) == ["max_ang_speed set."]
         assert (driver.settings.goal_tolerance_lin, driver.settings.max_ang_speed) == (0.2, 20.0)
-        assert words.ask(["set", "obstacle_stop", 0]) == ["enable_obstacle_stop=false"]
+        assert rpc_client.ask(["set", "obstacle_stop", 0]) == ["enable_obstacle_stop=false"]
         assert not driver.settings.enable_obstacles_emergency_stop
-        assert words.ask(["get", "navigation_status"]) == ["navigation_status_idle"]
-        assert words.ask(["reset_params"]) == ["params reset done"]
+        assert rpc_client.ask(["get", "navigation_status"]) == ["navigation_status_idle"]
+        assert rpc_client.ask(["reset_params"]) == ["params reset done"]
         assert driver.settings.goal_tolerance_lin == 0.1
-        assert "approach" in " ".join(map(str, words.ask(["help"])))
-        assert words.ask(["approach", 0.0, 0.3, 3.0]) == ["approach command received"]
-        until(lambda: place.robot.x > 0.02 or driver.status.state is State.ABORTED, "it goes forward", 20)
+        assert "approach" in " ".join(map(str, rpc_client.ask(["help"])))
+        assert rpc_client.ask(["approach", 0.0, 0.3, 3.0]) == ["approach command received"]
+        until(lambda: place.robot.x > 0.02 or driver.status.state is State.ABORTED, "the robot moves forward", 20)
         assert place.robot.x > 0.02, driver.status
     with ServiceClient(RobotGotoMsgs, rpc, naming=place.names) as client:
         assert client.remote.SetMaxLinearSpeed(0.4)
@@ -373,7 +373,7 @@ def test_its_commands_in_words_and_as_a_service(place: Goto) -> None:
 def test_a_step_that_fails_stops_the_robot_and_ends_the_goal(place: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
     robot, driver = place.robot, place.module.driver
     sent = robot.send(2.0, 0.0)
-    until(lambda: robot.commands and robot.commands[-1][0] > 0.0, "it drives", 20)
+    until(lambda: robot.commands and robot.commands[-1][0] > 0.0, "the robot drives", 20)
 
     def step(*_: Any) -> None:
         raise ZeroDivisionError("of the test")
@@ -383,60 +383,66 @@ def test_a_step_that_fails_stops_the_robot_and_ends_the_goal(place: Goto, monkey
         status, result = sent.end()
     assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.OTHER)
     assert result["error_msg"] == "RobotGoto failed: ZeroDivisionError: of the test"
-    until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "it stands", 20)
+    until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "the robot stops", 20)
     assert robot.send(0.5, 0.0).end()[0] is GoalState.SUCCEEDED
 
 
 def test_halt_ends_every_goal(place: Goto) -> None:
     sent = place.robot.send(2.0, 0.0)
-    until(lambda: place.robot.x > 0.05, "it drives", 30)
+    until(lambda: place.robot.x > 0.05, "the robot drives", 30)
     assert place.far.hub.ask("halt", {}, worker="robot_goto", timeout=20.0)[0].value == {"halted": True}
     assert sent.end()[1]["error_msg"] == "halted"
     assert place.state == "idle"
 
 
 def seen(*heights: float) -> dict[str, Any]:
-    """A cloud of surfaces at heights in the base's frame, 1 to 1.4 m ahead of it wherever it is."""
+    """Return a cloud of surfaces at heights in the base frame, always 1 to 1.4 m ahead."""
     points = np.concatenate([surface(1.2, 0.0, z, 0.4, 2.0) for z in heights]) if heights else np.zeros((0, 3), "<f4")
     fields = [{"name": name, "offset": 4 * i, "datatype": 7, "count": 1} for i, name in enumerate("xyz")]
     size = {"width": len(points), "height": 1, "point_step": 12, "row_step": 12 * len(points)}
     return {**size, "fields": fields, "data": points.view(np.uint8).ravel()}
 
 
-def test_clouds_and_layers_of_the_hub(tmp_path: Path) -> None:
+def test_clouds_and_layers_on_the_hub(tmp_path: Path) -> None:
     sources = [{"topic": "/points", "type": "cloud", "timeout": 1.5}, {"topic": "/layer", "timeout": 0.5}]
     place = Goto(tmp_path, obstacles=sources, floor=-0.2, enable_obstacles_avoidance=False)
     try:
         robot, driver = place.robot, place.module.driver
         layer = place.far.advertise("/layer", "nav_msgs/OccupancyGrid", latched=True)
         sent = robot.send(-2.0, 0.0)
-        until(lambda: "the cloud /points has not come yet" in driver.status.reason, "it waits for a cloud", 30)
+        until(lambda: "the cloud /points has not come yet" in driver.status.reason, "the driver waits for a cloud", 30)
         robot.cloud = {**seen(-0.2), "fields": seen(-0.2)["fields"][:2]}
-        until(lambda: "fields: there is no z" in place.module.health().text, "it says which field is wrong", 30)
+        until(lambda: "fields: no z" in place.module.health().text, "the health text names the missing field", 30)
         robot.cloud = {**seen(-0.2), "width": 100_000_000}
-        until(lambda: "width, height: 100000000" in place.module.status()["obstacles"]["/points"], "and now", 30)
+        until(
+            lambda: "width, height: 100000000" in place.module.status()["obstacles"]["/points"],
+            "the status gives the size",
+            30,
+        )
         robot.cloud = seen(-0.2)  # the floor
-        until(lambda: "the layer /layer has not come yet" in driver.status.reason, "it waits for the layer", 30)
+        until(lambda: "the layer /layer has not come yet" in driver.status.reason, "the driver waits for the layer", 30)
         assert not [command for command in robot.commands if any(command)]
         # in the odometry's frame, which is at x = 5: a cell 1.5 m behind the robot, and nothing else
         info = {"resolution": 0.1, "width": 2, "height": 1, "origin": {"position": {"x": -6.6, "y": -0.05}}}
         place.far.publish(layer, {"header": {"frame_id": "attic"}, "info": info, "data": [100, 0]})
-        until(lambda: "attic" in place.module.status()["obstacles"].get("/layer", ""), "it says which frame", 30)
+        until(lambda: "attic" in place.module.status()["obstacles"].get("/layer", ""), "the status names the frame", 30)
         place.far.publish(layer, {"header": {"frame_id": "odom"}, "info": info, "data": [100, 0]})
-        until(lambda: driver.status.fault is Fault.BLOCKED, "it stands before the layer's cell", 30)
+        until(lambda: driver.status.fault is Fault.BLOCKED, "the robot stops at the layer's cell", 30)
         assert -1.5 + 0.27 < robot.x < -0.1
         robot.cloud = seen(0.5)  # the laser sees none of it
         sent.cancel()
         sent.end()
         ahead = robot.send(robot.x + 2.5, 0.0)
-        until(lambda: driver.status.fault is Fault.BLOCKED and "obstacle" in driver.status.reason, "it stands", 30)
+        until(
+            lambda: driver.status.fault is Fault.BLOCKED and "obstacle" in driver.status.reason, "the robot stops", 30
+        )
         robot.cloud = None
-        until(lambda: "the cloud /points is silent" in driver.status.reason, "it says that nobody sees", 30)
+        until(lambda: "the cloud /points is silent" in driver.status.reason, "the silent cloud is reported", 30)
         robot.cloud = seen(-0.2)
-        until(lambda: place.module.health().state == "running", "latched, the layer was said once", 30)
+        until(lambda: place.module.health().state == "running", "a latched layer is published once", 30)
         place.far.drop(layer)
-        until(lambda: "nobody publishes" in place.module.health().text, "the layer's publisher is gone", 30)
-        until(lambda: "the layer /layer is silent" in driver.status.reason, "nor does it drive", 30)
+        until(lambda: "has no publisher" in place.module.health().text, "the layer's publisher is gone", 30)
+        until(lambda: "the layer /layer is silent" in driver.status.reason, "the robot does not drive", 30)
         ahead.cancel()
     finally:
         place.close()

@@ -64,20 +64,20 @@ def read(section: RobotGotoSection) -> tuple[RobotGotoSection, list[str]]:
     return laid_under(section, section.ini, read_file)
 
 
-def of(folder: Path, text: str, **own: Any) -> tuple[RobotGotoSection, list[str]]:
+def read_text(folder: Path, text: str, **values: Any) -> tuple[RobotGotoSection, list[str]]:
     file = folder / "robotGoto.ini"
     file.write_text(text)
-    return read(RobotGotoSection(ini=file, **own))
+    return read(RobotGotoSection(ini=file, **values))
 
 
-def test_the_section_alone_has_the_drivers_defaults():
-    made, notes = read(RobotGotoSection())
-    assert made == Driver().settings
+def test_an_empty_section_has_the_drivers_defaults():
+    section, notes = read(RobotGotoSection())
+    assert section == Driver().settings
     assert notes == []
 
 
-def test_r1s_file_is_read_as_it_is(tmp_path):
-    section, _ = of(tmp_path, R1)
+def test_r1s_file_is_read_unchanged(tmp_path):
+    section, _ = read_text(tmp_path, R1)
     assert (section.max_beta_angle, section.ang_speed_gain, section.lin_speed_gain) == (5.0, 0.3, 0.1)
     assert (section.max_lin_speed, section.max_ang_speed) == (0.3, 15.0)
     assert (section.min_lin_speed, section.min_ang_speed) == (0.01, 0.5)
@@ -97,41 +97,45 @@ def test_r1s_file_is_read_as_it_is(tmp_path):
     assert section.prefix == "/robotGoto"
 
 
-def test_keys_that_nothing_reads_and_values_in_the_wrong_unit_are_named_with_their_place(tmp_path):
-    made, notes = of(tmp_path, R1)
-    assert made.retreat_duration == 0.3
+def test_ignored_keys_and_values_out_of_range_are_noted_with_their_line(tmp_path):
+    section, notes = read_text(tmp_path, R1)
+    assert section.retreat_duration == 0.3
     lines = dict(enumerate(R1.splitlines(), 1))
-    for key, why in (
-        ("max_gamma_angle", "upstream does not read it either"),
-        ("retreat_duration", "'retreat_duration 300' is not believed: it is within 0 and 2 s; 0.3 is used"),
-        ("autoconnect", "laser_port is connected always"),
+    for key, reason in (
+        ("max_gamma_angle", "upstream ignores it, too"),
+        ("retreat_duration", "'retreat_duration 300' is out of range (0 to 2 s); using 0.3"),
+        ("autoconnect", "laser_port is always connected"),
     ):
         number = next(n for n, line in lines.items() if line.startswith(key))
-        (note,) = (each for each in notes if key in each)
+        (note,) = (note for note in notes if key in note)
         assert note.startswith(f"{tmp_path / 'robotGoto.ini'}:{number}: ")
-        assert why in note
+        assert reason in note
     assert len(notes) == 3
 
 
-def test_what_the_section_says_is_stronger_and_what_is_missing_is_upstreams(tmp_path):
-    made, _ = of(tmp_path, R1.replace("max_lin_speed       0.3\n", ""), max_ang_speed=20.0)
-    assert made.max_ang_speed == 20.0
-    assert made.max_lin_speed == 0.9, "upstream's default"
+def test_the_section_overrides_the_file_and_upstreams_defaults_fill_gaps(tmp_path):
+    section, _ = read_text(tmp_path, R1.replace("max_lin_speed       0.3\n", ""), max_ang_speed=20.0)
+    assert section.max_ang_speed == 20.0
+    assert section.max_lin_speed == 0.9, "upstream's default"
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "why"),
+    ("before", "after", "reason"),
     [
         ("[ROBOT_GEOMETRY]", "[ROBOT]", r"the group \[ROBOT_GEOMETRY\] is missing"),
         ("robot_radius     0.30", "", "'robot_radius' is missing"),
-        ("max_lin_speed       0.3", "max_lin_speed fast", r"robotGoto.ini:12: 'max_lin_speed' is a number, not 'fast'"),
+        (
+            "max_lin_speed       0.3",
+            "max_lin_speed fast",
+            r"robotGoto.ini:12: 'max_lin_speed' must be a number, not 'fast'",
+        ),
     ],
 )
-def test_a_file_that_cannot_be_used_says_why(tmp_path, before, after, why):
-    with pytest.raises(RuntimeError, match=why):
-        of(tmp_path, R1.replace(before, after))
+def test_invalid_files_are_rejected_with_the_reason(tmp_path, before, after, reason):
+    with pytest.raises(RuntimeError, match=reason):
+        read_text(tmp_path, R1.replace(before, after))
 
 
-def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(RuntimeError, match="there is no such file"):
+def test_a_missing_file_is_rejected(tmp_path):
+    with pytest.raises(RuntimeError, match="no such file"):
         read(RobotGotoSection(ini=tmp_path / "none.ini"))

@@ -23,12 +23,12 @@ TICK = 0.1
 SPEED = 0.5
 TURN = 0.5
 ROOM = 0.2
-"""Metres that it keeps to crates."""
+"""Meters that the robot keeps from crates."""
 SETTINGS = RobotPathPlannerSection(robot_radius=0.2, clearance=0.1)
 
 
 def floor(*boxes: tuple[float, float, float, float], name: str = "floor", size: float = 5.0) -> MapGrid2D:
-    """A square floor with walls about it, and boxes (left, bottom, right, top) of wall, metres."""
+    """Return a square floor with outer walls, and boxes (left, bottom, right, top) of wall, meters."""
     cells = round(size / RES)
     flags = np.zeros((cells, cells), np.uint8)
     flags[[0, -1]] = flags[:, [0, -1]] = MapFlag.WALL
@@ -50,7 +50,7 @@ ROOMS = ((2.4, 0.0, 2.6, 0.6), (2.4, 1.4, 2.6, 3.6), (2.4, 4.4, 2.6, 5.0))
 
 
 class Straight:
-    """Drives straight to where it is sent; a crate in its way stops it."""
+    """A local navigator that drives straight to its goal; crates stop it."""
 
     def __init__(self, pose: Pose) -> None:
         self.pose = pose
@@ -83,7 +83,7 @@ class Straight:
                 self.state = State.REACHED
             return
         step = min(SPEED * TICK, constraints.max_lin_speed or 9.0, away)
-        x, y = (here + (there - here) * step / away for here, there in zip(self.pose[:2], goal[:2], strict=True))
+        x, y = (start + (end - start) * step / away for start, end in zip(self.pose[:2], goal[:2], strict=True))
         nearer = [crate for crate in self.crates if math.dist((x, y), crate[:2]) < self.pose.distance(Pose(*crate))]
         if any(math.dist((x, y), crate[:2]) < crate[2] + ROOM for crate in nearer):
             self._waits += TICK
@@ -97,7 +97,7 @@ class Straight:
 
 
 class Drive:
-    """A planner, a local navigator, and time."""
+    """A planner, a local navigator and a clock."""
 
     def __init__(
         self,
@@ -114,7 +114,7 @@ class Drive:
         self.local = Straight(start)
         self.now = 0.0
         self.track: list[Pose] = []
-        self.told: list[PlannerStatus] = []
+        self.statuses: list[PlannerStatus] = []
         self.lost = ""
         self.laser = False
 
@@ -125,29 +125,29 @@ class Drive:
         self.now += TICK
         self.local.tick()
         if self.laser:
-            self.look()
+            self.scan_crates()
         status = self.planner.step(self.now, None if self.lost else self.local.pose, self.local, self.lost)
         self.track.append(self.local.pose)
-        if not self.told or status != self.told[-1]:
-            self.told.append(status)
+        if not self.statuses or status != self.statuses[-1]:
+            self.statuses.append(status)
         return status
 
-    def look(self) -> None:
-        """A laser at the robot's middle that sees crates (and no walls) up to 8 m."""
+    def scan_crates(self) -> None:
+        """Scan with a laser at the robot's center that sees crates, but no walls, up to 8 m."""
         pose, beams = self.local.pose, 720
         angles = np.arange(beams) * math.tau / beams
         ranges = np.full(beams, np.inf)
         for x, y, radius in self.local.crates:
             dx, dy = x - pose.x, y - pose.y
             along = np.cos(angles) * dx + np.sin(angles) * dy
-            beside = dx * dx + dy * dy - along * along
-            hit = (along > 0) & (beside < radius * radius)
-            ranges[hit] = np.minimum(ranges[hit], along[hit] - np.sqrt(radius * radius - beside[hit]))
+            across = dx * dx + dy * dy - along * along
+            hit = (along > 0) & (across < radius * radius)
+            ranges[hit] = np.minimum(ranges[hit], along[hit] - np.sqrt(radius * radius - across[hit]))
         turn = Turn(round(self.now * 1e9), 0.0, math.tau / beams, 0.05, 8.0, ranges)
         self.planner.scan(self.now, Pose(pose.x, pose.y, 0.0), turn)
 
     def goto(self, goal: Pose, seconds: float = 120.0, map_name: str = "") -> PlannerStatus:
-        """Drive to a goal until it has ended."""
+        """Drive to a goal until it ends."""
         self.planner.goal(goal, map_name, now=self.now)
         return self.run(seconds)
 
@@ -164,4 +164,4 @@ class Drive:
             status = self.tick()
             if status.state is state:
                 return status
-        raise AssertionError(f"not {state}: {self.told}")
+        raise AssertionError(f"not {state}: {self.statuses}")

@@ -1,4 +1,4 @@
-"""The store's maps, areas and links, as the planner takes them."""
+"""The planner's view of the store's maps, areas and links."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from navigation.goals import MapPlace
 from navigation.pose import Pose
 from navigation.robot_path_planner.atlas import StoreAtlas, leg
 from tests.navigation.robot_path_planner.floors import SETTINGS, floor
-from tests.navigation.robot_path_planner.test_way import area
+from tests.navigation.robot_path_planner.test_path import area
 from yarp_compat.dev.extras import AreaBehaviour, MapLink
 from yarp_compat.dev.locations import Map2DLocation
 
@@ -22,14 +22,14 @@ from yarp_compat.dev.locations import Map2DLocation
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Store]:
     """Two floors."""
-    made = Store(Replica(tmp_path / "store.sqlite", "one"))
+    store = Store(Replica(tmp_path / "store.sqlite", "one"))
     for name in ("floor", "up"):
-        made.put(MAP, name, floor(name=name))
-    yield made
-    made.replica.close()
+        store.put(MAP, name, floor(name=name))
+    yield store
+    store.replica.close()
 
 
-def test_a_link_that_is_stored_leads_to_another_map_at_once(store: Store, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_new_link_leads_to_another_map_immediately(store: Store, caplog: pytest.LogCaptureFixture) -> None:
     atlas = StoreAtlas(store, SETTINGS)
     ground = atlas.ground("floor")
     assert ground is not None
@@ -37,7 +37,7 @@ def test_a_link_that_is_stored_leads_to_another_map_at_once(store: Store, caplog
     store.put(LINK, "lift", MapLink("lift 0", "lift 1", 2.0))
     store.put(LOCATION, "lift 0", Map2DLocation("floor", 4.0, 4.0, 90.0))
     assert not atlas.links()
-    assert "link lift: there is no location lift 1" in caplog.text
+    assert "link lift: location lift 1 not found" in caplog.text
     store.put(LOCATION, "lift 1", Map2DLocation("up", 1.0, 4.0, 0.0))
     (link,) = atlas.links()
     assert (link.name, link.cost, link.first.pose.theta) == ("lift", 2.0, pytest.approx(1.5708, abs=1e-4))
@@ -45,14 +45,14 @@ def test_a_link_that_is_stored_leads_to_another_map_at_once(store: Store, caplog
     assert (part.end, part.onto) == (link.first, link.second)
 
 
-def test_areas_keep_robots_out_once_what_was_made_is_forgotten(store: Store) -> None:
+def test_new_keep_out_areas_apply_once_the_cache_is_cleared(store: Store) -> None:
     atlas = StoreAtlas(store, SETTINGS)
     before = atlas.ground("floor")
     assert before is not None
     assert atlas.ground("floor") is before
     store.put(AREA, "lab", area(1.0, 1.0, 2.0, 2.0))
     store.put(BEHAVIOUR, "lab", AreaBehaviour(keep_out=True))
-    atlas.forget()
+    atlas.clear()
     ground, other = atlas.ground("floor"), atlas.ground("up")
     assert ground is not None
     assert other is not None

@@ -118,10 +118,10 @@ class Planning(Served):
         store = self.worker.store
         store.put(MAP, "floor", floor(*ROOMS))
         store.use_map("floor")
-        until(lambda: self.told().get("map") == "floor", "the planner has the map", 30)
-        until(lambda: self.told()["navigator"]["state"] == "idle", "the local navigator is reachable", 30)
+        until(lambda: self.planner_status().get("map") == "floor", "the planner has the map", 30)
+        until(lambda: self.planner_status()["navigator"]["state"] == "idle", "the local navigator is reachable", 30)
 
-    def told(self) -> dict[str, Any]:
+    def planner_status(self) -> dict[str, Any]:
         return self.answer("robot_path_planner")
 
     def close(self) -> None:
@@ -239,7 +239,7 @@ def test_a_new_goal_preempts_the_first_and_a_canceled_goal_stops_the_robot(place
     until(lambda: place.robot.asked, "the robot drives", 30)
     second = place.robot.send(1.0, 4.0)
     status, result = first.end()
-    assert (status, result["error_msg"]) == (GoalState.CANCELED, "another goal took its place")
+    assert (status, result["error_msg"]) == (GoalState.CANCELED, "another goal replaced it")
     assert second.end()[0] is GoalState.SUCCEEDED
     place.robot.speed = 0.3
     third = place.robot.send(4.0, 4.0)
@@ -273,7 +273,7 @@ def test_a_delayed_cancel_does_not_stop_a_later_goal(place: Planning, monkeypatc
     [
         ((2.5, 2.5), "map", Fault.GOAL_OCCUPIED, "in a wall"),
         ((1.0, 1.0), "moon", Fault.UNKNOWN_FRAME, "moon"),
-        ((99.0, 1.0), "map", Fault.OFF_THE_MAP, "off the map"),
+        ((99.0, 1.0), "map", Fault.OFF_THE_MAP, "outside the map"),
         ((math.nan, 1.0), "map", Fault.BAD_GOAL, "finite"),
         ((1e308, 1.0), "map", Fault.BAD_GOAL, "farther than 1e+06 m"),
     ],
@@ -324,7 +324,7 @@ def test_yarp_rpc_clicks_and_views(place: Planning) -> None:
         clicks.write(["nowhere"])
 
         def refused() -> bool:
-            ports = {port["port"]: port for port in place.told()["ports"]}
+            ports = {port["port"]: port for port in place.planner_status()["ports"]}
             return "is neither" in str(ports["/robotPathPlanner/yarpviewTarget:i"]["error"])
 
         until(refused, "the port reports the invalid click", 20)
@@ -357,10 +357,10 @@ def test_yarp_rpc_clicks_and_views(place: Planning) -> None:
 
 
 def test_the_status_gives_the_navigators_failure(place: Planning) -> None:
-    place.robot.fails = "a person is too near"
+    place.robot.fails = "a person is too close"
     sent = place.robot.send(4.0, 1.0)
     until(lambda: place.module.planner.recoveries, "the planner tries again", 30)
-    assert "a person is too near" in place.module.planner.status.reason
+    assert "a person is too close" in place.module.planner.status.reason
     place.robot.fails = ""
     assert sent.end()[0] is GoalState.SUCCEEDED
 
@@ -482,11 +482,11 @@ def test_the_planner_waits_for_a_hub_layer_and_plans_around_it(tmp_path: Path) -
         end = place.far.advertise("/layer", "nav_msgs/OccupancyGrid", latched=True)
         sent = place.robot.send(4.0, 1.0)
         status = lambda: place.module.planner.status.reason  # noqa: E731
-        until(lambda: status() == "the layer /layer has not come yet", "the planner waits for the layer", 30)
+        until(lambda: status() == "waiting for layer /layer", "the planner waits for the layer", 30)
         info = {"resolution": 0.1, "width": 7, "height": 11, "origin": {"position": {"x": 1.5, "y": 0.5}}}
         place.far.publish(end, {"header": {"frame_id": "map"}, "info": info, "data": [100]})
         until(
-            lambda: "7 x 11 cells does not have 1" in place.module.health().text, "the health text gives the error", 30
+            lambda: "7 x 11 cells must not have 1" in place.module.health().text, "the health text gives the error", 30
         )
         assert not place.robot.asked
         # a table in front of the lower door
@@ -509,7 +509,7 @@ def test_a_layer_that_falls_silent_stops_the_robot_until_it_resumes(tmp_path: Pa
         robot.speed = 0.02
         sent = robot.send(4.0, 1.0)
         until(lambda: robot.goal and robot.goal.status is GoalState.EXECUTING, "the robot drives", 30)
-        until(lambda: place.module._layers._going_on, "the layer is received repeatedly", 30)
+        until(lambda: place.module._layers._periodic, "the layer is received repeatedly", 30)
         robot.loop.call(timer.close)
         until(lambda: robot.goal and robot.goal.status is GoalState.CANCELED, "the navigator stops", 30)
         until(lambda: planner.status.fault is Fault.NO_LASER, "the status gives the fault", 30)

@@ -1,4 +1,4 @@
-"""A server of INavigation2D as the local navigator."""
+"""A YARP server of INavigation2D as the local navigator."""
 
 # ruff: noqa: N802 - YARP's names
 
@@ -29,11 +29,11 @@ from yarp_compat.wire.generation import Generation, Generations
 
 
 class Goto:
-    """A robotGoto that drives as the test says."""
+    """A robotGoto whose state the test sets."""
 
     def __init__(self) -> None:
         self.state, self.refuses, self.late = "idle", False, False
-        self.asked = 0
+        self.polls = 0
         self.goals: list[Map2DLocation] = []
         self.answers = threading.Event()
         self.answers.set()
@@ -50,7 +50,7 @@ class Goto:
         self.state = "idle"
 
     def getNavigationStatus(self) -> str:
-        self.asked += 1
+        self.polls += 1
         return self.state
 
 
@@ -63,10 +63,10 @@ class Network:
         self.server.open()
         self.names = NameClient(Address("127.0.0.1", port), namespace="/root")
         self.goto = Goto()
-        self.port = self.opened()
+        self.port = self.open_port()
         self.navigator = YarpNavigator("/robotGoto", lambda: "floor", self.names)
 
-    def opened(self) -> PortCore:
+    def open_port(self) -> PortCore:
         answers = Server(Navigation2DServer(self.goto), Generations(Generation.YARP_4))
         port = PortCore("/robotGoto/rpc", on_message=answers, on_event=answers.on_event, naming=self.names,
                         is_output=False, rpc=True)  # fmt: skip
@@ -74,7 +74,7 @@ class Network:
         return port
 
     def until_becomes(self, state: State) -> None:
-        until(lambda: self.navigator.state is state, f"it is {state}", 20)
+        until(lambda: self.navigator.state is state, f"the navigator is {state}", 20)
 
     def close(self) -> None:
         self.navigator.close()
@@ -84,14 +84,14 @@ class Network:
 
 @pytest.fixture
 def network() -> Iterator[Network]:
-    made = Network()
+    network = Network()
     try:
-        yield made
+        yield network
     finally:
-        made.close()
+        network.close()
 
 
-def test_goals_and_their_end_cross(network: Network) -> None:
+def test_goals_are_sent_and_their_ends_are_received(network: Network) -> None:
     network.until_becomes(State.IDLE)
     network.goto.answers.clear()
     network.navigator.send(Pose(1.0, 2.0, math.pi / 2), Constraints(heading=False, through=True))
@@ -110,32 +110,32 @@ def test_goals_and_their_end_cross(network: Network) -> None:
     network.until_becomes(State.MOVING)
     first, second = network.goto.goals
     assert (first.map_id, first.x, first.y) == ("floor", 1.0, 2.0)
-    assert math.isnan(first.theta), "any heading will do"
+    assert math.isnan(first.theta), "the heading does not matter"
     assert second.theta == pytest.approx(90.0)
     network.navigator.cancel()
-    until(lambda: network.goto.state == "idle", "it stops", 20)
+    until(lambda: network.goto.state == "idle", "the robot stops", 20)
     network.goto.refuses = True
     network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
     network.until_becomes(State.FAILING)
-    asked = network.goto.asked
-    until(lambda: network.goto.asked > asked + 2, "it is asked on", 20)
+    polls = network.goto.polls
+    until(lambda: network.goto.polls > polls + 2, "the navigator polls the server", 20)
     assert (network.navigator.state, "refused" in network.navigator.reason) == (State.FAILING, True)
 
 
 @pytest.mark.parametrize("before", ["goal_reached", "idle", "aborted"])
-def test_how_the_goal_before_ended_is_not_believed_of_the_next(
+def test_the_previous_goals_end_does_not_count_for_the_next(
     network: Network, monkeypatch: pytest.MonkeyPatch, before: str
 ) -> None:
-    """A server may take a goal, and tell for a moment more how the one before ended."""
+    """After accepting a goal, a server may still report the end of the previous one for a moment."""
     monkeypatch.setattr(navigators, "GRACE", 60.0)
     network.until_becomes(State.IDLE)
     goto = network.goto
     goto.state, goto.late = before, True
     network.until_becomes(State(before))
     network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
-    until(lambda: len(goto.goals) == 1, "the goal is taken", 20)
-    asked = goto.asked
-    until(lambda: goto.asked > asked + 2, "it is asked on", 20)
+    until(lambda: len(goto.goals) == 1, "the goal is accepted", 20)
+    polls = goto.polls
+    until(lambda: goto.polls > polls + 2, "the navigator polls the server", 20)
     assert network.navigator.state is State.PREPARING
     goto.state = "moving"
     network.until_becomes(State.MOVING)
@@ -143,7 +143,9 @@ def test_how_the_goal_before_ended_is_not_believed_of_the_next(
     network.until_becomes(State(before))
 
 
-def test_a_server_that_never_moves_is_believed_after_a_while(network: Network, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_status_of_a_server_that_never_moves_counts_after_the_grace_period(
+    network: Network, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(navigators, "GRACE", 0.05)
     network.until_becomes(State.IDLE)
     network.goto.late, network.goto.state = True, "goal_reached"
@@ -151,26 +153,26 @@ def test_a_server_that_never_moves_is_believed_after_a_while(network: Network, m
     network.until_becomes(State.REACHED)
 
 
-def test_a_goal_that_was_sent_to_nobody_is_forgotten(network: Network) -> None:
+def test_a_goal_sent_to_an_unreachable_server_is_dropped(network: Network) -> None:
     network.until_becomes(State.IDLE)
     network.port.close()
     network.until_becomes(State.ERROR)
     network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
-    until(lambda: network.navigator._sent == network.navigator._number, "it is not sent later", 20)
-    network.port = network.opened()
-    until(lambda: network.navigator.state is not State.ERROR, "the server is found again", 20)
+    until(lambda: network.navigator._sent == network.navigator._number, "the goal is not sent later", 20)
+    network.port = network.open_port()
+    until(lambda: network.navigator.state is not State.ERROR, "the server is reachable again", 20)
 
 
-def test_a_server_that_goes_is_told_and_found_again(network: Network) -> None:
+def test_an_unreachable_server_is_reported_and_reconnected(network: Network) -> None:
     network.until_becomes(State.IDLE)
     network.port.close()
     network.until_becomes(State.ERROR)
     assert "/robotGoto/rpc" in network.navigator.reason
-    network.port = network.opened()
+    network.port = network.open_port()
     network.until_becomes(State.IDLE)
 
 
-def test_a_brake_is_of_the_goal_at_hand_alone(network: Network) -> None:
+def test_a_brake_stops_only_the_goal_it_was_made_for(network: Network) -> None:
     network.until_becomes(State.IDLE)
     network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
     late = network.navigator.brake()
@@ -179,10 +181,10 @@ def test_a_brake_is_of_the_goal_at_hand_alone(network: Network) -> None:
     network.until_becomes(State.MOVING)
     assert network.goto.goals[-1].x == 3.0
     network.navigator.brake()()
-    until(lambda: network.goto.state == "idle", "it stops", 20)
+    until(lambda: network.goto.state == "idle", "the robot stops", 20)
 
 
-def test_it_is_told_to_stop_until_it_hears(network: Network) -> None:
+def test_a_stop_is_sent_again_until_the_server_receives_it(network: Network) -> None:
     network.until_becomes(State.IDLE)
     network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
     network.until_becomes(State.MOVING)
@@ -190,6 +192,6 @@ def test_it_is_told_to_stop_until_it_hears(network: Network) -> None:
         network.port.close()
         network.navigator.cancel()
     network.until_becomes(State.ERROR)
-    assert network.goto.state == "moving", "it has not heard"
-    network.port = network.opened()
-    until(lambda: network.goto.state == "idle", "it stops", 20)
+    assert network.goto.state == "moving", "the stop was not received"
+    network.port = network.open_port()
+    until(lambda: network.goto.state == "idle", "the robot stops", 20)

@@ -1,4 +1,4 @@
-"""Clicks and drags of yarpview as goals."""
+"""Goals from clicks and drags in yarpview."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.navigation.robot_path_planner.floors import floor
 
 @pytest.fixture(scope="module")
 def ground() -> Ground:
-    """100 cells of 0.05 m either way."""
+    """100 by 100 cells of 0.05 m."""
     return Ground(floor(), 0.2)
 
 
@@ -27,16 +27,16 @@ def ground() -> Ground:
         ([80, 60, 60.0, 60], (4.025, 1.975, math.pi)),
     ],
 )
-def test_a_click_is_a_place_and_a_drag_says_the_heading(ground: Ground, values: list[float], goal: Any) -> None:
+def test_a_click_sets_the_position_and_a_drag_the_heading(ground: Ground, values: list[float], goal: Any) -> None:
     assert goal_of_click(ground, values)[:3] == pytest.approx(goal, nan_ok=True)
 
 
 @pytest.mark.parametrize("values", [[], [1], [1, 2, 3], ["a", "b"], [True, 1], [math.nan, 1], [1, [2]]])
-def test_what_is_no_click_is_refused(ground: Ground, values: list[Any]) -> None:
+def test_invalid_clicks_are_rejected(ground: Ground, values: list[Any]) -> None:
     with pytest.raises(ValueError, match="is neither"):
         goal_of_click(ground, values)
 
 
-def test_without_a_map_there_is_nothing_to_click_on() -> None:
+def test_clicks_without_a_map_are_rejected() -> None:
     with pytest.raises(ValueError, match="no map"):
         goal_of_click(None, [1, 2])

@@ -1,4 +1,4 @@
-"""The planner drives a robot that moves straight, in lock-step."""
+"""The planner in lock-step with a robot that drives straight."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from navigation.pose import Pose
 from navigation.robot_path_planner.ground import Ground, Zone
 from navigation.status import Fault, State
 from tests.navigation.robot_path_planner.floors import ROOMS, SETTINGS, Drive, floor, paint
-from tests.navigation.robot_path_planner.test_way import LIFT, Two, area
+from tests.navigation.robot_path_planner.test_path import LIFT, Two, area
 from yarp_compat.dev.extras import AreaBehaviour
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 WEST, EAST = Pose(1.0, 1.0, 0.0), Pose(4.0, 1.0, 1.0)
 KEPT = 0.14
-"""Of the robot's radius of 0.2 m: waypoints are passed within 0.1 m, so corners are cut by up to half of that."""
+"""Meters kept free: the radius is 0.2 m, but waypoints are passed within 0.1 m, which cuts corners by 0.05 m."""
 LOW_DOOR = (2.5, 1.0, 0.5)
 
 
 def room(drive: Drive, grid: MapGrid2D) -> float:
-    """The least that the robot had about it on its way, metres."""
+    """Return the smallest distance of the robot to obstacles on its track, meters."""
     ground = Ground(grid, 0.2, zones=drive.zones)
     columns, rows = grid.cells_at([pose[:2] for pose in drive.track]).T
     return float(ground.room[rows, columns].min())
 
 
-def test_it_drives_to_the_goal_with_its_heading_and_room_all_the_way() -> None:
+def test_the_robot_reaches_the_goal_with_its_heading_and_keeps_clear_of_walls() -> None:
     grid = floor(*ROOMS)
     drive = Drive(grid, Pose(1.0, 2.5, 0.0))
     status = drive.goto(EAST)
-    assert status == (State.REACHED, "the goal is reached", Fault.NONE)
+    assert status == (State.REACHED, "goal reached", Fault.NONE)
     assert drive.local.pose[:3] == EAST[:3]
     assert room(drive, grid) > KEPT
-    assert {told.state for told in drive.told} == {State.MOVING, State.REACHED}
+    assert {status.state for status in drive.statuses} == {State.MOVING, State.REACHED}
 
 
-def test_a_goal_where_it_stands_is_reached_at_once() -> None:
+def test_a_goal_at_the_robots_pose_is_reached_immediately() -> None:
     drive = Drive(floor(), WEST)
     assert drive.goto(Pose(1.02, 1.0, 0.0)).state is State.REACHED
     assert not drive.local.sent
@@ -50,16 +50,16 @@ def test_a_goal_where_it_stands_is_reached_at_once() -> None:
     assert drive.local.sent[-1][1].heading
 
 
-def test_a_goal_where_it_stands_stops_who_drives_elsewhere() -> None:
+def test_a_goal_at_the_robots_pose_stops_the_drive_to_the_previous_goal() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
-    here = drive.local.pose
-    assert drive.goto(Pose(here.x + 0.05, here.y, here.theta)).state is State.REACHED
+    pose = drive.local.pose
+    assert drive.goto(Pose(pose.x + 0.05, pose.y, pose.theta)).state is State.REACHED
     assert drive.local.sent[-1][0] == EAST
     assert drive.local.state is State.IDLE
 
 
-def test_distance_remaining_falls_to_nothing() -> None:
+def test_distance_remaining_decreases_to_zero() -> None:
     drive = Drive(floor(*ROOMS), Pose(1.0, 2.5, 0.0))
     drive.planner.goal(EAST)
     drive.tick()
@@ -72,14 +72,14 @@ def test_distance_remaining_falls_to_nothing() -> None:
     assert left[-1] == 0.0
 
 
-def test_a_new_goal_takes_the_place_of_the_old_one_without_a_stop() -> None:
+def test_a_new_goal_replaces_the_old_one_without_a_stop() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
     assert drive.goto(Pose(1.0, 4.0, 0.0)).state is State.REACHED
     assert not drive.local.cancelled
 
 
-def test_a_path_is_followed_place_by_place() -> None:
+def test_the_goals_of_a_path_are_driven_in_sequence() -> None:
     drive = Drive(floor(*ROOMS), WEST)
     north = MapPlace("", Pose(1.0, 4.0, 1.5))
     drive.planner.goal(EAST, now=drive.now, then=[north, MapPlace("floor", WEST)])
@@ -89,14 +89,14 @@ def test_a_path_is_followed_place_by_place() -> None:
     assert headed == [EAST[:3], north.pose[:3], WEST[:3]]
 
 
-def test_cancelling_and_pausing_stop_it() -> None:
+def test_cancel_and_pause_stop_the_robot() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
     drive.planner.pause(drive.now, 3.0)
     assert drive.tick().state is State.PAUSED
-    here = drive.local.pose
+    pose = drive.local.pose
     drive.run(1.5)
-    assert drive.local.pose == here
+    assert drive.local.pose == pose
     drive.until(State.MOVING, 2.0)
     drive.planner.pause(drive.now)
     drive.run(5.0)
@@ -109,8 +109,8 @@ def test_cancelling_and_pausing_stop_it() -> None:
 
 
 @pytest.mark.parametrize("then", ["cancel", "pause"])
-def test_who_is_to_stop_while_a_way_is_looked_for_is_sent_nowhere(then: str) -> None:
-    """The brake comes from another thread, where the step at hand is planning."""
+def test_a_braked_goal_sends_no_waypoint_while_a_path_is_planned(then: str) -> None:
+    """Another thread brakes while the current step plans."""
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
     planner = drive.planner
@@ -120,7 +120,7 @@ def test_who_is_to_stop_while_a_way_is_looked_for_is_sent_nowhere(then: str) -> 
     planner.recompute()
     sent = len(drive.local.sent)
     drive.run(0.2)
-    assert planner.status.state is State.MOVING, "nobody gave the goal up"
+    assert planner.status.state is State.MOVING, "the goal is not canceled"
     if then == "cancel":
         planner.cancel()
         drive.run(0.2)
@@ -136,7 +136,7 @@ def test_who_is_to_stop_while_a_way_is_looked_for_is_sent_nowhere(then: str) -> 
     assert len(drive.local.sent) > sent
 
 
-def test_who_drives_pauses_by_itself_until_it_is_told_to_go_on() -> None:
+def test_a_local_navigator_that_paused_itself_is_resumed() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
     drive.local.state, drive.local.reason = State.PAUSED, "deadlock: no progress for 20 s"
@@ -147,8 +147,8 @@ def test_who_drives_pauses_by_itself_until_it_is_told_to_go_on() -> None:
 
 
 @pytest.mark.parametrize("patience", [5.0, math.inf])
-def test_a_door_that_is_closed_on_the_way_is_gone_round(patience: float) -> None:
-    """Once who drives gives up, and before that where it takes long."""
+def test_a_door_that_closes_during_the_drive_is_bypassed(patience: float) -> None:
+    """Once the local navigator fails, or earlier if it waits for long."""
     drive = Drive(floor(*ROOMS), WEST)
     drive.laser = True
     drive.local.crates, drive.local.patience = [LOW_DOOR], patience
@@ -157,7 +157,7 @@ def test_a_door_that_is_closed_on_the_way_is_gone_round(patience: float) -> None
     assert drive.now < 50
 
 
-def test_a_door_that_opens_again_is_driven_through() -> None:
+def test_the_robot_drives_through_a_door_that_reopens() -> None:
     drive = Drive(floor((2.4, 0.0, 2.6, 0.6), (2.4, 1.4, 2.6, 5.0)), WEST)
     drive.laser = True
     drive.local.crates = [LOW_DOOR]
@@ -171,7 +171,7 @@ def test_a_door_that_opens_again_is_driven_through() -> None:
     assert drive.run(60.0).state is State.REACHED
 
 
-def test_a_door_that_stays_closed_ends_in_a_clear_status() -> None:
+def test_a_door_that_stays_closed_aborts_the_goal_with_a_reason() -> None:
     drive = Drive(floor((2.4, 0.0, 2.6, 0.6), (2.4, 1.4, 2.6, 5.0)), WEST)
     drive.laser = True
     drive.local.crates = [LOW_DOOR]
@@ -180,18 +180,18 @@ def test_a_door_that_stays_closed_ends_in_a_clear_status() -> None:
     assert drive.local.state is State.IDLE
 
 
-def test_without_a_laser_it_tries_five_times_and_says_what_its_navigator_said() -> None:
+def test_without_a_laser_five_attempts_end_with_the_navigators_reason() -> None:
     drive = Drive(floor(), WEST)
     drive.local.crates = [(2.5, 1.0, 0.4)]
     drive.local.patience = 0.5
     status = drive.goto(EAST, 200.0)
     assert (status.state, status.fault) == (State.ABORTED, Fault.BLOCKED)
-    assert status.reason == "the obstacle did not go away; given up after 5 further attempts"
+    assert status.reason == "the obstacle did not go away; aborted after 5 more attempts"
 
 
 @pytest.mark.parametrize("fault", [Fault.NO_LASER, Fault.NOT_LOCALIZED, Fault.BASE_STANDS])
-def test_what_would_be_so_on_any_way_is_waited_for_and_then_ends_the_goal(fault: Fault) -> None:
-    """By who drives, in its own words and for as long as it wants; no other way is tried."""
+def test_faults_of_the_robot_are_waited_for_and_then_abort_the_goal(fault: Fault) -> None:
+    """The local navigator decides how long, and gives the reason; the planner tries no other path."""
     drive = Drive(floor(*ROOMS), WEST)
     drive.goto(EAST, 2.0)
     drive.local.patience = math.inf
@@ -204,7 +204,7 @@ def test_what_would_be_so_on_any_way_is_waited_for_and_then_ends_the_goal(fault:
     assert len(drive.local.sent) == sent
 
 
-def test_who_waits_for_its_laser_drives_on_when_it_is_back() -> None:
+def test_the_robot_drives_on_when_its_laser_returns() -> None:
     drive = Drive(floor(*ROOMS), WEST)
     drive.goto(EAST, 2.0)
     drive.local.crates, drive.local.fault = [(*drive.local.sent[-1][0][:2], 9.0)], Fault.NO_LASER
@@ -212,13 +212,13 @@ def test_who_waits_for_its_laser_drives_on_when_it_is_back() -> None:
     drive.run(20.0)
     assert drive.planner.status.state is State.WAITING
     drive.local.crates, drive.local.fault = [], Fault.NONE
-    assert drive.run(60.0) == (State.REACHED, "the goal is reached", Fault.NONE)
+    assert drive.run(60.0) == (State.REACHED, "goal reached", Fault.NONE)
 
 
-def test_a_localisation_that_is_lost_for_want_of_a_laser_is_the_lasers_fault() -> None:
+def test_a_pose_lost_with_the_laser_is_reported_as_the_lasers_fault() -> None:
     drive = Drive(floor(*ROOMS), WEST)
     drive.goto(EAST, 2.0)
-    drive.lost = "the localisation says 'error'"
+    drive.lost = "localization status is 'error'"
     drive.run(0.5)
     assert drive.planner.status.fault is Fault.NOT_LOCALIZED
     drive.planner.blind = "the laser is silent"
@@ -227,7 +227,7 @@ def test_a_localisation_that_is_lost_for_want_of_a_laser_is_the_lasers_fault() -
     assert drive.run(100.0) == (State.ABORTED, "the laser is silent", Fault.NO_LASER)
 
 
-def test_an_area_in_which_to_wait_is_not_gone_round() -> None:
+def test_the_robot_waits_in_an_area_with_on_obstacle_wait() -> None:
     zone = Zone(area(1.5, 0.0, 3.5, 5.0), AreaBehaviour(on_obstacle="wait"))
     drive = Drive(floor(*ROOMS), WEST, zones=[zone])
     drive.laser = True
@@ -240,7 +240,7 @@ def test_an_area_in_which_to_wait_is_not_gone_round() -> None:
     assert drive.run(30.0).state is State.REACHED
 
 
-def test_a_jump_of_localisation_gives_a_new_way() -> None:
+def test_a_localization_jump_triggers_a_new_plan() -> None:
     drive = Drive(floor(*ROOMS), WEST)
     drive.goto(EAST, seconds=2.0)
     sent = len(drive.local.sent)
@@ -251,7 +251,7 @@ def test_a_jump_of_localisation_gives_a_new_way() -> None:
     assert room(drive, floor(*ROOMS)) > KEPT
 
 
-def test_lost_localisation_stops_it_until_it_is_back() -> None:
+def test_lost_localization_stops_the_robot_until_it_returns() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
     drive.lost = "tf is stale"
@@ -266,33 +266,33 @@ def test_lost_localisation_stops_it_until_it_is_back() -> None:
     assert (status.state, status.fault) == (State.ABORTED, Fault.NOT_LOCALIZED)
 
 
-def test_no_map_says_so() -> None:
+def test_a_missing_map_aborts_the_goal() -> None:
     status = Drive(None, WEST).goto(EAST)
     assert (status.state, status.fault) == (State.ABORTED, Fault.NO_MAP)
-    assert "ask again" in status.reason
+    assert "send the goal again" in status.reason
 
 
-def test_a_goal_that_comes_before_all_else_waits_and_says_for_what() -> None:
+def test_an_early_goal_waits_and_reports_what_is_missing() -> None:
     drive = Drive(None, WEST)
-    drive.lost, drive.local.state, drive.local.reason = "no frame yet", State.ERROR, "nobody serves it"
+    drive.lost, drive.local.state, drive.local.reason = "no frame yet", State.ERROR, "no server"
     drive.goto(EAST, seconds=20.0)
     assert drive.planner.status == (
         State.PREPARING,
-        "it is not known where the robot is: no frame yet",
+        "the robot's pose is unknown: no frame yet",
         Fault.NOT_LOCALIZED,
     )
     drive.lost = ""
     drive.run(10.0)
-    assert drive.planner.status == (State.PREPARING, "there is no map to plan on yet", Fault.NO_MAP)
+    assert drive.planner.status == (State.PREPARING, "waiting for a map", Fault.NO_MAP)
     drive.use(floor())
     drive.run(20.0)
-    assert drive.planner.status == (State.PREPARING, "nobody serves it", Fault.NO_NAVIGATOR)
-    assert drive.local.pose == WEST, "nothing drives on what is not known"
+    assert drive.planner.status == (State.PREPARING, "no server", Fault.NO_NAVIGATOR)
+    assert drive.local.pose == WEST, "the robot does not drive"
     drive.local.state = State.IDLE
     assert drive.run(30.0).state is State.REACHED
 
 
-def test_a_goal_that_waits_for_the_start_is_cancelled_at_once() -> None:
+def test_an_early_goal_is_canceled_immediately() -> None:
     drive = Drive(None, WEST)
     drive.goto(EAST, seconds=3.0)
     drive.planner.cancel()
@@ -303,7 +303,7 @@ def test_a_goal_that_waits_for_the_start_is_cancelled_at_once() -> None:
     assert not drive.local.sent
 
 
-def test_places_that_were_asked_for_before_the_map_are_on_the_first_one() -> None:
+def test_goals_received_before_any_map_are_on_the_first_map() -> None:
     drive = Drive(None, WEST)
     drive.planner.goal(EAST, now=drive.now, then=[MapPlace("", WEST)])
     drive.run(1.0)
@@ -312,7 +312,7 @@ def test_places_that_were_asked_for_before_the_map_are_on_the_first_one() -> Non
     assert drive.local.pose[:2] == WEST[:2]
 
 
-def test_a_map_that_is_taken_away_on_the_way_stops_it_and_says_so() -> None:
+def test_removing_the_map_aborts_the_goal() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
     drive.planner.use_map(None)
@@ -321,12 +321,12 @@ def test_a_map_that_is_taken_away_on_the_way_stops_it_and_says_so() -> None:
     assert drive.local.state is State.IDLE
 
 
-def test_a_navigator_that_goes_away_is_waited_for() -> None:
+def test_an_unavailable_navigator_is_waited_for() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
-    drive.local.state, drive.local.reason = State.ERROR, "nobody serves it"
+    drive.local.state, drive.local.reason = State.ERROR, "no server"
     drive.run(3.0)
-    assert drive.planner.status[:2] == (State.WAITING, "nobody serves it")
+    assert drive.planner.status[:2] == (State.WAITING, "no server")
     drive.local.state = State.IDLE
     assert drive.run(30.0).state is State.REACHED
     drive.local.state = State.ERROR
@@ -334,7 +334,7 @@ def test_a_navigator_that_goes_away_is_waited_for() -> None:
     assert (status.state, status.fault) == (State.ABORTED, Fault.NO_NAVIGATOR)
 
 
-def test_a_navigator_that_somebody_stops_ends_the_goal() -> None:
+def test_a_navigator_stopped_by_another_client_aborts_the_goal() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
     drive.local.state, drive.local.reason = State.IDLE, "cancelled"
@@ -343,13 +343,13 @@ def test_a_navigator_that_somebody_stops_ends_the_goal() -> None:
     assert "cancelled" in status.reason
 
 
-def test_a_map_swapped_on_the_way_gives_a_new_way_or_a_clear_status() -> None:
+def test_a_changed_map_triggers_a_new_plan_or_aborts_the_goal() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
     sent = len(drive.local.sent)
     drive.use(floor((0.5, 3.0, 1.0, 3.5)))
     drive.tick()
-    assert len(drive.local.sent) == sent, "the way is still free"
+    assert len(drive.local.sent) == sent, "the path is still free"
     swapped = floor(*ROOMS[1:], (2.4, 0.0, 2.6, 1.4))
     drive.use(swapped)
     drive.tick()
@@ -365,27 +365,27 @@ def test_a_map_swapped_on_the_way_gives_a_new_way_or_a_clear_status() -> None:
     assert drive.local.state is State.IDLE
 
 
-def test_a_goal_on_another_map_is_driven_to_over_a_link() -> None:
+def test_a_goal_on_another_map_is_reached_over_a_link() -> None:
     atlas = Two(LIFT)
     drive = Drive(None, WEST, atlas=atlas)
     drive.planner.use_map(atlas.maps["floor"])
     goal = Pose(1.0, 4.0, 0.5)
     drive.planner.goal(goal, "up", now=drive.now)
     status = drive.until(State.WAITING)
-    assert "waits to be on the map up" in status.reason
+    assert "waiting for the map to change to up" in status.reason
     assert drive.local.pose.distance(LIFT.first.pose) < 0.05
     drive.run(20.0)
-    drive.planner.use_map(None)  # between two maps there is none
+    drive.planner.use_map(None)  # no map between the two maps
     drive.tick()
     drive.planner.use_map(atlas.maps["up"])
-    drive.local.pose = Pose(0.5, 0.5, 0.0)  # not localised on the new map yet
-    assert "localised near lift 1" in drive.tick().reason
+    drive.local.pose = Pose(0.5, 0.5, 0.0)  # not localized on the new map yet
+    assert "localized near lift 1" in drive.tick().reason
     drive.local.pose = Pose(4.1, 4.0, 3.0)
     assert drive.run(60.0).state is State.REACHED
     assert drive.local.pose[:3] == goal[:3]
 
 
-def test_a_map_that_never_changes_ends_in_a_clear_status() -> None:
+def test_a_goal_is_aborted_if_the_map_never_changes() -> None:
     atlas = Two(LIFT)
     drive = Drive(None, Pose(4.0, 3.0, 0.0), atlas=atlas)
     drive.planner.use_map(atlas.maps["floor"])
@@ -395,7 +395,7 @@ def test_a_map_that_never_changes_ends_in_a_clear_status() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_random_goals_are_reached_and_keep_out_is_never_entered(seed: int) -> None:
+def test_random_goals_are_reached_without_entering_keep_out_areas(seed: int) -> None:
     random = np.random.default_rng(seed)
     grid = floor(*ROOMS)
     paint(grid, (0.8, 1.8, 1.6, 2.4), MapFlag.KEEP_OUT)
@@ -411,7 +411,7 @@ def test_random_goals_are_reached_and_keep_out_is_never_entered(seed: int) -> No
 
 
 def cells(left: float, bottom: float, right: float, top: float) -> np.ndarray:
-    """(n, 2) the middles of a layer's cells in a rectangle, metres."""
+    """Return the centers of a layer's cells in a rectangle, (n, 2) meters."""
     xs, ys = np.meshgrid(np.arange(left + 0.025, right, 0.05), np.arange(bottom + 0.025, top, 0.05))
     return np.stack((xs.ravel(), ys.ravel()), axis=1)
 
@@ -421,13 +421,13 @@ TABLE = (1.5, 0.5, 2.2, 1.6)
 
 
 def apart(drive: Drive, box: tuple[float, float, float, float]) -> float:
-    """The least that the robot's middle was from a rectangle on its way, metres."""
+    """Return the smallest distance of the robot's center to a rectangle on its track, meters."""
     track = np.array([pose[:2] for pose in drive.track])
-    beside = np.maximum(np.maximum(np.subtract(box[:2], track), track - box[2:]), 0.0)
-    return float(np.hypot(*beside.T).min())
+    offsets = np.maximum(np.maximum(np.subtract(box[:2], track), track - box[2:]), 0.0)
+    return float(np.hypot(*offsets.T).min())
 
 
-def test_a_layer_is_planned_around_from_the_start_and_not_waited_for() -> None:
+def test_the_first_path_avoids_a_layer_without_waiting() -> None:
     drive = Drive(floor(*ROOMS), WEST)
     drive.planner.layer("/layer", cells(*TABLE))
     assert drive.goto(EAST).state is State.REACHED
@@ -438,7 +438,7 @@ def test_a_layer_is_planned_around_from_the_start_and_not_waited_for() -> None:
     assert apart(without, TABLE) == 0.0
 
 
-def test_a_layer_that_comes_on_the_way_leads_round_at_once() -> None:
+def test_a_layer_that_blocks_the_path_triggers_a_new_plan() -> None:
     drive = Drive(floor(*ROOMS), WEST)
     drive.goto(EAST, seconds=0.5)
     drive.planner.layer("/layer", cells(*TABLE))
@@ -447,27 +447,27 @@ def test_a_layer_that_comes_on_the_way_leads_round_at_once() -> None:
     assert drive.planner.recoveries == 0
 
 
-def test_a_layer_that_closes_the_way_is_waited_for_and_opens_it() -> None:
+def test_the_robot_waits_while_a_layer_blocks_every_path() -> None:
     drive = Drive(floor(*ROOMS), WEST)
     drive.planner.layer("/layer", cells(2.3, 0.0, 2.5, 5.0))
     drive.planner.goal(EAST, now=drive.now)
-    assert "a layer, closes the way" in drive.until(State.WAITING).reason
+    assert "or a layer block every path" in drive.until(State.WAITING).reason
     drive.planner.layer("/layer", np.empty((0, 2)))
     assert drive.run(60.0).state is State.REACHED
 
 
-def test_what_a_layer_has_of_the_maps_own_walls_closes_no_door() -> None:
+def test_mapped_walls_in_a_layer_do_not_close_doors() -> None:
     drive = Drive(floor(*ROOMS), WEST)
     drive.planner.layer("/layer", np.concatenate([cells(2.35, 0.0, 2.65, 0.65), cells(2.35, 1.35, 2.65, 3.6)]))
     drive.goto(EAST)
     assert min(math.dist(pose[:2], LOW_DOOR[:2]) for pose in drive.track) < 0.3
 
 
-def test_without_its_layer_it_does_not_set_out() -> None:
+def test_the_robot_does_not_start_before_its_layer_arrives() -> None:
     settings = SETTINGS.model_copy(update={"obstacles": (LAYER,), "max_waiting_time": 5.0})
     drive = Drive(floor(*ROOMS), WEST, settings)
     drive.planner.goal(EAST, now=drive.now)
-    assert drive.until(State.PREPARING).reason == "the layer /layer has not come yet"
+    assert drive.until(State.PREPARING).reason == "waiting for layer /layer"
     drive.planner.layer("/layer", np.array([(-3.0, 99.0)]))  # off the map
     assert drive.run(60.0).state is State.REACHED
     late = Drive(floor(*ROOMS), WEST, settings)
@@ -475,7 +475,7 @@ def test_without_its_layer_it_does_not_set_out() -> None:
     assert not late.local.sent
 
 
-def test_a_layer_that_falls_silent_stops_it_until_it_is_heard() -> None:
+def test_a_silent_layer_stops_the_robot_until_it_is_received_again() -> None:
     settings = SETTINGS.model_copy(update={"max_waiting_time": 5.0})
     drive = Drive(floor(*ROOMS), WEST, settings)
     drive.planner.layer("/layer", np.empty((0, 2)))
@@ -489,13 +489,13 @@ def test_a_layer_that_falls_silent_stops_it_until_it_is_heard() -> None:
     drive.planner.silent = ""
     drive.run(0.5)
     drive.planner.silent = "the layer /layer is silent"
-    drive.run(4.0)  # each silence is waited for by itself
+    drive.run(4.0)  # each silence has its own time-out
     drive.planner.silent = ""
     assert drive.run(60.0).state is State.REACHED
     assert apart(drive, TABLE) > KEPT
 
 
-def test_a_layer_that_stays_silent_ends_the_goal_and_stops_who_drives_to_the_one_before() -> None:
+def test_a_layer_that_stays_silent_aborts_the_goal_and_the_previous_drive() -> None:
     drive = Drive(floor(*ROOMS), WEST, SETTINGS.model_copy(update={"max_waiting_time": 5.0}))
     drive.goto(EAST, seconds=0.5)
     drive.planner.silent = "the layer /layer is silent"
@@ -504,10 +504,10 @@ def test_a_layer_that_stays_silent_ends_the_goal_and_stops_who_drives_to_the_one
     assert (drive.planner.status.state, drive.local.state) == (State.PREPARING, State.IDLE)
     status = drive.run(60.0)
     assert (status.state, status.fault) == (State.ABORTED, Fault.NO_LASER)
-    assert status.reason.startswith("the layer /layer is silent, and has been so for 5 s: ask again")
+    assert status.reason.startswith("the layer /layer is silent, for 5 s now: send the goal again")
 
 
-def test_a_map_that_changes_keeps_the_layers() -> None:
+def test_layers_survive_a_map_change() -> None:
     drive = Drive(floor(*ROOMS), WEST)
     drive.planner.layer("/layer", cells(*TABLE))
     drive.use(floor(*ROOMS))
@@ -515,6 +515,6 @@ def test_a_map_that_changes_keeps_the_layers() -> None:
     assert apart(drive, TABLE) > KEPT
 
 
-def test_clouds_are_not_the_planners() -> None:
+def test_the_planner_rejects_clouds() -> None:
     with pytest.raises(ValidationError, match="/points is a cloud"):
         RobotPathPlannerSection(obstacles=({"topic": "/points", "type": "cloud"},))

@@ -1,4 +1,4 @@
-"""Sections and files of existing robots."""
+"""Configuration sections, and files of existing robots."""
 
 from __future__ import annotations
 
@@ -88,43 +88,43 @@ def read(folder: Path, text: str, **section: object) -> tuple[RobotPathPlannerSe
     return laid_under(given, given.ini, read_file, merged=MERGED)
 
 
-def test_a_file_of_r1_is_read_as_it_is(tmp_path: Path) -> None:
+def test_a_file_of_r1_is_read_unchanged(tmp_path: Path) -> None:
     section, notes = read(tmp_path, R1)
     assert Constraints(**section.waypoint.model_dump()) == Constraints(0.45, 0.1, 360.0, 0.1, 0.1, 0.3, 0.15, 5.0)
     assert Constraints(**section.goal.model_dump()) == Constraints(0.45, 0.1, 5.0, 0.1, 0.1, 0.3, 0.05, 0.6)
     assert (section.robot_radius, section.recoveries, section.min_waypoint_distance) == (0.3, 0, 0.2)
     assert (section.base_frame, section.frame, section.image_hz) == ("mobile_base_body_link", "map", 15.0)
-    lines = sorted(int(found) for note in notes for found in re.findall(r"\.ini:(\d+): ", note))
+    lines = sorted(int(line) for note in notes for line in re.findall(r"\.ini:(\d+): ", note))
     assert lines == [5, 6, 20, 27, 28, 29]
     assert "waypoint_max_ang_speed 500" in "".join(notes)
-    assert "upstream reads it and uses it nowhere" in "".join(notes)
+    assert "upstream ignores it" in "".join(notes)
 
 
-def test_a_file_of_2016_has_its_keys_at_the_top(tmp_path: Path) -> None:
+def test_a_file_of_2016_has_its_keys_outside_groups(tmp_path: Path) -> None:
     section, notes = read(tmp_path, OLD)
     assert Constraints(**section.waypoint.model_dump()) == Constraints(0.25, 0.1, tolerance_lin=0.1, tolerance_ang=5.0)
     assert Constraints(**section.goal.model_dump()) == Constraints(0.25, 0.1, tolerance_lin=0.05, tolerance_ang=0.6)
     assert (section.robot_radius, section.recoveries, section.base_frame) == (0.35, 5, "mobile_base_body")
     assert len(notes) == 1
-    assert "ini:11: 'file_name' does nothing: the map is the store's" in notes[0]
+    assert "ini:11: 'file_name' is ignored: maps are in the store" in notes[0]
 
 
-def test_what_the_section_sets_is_stronger(tmp_path: Path) -> None:
+def test_the_sections_values_override_the_files(tmp_path: Path) -> None:
     section, _ = read(tmp_path, R1, robot_radius=0.2, recoveries=2, base_frame="base", goal={"tolerance_lin": 0.2})
     assert (section.robot_radius, section.recoveries, section.base_frame) == (0.2, 2, "base")
     assert (section.goal.tolerance_lin, section.goal.max_lin_speed) == (0.2, 0.45)
 
 
-def test_files_that_cannot_be_used_say_where_and_why(tmp_path: Path) -> None:
+def test_invalid_files_are_rejected_with_place_and_reason(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match=r"group \[ROBOT_GEOMETRY\] is missing"):
         read(tmp_path, OLD.split("[ROBOT_GEOMETRY]", maxsplit=1)[0])
-    with pytest.raises(RuntimeError, match=r"ini:17: 'robot_radius' is a number, not 'wide'"):
+    with pytest.raises(RuntimeError, match=r"ini:17: 'robot_radius' must be a number, not 'wide'"):
         read(tmp_path, OLD.replace("0.35", "wide"))
     with pytest.raises(RuntimeError, match="no such file"):
         laid_under(RobotPathPlannerSection(), tmp_path / "none.ini", read_file, merged=MERGED)
 
 
 @pytest.mark.parametrize("wrong", [{"map": "map"}, {"navigator": "robot_goto"}, {"navigator": "yarp:x"}, {"scan": "s"}])
-def test_names_that_are_none_are_refused(wrong: dict[str, str]) -> None:
+def test_invalid_names_are_rejected(wrong: dict[str, str]) -> None:
     with pytest.raises(ValidationError):
         RobotPathPlannerSection.model_validate(wrong)

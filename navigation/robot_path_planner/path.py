@@ -1,0 +1,337 @@
+"""Paths on one map as waypoints, each with its constraints, and the state of the goal that is driven to."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.config.sections.planners import RobotPathPlannerSection
+from navigation.algorithms.astar import Cells, Weights, astar
+from navigation.algorithms.shortcut import sees, shortcut
+from navigation.constraints import Constraints
+from navigation.goals import MapPlace
+from navigation.pose import Pose, wrapped
+from navigation.robot_path_planner.atlas import Leg
+from navigation.robot_path_planner.ground import Cell, Ground
+from navigation.status import Fault, PlanError
+from yarp_compat.dev.extras import AreaBehaviour
+
+Places = NDArray[np.float64]  # (n, 2) x and y, metres
+
+
+def blocked(ground: Ground, closed: NDArray[np.bool_], places: Places) -> bool:
+    """Whether a line over points, (n, 2) metres, enters closed cells; those that it starts in do not count."""
+    columns, rows = ground.grid.cells_at(sampled(places, ground.grid.resolution / 2)).T
+    fits = (rows >= 0) & (rows < closed.shape[0]) & (columns >= 0) & (columns < closed.shape[1])
+    on_line = closed[rows[fits], columns[fits]]
+    free = np.flatnonzero(~on_line)
+    return bool(len(free)) and bool(on_line[free[0] :].any())
+
+
+def sampled(places: Places, step: float) -> Places:
+    """Return points along a line, at most one step apart."""
+    parts = [places[:1]]
+    for start, end in pairwise(places):
+        count = max(math.ceil(math.dist(start, end) / step), 1)
+        parts.append(start + (end - start) * (np.arange(1, count + 1) / count)[:, None])
+    return np.concatenate(parts)
+
+
+def is_straight(ground: Ground, first: Pose, second: Pose) -> bool:
+    """Whether no wall is between two poses; always true from a cell in which the robot may not be: it is leaving it."""
+    start, end = ground.cell(first.x, first.y), ground.cell(second.x, second.y)
+    return start is None or end is None or not ground.open[start] or sees(ground.open, start, end)
+
+
+def length(places: Places) -> float:
+    """Return the length of a line, metres."""
+    return float(np.hypot(*np.diff(places, axis=0).T).sum())
+
+
+def cut(places: Places, metres: float) -> Places:
+    """Return the first metres of a line."""
+    steps = np.hypot(*np.diff(places, axis=0).T)
+    whole = np.concatenate(([0.0], np.cumsum(steps)))
+    if whole[-1] <= metres:
+        return places
+    number = int(np.searchsorted(whole, metres))
+    share = (metres - whole[number - 1]) / steps[number - 1]
+    end = places[number - 1] + share * (places[number] - places[number - 1])
+    return np.concatenate((places[:number], [end]))
+
+
+_STUCK = 2  # cells around the start in which walls do not matter: localization is not more accurate
+_STEPS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or column]
+
+
+def escape(weights: Weights, solid: NDArray[np.bool_], start: Cell) -> Cells | None:
+    """Return the shortest path from a forbidden cell to an allowed one, (n, 2) cells with the start; None without one.
+
+    ``weights`` are 0 in forbidden cells; ``solid`` cells cannot be crossed at all; both are (rows, columns).
+    """
+    rows, columns = weights.shape
+    lengths, previous = {start: 0.0}, {start: start}
+    waiting = [(0.0, start)]
+    while waiting:
+        length, cell = heapq.heappop(waiting)
+        if length > lengths[cell]:
+            continue
+        if weights[cell]:
+            return _tracked(previous, cell)
+        for row, column in _STEPS:
+            other = cell[0] + row, cell[1] + column
+            if not (0 <= other[0] < rows and 0 <= other[1] < columns):
+                continue
+            near = max(abs(other[0] - start[0]), abs(other[1] - start[1])) <= _STUCK
+            cost = length + math.hypot(row, column)
+            if (near or not solid[other]) and cost < lengths.get(other, math.inf):
+                lengths[other], previous[other] = cost, cell
+                heapq.heappush(waiting, (cost, other))
+    return None
+
+
+def _tracked(previous: dict[Cell, Cell], cell: Cell) -> Cells:
+    path = [cell]
+    while previous[cell] != cell:
+        cell = previous[cell]
+        path.append(cell)
+    return np.array(path[::-1], np.int32)
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """A waypoint, and the constraints on the way to it."""
+
+    pose: Pose
+    constraints: Constraints
+    waits_for_obstacles: bool = False  #: an area on the way to it asks to wait for obstacles instead of replanning
+
+    def is_passed(self, pose: Pose) -> bool:
+        """Whether a robot is near enough for the next waypoint to be sent."""
+        return pose.distance(self.pose) <= (self.constraints.tolerance_lin or 0.1)
+
+    def is_reached(self, pose: Pose) -> bool:
+        """Whether a robot is at the waypoint, with its heading if that matters."""
+        near, turn = self.constraints.tolerance_lin or 0.0, math.radians(self.constraints.tolerance_ang or 0.0)
+        turned = not self.constraints.heading or abs(wrapped(pose.theta - self.pose.theta)) <= turn
+        return pose.distance(self.pose) <= near and turned
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedPath:
+    """A path that the planner found."""
+
+    waypoints: tuple[Waypoint, ...]  #: from the first after the start to the goal
+    length: float  #: metres
+    note: str = ""  #: for people, for example that it starts in a keep-out area; often empty
+
+
+def plan_path(
+    ground: Ground,  # the map
+    start: Pose,  # of the robot
+    goal: Pose,  # theta is NaN if the heading does not matter
+    settings: RobotPathPlannerSection,  # constraints of waypoints and goal
+    wanted: Constraints | None = None,  # the client's constraints, which override the settings
+    weights: Weights | None = None,  # the map's with obstacles; by default the map's own
+) -> PlannedPath:
+    """Plan a path on a map; raises `PlanError` if there is none, `passing` if only obstacles close it."""
+    start_cell, goal_cell = _ends(ground, start, goal)
+    cells = None
+    if weights is not None and weights[goal_cell]:
+        cells = _search(ground, weights, start_cell, goal_cell)
+    if cells is None and weights is not None:
+        _path_on_map(ground, start, goal, ground.weights)
+        raise PlanError(Fault.BLOCKED, "obstacles of the laser or a layer block every path to the goal", passing=True)
+    if cells is None:
+        weights = ground.weights
+        cells = _path_on_map(ground, start, goal, weights)
+    assert weights is not None
+    exit_cells, path_cells = cells
+    places = np.concatenate((_exit_start(ground, exit_cells), _simplified(ground, weights, path_cells, settings)))
+    note = ""
+    if len(exit_cells):
+        reason = ground.reason(start_cell) or "too close to the laser's obstacles"
+        note = f"the robot is {reason}; it leaves by the shortest path"
+    places = np.concatenate(([(start.x, start.y)], places[1:-1], [(goal.x, goal.y)]))
+    waypoints = _waypoints(ground, places, goal, settings, wanted or Constraints())
+    return PlannedPath(waypoints, length(places), note)
+
+
+def _ends(ground: Ground, start: Pose, goal: Pose) -> tuple[Cell, Cell]:
+    goal_cell = ground.cell(goal.x, goal.y)
+    if goal_cell is None:
+        raise PlanError(Fault.OFF_THE_MAP, f"the goal ({goal.x:.2f}, {goal.y:.2f}) is outside the map {ground.name}")
+    start_cell = ground.cell(start.x, start.y)
+    if start_cell is None:
+        raise PlanError(
+            Fault.OFF_THE_MAP, f"the robot at ({start.x:.2f}, {start.y:.2f}) is outside the map {ground.name}"
+        )
+    return start_cell, goal_cell
+
+
+def _path_on_map(ground: Ground, start: Pose, goal: Pose, weights: Weights) -> tuple[Cells, Cells]:
+    """Return the path on the map without obstacles; raises `PlanError` with the reason if there is none."""
+    start_cell, goal_cell = _ends(ground, start, goal)
+    if not ground.fits(goal_cell):
+        raise PlanError(
+            Fault.GOAL_OCCUPIED, f"the goal ({goal.x:.2f}, {goal.y:.2f}) is {ground.reason(goal_cell)}; choose another"
+        )
+    cells = _search(ground, weights, start_cell, goal_cell)
+    if cells is not None:
+        return cells
+    if escape(ground.weights, ground.solid, start_cell) is None:
+        raise PlanError(
+            Fault.START_OCCUPIED,
+            f"the robot is {ground.reason(start_cell)} and cannot get out; check its localization",
+        )
+    raise PlanError(Fault.NO_PATH, f"no path from ({start.x:.2f}, {start.y:.2f}) to ({goal.x:.2f}, {goal.y:.2f})")
+
+
+def _search(ground: Ground, weights: Weights, start_cell: Cell, goal_cell: Cell) -> tuple[Cells, Cells] | None:
+    """Return the cells of the way out of a forbidden cell, and of the path from there; None without a path."""
+    exit_cells = np.empty((0, 2), np.int32)
+    if not weights[start_cell]:
+        exit_path = escape(weights, ground.solid, start_cell)
+        if exit_path is None:
+            return None
+        exit_cells, start_cell = exit_path[:-1], (int(exit_path[-1, 0]), int(exit_path[-1, 1]))
+    path = astar(weights, start_cell, goal_cell)
+    return None if path is None else (exit_cells, path.cells)
+
+
+def _exit_start(ground: Ground, cells: Cells) -> Places:
+    """Return the start of a way out; the rest of it is straight enough."""
+    return ground.places(cells[:1]) if len(cells) else np.empty((0, 2))
+
+
+def _simplified(ground: Ground, weights: Weights, cells: Cells, settings: RobotPathPlannerSection) -> Places:
+    """Return the points of a path with few corners."""
+    if settings.use_optimized_path:
+        cells = shortcut(weights, cells)
+    kept = [cells[0]]
+    least = settings.min_waypoint_distance / ground.grid.resolution
+    for cell, after in pairwise(cells[1:]):
+        near = math.dist(kept[-1], cell) < least
+        if not (near and sees(weights, (int(kept[-1][0]), int(kept[-1][1])), (int(after[0]), int(after[1])))):
+            kept.append(cell)
+    if len(cells) > 1:
+        kept.append(cells[-1])
+    return ground.places(np.array(kept, np.int32))
+
+
+def _waypoints(
+    ground: Ground, places: Places, goal: Pose, settings: RobotPathPlannerSection, wanted: Constraints
+) -> tuple[Waypoint, ...]:
+    """Return waypoints at all corners, and where an area with a behavior begins or ends."""
+    waypoints: list[Waypoint] = []
+    to_waypoint = Constraints(**settings.waypoint.model_dump(), heading=False, through=True)
+    through = replace(wanted, heading=False, through=True, tolerance_lin=None, tolerance_ang=None)
+    for begin, end in pairwise(places):
+        theta = math.atan2(end[1] - begin[1], end[0] - begin[0])
+        for (x, y), behaviour, beside in _parts(ground, begin, end):
+            constraints = _merged(to_waypoint, through, behaviour, beside=beside)
+            waypoints.append(Waypoint(Pose(float(x), float(y), theta), constraints, behaviour.on_obstacle == "wait"))
+    constraints = _merged(Constraints(**settings.goal.model_dump()), wanted, behaviour, beside=beside)
+    if not math.isfinite(goal.theta):
+        goal, constraints = goal._replace(theta=theta), replace(constraints, heading=False)
+    waypoints[-1] = Waypoint(goal, constraints, behaviour.on_obstacle == "wait")
+    return tuple(waypoints)
+
+
+def _parts(ground: Ground, begin: Places, far_end: Places) -> list[tuple[Places, AreaBehaviour, bool]]:
+    """Split a line by areas: each part's end, its behavior, and whether it is close to a keep-out area."""
+    along = sampled(np.stack((begin, far_end)), ground.grid.resolution / 2)
+    columns, rows = ground.grid.cells_at(along).T
+    high, wide = ground.labels.shape
+    at = np.clip(rows, 0, high - 1), np.clip(columns, 0, wide - 1)
+    labels, beside = ground.labels[at], ground.beside[at]
+    changes = (labels[1:] != labels[:-1]) | (beside[1:] != beside[:-1])
+    ends = [*np.flatnonzero(changes), len(along) - 1]
+    return [(along[end], ground.behaviours[labels[end]], bool(beside[end])) for end in ends]
+
+
+def _merged(defaults: Constraints, wanted: Constraints, behaviour: AreaBehaviour, *, beside: bool) -> Constraints:
+    """Return the settings, overridden by the goal's constraints, and limited by areas and keep-out cells nearby."""
+    given = {
+        name: value
+        for name, value in vars(wanted).items()
+        if value not in (None, "") and name not in ("heading", "through", "map")
+    }
+    merged = replace(defaults, **given, heading=defaults.heading and wanted.heading, through=defaults.through)
+    speeds = [speed for speed in (merged.max_lin_speed, behaviour.max_speed) if speed is not None]
+    most = min(speeds, default=None)
+    least = merged.min_lin_speed
+    if most is not None and least is not None:
+        least = min(least, most)
+    on_obstacle = "wait" if beside else behaviour.on_obstacle or merged.on_obstacle
+    return replace(merged, max_lin_speed=most, min_lin_speed=least, on_obstacle=on_obstacle)
+
+
+@dataclass
+class DriveTask:
+    """An active goal and its progress. Times are in seconds of the caller's clock."""
+
+    goal: MapPlace
+    constraints: Constraints  #: the client's
+    since: float  #: when the goal arrived
+    further: tuple[MapPlace, ...] = ()  #: the goals after this one, in sequence
+    replan_reason: str = "a new goal"  #: why a path has to be planned; empty if it does not
+    not_before: float = -math.inf  #: when planning may be tried next
+    leg: Leg | None = None  #: the part on the current map
+    waypoints: tuple[Waypoint, ...] = field(default=())  #: of the current path
+    index: int = 0  #: of the current waypoint
+    note: str = ""  #: the path's, for people
+    attempts: int = 0  #: other paths that were tried since the robot last came nearer
+    recoveries: int = 0  #: other paths that were tried in total
+    best: float = math.inf  #: the smallest distance to the goal so far, metres
+    driven: bool = False  #: whether a local navigator has been available
+    navigator_lost_since: float | None = None  #: since when there is no local navigator
+    pose_lost_since: float | None = None  #: since when the robot's pose is unknown
+    layer_silent_since: float | None = None
+    all_blocked_since: float | None = None  #: since when obstacles block every path
+    path_blocked_since: float | None = None  #: since when an obstacle is on the current path
+    arrived_at: float | None = None  #: when the robot reached the link at the leg's end
+
+    def set_map(self, map_name: str) -> None:
+        """Set the map of the goals that were given without one."""
+        goals = (self.goal, *self.further)
+        self.goal, *further = (replace(goal, map_name=goal.map_name or map_name) for goal in goals)
+        self.further = tuple(further)
+
+    @property
+    def waypoint(self) -> Waypoint:
+        """The waypoint that the robot drives to."""
+        return self.waypoints[self.index]
+
+    @property
+    def last(self) -> bool:
+        """Whether the current waypoint is the last one."""
+        return self.index == len(self.waypoints) - 1
+
+
+_TURNED = math.radians(30.0)
+_FRESH = 1.0  # seconds up to which two poses are compared
+
+
+class JumpDetector:
+    """Compares each pose with the previous one."""
+
+    def __init__(self) -> None:
+        self.pose: Pose | None = None  # the last one; None before the first
+        self._at = -math.inf
+
+    def add(self, now: float, pose: Pose, least: float) -> str:
+        """Add a pose on the map; return a text about a jump by more than `least` metres or 30 degrees, else ""."""
+        before, passed = self.pose, now - self._at
+        self.pose, self._at = pose, now
+        if before is None or not 0 <= passed < _FRESH:
+            return ""
+        moved, turned = pose.distance(before), abs(wrapped(pose.theta - before.theta))
+        if moved > least + passed or turned > _TURNED + math.pi * passed:
+            return f"localization jumped by {moved:.2f} m and {math.degrees(turned):.0f} degrees"
+        return ""
