@@ -6,11 +6,12 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from tests.support import tiers
-from tests.support.scheduler import TOGETHER
+from tests.support.scheduler import TOGETHER, Scheduler
 
 ROOT = Path(__file__).parents[1]
 
@@ -79,6 +80,43 @@ def test_what_is_alone_runs_last_and_has_a_core(tmp_path: Path, processes: str) 
         assert len(running) <= TOGETHER or not any("alone" in name for name in running), running
     assert len(begun) == 13
     assert not [name for name in begun[:2] if "alone" in name]
+
+
+class Node:
+    """A process of pytest-xdist that accepts tests and runs none."""
+
+    shutting_down = False
+
+    def __init__(self, name: str) -> None:
+        self.gateway = SimpleNamespace(id=name)
+        self.given: list[int] = []
+
+    def send_runtest_some(self, numbers: list[int]) -> None:
+        self.given += numbers
+
+    def shutdown(self) -> None:
+        self.shutting_down = True
+
+
+def test_two_processes_start_with_long_tests_and_the_others_skip_them(tmp_path: Path) -> None:
+    names = [*(f"test_{number}.py" for number in range(8)), *(f"test_long_{number}.py" for number in range(3))]
+    for name in names:
+        (tmp_path / name).write_text("@pytest.mark.long" if "long" in name else "")
+    config = SimpleNamespace(
+        rootpath=tmp_path, getvalue=lambda _name: ["popen"] * 6, option=SimpleNamespace(loadscopereorder=False)
+    )
+    scheduler = Scheduler(config, None)  # type: ignore[arg-type]
+    nodes = [Node(f"gw{number}") for number in range(6)]
+    for node in nodes:
+        scheduler.add_node(node)  # type: ignore[arg-type]
+    for node in nodes:
+        scheduler.add_node_collection(node, [f"{name}::test" for name in names])  # type: ignore[arg-type]
+    scheduler.schedule()
+    given = {node.gateway.id: [names[number] for number in node.given] for node in nodes}
+    assert given["gw0"][0] == "test_0.py"
+    assert given["gw2"][0] == "test_long_2.py"
+    assert given["gw3"][0] == "test_long_1.py"
+    assert [name for node in ("gw0", "gw1", "gw4", "gw5") for name in given[node] if "long" in name] == []
 
 
 def test_alone_is_told_of_functions_and_of_whole_files(tmp_path: Path) -> None:

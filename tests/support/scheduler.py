@@ -7,7 +7,7 @@ from typing import Any
 
 from xdist.scheduler import LoadFileScheduling
 
-from tests.support.tiers import alone
+from tests.support.tiers import alone, has_long_tests
 
 _ALONE = "@alone"
 """Suffix for the separate work unit of a file's tests with this marker."""
@@ -18,11 +18,15 @@ _BY_SIDE = "tests/contract/"
 TOGETHER = min(2, len(os.sched_getaffinity(0)))
 """Number of concurrent tests once only those with the marker `alone` are left, so that each has a core."""
 
+_FRONT, _LONG = frozenset({"gw0", "gw1"}), frozenset({"gw2", "gw3"})
+"""Processes that take files from the front, and those that start with the files of `long` tests, at the end."""
+
 
 class Scheduler(LoadFileScheduling):
     """Assigns files to the processes from both ends; the last busy processes continue with the `alone` tests.
 
-    At most two processes receive files from the front, which start programs, because there are two cores.
+    At most two processes receive files from the front, which start programs, because there are two cores. At most two
+    receive files with `long` tests while there are others, as these use a whole core for minutes.
     """
 
     def _split_scope(self, nodeid: str) -> str:
@@ -38,12 +42,15 @@ class Scheduler(LoadFileScheduling):
             if len(self.assigned_work) > TOGETHER:
                 return  # others are still busy; `remove_node` checks again
             waiting = list(self.workqueue)
-        unit = waiting[0 if node.gateway.id in self._from_the_front() else -1]
+        front = node.gateway.id in (_FRONT if self.numnodes > 2 else {"gw0"})
+        if not front and self.numnodes > 2 and node.gateway.id not in _LONG:
+            waiting = [unit for unit in waiting if not self._is_long(unit)] or waiting
+        unit = waiting[0 if front else -1]
         self.workqueue.move_to_end(unit, last=False)
         super()._assign_work_unit(node)
 
-    def _from_the_front(self) -> set[str]:
-        return {"gw0", "gw1"} if self.numnodes > 2 else {"gw0"}
+    def _is_long(self, unit: str) -> bool:
+        return has_long_tests(self.config.rootpath / unit.partition("[")[0].removesuffix(_ALONE))
 
     def _reschedule(self, node: Any) -> None:
         if self.workqueue and all(unit.endswith(_ALONE) for unit in self.workqueue) and not node.shutting_down:

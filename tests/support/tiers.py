@@ -57,6 +57,12 @@ def _files(module: str) -> list[Path]:
 
 
 @functools.cache
+def has_long_tests(file: Path) -> bool:
+    """Return whether a file has tests with the marker `long`."""
+    return "mark.long" in file.read_text(encoding="utf-8")
+
+
+@functools.cache
 def alone(file: Path) -> frozenset[str]:
     """Return the file's test functions with the marker `alone`, by decorator or for the whole file."""
     text = file.read_text(encoding="utf-8")
