@@ -1,7 +1,7 @@
-"""The administrative commands, which the companion, yarpmanager and robot interfaces send to a port.
+"""Administrative commands, which YARP's companion, yarpmanager and robot interfaces send to a port.
 
-The answers' texts are YARP's own (measured; ``PortCore.cpp``), as tools look at how they begin. Ports obey the
-one-letter commands that people type, and tools send, here too.
+The texts of the answers are YARP's (measured; ``PortCore.cpp``), since tools match their first words. The one-letter
+port commands, which people type and tools send, are executed here too.
 """
 
 from __future__ import annotations
@@ -48,20 +48,20 @@ _HELP = (
     "[dtch] [out]            # detach portmonitor plug-in from the port's output",
     "[dtch] [in]             # detach portmonitor plug-in from the port's input",
 )
-_NO_PLUGINS = "portmonitor plug-ins are not offered by this port: it is no C++ program"
+_NO_PLUGINS = "this port does not support portmonitor plug-ins: it is not a C++ program"
 _OK, _FAIL = Vocab("ok"), Vocab("fail")
 _UNKNOWN = [_FAIL, "send [help] for list of valid commands"]
-MOST_PROPERTIES = 1000  # properties of one port; more are not kept
+MOST_PROPERTIES = 1000  # limit for one port; further ones are refused
 
 
 def answer(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
-    """The answer to an administrative command."""
+    """Execute an administrative command and return the answer."""
     known = _COMMANDS.get(_word(words, 0))
     return known(port, words) if known else list(_UNKNOWN)
 
 
 def _word(words: Sequence[Any], index: int) -> str:
-    """A word of a command: vocabs and strings are both taken."""
+    """Return a word of a command, a vocab or a string; "" if missing."""
     value = words[index] if index < len(words) else ""
     return str(value) if isinstance(value, str) else ""
 
@@ -71,22 +71,22 @@ def _is_input(words: Sequence[Any]) -> bool:
 
 
 def _pid(port: ConnectingPort, _words: Sequence[Any]) -> list[Any]:
-    """ROS' question, which YARP 3's ports know and YARP 4's do not: that tells them apart."""
+    """Answer the request of ROS that YARP 3's ports support and YARP 4's do not: clients detect the release by it."""
     return [1, "", os.getpid()] if port.profile is Profile.YARP3 else list(_UNKNOWN)
 
 
 def _add(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
     target, carrier = _word(words, 1), _word(words, 2)
-    done, told = port.add_output(f"{carrier}:/{target}" if carrier else target)
-    return [0 if done else -1, told + "\r\n"]
+    done, message = port.add_output(f"{carrier}:/{target}" if carrier else target)
+    return [0 if done else -1, message + "\r\n"]
 
 
 def _del(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
     name = _word(words, 1)
-    out, told_out = port.remove_output(name)
-    into, told_in = port.remove_input(name)
-    told = [told_out, told_in] if out == into else [told_out if out else told_in]
-    return [0 if out or into else -1, "".join(f"{line}\r\n" for line in told)]
+    out, out_message = port.remove_output(name)
+    into, in_message = port.remove_input(name)
+    messages = [out_message, in_message] if out == into else [out_message if out else in_message]
+    return [0 if out or into else -1, "".join(f"{line}\r\n" for line in messages)]
 
 
 def _list(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
@@ -95,18 +95,18 @@ def _list(port: ConnectingPort, words: Sequence[Any]) -> list[Any]:
     names = [(r.source if incoming else r.target, r) for r in routes]
     if not wanted:
         return [name for name, _ in names if name]
-    return [part for name, route in names if name == wanted for part in _described(route)]
+    return [part for name, route in names if name == wanted for part in _describe(route)]
 
 
-def _described(route: ConnectionRoute) -> list[Any]:
-    told: list[Any] = [["from", route.source], ["to", route.target], ["carrier", route.carrier]]
+def _describe(route: ConnectionRoute) -> list[Any]:
+    details: list[Any] = [["from", route.source], ["to", route.target], ["carrier", route.carrier]]
     if CARRIERS[route.carrier].connectionless:
-        told.append(["connectionless", 1])
-    return told
+        details.append(["connectionless", 1])
+    return details
 
 
-def _parameters(port: ConnectingPort, words: Sequence[Any], found: list[Any]) -> list[Any]:
-    """Parameters of a connection's carrier, which has none here, or of a portmonitor, which this port never has."""
+def _parameters(port: ConnectingPort, words: Sequence[Any], answer: list[Any]) -> list[Any]:
+    """Answer for a carrier's parameters, which are not supported, or a portmonitor's, which this port never has."""
     incoming, wanted = _is_input(words), _word(words, 2)
     if not wanted:
         return [-1, "target port is not specified.\r\n"]
@@ -115,7 +115,7 @@ def _parameters(port: ConnectingPort, words: Sequence[Any], found: list[Any]) ->
     names = [r.source for r in port.inputs()] if incoming else [r.target for r in port.outputs()]
     direction = "from" if incoming else "to"
     if wanted in names:
-        return [part.format(f"{direction} {wanted}") if isinstance(part, str) else part for part in found]
+        return [part.format(f"{direction} {wanted}") if isinstance(part, str) else part for part in answer]
     return [-1, f"Could not find an incoming connection {direction} {wanted}\r\n"]
 
 
@@ -132,17 +132,17 @@ def _prop_get(port: ConnectingPort, key: str) -> list[Any]:
     if not key:
         return [[name, value] for name, value in sorted(port.properties.items())]
     if key == port.name:
-        return _about(port)
+        return _describe_process(port)
     if key.startswith("/"):
-        if found := _with(port, key):
+        if connections := _connections(port, key):
             sched = {"policy": 0, "priority": 0, "tid": threading.get_native_id()}
-            return [["sched", sched], ["qos", {"tos": service(found[0].sock)}]]
+            return [["sched", sched], ["qos", {"tos": service(connections[0].sock)}]]
         return [_FAIL, f"cannot find any connection to/from {key}"]
     return [port.properties[key]] if key in port.properties else []
 
 
-def _about(port: ConnectingPort) -> list[Any]:
-    """About the port, its process and its machine."""
+def _describe_process(port: ConnectingPort) -> list[Any]:
+    """Describe the port, its process and its machine."""
     program, *arguments = sys.orig_argv or ["python"]
     process = {
         "arguments": " ".join(arguments), "name": os.path.basename(program),  # noqa: PTH119  # a program's name
@@ -157,34 +157,34 @@ def _about(port: ConnectingPort) -> list[Any]:
     ]
 
 
-def _with(port: ConnectingPort, name: str) -> list[Input | AnyOutput]:
-    """The connections with a port."""
+def _connections(port: ConnectingPort, name: str) -> list[Input | AnyOutput]:
+    """Return the connections to and from a port."""
     every = (*port.connections.inputs, *port.connections.outputs)
-    return [one for one in every if name in (one.route.source, one.route.target) and name != port.name]
+    return [c for c in every if name in (c.route.source, c.route.target) and name != port.name]
 
 
-def _asked_service(words: Sequence[Any]) -> int | None:
-    """The type of service in ``(qos ((tos 144)))``, ``(qos ((dscp AF41)))`` or ``(qos ((priority HIGH)))``, if any."""
-    groups = [word for word in words if isinstance(word, list) and len(word) == 2 and word[0] == "qos"]
-    found: Any = groups[0][1] if groups else {}
-    asked = found if isinstance(found, dict) else dict_of(found) if isinstance(found, list) else {}
+def _requested_service(words: Sequence[Any]) -> int | None:
+    """Return the type of service in ``(qos ((tos 144)))``, ``(qos ((dscp AF41)))``, ``(qos ((priority HIGH)))``."""
+    groups = [part for part in words if isinstance(part, list) and len(part) == 2 and part[0] == "qos"]
+    settings: Any = groups[0][1] if groups else {}
+    requested = settings if isinstance(settings, dict) else dict_of(settings) if isinstance(settings, list) else {}
     for key, classes in (("priority", PRIORITIES), ("dscp", DSCP)):
-        value = asked.get(key)
+        value = requested.get(key)
         known = classes.get(str(value), value if key == "dscp" else None)
         if isinstance(known, int) and 0 <= known < 64:
             return known << 2
-    tos = asked.get("tos")
+    tos = requested.get("tos")
     return tos if type(tos) is int and tos >= 0 else None
 
 
 def _prop_set(port: ConnectingPort, key: str, words: Sequence[Any]) -> list[Any]:
-    """Keep a property, or set the service of the packets to a port. Priorities of threads are accepted, not applied."""
+    """Store a property, or set the type of service of a connection. Thread priorities are accepted but not applied."""
     if not key or len(words) < 4 or (key not in port.properties and len(port.properties) >= MOST_PROPERTIES):
         return [_FAIL]
     if key.startswith("/"):
-        found, tos = _with(port, key), _asked_service(words[3:])
-        done = all(set_service(one.sock, tos) for one in found) if tos is not None else True
-        return [_OK if done and (found or key == port.name) else _FAIL]
+        connections, tos = _connections(port, key), _requested_service(words[3:])
+        done = all(set_service(connection.sock, tos) for connection in connections) if tos is not None else True
+        return [_OK if done and (connections or key == port.name) else _FAIL]
     port.properties[key] = words[3]
     return [_OK]
 
@@ -211,8 +211,8 @@ _COMMANDS: dict[str, Callable[[ConnectingPort, Sequence[Any]], list[Any]]] = {
 }
 
 
-def obey(port: ConnectingPort, word: PortCommand) -> tuple[str, ...]:
-    """The lines that text carriers answer to a command. No port that faces a network obeys ``i`` (end the process)."""
+def execute(port: ConnectingPort, word: PortCommand) -> tuple[str, ...]:
+    """Execute a port command; return the answer's lines, for text carriers. ``i`` (end the process) is refused."""
     if word.key == "/":
         return (port.add_output(word.text)[1],)
     if word.key == "!":
@@ -225,7 +225,7 @@ def obey(port: ConnectingPort, word: PortCommand) -> tuple[str, ...]:
 
 
 def describe(port: ConnectingPort) -> tuple[str, ...]:
-    """The port and its connections."""
+    """Return the description of the port and its connections."""
     outs = [f"There is an output connection from {r.source} to {r.target} using {r.carrier}" for r in port.outputs()]
     ins = [f"There is an input connection from {r.source} to {r.target} using {r.carrier}" for r in port.inputs()]
     return (

@@ -1,4 +1,4 @@
-"""A port as its parts see it, the counters of ports and connections, and the open ports of this process."""
+"""The base class of ports, the counters of ports and connections, and the list of this process's open ports."""
 
 from __future__ import annotations
 
@@ -32,34 +32,34 @@ OnLine = Callable[[str, tuple[str, int]], bytes]
 
 @dataclass(slots=True)
 class MessageCounters:
-    """Messages, by one direction each; ``dropped`` by reason.
+    """Counts of messages sent, received, and ``dropped`` by reason.
 
-    The reasons: ``replaced`` (a newer message took its place), ``full`` (the oldest of a strict queue that was full),
-    ``lost`` (the connection ended first), ``interrupted`` (the port was), ``malformed``, ``large`` (above the limit),
-    ``no reader``, ``failed`` (the port's owner raised an error), ``no text`` (no Bottle, for a reader of text), and for
-    datagrams ``checksum`` and ``incomplete``.
+    The reasons: ``replaced`` (by a newer message), ``full`` (the oldest in a full strict queue), ``lost`` (the
+    connection ended first), ``interrupted`` (the port was), ``malformed``, ``large`` (above the limit), ``no reader``,
+    ``failed`` (the port's owner raised an error), ``no text`` (not a Bottle, for a text carrier), and for datagrams
+    ``checksum`` and ``incomplete``.
     """
 
     received: int = 0
     sent: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
-    whole: Counter[str] | None = None  # the drops of all outputs of the port, those that have ended too
+    whole: Counter[str] | None = None  # the drops of all outputs of the port, closed ones included
 
     def drop(self, reason: str, count: int = 1) -> None:
-        """Count messages that an output lost."""
+        """Count messages that an output dropped."""
         if count:
-            with _lock:  # the outputs of a port share what is counted of them all
+            with _lock:  # all outputs of a port share `whole`
                 self.dropped[reason] += count
                 if self.whole is not None:
                     self.whole[reason] += count
 
     def refuse(self, error: WireError) -> None:
-        """Count what came and is no message that is taken."""
+        """Count a malformed or too large message."""
         self.dropped["large" if isinstance(error, TooLargeError) else "malformed"] += 1
 
 
 class PortBase(ABC):
-    """A port as its parts see it. The whole is `yarp_compat.ports.port.PortCore`, which explains the attributes."""
+    """The base class of a port, for its connections. `yarp_compat.ports.port.PortCore` explains the attributes."""
 
     name: str
     contact: PortContact
@@ -75,7 +75,7 @@ class PortBase(ABC):
     _interrupted: bool
 
     def deliver(self, incoming: PortMessage) -> None:
-        """Give a message to the owner; raises `ConnectionAbortedError` where the port closes: nobody is answered."""
+        """Pass a message to the owner; raises `ConnectionAbortedError`, and sends no reply, if the port is closed."""
         if self._loop is None:
             raise ConnectionAbortedError(f"port {self.name} is closed")
         counters = self.counters
@@ -90,57 +90,57 @@ class PortBase(ABC):
             except Exception:
                 counters.dropped["failed"] += 1
                 incoming.give_up()
-                _log.exception("port %s: its owner failed on a message from %s", self.name, incoming.peer.route.source)
+                _log.exception("port %s: callback failed on a message from %s", self.name, incoming.peer.route.source)
 
     def refused(self, route: ConnectionRoute, error: WireError) -> None:
-        """A connection said something that is no message, or announced one that is too large."""
+        """Count and log a malformed or too large message, which ends the connection."""
         self.counters.refuse(error)
-        _log.warning("port %s ends the connection from %s: %s", self.name, route.source, error)
+        _log.warning("port %s closes the connection from %s: %s", self.name, route.source, error)
 
     @abstractmethod
     def administer(self, payload: Buffer, peer: MessagePeer) -> bytes:
-        """Obey an administrative command; returns the answer's Bottle."""
+        """Execute an administrative command and return the answer's Bottle."""
 
     @abstractmethod
-    def obey(self, word: PortCommand) -> tuple[str, ...]:
-        """Obey a port command; returns the lines that text carriers answer."""
+    def execute(self, word: PortCommand) -> tuple[str, ...]:
+        """Execute a port command and return the answer's lines, for text carriers."""
 
     @abstractmethod
     def attach(self, sock: socket.socket, opened: Opening) -> None:
-        """Take a connection from a port of the same process."""
+        """Add an input connection from a port of the same process."""
 
     @abstractmethod
     def ended(self, peer: MessagePeer, turned: socket.socket | None = None) -> None:
-        """An input connection is over; ``turned`` is its socket where it asked to be an output."""
+        """Remove an input connection; ``turned`` is its socket if the peer asked to reverse the connection."""
 
     @abstractmethod
     def abandon(self) -> None:
-        """In a child process of fork: let go of the sockets, and say nothing to anybody."""
+        """Close the sockets in a forked child process, without notifying peers or the name server."""
 
 
 _ports: weakref.WeakSet[PortBase] = weakref.WeakSet()
 
 
 def note_open(port: PortBase) -> None:
-    """A port opened."""
+    """List a port that has opened."""
     with _lock:
         _ports.add(port)
 
 
 def note_closed(port: PortBase) -> None:
-    """A port closed."""
+    """Remove a port that is closing from the list."""
     with _lock:
         _ports.discard(port)
 
 
 def port_of_process(contact: PortContact) -> PortBase | None:
-    """The port of this process at that name and number, if there is one."""
+    """Return the open port of this process with that name and number, if any."""
     with _lock:
         return next((p for p in _ports if (p.name, p.contact.port) == (contact.name, contact.port)), None)
 
 
 def _forked() -> None:
-    """In a child process of fork: the threads are gone, and the connections belong to the parent."""
+    """Abandon all ports in a forked child process: the threads and connections belong to the parent."""
     global _lock, _ports
     _lock = threading.Lock()
     ports, _ports = list(_ports), weakref.WeakSet()
@@ -153,7 +153,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def dialect_of(naming: Naming, name: str) -> Profile | None:
-    """The dialect of the port of a name; takes a while, see `ask_profile`."""
+    """Return the dialect of a port by its name; blocks like `ask_profile`."""
     try:
         contact = naming.query(name)
     except OSError:
@@ -162,6 +162,6 @@ def dialect_of(naming: Naming, name: str) -> Profile | None:
 
 
 def dialect_at(contact: PortContact) -> Profile | None:
-    """The same of the port at a place."""
-    there = port_of_process(contact)
-    return ask_profile(contact) if there is None else there.profile
+    """Return the dialect of a port by its contact; blocks like `ask_profile`."""
+    local = port_of_process(contact)
+    return ask_profile(contact) if local is None else local.profile

@@ -1,7 +1,7 @@
-"""Finds the release of YARP that a client on this machine runs: by the library that its process has loaded (Linux).
+"""Detection of the YARP release of a client on this machine, by the library that its process has loaded (Linux).
 
-The files of ``libYARP_os`` carry the whole version: ``libYARP_os.so.3.9.1``. A process of another user, in another
-container, or on another machine is not found.
+The file name of ``libYARP_os`` contains the full version: ``libYARP_os.so.3.9.1``. Processes of other users, in other
+containers or on other machines cannot be inspected.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _ESTABLISHED = "01"
 def inspect_client(
     generations: Generations, peer: str, profile: Profile | None, link: PeerAddress, address: PeerAddress | None = None
 ) -> None:
-    """Record the release that a client's process has loaded, if only a guess was known; once for each connection.
+    """Record the release that a client's process has loaded, if it is only guessed so far; once per connection.
 
     ``address`` is the client's end of the connection, by default ``link``.
     """
@@ -51,7 +51,7 @@ def loaded_release(address: PeerAddress, proc: Path | None = None) -> ReleaseFin
 
 
 def _inode(address: PeerAddress, proc: Path) -> str | None:
-    """Return the number of the socket with this local address, as ``/proc/net/tcp`` lists it."""
+    """Return the inode of the socket with this local address, from ``/proc/net/tcp``."""
     try:
         host = ipaddress.ip_address(address[0].partition("%")[0])
     except ValueError:
@@ -69,22 +69,22 @@ def _inode(address: PeerAddress, proc: Path) -> str | None:
 
 
 def _hex(packed: bytes, port: int) -> str:
-    words = (int.from_bytes(packed[at : at + 4], sys.byteorder) for at in range(0, len(packed), 4))
-    return f"{''.join(f'{word:08X}' for word in words)}:{port:04X}"
+    groups = (int.from_bytes(packed[at : at + 4], sys.byteorder) for at in range(0, len(packed), 4))
+    return f"{''.join(f'{group:08X}' for group in groups)}:{port:04X}"
 
 
 def _owner(inode: str, proc: Path) -> Path | None:
-    """Return the folder of the process that has the socket open."""
+    """Return the ``/proc`` folder of the process that has the socket open."""
     wanted = f"socket:[{inode}]"
     for name in filter(str.isdecimal, _names(proc)):
         descriptors = f"{proc}/{name}/fd"
-        if any(_target(f"{descriptors}/{each}") == wanted for each in _names(descriptors)):
+        if any(_target(f"{descriptors}/{number}") == wanted for number in _names(descriptors)):
             return proc / name
     return None
 
 
 def _names(folder: Path | str) -> list[str]:
-    """Return a folder's names; none if the process has ended or belongs to another user."""
+    """Return the names in a folder; empty if the process has ended or belongs to another user."""
     try:
         return os.listdir(folder)  # noqa: PTH208 - pathlib is slow for a machine's processes
     except OSError:

@@ -1,4 +1,4 @@
-"""Makes and ends the connections of a port: outputs by name, inputs of connections that have introduced themselves."""
+"""Creation and removal of a port's connections: outputs by name, inputs after the peer's introduction."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from yarp_compat.ports.base import PortBase, dialect_at, port_of_process
 from yarp_compat.ports.connections import AnyOutput, Connections
 from yarp_compat.ports.datagrams import DatagramInput, DatagramOutput, SendingGroup, datagram_socket
-from yarp_compat.ports.dial import dial, dial_group, say_farewell
+from yarp_compat.ports.dial import dial, dial_group, send_farewell
 from yarp_compat.ports.inputs import BinaryInput, Input
 from yarp_compat.ports.message import MessagePeer
 from yarp_compat.ports.multicast import GroupInput, SendingGroups
@@ -22,12 +22,12 @@ from yarp_compat.wire.contact import ConnectionRoute, PortContact, is_port_name
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 
-QUEUE = 64 << 20  # bytes that wait for one peer at most, except for a single message that is larger
+QUEUE = 64 << 20  # most bytes queued for one peer; a single message may be larger
 
 _log = logging.getLogger("yarp.ports")
-_JOIN = 5.0  # seconds for which each connection is waited for, and again when its socket is closed
-_DONE_HERE = {"recv", "log"}  # modifiers that the reader's port has to honour; `send` is the writer's
-_KINDS = {
+_JOIN = 5.0  # seconds to wait for each connection to end, and again after its socket is shut down
+_READER_MODIFIERS = {"recv", "log"}  # modifiers that the reading port has to apply; `send` is for the writing port
+_INPUT_TYPES = {
     carriers.HTTP: PageInput,
     carriers.NAME_SER: NameInput,
     carriers.TEXT: TextInput,
@@ -36,7 +36,7 @@ _KINDS = {
 
 
 class ConnectingPort(PortBase):
-    """The connections of a port."""
+    """A port's methods for its connections."""
 
     is_input: bool
     is_output: bool
@@ -46,43 +46,43 @@ class ConnectingPort(PortBase):
     groups: SendingGroups
 
     def inputs(self) -> list[ConnectionRoute]:
-        """The input connections."""
+        """Return the routes of the input connections."""
         return [i.route for i in self.connections.inputs]
 
     def outputs(self) -> list[ConnectionRoute]:
-        """The output connections."""
+        """Return the routes of the output connections."""
         return [o.route for o in self.connections.outputs]
 
     def add_output(self, target: str) -> tuple[bool, str]:
         """Connect this port to another: ``/name``, ``carrier://name`` or ``carrier:/name``.
 
         Returns:
-            whether that was done, and YARP's words about it.
+            whether it is connected, and YARP's message.
         """
-        place = PortContact.parse(target)
+        parsed = PortContact.parse(target)
         try:
-            found = place if place.is_valid else self.naming.query(place.name)
+            contact = parsed if parsed.is_valid else self.naming.query(parsed.name)
         except OSError as error:
             _log.warning("port %s: %s", self.name, error)
-            found = None
-        if found is None or not found.is_valid:
+            contact = None
+        if contact is None or not contact.is_valid:
             return False, f"Do not know how to connect to {target}"
         if not self.is_output:
             return False, "Outputs not allowed"
-        name = found.name or found.uri
+        name = contact.name or contact.uri
         former = [o for o in self.connections.outputs if o.route.target == name]
         if self.rpc and len(self.connections.outputs) > len(former):
             return False, "RPC output already connected"
         for output in former:
             self._drop_output(output)
         try:
-            carrier, qualifiers = carriers.parse(place.carrier or found.carrier or "tcp")
+            carrier, qualifiers = carriers.parse(parsed.carrier or contact.carrier or "tcp")
             _check_modifiers(qualifiers)
-            self._connect(found, carrier, qualifiers, ConnectionRoute(self.name, name, carrier.name))
+            self._connect(contact, carrier, qualifiers, ConnectionRoute(self.name, name, carrier.name))
         except (OSError, WireError) as error:
             _log.warning("port %s cannot connect to %s: %s", self.name, target, error)
-            why = f": {error}" if isinstance(error, CarrierError) else ""  # YARP says no more than that it cannot
-            return False, f"Cannot connect to {target}{why}"
+            reason = f": {error}" if isinstance(error, CarrierError) else ""  # YARP gives no reason for other errors
+            return False, f"Cannot connect to {target}{reason}"
         return True, f"Added connection from {self.name} to {target}"
 
     def _connect(self, contact: PortContact, carrier: Carrier, qualifiers: str, route: ConnectionRoute) -> None:
@@ -91,17 +91,17 @@ class ConnectingPort(PortBase):
             return
         if carrier is not carriers.LOCAL:
             sock = dial(contact, carrier, self.name, qualifiers)
-            self._take_output(sock, route, carrier, None if carrier.text else dialect_at(contact))
+            self._add_established(sock, route, carrier, None if carrier.text else dialect_at(contact))
             return
-        there = port_of_process(contact)
-        if there is None:
-            raise ConnectionRefusedError(f"{route.target} is no port of this process, which the carrier local is for")
+        peer = port_of_process(contact)
+        if peer is None:
+            raise ConnectionRefusedError(f"{route.target} is not a port of this process, as the carrier local requires")
         ours, theirs = socket.socketpair()
-        there.attach(theirs, Opening(carrier, self.name, qualifiers, 0))
-        self._take_output(ours, route, carrier, there.profile)
+        peer.attach(theirs, Opening(carrier, self.name, qualifiers, 0))
+        self._add_established(ours, route, carrier, peer.profile)
 
     def _connect_group(self, contact: PortContact, qualifiers: str, route: ConnectionRoute) -> None:
-        """Write to a multicast group, and have the peer take what is sent there."""
+        """Write to a multicast group, and ask the peer to join it."""
         profile, joined = dialect_at(contact), list[SendingGroup]()
 
         def join(interface: str) -> tuple[str, int]:
@@ -110,61 +110,61 @@ class ConnectingPort(PortBase):
 
         try:
             dial_group(contact, self.name, qualifiers, join)
-            self._take_output(joined[0].socket(), route, carriers.MCAST, profile, joined[0])
+            self._add_established(joined[0].socket(), route, carriers.MCAST, profile, joined[0])
         except BaseException:
             for group in joined:
                 self.groups.leave(group)
             raise
 
-    def _take_output(
+    def _add_established(
         self, sock: socket.socket, route: ConnectionRoute, carrier: Carrier, profile: Profile | None,
         group: SendingGroup | None = None,
     ) -> None:  # fmt: skip
-        """Write on a connection that is made; raises `ConnectionAbortedError` where the port is closed or full."""
-        shared, gone = self._loop, self.connections.remove_output
+        """Add an established output; raises `ConnectionAbortedError` if the port is closed or has too many."""
+        shared, on_lost = self._loop, self.connections.remove_output
         if shared is None:
             sock.close()
             raise ConnectionAbortedError(f"port {self.name} is closed")
         output: AnyOutput
         if carrier in (carriers.UDP, carriers.MCAST):
-            output = DatagramOutput(sock, route, gone, group, self.connections.lost)
+            output = DatagramOutput(sock, route, on_lost, group, self.connections.lost)
         else:
             room = min(self.limit, QUEUE)
-            output = Output(sock, route, carrier, shared, gone, self.limit, room, self.connections.lost)
+            output = Output(sock, route, carrier, shared, on_lost, self.limit, room, self.connections.lost)
         output.profile = profile
         if not self.connections.add_output(output):
             output.close()
             raise ConnectionAbortedError(f"port {self.name} is closed, or has too many outputs")
 
     def remove_output(self, name: str) -> tuple[bool, str]:
-        """End the output connection to a port; returns whether there was one, and YARP's words."""
-        found = [o for o in self.connections.outputs if o.route.target == name]
-        for output in found:
+        """Close the output connection to a port; return whether it existed, and YARP's message."""
+        outputs = [o for o in self.connections.outputs if o.route.target == name]
+        for output in outputs:
             self._drop_output(output)
-        if found:
+        if outputs:
             return True, f"Removed connection from {self.name} to {name}"
         return False, f"Could not find an outgoing connection to {name}"
 
     def _drop_output(self, output: AnyOutput) -> None:
         output.close()
         if not self.connections.remove_output(output):
-            return  # another thread does it
+            return  # another thread has removed it
         if output.group is not None:
             self.groups.leave(output.group)
         if output.carrier.connectionless:
             with contextlib.suppress(OSError):
                 contact = self.naming.query(output.route.target)
                 if contact is not None:
-                    say_farewell(contact, self.name)
+                    send_farewell(contact, self.name)
 
-    def _opened(self, sock: socket.socket, opened: Opening, rest: bytes, address: tuple[str, int]) -> None:
-        """Take a connection that introduced itself; on the shared thread."""
-        connection = self._answered(sock, opened, rest, address)
+    def _on_introduced(self, sock: socket.socket, opened: Opening, rest: bytes, address: tuple[str, int]) -> None:
+        """Add a connection whose peer has introduced itself; called on the shared thread."""
+        connection = self._answer(sock, opened, rest, address)
         if connection is not None:
             self._attach(connection)
 
     def attach(self, sock: socket.socket, opened: Opening) -> None:
-        """Take a connection from a port of the same base."""
+        """Add an input connection from a port of the same process."""
         self._attach(self._input(sock, opened, b"", ("", 0)))
 
     def _attach(self, connection: Input) -> None:
@@ -175,28 +175,28 @@ class ConnectingPort(PortBase):
             connection.start(shared)
 
     def _input(self, sock: socket.socket, opened: Opening, rest: bytes, address: tuple[str, int]) -> Input:
-        return _KINDS.get(opened.carrier, BinaryInput)(self, sock, opened, rest, address)
+        return _INPUT_TYPES.get(opened.carrier, BinaryInput)(self, sock, opened, rest, address)
 
-    def _answered(self, sock: socket.socket, opened: Opening, rest: bytes, address: tuple[str, int]) -> Input | None:
-        """Answer an introduction; the input, not started, or None, with the connection closed.
+    def _answer(self, sock: socket.socket, opened: Opening, rest: bytes, address: tuple[str, int]) -> Input | None:
+        """Answer an introduction; return the input, not started, or None after closing the connection.
 
-        None where the peer went, the carrier is not for others, or messages are to be modified as is not done here.
+        It is closed if the peer has left, uses ``local`` from another process, or requires carrier modifiers.
         """
         try:
-            if opened.qualifiers and (opened.modifiers & _DONE_HERE or "send" not in opened.modifiers):
+            if opened.qualifiers and (opened.modifiers & _READER_MODIFIERS or "send" not in opened.modifiers):
                 self._refuse_modifiers(sock, opened)
                 return None
             if opened.carrier is carriers.MCAST:
                 return GroupInput(self, sock, opened, address)
             if opened.carrier is carriers.LOCAL:
-                _log.info("port %s: %s calls by local, which is for ports of one process", self.name, opened.sender)
+                _log.info("port %s: %s connects by local, which is for ports of one process", self.name, opened.sender)
                 sock.close()
                 return None
             if opened.carrier is carriers.UDP:
                 with sock:
-                    made = datagram_socket(sock)
-                    sock.send(carriers.answer(opened, made.getsockname()[1]))
-                return DatagramInput(self, made, opened, address)
+                    datagrams = datagram_socket(sock)
+                    sock.send(carriers.answer(opened, datagrams.getsockname()[1]))
+                return DatagramInput(self, datagrams, opened, address)
             greeting = carriers.answer(opened, self.contact.port)
             if self.replies and opened.carrier in (carriers.TCP, carriers.FAST_TCP) and is_port_name(opened.sender):
                 return BinaryInput(self, sock, opened, rest, address, greeting)
@@ -209,39 +209,38 @@ class ConnectingPort(PortBase):
         return self._input(sock, opened, rest, address)
 
     def _refuse_modifiers(self, sock: socket.socket, opened: Opening) -> None:
-        """Close a connection whose messages cannot be modified as is wished: taken as they come they would be wrong.
+        """Close a connection that requires carrier modifiers: its messages would be wrong without them.
 
-        A person who types gets an answer. A C++ port ignores what the answer to its introduction says, and only a
-        connection that ends without one is to ``yarp connect`` a failure (``TcpCarrier::expectReplyToHeader``, 3.9 and
-        4.0).
+        Text carriers, which people type on, get an answer. C++ ports ignore the content of the answer, and ``yarp
+        connect`` fails only if the connection closes without one (``TcpCarrier::expectReplyToHeader``, 3.9 and 4.0).
         """
         with sock:
             if opened.carrier.text:
-                wish = opened.qualifiers.encode(errors="replace")
-                sock.send(b"* Error. This port offers no carrier modifiers: %b\r\n" % wish)
-        msg = f"it asks for the carrier modifier {opened.qualifiers}, which no port offers here; connect it without"
+                modifiers = opened.qualifiers.encode(errors="replace")
+                sock.send(b"* Error. This port does not support carrier modifiers: %b\r\n" % modifiers)
+        msg = f"carrier modifier {opened.qualifiers} is not supported; connect without it"
         self.refused(ConnectionRoute(opened.sender, self.name, opened.carrier.name), CarrierError(msg))
 
     def remove_input(self, name: str) -> tuple[bool, str]:
-        """End the input connection from a port; returns whether there was one, and YARP's words."""
-        found = [i for i in self.connections.inputs if i.route.source == name]
-        for connection in found:
+        """Close the input connection from a port; return whether it existed, and YARP's message."""
+        inputs = [i for i in self.connections.inputs if i.route.source == name]
+        for connection in inputs:
             connection.close()
             self.connections.remove_input(connection)
-        if found:
+        if inputs:
             return True, f"Removing connection from {name} to {self.name}"
         return False, f"Could not find an incoming connection from {name}"
 
     def ended(self, peer: MessagePeer, turned: socket.socket | None = None) -> None:
-        """An input connection is over; ``turned`` is its socket where it asked to be an output."""
+        """Remove an input connection; ``turned`` is its socket if the peer asked to reverse the connection."""
         self.connections.ended(peer)
         if turned is not None:
             route = ConnectionRoute(self.name, peer.route.source, peer.route.carrier)
             with contextlib.suppress(ConnectionAbortedError):
-                self._take_output(turned, route, peer.carrier, peer.profile)
+                self._add_established(turned, route, peer.carrier, peer.profile)
 
     def _end_connections(self) -> None:
-        """End all connections, and wait until they have ended."""
+        """Close all connections and wait until their threads have ended."""
         self.connections.close()
         for output in self.connections.outputs:
             self._drop_output(output)
@@ -253,7 +252,7 @@ class ConnectingPort(PortBase):
 
 
 def _check_modifiers(qualifiers: str) -> None:
-    """Refuse what this port would have to do to the messages; ``recv`` is asked of the peer."""
+    """Reject modifiers that this port would have to apply; ``recv`` is for the peer to apply."""
     wanted = {part.partition(".")[0] for part in qualifiers.split("+") if part}
     if wanted and ("recv" not in wanted or wanted & {"send", "log"}):
-        raise CarrierError(f"this port offers no carrier modifiers, such as {qualifiers[:60]!r}; connect it without")
+        raise CarrierError(f"this port does not support carrier modifiers ({qualifiers[:60]!r}); connect without them")

@@ -1,4 +1,4 @@
-"""The connections of one port: which exist, how they come and go, and the events that tell the port's owner."""
+"""The lists of one port's connections, and the events for its owner when they change."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from yarp_compat.wire.contact import ConnectionRoute, rooted
 
 @dataclass(frozen=True, slots=True)
 class ConnectionEvent:
-    """A connection came (``up``) or went; two inputs of one name differ in their ``address``, where they come from."""
+    """A connection opened (``up``) or closed; the peer's ``address`` tells apart inputs with the same name."""
 
     route: ConnectionRoute
     incoming: bool
@@ -28,41 +28,41 @@ class ConnectionEvent:
 _log = logging.getLogger("yarp.ports")
 
 MOST_INPUTS = 1000
-"""Input connections of one port. When there are more, the oldest that never sent a message goes, else the new one."""
-MOST_OUTPUTS = 1000  # output connections of one port; no more are made
+"""Input connections of one port. Beyond, the oldest without a message is closed; else the new one is refused."""
+MOST_OUTPUTS = 1000  # output connections of one port
 
-_UNTOLD = ("admin", "null")
-"""Names of tools that only ask something, or check whether a port exists; they cause no events."""
+_QUERY_TOOLS = ("admin", "null")
+"""Sender names of tools that only query a port or check that it exists; they cause no events."""
 
 OnEvent = Callable[[ConnectionEvent], None]
 AnyOutput = Output | DatagramOutput
 
 
 class Connections:
-    """A port's inputs and outputs. Lists are replaced, not changed, so readers need no lock."""
+    """A port's inputs and outputs. Lists are replaced, never modified, so readers need no lock."""
 
     def __init__(self, on_event: OnEvent | None) -> None:
         self.on_event = on_event
         self.inputs: list[Input] = []
         self.leaving: list[Input] = []
-        """Inputs that are out of the list and have not ended yet: what came of them is still taken."""
+        """Inputs that have left the list and not ended yet: messages already received are still delivered."""
         self.outputs: list[AnyOutput] = []
         self.lost: Counter[str] = Counter()
-        """Messages that outputs dropped, by reason; those of outputs that have ended too."""
+        """Messages that outputs dropped, by reason; closed outputs included."""
         self._lock = threading.Lock()
         self._closed = True
 
     def open(self) -> None:
-        """Take connections from now on."""
+        """Accept connections from now on."""
         self._closed = False
 
     def close(self) -> None:
-        """Take no more."""
+        """Stop accepting connections."""
         with self._lock:
             self._closed = True
 
     def add_input(self, connection: Input) -> bool:
-        """Take an input, in place of a former one from the same port; False where there is no room."""
+        """Add an input, which replaces one from the same port; return False if the port is closed or full."""
         former: list[Input] = []
         silent: Input | None = None
         with self._lock:
@@ -73,55 +73,55 @@ class Connections:
             if len(self.inputs) - len(former) >= MOST_INPUTS:
                 silent = next((i for i in self.inputs if not i.counters.received), None)
                 if silent is None:
-                    _log.warning("%s has %d inputs; one more is refused", connection.route.target, MOST_INPUTS)
+                    _log.warning("%s refuses a connection: it has %d inputs", connection.route.target, MOST_INPUTS)
                     return False
             self.inputs = [*self.inputs, connection]
-        for one in former:
-            one.retire()
-            self.remove_input(one)
+        for replaced in former:
+            replaced.retire()
+            self.remove_input(replaced)
         if silent is not None:
             silent.close()
             self.remove_input(silent)
-        self._tell(connection.route, incoming=True, up=True, address=connection.address)
+        self._notify(connection.route, incoming=True, up=True, address=connection.address)
         return True
 
     def remove_input(self, connection: MessagePeer) -> None:
-        """An input is listed no longer, and ends soon."""
+        """Remove an input that is about to end from the list."""
         with self._lock:
-            found = [i for i in self.inputs if i is connection]
-            if not found:
+            removed = [i for i in self.inputs if i is connection]
+            if not removed:
                 return
             self.inputs = [i for i in self.inputs if i is not connection]
-            self.leaving = [*self.leaving, *found]
-        self._tell(connection.route, incoming=True, up=False, address=connection.address)
+            self.leaving = [*self.leaving, *removed]
+        self._notify(connection.route, incoming=True, up=False, address=connection.address)
 
     def ended(self, connection: MessagePeer) -> None:
-        """An input is over."""
+        """Remove an input that has ended."""
         self.remove_input(connection)
         with self._lock:
             self.leaving = [i for i in self.leaving if i is not connection]
 
     def add_output(self, output: AnyOutput) -> bool:
-        """Take an output; False where the port is closed, or has too many."""
+        """Add an output; return False if the port is closed or has too many."""
         with self._lock:
             if self._closed or len(self.outputs) >= MOST_OUTPUTS:
                 return False
             self.outputs = [*self.outputs, output]
-        self._tell(output.route, incoming=False, up=True)
+        self._notify(output.route, incoming=False, up=True)
         return True
 
     def remove_output(self, output: AnyOutput) -> bool:
-        """An output is over; whether that is news."""
+        """Remove an output; return whether it was listed."""
         with self._lock:
             if output not in self.outputs:
                 return False
             self.outputs = [o for o in self.outputs if o is not output]
-        self._tell(output.route, incoming=False, up=False)
+        self._notify(output.route, incoming=False, up=False)
         return True
 
-    def _tell(self, route: ConnectionRoute, *, incoming: bool, up: bool, address: tuple[str, int] = ("", 0)) -> None:
-        if self.on_event is not None and route.source not in _UNTOLD:
+    def _notify(self, route: ConnectionRoute, *, incoming: bool, up: bool, address: tuple[str, int] = ("", 0)) -> None:
+        if self.on_event is not None and route.source not in _QUERY_TOOLS:
             try:
                 self.on_event(ConnectionEvent(route, incoming, up, address))
             except Exception:
-                _log.exception("the owner of a port failed to take an event of %s -> %s", route.source, route.target)
+                _log.exception("the event callback of a port failed for %s -> %s", route.source, route.target)

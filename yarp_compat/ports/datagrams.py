@@ -1,4 +1,4 @@
-"""Connections of udp, and the base of those of mcast."""
+"""Connections of the carrier udp, and the base classes for mcast."""
 
 from __future__ import annotations
 
@@ -24,59 +24,59 @@ from yarp_compat.wire.profile import Profile
 
 _log = logging.getLogger("yarp.ports")
 _LARGEST = 1 << 16
-ROOM = 4 << 20  # bytes of datagrams that the system is asked to keep for a busy reader
-_HOPS = 1  # routers are not crossed, as by YARP's own ports
+RECEIVE_BUFFER = 4 << 20  # requested receive buffer in bytes, for busy readers
+_HOPS = 1  # datagrams do not cross routers, as those of YARP's ports do not
 
 
 def datagram_socket(like: socket.socket) -> socket.socket:
-    """A socket for the datagrams of a peer that called at ``like``."""
-    made = socket.socket(like.family, socket.SOCK_DGRAM)
-    with closed_on_failure(made):
+    """Return a socket for the datagrams of a peer that connected to ``like``."""
+    sock = socket.socket(like.family, socket.SOCK_DGRAM)
+    with closed_on_failure(sock):
         with contextlib.suppress(OSError):
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
-        made.bind((like.getsockname()[0], 0))
-    return made
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        sock.bind((like.getsockname()[0], 0))
+    return sock
 
 
 class DatagramInput(Input):
-    """An input of datagrams. Datagrams from other machines than the caller's are ignored."""
+    """An input of datagrams. Datagrams from machines other than the peer's are ignored."""
 
     def __init__(self, port: PortBase, sock: socket.socket, opened: Opening, address: tuple[str, int]) -> None:
         super().__init__(port, sock, opened, b"", address)
         self._assembler = Assembler(port.limit)
 
     def _assembler_of(self, sender: tuple[str, int]) -> Assembler:  # noqa: ARG002
-        """The assembler of a sender's datagrams."""
+        """Return the assembler of a sender's datagrams."""
         return self._assembler
 
-    def _no_more(self) -> None:
+    def _stop_reading(self) -> None:
         self._closing = True
         self.wake()
 
     def wake(self) -> None:
-        """Wake threads that wait for datagrams: the connection has ended."""
+        """Wake up threads that wait for datagrams: the connection has ended."""
         with contextlib.suppress(OSError), socket.socket(self.sock.family, socket.SOCK_DGRAM) as sock:
             sock.sendto(b"", self.sock.getsockname())
 
     def _receive(self, memory: memoryview) -> tuple[int, tuple[str, int]]:
-        """Wait for a datagram: its size, and who sent it."""
+        """Wait for a datagram; return its size and its sender."""
         size, sender = self.sock.recvfrom_into(memory)
         return size, sender
 
-    def take(self) -> bool:
-        """Take messages until the connection is closed."""
+    def handle_messages(self) -> bool:
+        """Handle messages until the connection is closed."""
         memory = memoryview(bytearray(_LARGEST))
         while not self._closing:
             try:
                 size, sender = self._receive(memory)
             except ConnectionResetError:
-                continue  # Windows tells so of datagrams that we sent
+                continue  # Windows reports this for datagrams that this port sent
             if sender[0] != self.address[0]:
                 continue
             assembler = self._assembler_of(sender)
             try:
-                found = assembler.add(memory[:size])
-                ended = found is not None and self._message(found)
+                message = assembler.add(memory[:size])
+                ended = message is not None and self._message(message)
             except WireError as error:
                 self.counters.refuse(error)
                 self.port.counters.refuse(error)
@@ -92,18 +92,18 @@ class DatagramInput(Input):
         self.counters.dropped["incomplete"] = assembler.incomplete
 
     def _message(self, data: bytes) -> bool:
-        """Take a whole message; whether it was the last."""
-        word, payload = framing.parse(data, self.port.limit)
-        if word.key in ("d", "D"):
+        """Handle a complete message; return whether it was the last."""
+        command, payload = framing.parse(data, self.port.limit)
+        if command.key in ("d", "D"):
             self.counters.received += 1
-            found = PortMessage(payload, word.envelope, self)
-            self.port.deliver(found)
-            return found.is_last
-        return word.key == "q"
+            message = PortMessage(payload, command.envelope, self)
+            self.port.deliver(message)
+            return message.is_last
+        return command.key == "q"
 
 
 class SendingGroup:
-    """A group that a port writes to, by one of this machine's addresses; its ``lock`` keeps messages apart."""
+    """A multicast group that a port writes to from one interface; ``lock`` keeps datagrams of a message together."""
 
     def __init__(self, name: str, address: Group, interface: str) -> None:
         self.name, self.address, self.interface = name, address, interface
@@ -117,18 +117,18 @@ class SendingGroup:
             self._sock.connect(address)
 
     def socket(self) -> socket.socket:
-        """Another handle of the socket, so that each output may close its own."""
+        """Return a duplicate of the socket, so that each output can close its own."""
         return self._sock.dup()
 
     def close(self) -> None:
-        """Send no more."""
+        """Close the socket; the outputs' duplicates stay open."""
         self._sock.close()
 
 
 class DatagramOutput:
-    """An output of udp or mcast, to which others may share the ``group``: a datagram not taken at once is lost.
+    """An output of udp or mcast; outputs may share a ``group``. Datagrams that cannot be sent at once are dropped.
 
-    ``lost`` is called when the peer is gone; ``dropped`` counts the port's drops.
+    ``lost`` is called when the peer is unreachable; ``dropped`` counts the port's drops.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class DatagramOutput:
         sock.setblocking(False)
 
     def begin(self, buffers: Sequence[Buffer], strict: bool, wait: bool) -> Item | None:  # noqa: ARG002
-        """Send a message; None where it was dropped."""
+        """Send a message; return None if it was dropped."""
         failed: OSError | None = None
         with self._lock:
             if self.closed:
@@ -172,23 +172,23 @@ class DatagramOutput:
         return Item([], ours=False, done=True)
 
     def finish(self, item: Item, deadline: float | None = None) -> bool:  # noqa: ARG002
-        """Nobody acknowledges datagrams."""
+        """Return at once: datagrams are not acknowledged."""
         return item.done
 
-    def leave(self, item: Item) -> None:
-        """Nobody waits here."""
+    def detach(self, item: Item) -> None:
+        """Do nothing: a message is sent or dropped at once."""
 
     def request(self, *_: object) -> bytes:
-        """Datagrams carry no replies."""
+        """Raise `ConnectionRefusedError`: datagrams carry no replies."""
         msg = f"{self.carrier.name} carries no replies: connect {self.route.source} to {self.route.target} by tcp"
         raise ConnectionRefusedError(msg)
 
     def wait_idle(self, deadline: float | None) -> bool:  # noqa: ARG002
-        """Nothing waits here."""
+        """Return at once: no message is queued."""
         return True
 
     def check(self) -> None:
-        """Look whether the peer's machine has refused datagrams."""
+        """Close the output if the peer's machine has rejected datagrams."""
         with self._lock:
             if self.closed:
                 return
@@ -203,17 +203,17 @@ class DatagramOutput:
             self._fail(failed)
 
     def close(self) -> None:
-        """Close it; the peer does not notice, so something else must say it."""
+        """Close the socket; the peer does not notice, so the caller has to notify it."""
         with self._lock:
             self.closed = True
             self.sock.close()
 
     def abandon(self) -> None:
-        """Let go of the socket."""
+        """Close the socket in a forked child process."""
         self.sock.close()
 
     def _fail(self, error: OSError) -> None:
-        if isinstance(error, ConnectionError) and self.group is None:  # one reader less is no end of a group
+        if isinstance(error, ConnectionError) and self.group is None:  # a group outlives one of its readers
             self._lost(self)
             self.close()
         else:

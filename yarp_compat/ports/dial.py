@@ -1,4 +1,4 @@
-"""Connects to another port and introduces itself."""
+"""Connection to another port, with the introduction."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from yarp_compat.wire import carriers
 from yarp_compat.wire.carriers import Carrier, Group, framed
 from yarp_compat.wire.contact import PortContact
 
-PATIENCE = 5.0  # seconds that a port has to answer a call
-_FAREWELL = 1.0  # seconds that a port has to take a farewell
+PATIENCE = 5.0  # seconds for a port to answer the introduction
+_FAREWELL = 1.0  # seconds for a port to accept a farewell
 _JOINING = 1.0
-"""Seconds that a port has to join a multicast group before messages are sent; those sent earlier it misses."""
+"""Seconds for a port to join a multicast group before messages are sent; it misses messages sent earlier."""
 
 
 def dial(contact: PortContact, carrier: Carrier, sender: str, qualifiers: str = "") -> socket.socket:
-    """Connect to a port, for messages (by udp: datagrams) on the socket; raises `OSError` where no port answers."""
+    """Connect to a port and return the socket for messages (udp: datagrams); raises `OSError` if no port answers."""
     end = time.monotonic() + PATIENCE
     sock = socket.create_connection((contact.host, contact.port), PATIENCE)
     with closed_on_failure(sock):
         tune(sock)
         sock.sendall(carriers.opening(carrier, sender, qualifiers))
         if carrier is carriers.TEXT_ACK:
-            _line(sock, end)
+            _receive_line(sock, end)
         elif not carrier.text:
-            number = _number(_exactly(sock, 8, end))
+            number = _number(_receive_exactly(sock, 8, end))
             if carrier is carriers.UDP:
                 return _datagrams(sock, contact.host, number)
     return sock
 
 
 def dial_group(contact: PortContact, sender: str, qualifiers: str, group: Callable[[str], Group]) -> None:
-    """Tell a port which multicast group messages will be sent to, and wait until it listens; raises `OSError`.
+    """Ask a port to join the multicast group of the messages, and wait until it listens; raises `OSError`.
 
-    It answers nothing; that it closes the connection says that it has joined the group, or is about to. ``group`` makes
-    the group for the address of this machine from which the port is reached.
+    It sends no answer: it closes the connection when it has joined the group, or is about to. ``group`` returns the
+    group for this machine's address from which the port is reached.
     """
     with socket.create_connection((contact.host, contact.port), PATIENCE) as sock:
         tune(sock)
@@ -52,51 +52,51 @@ def dial_group(contact: PortContact, sender: str, qualifiers: str, group: Callab
 
 
 def _number(answer: bytes) -> int:
-    found = framed(answer)
-    if found is None:
-        raise ConnectionRefusedError("what listens there does not answer as a YARP port")
-    return found
+    number = framed(answer)
+    if number is None:
+        raise ConnectionRefusedError("the peer does not answer like a YARP port")
+    return number
 
 
-def say_farewell(contact: PortContact, sender: str) -> None:
-    """Tell a port that no datagrams will come any more, which it does not notice; raises OSError."""
+def send_farewell(contact: PortContact, sender: str) -> None:
+    """Notify a port of the end of a datagram connection, which it cannot detect; raises OSError."""
     end = time.monotonic() + _FAREWELL
     with socket.create_connection((contact.host, contact.port), _FAREWELL) as sock:
         sock.sendall(carriers.opening(carriers.TEXT, "admin") + f"~{sender}\r\nq\r\n".encode())
         with contextlib.suppress(ConnectionRefusedError):
             while True:
-                _some(sock, 4096, end)
+                _receive(sock, 4096, end)
 
 
 def _datagrams(sock: socket.socket, host: str, number: int) -> socket.socket:
     family, address = sock.family, sock.getpeername()[:1]
     sock.close()
-    made = socket.socket(family, socket.SOCK_DGRAM)
+    datagrams = socket.socket(family, socket.SOCK_DGRAM)
     try:
-        made.connect((*address, number))
+        datagrams.connect((*address, number))
     except (OSError, OverflowError) as error:
-        made.close()
-        raise ConnectionRefusedError(f"{host} offers no usable UDP port ({number})") from error
-    return made
+        datagrams.close()
+        raise ConnectionRefusedError(f"{host} returned an unusable UDP port ({number})") from error
+    return datagrams
 
 
-def _exactly(sock: socket.socket, size: int, end: float) -> bytes:
-    came = b""
-    while len(came) < size:
-        came += _some(sock, size - len(came), end)
-    return came
+def _receive_exactly(sock: socket.socket, size: int, end: float) -> bytes:
+    received = b""
+    while len(received) < size:
+        received += _receive(sock, size - len(received), end)
+    return received
 
 
-def _line(sock: socket.socket, end: float) -> bytes:
-    came = b""
-    while not came.endswith(b"\n"):
-        came += _some(sock, 1, end)
-        if len(came) > carriers.LONGEST_NAME + 16:
-            raise ConnectionRefusedError("the port answers with a line without end")
-    return came
+def _receive_line(sock: socket.socket, end: float) -> bytes:
+    received = b""
+    while not received.endswith(b"\n"):
+        received += _receive(sock, 1, end)
+        if len(received) > carriers.LONGEST_NAME + 16:
+            raise ConnectionRefusedError("the port's answer is too long for a line")
+    return received
 
 
-def _some(sock: socket.socket, size: int, end: float) -> bytes:
+def _receive(sock: socket.socket, size: int, end: float) -> bytes:
     sock.settimeout(max(0.001, end - time.monotonic()))
     part = sock.recv(size)
     if not part:

@@ -1,4 +1,4 @@
-"""An established input connection: waits on the shared thread for its first bytes, then has a thread of its own."""
+"""Established input connections: each waits on the shared thread for its first bytes, then gets its own thread."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from yarp_compat.wire.framing import ACK, acknowledgement
 from yarp_compat.wire.profile import Profile
 
 _log = logging.getLogger("yarp.ports")
-EMPTY = b"\x00\x01\x00\x00\x00\x00\x00\x00"  # a Bottle with nothing in it
+EMPTY = b"\x00\x01\x00\x00\x00\x00\x00\x00"  # an empty Bottle
 
 
 class Input:
     """One input connection, whose peer has introduced itself; subclasses handle its bytes.
 
-    The messages of one connection are taken one after another, each when the port's owner is done with the one before;
-    so a sender that waits for acknowledgements goes no faster than the owner. ``already`` came behind the introduction;
-    ``greeting`` answers that, where the peer has not got it yet.
+    The messages of one connection are handled in sequence, each after the port's owner is done with the previous one;
+    so a sender that waits for acknowledgements is as slow as the owner. ``already`` has the bytes that followed the
+    introduction; ``greeting`` is the answer to it, if not sent yet.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class Input:
         self.route = ConnectionRoute(opened.sender, port.name, opened.carrier.name)
         self.carrier = opened.carrier
         self.address = address
-        self.profile: Profile | None = port.profile if opened.carrier.text else None  # lines become that port's Bottles
+        self.profile: Profile | None = port.profile if opened.carrier.text else None  # the dialect of lines
         self.counters = MessageCounters()
         self.sock = sock
         sock.setblocking(True)
@@ -49,12 +49,12 @@ class Input:
         self._already = bool(already)
         self._greeting = greeting
         self._thread: threading.Thread | None = None
-        self._over = threading.Event()
+        self._ended = threading.Event()
         self._closing = False
         self._waiting: PortMessage | None = None
 
     def start(self, loop: PortLoop) -> None:
-        """Wait for the first bytes; only a connection that says something gets a thread."""
+        """Wait for the first bytes; a connection gets a thread when it sends something."""
         if self._already or self._greeting:
             self._begin()
         else:
@@ -79,17 +79,17 @@ class Input:
         self._thread.start()
 
     def close(self) -> None:
-        """End the connection soon; the reply to a message that the owner has at this moment is still sent."""
+        """Begin to end the connection; the reply to the message that the owner is handling is still sent."""
         self._closing = True
         waiting = self._waiting
         if waiting is not None and waiting.retire():
-            self._no_more()
+            self._stop_reading()
         else:
             self.wake()
 
     @property
     def is_gone(self) -> bool:
-        """Whether the peer has closed the connection; only asked while it waits for a reply."""
+        """Whether the peer has closed the connection; valid only while it waits for a reply."""
         try:
             if not hasattr(socket, "MSG_DONTWAIT"):
                 return bool(select.select([self.sock], [], [], 0)[0]) and not self.sock.recv(1, socket.MSG_PEEK)
@@ -100,27 +100,27 @@ class Input:
             return True
 
     def retire(self) -> None:
-        """End the connection when what has come of it is read."""
-        self._no_more()
+        """End the connection after the messages already received."""
+        self._stop_reading()
 
-    def _no_more(self) -> None:
+    def _stop_reading(self) -> None:
         with contextlib.suppress(OSError):
             self.sock.shutdown(socket.SHUT_RD)
 
     def abandon(self) -> None:
-        """Close the socket, where no thread has it yet, or none any more."""
+        """Close the socket of a connection that has no thread."""
         self.sock.close()
-        self._over.set()
+        self._ended.set()
 
     def wake(self) -> None:
-        """Wake threads that wait for bytes: the connection has ended."""
+        """Wake up threads that wait for bytes: the connection has ended."""
         with contextlib.suppress(OSError):
             self.sock.shutdown(socket.SHUT_RDWR)
 
     def join(self, seconds: float) -> None:
         """Wait until the connection has ended."""
         if self._thread is not threading.current_thread():
-            if not self._over.wait(seconds):
+            if not self._ended.wait(seconds):
                 self.wake()
             if self._thread is not None:
                 self._thread.join(seconds)
@@ -128,59 +128,59 @@ class Input:
     def _end(self) -> None:
         self.sock.close()
         self.port.ended(self)
-        self._over.set()
+        self._ended.set()
 
     def _run(self) -> None:
         try:
             if self._greeting:
                 self._greet()
-            if self.take():
+            if self.handle_messages():
                 self.port.ended(self, self.sock)
-                self._over.set()
+                self._ended.set()
                 return
         except WireError as error:
             self.counters.refuse(error)
             self.port.refused(self.route, error)
         except OSError as error:
             if not self._closing:
-                _log.debug("connection %s -> %s broke: %s", self.route.source, self.route.target, error)
+                _log.debug("connection %s -> %s lost: %s", self.route.source, self.route.target, error)
         except Exception:
             _log.exception("connection %s -> %s failed", self.route.source, self.route.target)
         self._end()
 
     def _greet(self) -> None:
-        """Ask the port that calls for its dialect, and answer it: before that it cannot send.
+        """Query the peer's dialect, then answer its introduction: it sends nothing before that.
 
-        Later, with a request on its way, a C++ port would answer nobody else (``PortCore::sendHelper`` has the lock).
+        Later, while a request is pending, a C++ port answers no queries (``PortCore::sendHelper`` holds the lock).
         """
         self.profile = dialect_of(self.port.naming, self.route.source)
         self.sock.sendall(self._greeting)
 
-    def take(self) -> bool:
-        """Take messages until the end; True where the connection is to be turned round."""
+    def handle_messages(self) -> bool:
+        """Handle messages until the end; return True if the peer asked to reverse the connection."""
         raise NotImplementedError
 
     def deliver(self, message: PortMessage) -> Payload:
-        """Give a message that wants a reply to the port's owner; returns the reply. Call `answered` when it is sent."""
+        """Pass a request to the port's owner and return the reply. Call `reply_sent` when it is sent."""
         self._waiting = message
         self.port.deliver(message)
         reply = message.wait()
         return EMPTY if reply is None else reply
 
-    def answered(self) -> None:
-        """The reply is sent."""
+    def reply_sent(self) -> None:
+        """Mark the reply as sent."""
         self._waiting = None
 
 
 class BinaryInput(Input):
     """An input of tcp, fast_tcp or local."""
 
-    def take(self) -> bool:
-        """Take messages until the end; True where the connection is to be turned round."""
+    def handle_messages(self) -> bool:
+        """Handle messages until the end; return True if the peer asked to reverse the connection."""
         next_message, send, deliver = self.stream.message, self.sock.sendall, self.port.deliver
         ack = ACK if self.carrier.ack else b""
-        while (found := next_message()) is not None:
-            key, text, payload = found
+        while (parts := next_message()) is not None:
+            key, text, payload = parts
             if key == "D":
                 self.counters.received += 1
                 message = PortMessage(payload, text[2:], self)
@@ -192,13 +192,13 @@ class BinaryInput(Input):
                 message = PortMessage(payload, text[2:], self, wants_reply=True)
                 answer = self.deliver(message)
                 self._answer(answer, acknowledgement(message.slack) if ack and message.slack else ack)
-                self.answered()
+                self.reply_sent()
             elif key == "a":
                 self._answer(self.port.administer(payload, self), ack)
                 continue
             else:
                 if key not in ("q", "r"):
-                    self.port.obey(framing.PortCommand(key, text))
+                    self.port.execute(framing.PortCommand(key, text))
                 if ack:
                     send(ack)
                 if key in ("q", "r"):
@@ -206,7 +206,7 @@ class BinaryInput(Input):
                 continue
             if message.is_last:
                 return False
-            message = found = payload = answer = None  # type: ignore[assignment]  # so a large one's memory can be used again
+            message = parts = payload = answer = None  # type: ignore[assignment]  # frees a large message's memory
         return False
 
     def _answer(self, answer: Payload, ack: bytes) -> None:

@@ -1,4 +1,4 @@
-"""A port's listening socket, and the connections that have not introduced themselves yet."""
+"""A port's listening socket, and the connections whose peers have not introduced themselves yet."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _log = logging.getLogger("yarp.ports")
 
 PATIENCE = 10.0  # seconds within which a connection must introduce itself
 MOST_SILENT = 200
-"""Connections of one port that have not introduced themselves yet; the oldest goes when there are more."""
+"""Connections of one port that have not introduced themselves yet; beyond, the oldest is closed."""
 _PER_TURN = 32
 _TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
@@ -28,10 +28,10 @@ Refused = Callable[[str, WireError], None]
 
 
 class Listener:
-    """Accepts connections, on the shared thread, and hands on those that introduced themselves.
+    """Accepts connections on the shared thread, and reads their introductions.
 
-    ``opened`` takes a connection with its introduction, what came behind that, and the peer's address; ``refused``
-    hears of connections that introduced themselves wrongly. Both are called on the shared thread.
+    ``opened`` receives the connection, its introduction, the bytes that followed and the peer's address; ``refused`` is
+    called for an invalid introduction. Both are called on the shared thread.
     """
 
     def __init__(self, loop: PortLoop, sock: socket.socket, opened: Opened, refused: Refused) -> None:
@@ -45,14 +45,14 @@ class Listener:
         loop.call(lambda: loop.watch(sock, selectors.EVENT_READ, self._accept))
 
     def close(self) -> None:
-        """Listen no longer; connections that were handed on stay."""
+        """Stop listening; connections passed to ``opened`` stay open."""
         if self.loop.is_own_thread:
             self._close()
             return
         self.loop.run(self._close)
 
     def abandon(self) -> None:
-        """Let go of the sockets, without the shared thread."""
+        """Close the sockets in a forked child process, which lacks the shared thread."""
         for sock in (self._sock, *self.silent):
             sock.close()
 
@@ -72,7 +72,7 @@ class Listener:
             except OSError as error:
                 if error.errno in _TOO_MANY_FILES:
                     self._make_room(error)
-                return  # the peer went before it was accepted
+                return  # the peer left before it was accepted
             sock.setblocking(False)
             tune(sock)
             if len(self.silent) >= MOST_SILENT:
@@ -80,29 +80,29 @@ class Listener:
             self.silent[sock] = _Introduction(self, sock, address[:2])
 
     def _make_room(self, error: OSError) -> None:
-        """No socket is left: close the connection that was silent for longest, or rest a while."""
-        _log.warning("no connection can be accepted: %s", error)
+        """Free a socket: close the connection that was silent longest, or pause accepting."""
+        _log.warning("cannot accept a connection: %s", error)
         if self.silent:
             next(iter(self.silent.values())).drop()
             return
         self.loop.ignore(self._sock)
-        self.loop.later(0.2, self._again)
+        self.loop.call_later(0.2, self._resume)
 
-    def _again(self) -> None:
+    def _resume(self) -> None:
         if not self._closed:
             self.loop.watch(self._sock, selectors.EVENT_READ, self._accept)
 
 
 class _Introduction:
-    """One connection until it has said who it is."""
+    """A connection whose introduction is being read."""
 
     def __init__(self, listener: Listener, sock: socket.socket, address: tuple[str, int]) -> None:
         self._listener = listener
         self._sock = sock
         self._address = address
-        self._came = bytearray()
+        self._received = bytearray()
         listener.loop.watch(sock, selectors.EVENT_READ, self._read)
-        self._timer = listener.loop.later(PATIENCE, self.drop)
+        self._timer = listener.loop.call_later(PATIENCE, self.drop)
 
     def drop(self) -> None:
         """Close the connection."""
@@ -116,17 +116,17 @@ class _Introduction:
 
     def _read(self, _: int) -> None:
         try:
-            came = self._sock.recv(4096)
+            data = self._sock.recv(4096)
         except BlockingIOError:
             return
         except OSError:
-            came = b""
-        if not came:
-            self.drop()  # tools look so whether a port is there
+            data = b""
+        if not data:
+            self.drop()  # tools check like this that a port exists
             return
-        self._came += came
+        self._received += data
         try:
-            opened = carriers.parse_opening(self._came)
+            opened = carriers.parse_opening(self._received)
         except WireError as error:
             with contextlib.suppress(OSError):
                 self._sock.send(carriers.PROTOCOL_ERROR)
@@ -135,4 +135,4 @@ class _Introduction:
             return
         if opened is not None:
             self._release()
-            self._listener.opened(self._sock, opened, bytes(self._came[opened.size :]), self._address)
+            self._listener.opened(self._sock, opened, bytes(self._received[opened.size :]), self._address)

@@ -1,4 +1,4 @@
-"""The thread that all ports of a process share: it accepts, does handshakes, and sends what slow peers did not take."""
+"""The thread that all ports of a process share: it accepts connections, does handshakes, and sends to slow peers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _shared: PortLoop | None = None
 
 @dataclass(slots=True, order=True)
 class LoopTimer:
-    """Something to call at a time of the monotonic clock."""
+    """A callback due at a time of the monotonic clock."""
 
     at: float
     order: int
@@ -35,7 +35,7 @@ def _nothing() -> None:
 
 
 class PortLoop:
-    """A thread that waits for sockets, times and calls, which must not block; it alone may `watch` and `ignore`."""
+    """A thread for sockets, timers and calls, which must not block. Only this thread may `watch` and `ignore`."""
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()
@@ -53,7 +53,7 @@ class PortLoop:
         self._thread.start()
 
     def call(self, callback: Callable[[], None]) -> None:
-        """Have the thread call it soon; the caller does so itself where the thread has ended."""
+        """Schedule a call on the thread; if the thread has ended, the caller runs it itself."""
         self._calls.append(callback)
         if self._over:
             self._make_calls()
@@ -61,7 +61,7 @@ class PortLoop:
             self._wake_out.send(b"\0")
 
     def run(self, callback: Callable[[], None]) -> None:
-        """Have the thread call it, and wait until it did."""
+        """Run a callback on the thread and wait until it is done."""
         done = threading.Event()
 
         def call() -> None:
@@ -73,14 +73,14 @@ class PortLoop:
         self.call(call)
         done.wait()
 
-    def later(self, seconds: float, callback: Callable[[], None]) -> LoopTimer:
-        """Have the thread call it after a while; for its own thread."""
+    def call_later(self, seconds: float, callback: Callable[[], None]) -> LoopTimer:
+        """Schedule a call after a delay; only from this loop's thread."""
         timer = LoopTimer(time.monotonic() + seconds, next(self._order), callback)
         heapq.heappush(self._timers, timer)
         return timer
 
     def cancel(self, timer: LoopTimer) -> None:
-        """Let a timer not call; for its own thread."""
+        """Cancel a timer; only from this loop's thread."""
         timer.callback = None
         self._cancelled += 1
         if self._cancelled > len(self._timers) // 2 + 16:
@@ -89,14 +89,14 @@ class PortLoop:
             self._cancelled = 0
 
     def watch(self, sock: socket.socket, events: int, callback: Callable[[int], None]) -> None:
-        """Call back when a socket can be read or written."""
+        """Call back when a socket is readable or writable."""
         try:
             self._selector.modify(sock, events, callback)
         except KeyError:
             self._selector.register(sock, events, callback)
 
     def ignore(self, sock: socket.socket) -> bool:
-        """Watch a socket no longer, before it is closed; whether it was watched."""
+        """Stop watching a socket, before it is closed; return whether it was watched."""
         try:
             self._selector.unregister(sock)
         except (KeyError, ValueError):
@@ -109,7 +109,7 @@ class PortLoop:
         return threading.current_thread() is self._thread
 
     def stop(self) -> None:
-        """End the thread, after what it was told to do before."""
+        """End the thread after the calls that are already scheduled."""
 
         def end() -> None:
             self._running = False
@@ -121,18 +121,18 @@ class PortLoop:
     def _run(self) -> None:
         self._selector.register(self._wake_in, selectors.EVENT_READ, self._woken)
         while self._running:
-            self._look(max(0.0, self._timers[0].at - time.monotonic()) if self._timers else None)
+            self._poll(max(0.0, self._timers[0].at - time.monotonic()) if self._timers else None)
             while self._timers and self._timers[0].at <= time.monotonic():
                 self._do(heapq.heappop(self._timers).callback or _nothing)
             self._make_calls()
-        self._look(0.0)  # a connection that was closed since the last look still has its socket
+        self._poll(0.0)  # connections closed since the last poll still have their sockets
         self._over = True
         self._make_calls()
         self._selector.close()
         self._wake_in.close()
         self._wake_out.close()
 
-    def _look(self, pause: float | None) -> None:
+    def _poll(self, pause: float | None) -> None:
         for key, events in self._selector.select(pause):
             self._do(functools.partial(key.data, events))
 
@@ -154,7 +154,7 @@ class PortLoop:
 
 
 def acquire() -> PortLoop:
-    """The process's loop, for a port that opens; it ends with the last port."""
+    """Return the process's loop for a port that opens; the loop ends with the last port."""
     global _shared
     with _lock:
         if _shared is None:
@@ -164,7 +164,7 @@ def acquire() -> PortLoop:
 
 
 def release(loop: PortLoop) -> None:
-    """Give back what :func:`acquire` returned."""
+    """Release the loop that `acquire` returned."""
     global _shared
     with _lock:
         loop.users -= 1

@@ -1,4 +1,4 @@
-"""An incoming message, as the owner of a port gets it."""
+"""An incoming message, as the owner of a port receives it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Payload = Buffer | Sequence[Buffer]
 
 
 class MessagePeer(Protocol):
-    """The connection a message came on; who recognises the sender's dialect may set ``profile``."""
+    """The connection of a message; code that recognizes the sender's dialect may set ``profile``."""
 
     route: ConnectionRoute
     carrier: Carrier
@@ -26,27 +26,27 @@ class MessagePeer(Protocol):
 
 @dataclass(slots=True, eq=False)
 class PortMessage:
-    """One message that came in."""
+    """One received message."""
 
-    payload: Buffer  # its bytes, this message's own. Text carriers: the line as a Bottle in the port's dialect
-    envelope: str  # its envelope's text, or ""
-    peer: MessagePeer  # the connection it came on
-    # the sender waits for a reply; it always gets one, an empty Bottle where the owner gives none, unless the port
+    payload: Buffer  # its bytes, not shared. Text carriers: the line as a Bottle in the port's dialect
+    envelope: str  # text of its envelope, or ""
+    peer: MessagePeer  # its connection
+    # the sender waits for a reply; it always receives one, an empty Bottle if the owner gives none, unless the port
     # closes first
     wants_reply: bool = False
     replied: Payload | None = field(default=None, init=False)
-    is_plain: bool = field(default=False, init=False)  # the reply is sent as it is on text carriers too
-    slack: int = field(default=0, init=False)  # bytes behind the reply's acknowledgement, which says to pass over them
-    is_last: bool = field(default=False, init=False)  # the connection ends behind the reply
-    is_retired: bool = field(default=False, init=False)  # the port waits no more for a reply from another thread
+    is_plain: bool = field(default=False, init=False)  # the reply is sent unchanged on text carriers too
+    slack: int = field(default=0, init=False)  # bytes after the reply's acknowledgement, which asks to skip them
+    is_last: bool = field(default=False, init=False)  # the connection ends after the reply
+    is_retired: bool = field(default=False, init=False)  # the port no longer waits for a reply from another thread
     _later: threading.Event | None = field(default=None, init=False)
     _answered: bool = field(default=False, init=False)
 
     def reply(self, payload: Payload, *, plain: bool = False, slack: int = 0) -> None:
-        """Answer; once, and only where a reply is wanted (elsewhere it goes nowhere).
+        """Reply to a request; further replies, and replies to other messages, are ignored.
 
-        ``plain``: it is no Bottle but lines of text, sent as they are on every carrier. ``slack``: bytes that its
-        acknowledgement, where the carrier has such, says are behind it.
+        ``plain``: the reply is lines of text instead of a Bottle, sent unchanged on every carrier. ``slack``: number of
+        bytes that its acknowledgement announces after itself, if the carrier has acknowledgements.
         """
         if not self._answered:
             self._answered = True
@@ -57,17 +57,17 @@ class PortMessage:
                 self._later.set()
 
     def drop(self) -> None:
-        """End the connection behind the reply; call it before ``on_message`` returns, or before the reply."""
+        """End the connection after the reply; call it before ``on_message`` returns, or before the reply."""
         self.is_last = True
 
     def later(self) -> None:
-        """Say, before ``on_message`` returns, that the reply comes from another thread: the connection waits for it."""
+        """Make the connection wait for a reply from another thread; call it before ``on_message`` returns."""
         self._later = threading.Event()
         if self.is_retired:
             self.give_up()
 
     def retire(self) -> bool:
-        """Give up a reply that was to come from another thread, as the port closes; whether one still comes."""
+        """Stop waiting for a reply from another thread, as the port closes; return False if one was outstanding."""
         self.is_retired = True
         if self._later is None or self._answered:
             return True
@@ -75,15 +75,15 @@ class PortMessage:
         return False
 
     def give_up(self) -> None:
-        """Let the connection go on without a reply, unless it has one."""
+        """Let the connection continue without a reply, unless one was given."""
         self._answered = True
         if self._later is not None:
             self._later.set()
 
     def wait(self) -> Payload | None:
-        """The reply, or None; waits for a later one; raises `ConnectionAbortedError` where the port closes first."""
+        """Wait for the reply and return it, or None; raises `ConnectionAbortedError` if the port closes first."""
         if self._later is not None:
             self._later.wait()
             if self.is_retired and self.replied is None:
-                raise ConnectionAbortedError("the port closed before the reply came")
+                raise ConnectionAbortedError("the port closed before the reply")
         return self.replied

@@ -1,6 +1,6 @@
-"""The interface that ports need of a name server, its errors, and name servers for ports that nobody else finds."""
+"""The name server's interface for ports, its errors, and name servers for ports without registration."""
 
-# ruff: noqa: D102 - `Naming` says what each method does
+# ruff: noqa: D102 - `Naming` documents the methods
 
 from __future__ import annotations
 
@@ -13,53 +13,53 @@ from yarp_compat.wire.contact import PortContact
 
 
 class NamingError(OSError):
-    """A name could not be asked for or registered."""
+    """A name could not be queried or registered."""
 
 
 class NoNameServerError(NamingError):
-    """No name server answers where the configuration says it is."""
+    """No name server answers at the configured address."""
 
 
 class NameRefusedError(NamingError):
-    """The name server did not take a name."""
+    """The name server refused a name."""
 
 
 class NamingConfigError(NamingError):
-    """The file that says where the name server is, is missing what it needs."""
+    """The file with the name server's address is missing or incomplete."""
 
 
 class PortError(NamingError):
-    """A port does not exist, does not answer, or does not do what it is asked."""
+    """A port does not exist, does not answer, or refuses a request."""
 
 
 class Naming(Protocol):
-    """Registers ports and finds them. Every call may raise NamingError, and takes a bounded time."""
+    """Registration and lookup of ports. Every call may raise NamingError, and takes a bounded time."""
 
     @property
     def numbers(self) -> range:
-        """The TCP port numbers that ports choose theirs from; empty where the name server chooses."""
+        """The range of TCP port numbers for ports; empty if the name server assigns them."""
 
     def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
-        """Register a port; fills in what is empty or 0. Raises `NoNameServerError`, `NameRefusedError` for the name."""
+        """Register a port; fill in empty or 0 values. Raises `NoNameServerError`, `NameRefusedError` for the name."""
 
     def unregister(self, name: str) -> None:
-        """Forget a port; one that is not known is no error."""
+        """Unregister a port; an unknown name is not an error."""
 
     def query(self, name: str) -> PortContact | None:
-        """The address of a port; None where it is not known."""
+        """Return the address of a port; None if it is not registered."""
 
     def set_property(self, name: str, key: str, *values: Any) -> None:
-        """Keep values under a key of a registered port."""
+        """Store values under a key of a registered port."""
 
     def get_property(self, name: str, key: str) -> Sequence[Any]:
-        """The values under a key of a registered port; may be empty."""
+        """Return the values under a key of a registered port; may be empty."""
 
     def announce(self, name: str, alive: bool = True) -> None:
-        """Say that a port listens now (the server makes its persistent connections), or that it does not respond."""
+        """Announce that a port listens (the server makes its persistent connections), or that it does not respond."""
 
 
 class SilentNaming:
-    """A name server that registers nothing, knows nobody, and lets a port listen where it wants to."""
+    """A name server that registers nothing, finds no port, and accepts any address."""
 
     numbers = range(0)
 
@@ -80,7 +80,7 @@ class SilentNaming:
 
 
 class LocalNaming(SilentNaming):
-    """Knows the ports of one process, without a socket: for tests, and for ports that nobody else is to find."""
+    """A name server inside one process, without a socket: for tests and private ports."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -89,10 +89,10 @@ class LocalNaming(SilentNaming):
         self._numbers = itertools.count(1)
 
     def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> PortContact:
-        """Register a port; one with a number of 0 chooses one, and registers again."""
+        """Register a port; one with number 0 chooses a number and registers again."""
         with self._lock:
             if name in ("", "..."):
-                name = f"/tmp/port/{next(self._numbers)}"  # noqa: S108  # a port's name, no file's
+                name = f"/tmp/port/{next(self._numbers)}"  # noqa: S108  # a port's name, not a file's
             self._contacts[name] = super().register(name, host, port, carrier=carrier)
             return self._contacts[name]
 
@@ -105,7 +105,7 @@ class LocalNaming(SilentNaming):
             return self._contacts.get(name)
 
     def list(self, prefix: str = "") -> list[PortContact]:
-        """All registered ports, or those whose names begin so."""
+        """Return the registered ports whose names begin with ``prefix``."""
         with self._lock:
             return [contact for name, contact in self._contacts.items() if name.startswith(prefix)]
 
@@ -117,7 +117,7 @@ class LocalNaming(SilentNaming):
 
 
 class Unregistered(SilentNaming):
-    """A name server at which ports are not registered: for ports that only call others."""
+    """A name server that finds ports and registers none: for ports that are only clients."""
 
     def __init__(self, naming: Naming) -> None:
         self._naming = naming

@@ -1,4 +1,4 @@
-"""A message on its way to outputs, written once for each carrier and dialect, and the queue of one connection."""
+"""Outgoing messages, encoded once for each carrier and dialect, and the send queue of one connection."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from yarp_compat.wire.text import from_text, to_text
 
 
 def to_line(payload: Payload, profile: Profile | None = None, *, plain: bool = False) -> bytes:
-    """A Bottle's line, with its end, or ``plain`` text as it is; raises `WireError` where it is no Bottle."""
+    """Return a Bottle as a line with CR LF, or ``plain`` text unchanged; raises `WireError` if it is not a Bottle."""
     data = payload if isinstance(payload, (bytes, bytearray, memoryview)) else b"".join(payload)
     if plain:
         return bytes(data)
@@ -25,30 +25,30 @@ def to_line(payload: Payload, profile: Profile | None = None, *, plain: bool = F
 
 
 def from_line(line: bytes, profile: Profile) -> bytes:
-    """The Bottle of a line."""
+    """Return the Bottle of a line."""
     return encode(from_text(line.decode(errors="surrogateescape")), profile)
 
 
-ITEM_BYTES = 192  # the cost of a message in the queue besides its own bytes (measured: 174 in CPython 3.11)
+ITEM_BYTES = 192  # overhead of a queued message in bytes (measured: 174 in CPython 3.11)
 
 
 @dataclass(slots=True, eq=False)
 class Item:
-    """A message on its way out."""
+    """A message being sent."""
 
     buffers: list[Buffer]
-    ours: bool  # the thread that wrote it also sees it through
+    ours: bool  # the writing thread itself completes it
     done: bool = False
-    dropped: bool = False  # it made room for another one
+    dropped: bool = False  # a newer message replaced it, or the queue was full
 
-    def own(self) -> None:
-        """Have its bytes to itself: their owner may change them from now on."""
+    def copy_bytes(self) -> None:
+        """Copy the bytes: their owner may change them from now on."""
         if self.buffers:
             self.buffers = [b"".join(self.buffers)]
 
 
 class SendQueue:
-    """A queue bounded in bytes, with what each message costs besides; one message always fits."""
+    """A queue bounded in bytes, overhead included; one message always fits."""
 
     def __init__(self, limit: int, dropped: Callable[[str], None]) -> None:
         self._limit = limit
@@ -60,7 +60,7 @@ class SendQueue:
         return bool(self._items)
 
     def put(self, item: Item, strict: bool) -> None:
-        """Queue a message behind the others, the oldest of which make room; not ``strict``: in their place."""
+        """Queue a message and drop the oldest if the queue is full; if not ``strict``, drop all queued ones."""
         if not strict:
             while (replaced := self.next()) is not None:
                 self._drop(replaced, "replaced")
@@ -75,7 +75,7 @@ class SendQueue:
         self._dropped(reason)
 
     def next(self) -> Item | None:
-        """The message whose turn it is."""
+        """Remove and return the oldest message, if any."""
         if not self._items:
             return None
         item = self._items.popleft()
@@ -83,7 +83,7 @@ class SendQueue:
         return item
 
     def clear(self) -> int:
-        """Empty the queue; how many messages there were."""
+        """Empty the queue; return how many messages it had."""
         count = len(self._items)
         self._items.clear()
         self._bytes = 0
@@ -94,11 +94,11 @@ def _cost(item: Item) -> int:
     return framing.size(item.buffers) + ITEM_BYTES
 
 
-Content = Payload | Callable[[Profile], Payload]  # a payload, or what makes it in the dialect of its reader
+Content = Payload | Callable[[Profile], Payload]  # a payload, or a function that encodes it in the reader's dialect
 
 
 class OutgoingMessage:
-    """One message: ``key`` is ``D``, or ``d`` where a reply is wanted; ``text`` makes the line for text carriers."""
+    """One message: ``key`` is ``D``, or ``d`` if a reply is wanted; ``text`` returns the line for text carriers."""
 
     __slots__ = ("_content", "_envelope", "_key", "_text", "_written")
 
@@ -110,31 +110,31 @@ class OutgoingMessage:
         self._written: list[tuple[Carrier | None, Profile, list[Buffer]]] = []
 
     def buffers(self, carrier: Carrier, profile: Profile) -> list[Buffer]:
-        """All bytes of the message for an output."""
+        """Return the message's bytes for an output."""
         kind = carrier if carrier.text else None
-        for written_kind, written_profile, found in self._written:
+        for written_kind, written_profile, parts in self._written:
             if written_kind is kind and written_profile is profile:
-                return found
+                return parts
         payload = self._content(profile) if callable(self._content) else self._content
-        found = [self._line(payload, carrier, profile)] if carrier.text else framed(payload, self._envelope, self._key)
-        self._written.append((kind, profile, found))
-        return found
+        parts = [self._line(payload, carrier, profile)] if carrier.text else framed(payload, self._envelope, self._key)
+        self._written.append((kind, profile, parts))
+        return parts
 
     def _line(self, payload: Payload, carrier: Carrier, profile: Profile) -> bytes:
         content = self._text().encode(errors="surrogateescape") + b"\r\n" if self._text else to_line(payload, profile)
         if carrier is carriers.HTTP:
             return b"%x\r\n%b\r\n" % (len(content), content)  # a chunk of the page
-        word = f"{self._key} {self._envelope}" if self._envelope else self._key
-        return word.encode() + b"\r\n" + content
+        command = f"{self._key} {self._envelope}" if self._envelope else self._key
+        return command.encode() + b"\r\n" + content
 
 
 def _one_line(envelope: str) -> str:
-    """An envelope up to its first control character, as YARP sends it."""
+    """Return an envelope up to its first control character, as YARP sends it."""
     return next((envelope[:i] for i, c in enumerate(envelope) if ord(c) < 32), envelope)
 
 
 def framed(payload: Payload, envelope: str, key: str) -> list[Buffer]:
-    """All bytes of a message in binary."""
+    """Return the bytes of a message for binary carriers."""
     if isinstance(payload, bytes):
         head = framing.prefix(len(payload), key, envelope)
         return [head + payload] if len(payload) < framing.JOINED else [head, payload]

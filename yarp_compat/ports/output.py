@@ -1,4 +1,4 @@
-"""An output connection: sends at once what the peer takes at once, and the rest on the shared thread."""
+"""An output connection: sends at once as much as the socket accepts, and the rest on the shared thread."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _log = logging.getLogger("yarp.ports")
 class Output:
     """One output connection on a stream of bytes.
 
-    At any time at most one thread talks on the connection, its driver: a thread that writes, or the shared thread while
-    messages wait. The driver alone touches ``_current`` and what is on the wire.
+    At any time at most one thread uses the connection, its driver: a writing thread, or the shared thread while
+    messages are queued. Only the driver accesses ``_current`` and the socket's data.
 
     Attributes:
-        speaker: the socket's side.
-        waiters: how many threads wait until it is free, or for a message of theirs.
+        socket_side: the socket's side.
+        waiters: number of threads that wait until the connection is free, or for their message.
     """
 
     group = None  # only datagrams are sent to a group
@@ -44,9 +44,9 @@ class Output:
         route: ConnectionRoute,  # the connection's names
         carrier: Carrier,  # how it carries
         loop: PortLoop,  # the shared thread
-        lost: Callable[[Output], object],  # called when the peer is gone
-        limit: int,  # bytes of a reply
-        room: int,  # bytes of the queue
+        lost: Callable[[Output], object],  # called when the connection is lost
+        limit: int,  # most bytes of a reply
+        room: int,  # most bytes of the queue
         dropped: Counter[str] | None = None,  # counts the port's drops, by reason
     ) -> None:
         self.route = route
@@ -63,17 +63,17 @@ class Output:
         self._pending = SendQueue(room, self.counters.drop)
         self._driven = False
         self._current: Item | None = None
-        self.speaker = OutputSocket(sock, route, carrier, limit)
+        self.socket_side = OutputSocket(sock, route, carrier, limit)
 
     @property
     def sock(self) -> socket.socket:
-        """The socket, for its options alone."""
-        return self.speaker.sock
+        """The socket, only for its options."""
+        return self.socket_side.sock
 
     def begin(self, buffers: list[Buffer], strict: bool, wait: bool) -> Item | None:
-        """Send a message as far as that goes at once; the rest follows. None where the peer is gone.
+        """Send a message as far as the socket accepts it; the rest follows. Return None if the connection is closed.
 
-        ``strict``: behind others, not in their place; ``wait``: the caller keeps the bytes, and calls :meth:`finish`.
+        ``strict``: do not replace queued messages; ``wait``: the caller keeps the bytes, and calls `finish`.
         """
         item = Item(buffers, wait)
         with self._lock:
@@ -84,9 +84,9 @@ class Output:
                 return item
             self._driven = True
         try:
-            if not self.speaker.due or self.speaker.take_ack():
+            if not self.socket_side.due or self.socket_side.read_ack():
                 self._current = item
-                if self._send(item) and not (wait and self.speaker.due):
+                if self._send(item) and not (wait and self.socket_side.due):
                     self._settle(item)
                     return item
             elif wait:
@@ -95,14 +95,14 @@ class Output:
                 with self._lock:
                     self._queue(item, strict)
         except OSError:
-            self._fail()
+            self._on_lost()
             return None
         if not wait:
-            self._hand_over()
+            self._drive_later()
         return item
 
     def finish(self, item: Item, deadline: float | None = None) -> bool:
-        """Wait until a message is sent, and acknowledged if it will be; False if late, replaced or the peer left."""
+        """Wait until a message is sent (and acknowledged); return False if late, replaced or the connection closed."""
         if item is not self._current or not item.ours:
             with self._lock:
                 self._wait_for(lambda: item.done or item.dropped or self.closed, deadline)
@@ -113,43 +113,43 @@ class Output:
                     self._dispose()
                     return False
                 if deadline is not None and time.monotonic() > deadline:
-                    self.leave(item)
+                    self.detach(item)
                     return False
         except OSError:
-            self._fail()
+            self._on_lost()
             return False
         except BaseException:  # an interrupt from the keyboard
-            self.leave(item)
+            self.detach(item)
             raise
         self._settle(item)
         return True
 
-    def leave(self, item: Item) -> None:
-        """Let the shared thread see a message through that its writer does not :meth:`finish`."""
+    def detach(self, item: Item) -> None:
+        """Let the shared thread complete a message that its writer does not `finish`."""
         if item is self._current and item.ours:
             item.ours = False
-            self._hand_over()
+            self._drive_later()
 
     def _advance(self, item: Item) -> bool:
-        """Wait for a step of a message; whether that was its last."""
+        """Wait up to one step for a message; return whether it is complete."""
         return (not item.buffers or self._push(item)) and self._acknowledged()
 
     def _push(self, item: Item) -> bool:
-        """Wait for a step until a message is out; whether it is."""
+        """Wait up to one step until a message is sent; return whether it is."""
         return self._acknowledged() and self._send(item, patient=True)
 
     def _acknowledged(self) -> bool:
-        """Wait for a step for the acknowledgement that is due; whether none is any more."""
-        return not self.speaker.due or self.speaker.take_ack(patient=True)
+        """Wait up to one step for the outstanding acknowledgement; return whether none is left."""
+        return not self.socket_side.due or self.socket_side.read_ack(patient=True)
 
     def _send(self, item: Item, *, patient: bool = False) -> bool:
-        """Send what the socket takes of a message; whether that was all."""
-        done = self.speaker.send(item, patient=patient)
+        """Send as much of a message as the socket accepts; return whether it is all sent."""
+        done = self.socket_side.send(item, patient=patient)
         self.counters.sent += done
         return done
 
     def _wait_for(self, condition: Callable[[], bool], deadline: float | None) -> bool:
-        """Wait for a condition, with the lock held; whether it came true."""
+        """Wait for a condition, with the lock held; return whether it became true."""
         self.waiters += 1
         try:
             left = None if deadline is None else max(0.0, deadline - time.monotonic())
@@ -158,7 +158,7 @@ class Output:
             self.waiters -= 1
 
     def _settle(self, item: Item) -> None:
-        """A message is done; go on with those that wait, or be free."""
+        """Complete a message; then continue with queued ones, or free the connection."""
         item.done = True
         self._current = None
         with self._lock:
@@ -173,44 +173,44 @@ class Output:
             self._loop.call(self._drive)
 
     def _queue(self, item: Item, strict: bool) -> None:
-        """Let a message wait for its turn; with the lock held."""
-        item.own()
+        """Queue a message; with the lock held."""
+        item.copy_bytes()
         item.ours = False
         self._pending.put(item, strict)
         if self.waiters:
-            self._changed.notify_all()  # one that somebody waits for may have made room
+            self._changed.notify_all()  # a thread may wait for a message that was dropped
 
-    def _hand_over(self) -> None:
-        """Let the shared thread go on."""
+    def _drive_later(self) -> None:
+        """Let the shared thread continue."""
         if self._current is not None:
-            self._current.own()
+            self._current.copy_bytes()
         self._loop.call(self._drive)
 
     def _drive(self, _: int = 0) -> None:
-        """Go on with what waits, on the shared thread."""
+        """Send queued messages; on the shared thread."""
         try:
             events = self._step()
         except OSError:
-            self._loop.ignore(self.speaker.sock)
-            self._fail()
+            self._loop.ignore(self.socket_side.sock)
+            self._on_lost()
             return
         if events is None:
             return
         if events and not self.closed:
-            self._loop.watch(self.speaker.sock, events, self._drive)
+            self._loop.watch(self.socket_side.sock, events, self._drive)
             return
-        self._loop.ignore(self.speaker.sock)
+        self._loop.ignore(self.socket_side.sock)
         self._dispose()
 
     def _step(self) -> int | None:
-        """The events to wait for; 0 where the connection is closed; None where another thread may drive."""
+        """Return the events to wait for; 0 if the connection is closed; None if another thread may drive."""
         while not self.closed:
             item = self._current
-            if self.speaker.due and not self.speaker.take_ack():
+            if self.socket_side.due and not self.socket_side.read_ack():
                 return selectors.EVENT_READ
             if item is not None and item.buffers and not self._send(item):
                 return selectors.EVENT_WRITE
-            if self.speaker.due:
+            if self.socket_side.due:
                 continue
             with self._lock:
                 if item is not None:
@@ -218,7 +218,7 @@ class Output:
                 self._current = self._pending.next()
                 free = self._current is None and not self.closed
                 if free:
-                    self._loop.ignore(self.speaker.sock)
+                    self._loop.ignore(self.socket_side.sock)
                     self._driven = False
                 self._changed.notify_all()
                 if free:
@@ -227,34 +227,34 @@ class Output:
 
     @property
     def busy(self) -> bool:
-        """Whether a message is still on its way out, or not acknowledged."""
-        if self.speaker.due and not self._driven:
-            self.check()  # the acknowledgement may have come: between two messages nobody reads
-        return self._driven or self.speaker.due
+        """Whether a message is being sent or not yet acknowledged."""
+        if self.socket_side.due and not self._driven:
+            self.check()  # the acknowledgement may have arrived: no thread reads between two messages
+        return self._driven or self.socket_side.due
 
     def wait_idle(self, deadline: float | None) -> bool:
-        """Wait until nothing is on its way, acknowledgements included; False where something is by the deadline."""
+        """Wait until all messages are sent and acknowledged; return False if not by the deadline."""
         with self._lock:
             if not self._wait_for(lambda: not self._driven or self.closed, deadline):
                 return False
-            if self.closed or not self.speaker.due:
+            if self.closed or not self.socket_side.due:
                 return True
             self._driven = True
         self._current = Item([], ours=True)
         return self.finish(self._current, deadline)
 
     def request(self, buffers: list[Buffer], parse: ReplyEnd | None, deadline: float | None) -> bytes:
-        """Send a message that wants a reply, and wait for it until the deadline of the monotonic clock.
+        """Send a request and wait for the reply until the deadline of the monotonic clock.
 
-        ``parse`` says where the reply ends; None: at a Bottle's end, or with a text carrier at the line's. Raises
-        `TimeoutError` (and closes, as the reply may still come), `ConnectionError` where the connection broke,
-        `WireError` where the reply is none or above the limit (and closes), or only an acknowledgement came.
+        ``parse`` finds the end of the reply; None: the end of a Bottle, or of a line for text carriers. Raises
+        `TimeoutError` (and closes, as the reply may still arrive), `ConnectionError` if the connection is lost,
+        `WireError` if the reply is invalid or above the limit (and closes), or if only an acknowledgement arrives.
         """
         with self._lock:
             if self._driven:
                 self._wait_for(lambda: not self._driven or self.closed, deadline)
             if self.closed:
-                raise ConnectionResetError(self.speaker.gone())
+                raise ConnectionResetError(self.socket_side.closed_message())
             if self._driven:
                 raise TimeoutError(f"{self.route.target} is still busy with another message")
             self._driven = True
@@ -263,39 +263,39 @@ class Output:
             while not self._push(item):
                 self._check_time(deadline)
             watch = ReplyWatch(parse, self.carrier, self.profile, self._limit)
-            reply = self.speaker.reply(watch, lambda: self._check_time(deadline))
+            reply = self.socket_side.reply(watch, lambda: self._check_time(deadline))
             if reply is not None:
                 self.profile = watch.profile
             while not self._acknowledged():
                 self._check_time(deadline)
         except BaseException:
-            self._fail()
+            self._on_lost()
             raise
         self._settle(item)
         if reply is None:
-            raise WireError(f"{self.route.target} acknowledged a request and did not reply to it")
+            raise WireError(f"{self.route.target} acknowledged a request without replying")
         self.counters.received += 1
         return reply
 
     def _check_time(self, deadline: float | None) -> None:
         if self.closed:
-            raise ConnectionAbortedError(self.speaker.gone())
+            raise ConnectionAbortedError(self.socket_side.closed_message())
         if deadline is not None and time.monotonic() > deadline:
             raise TimeoutError(f"no reply from {self.route.target} in time")
 
     def check(self) -> None:
-        """Look whether the idle peer is there, and has acknowledged: with the lock, so that writers find it free."""
+        """Check the idle connection and read its acknowledgement; holds the lock, so writers see it as free."""
         with self._lock:
             if self._driven or self.closed:
                 return
-            with contextlib.suppress(OSError):  # it is not in order
-                if self.speaker.look():
+            with contextlib.suppress(OSError):  # an error means that the connection is lost
+                if self.socket_side.is_connected():
                     return
             self._driven = True
-        self._fail()
+        self._on_lost()
 
     def close(self) -> None:
-        """Say goodbye where the connection is free, and close it."""
+        """Close the connection, after a farewell if it is idle."""
         with self._lock:
             if self.closed:
                 return
@@ -305,37 +305,37 @@ class Output:
             self._changed.notify_all()
         if free:
             with contextlib.suppress(OSError):
-                self.speaker.say_goodbye(patient=not self._loop.is_own_thread)
+                self.socket_side.send_farewell(patient=not self._loop.is_own_thread)
             self._dispose()
             return
         with contextlib.suppress(OSError):
-            self.speaker.shutdown()  # its driver wakes up, and closes it
+            self.socket_side.shutdown()  # wakes up the driver, which closes it
 
     def abandon(self) -> None:
-        """In a child process of fork: let go of the socket, and say nothing."""
-        self._lock = threading.Lock()  # another thread may have had it locked in the parent process
+        """Close the socket in a forked child process, without a farewell."""
+        self._lock = threading.Lock()  # another thread may have held it in the parent process
         self._changed = threading.Condition(self._lock)
         self.closed = True
         self._dispose()
 
     def _dispose(self) -> None:
-        """Close the socket; only its driver does that."""
+        """Close the socket; only the driver may call this."""
         with self._lock:
             self.counters.drop("lost", self._pending.clear())
             self._changed.notify_all()
-        self.speaker.close()
+        self.socket_side.close()
         if lost := self.counters.dropped["lost"]:
-            _log.info("%s -> %s ended with %d messages that were not sent", self.route.source, self.route.target, lost)
+            _log.info("%s -> %s closed with %d unsent messages", self.route.source, self.route.target, lost)
 
-    def _fail(self) -> None:
-        """The peer is gone."""
+    def _on_lost(self) -> None:
+        """Close the lost connection."""
         with self._lock:
-            told = self.closed
+            closed = self.closed
             if self._current is not None and not self._current.done:
                 self.counters.drop("lost")
         try:
-            if not told:
-                self._lost(self)  # before anybody finds it closed: nobody is to find this connection in the list then
+            if not closed:
+                self._lost(self)  # before `closed` is set, so that no listed connection is closed
         finally:
             with self._lock:
                 self.closed = True

@@ -1,4 +1,4 @@
-"""The socket side of an output connection: messages, acknowledgements, replies, goodbyes."""
+"""The socket of an output connection: messages, acknowledgements, replies, farewells."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from yarp_compat.wire.contact import ConnectionRoute
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.reply import ReplyWatch
 
-_STEP = 0.2  # seconds after which a thread that waits for a peer looks whether it still should
-_FAREWELL = 0.5  # seconds that a peer has to acknowledge the end of a connection
+_STEP = 0.2  # seconds between two checks whether a waiting thread should stop waiting
+_FAREWELL = 0.5  # seconds for a peer to acknowledge the end of a connection
 _CHUNK = 1 << 16
 _ACKNOWLEDGEMENTS: dict[Carrier, bytes | tuple[bytes, ...]] = {
     carriers.TCP: framing.ACK,
@@ -25,20 +25,20 @@ _FAREWELLS = {carriers.TEXT: b"q\r\n", carriers.TEXT_ACK: b"q\r\n", carriers.HTT
 
 
 class OutputSocket:
-    """An output's socket, for its driver; what is ``patient`` waits, a step at most. ``due``: an acknowledgement is."""
+    """An output's socket, for its driver. ``patient`` calls block for one step; ``due``: an acknowledgement is."""
 
     def __init__(self, sock: socket.socket, route: ConnectionRoute, carrier: Carrier, limit: int) -> None:
         sock.setblocking(False)
         self.sock = sock
-        # the same socket once more, with a time-out: reads and writes on it wait
+        # the same descriptor with a timeout: reads and writes block
         self._patient = socket.socket(sock.family, sock.type, sock.proto, fileno=sock.fileno())
         self._patient.settimeout(_STEP)
         self._route, self._carrier, self._limit = route, carrier, limit
         self.due = False
-        self._came = b""
+        self._received = b""
 
     def send(self, item: Item, *, patient: bool = False) -> bool:
-        """Send what the socket takes of a message; whether that was all."""
+        """Send as much of a message as the socket accepts; return whether it is all sent."""
         sock = self._patient if patient else self.sock
         buffers = item.buffers
         try:
@@ -56,84 +56,84 @@ class OutputSocket:
         self.due = self._carrier.ack
         return True
 
-    def take_ack(self, *, patient: bool = False) -> bool:
-        """Take the acknowledgement that is due; False where it has not come."""
+    def read_ack(self, *, patient: bool = False) -> bool:
+        """Read the outstanding acknowledgement; return False if it has not arrived."""
         sock = self._patient if patient else self.sock
         while True:
-            if self._came and (end := _ack_end(self._came, self._carrier)):
-                self._came = self._came[end:]
+            if self._received and (end := _ack_end(self._received, self._carrier)):
+                self._received = self._received[end:]
                 self.due = False
                 return True
             try:
-                came = sock.recv(_CHUNK)
+                received = sock.recv(_CHUNK)
             except (BlockingIOError, TimeoutError):
                 return False
-            if came == framing.ACK and not self._came and not self._carrier.text:
-                self.due = False  # as nearly always
+            if received == framing.ACK and not self._received and not self._carrier.text:
+                self.due = False  # the usual case
                 return True
-            if not came:
-                raise ConnectionResetError(self.gone())
-            self._came += came
+            if not received:
+                raise ConnectionResetError(self.closed_message())
+            self._received += received
 
     def reply(self, watch: ReplyWatch, check_time: Callable[[], None]) -> bytes | None:
-        """Wait for the reply, whose end ``watch`` knows; None where the acknowledgement comes without one.
+        """Wait for the reply, whose end ``watch`` finds; return None if the acknowledgement arrives without one.
 
-        Raises `ConnectionError`, `WireError` for no Bottle or one above the limit, and what ``check_time`` raises when
-        late.
+        Raises `ConnectionError`, `WireError` for an invalid Bottle or one above the limit, and what ``check_time``
+        raises.
         """
-        came: bytes | bytearray = self._came
+        received: bytes | bytearray = self._received
         acknowledgement = _ACKNOWLEDGEMENTS.get(self._carrier, ())
-        while not came.startswith(acknowledgement):
-            if end := watch.end(came):
+        while not received.startswith(acknowledgement):
+            if end := watch.end(received):
                 break
-            if len(came) > self._limit + _CHUNK:
+            if len(received) > self._limit + _CHUNK:
                 raise WireError(f"a reply from {self._route.target} is larger than {self._limit} bytes")
             try:
-                more = self._patient.recv(_CHUNK if len(came) < _CHUNK else 1 << 20)
+                more = self._patient.recv(_CHUNK if len(received) < _CHUNK else 1 << 20)
             except TimeoutError:
                 watch.pause()
                 check_time()
                 continue
             if not more:
-                raise ConnectionResetError(self.gone())
-            if came:
+                raise ConnectionResetError(self.closed_message())
+            if received:
                 check_time()
-                came = came if isinstance(came, bytearray) else bytearray(came)
-                came += more
+                received = received if isinstance(received, bytearray) else bytearray(received)
+                received += more
             else:
-                came = more
+                received = more
         else:
-            self._came = bytes(came)
+            self._received = bytes(received)
             return None
-        self._came = bytes(came[end:])
-        return bytes(came[:end])
+        self._received = bytes(received[end:])
+        return bytes(received[:end])
 
-    def look(self) -> bool:
-        """Whether the peer is still there, while nothing is on its way; raises `OSError` where it is not in order."""
+    def is_connected(self) -> bool:
+        """Return whether the peer is connected, while no message is being sent; raises `OSError` on other errors."""
         try:
             if self.due:
-                self.take_ack()
+                self.read_ack()
                 return True
             return bool(self.sock.recv(_CHUNK))
         except BlockingIOError:
             return True
 
-    def say_goodbye(self, *, patient: bool) -> None:
-        """Announce that no message will come any more."""
-        if self.due and not self.take_ack():
+    def send_farewell(self, *, patient: bool) -> None:
+        """Announce the end of the connection."""
+        if self.due and not self.read_ack():
             return
         self.sock.send(_FAREWELLS.get(self._carrier, framing.QUIT))
         if self._carrier.ack and patient:
             end = time.monotonic() + _FAREWELL
-            while not self.take_ack(patient=True) and time.monotonic() < end:
+            while not self.read_ack(patient=True) and time.monotonic() < end:
                 pass
 
-    def gone(self) -> str:
-        """The error text of a closed connection."""
+    def closed_message(self) -> str:
+        """Return the error message for a closed connection."""
         return f"the connection from {self._route.source} to {self._route.target} is closed"
 
     def shutdown(self) -> None:
-        """Wake up who waits for the peer; any thread may."""
+        """Wake up the threads that wait for the peer; from any thread."""
         self.sock.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
@@ -142,14 +142,14 @@ class OutputSocket:
         self.sock.close()
 
 
-def _ack_end(came: bytes, carrier: Carrier) -> int:
-    """The end of the acknowledgement that begins there; 0 where it is not whole."""
+def _ack_end(received: bytes, carrier: Carrier) -> int:
+    """Return the end of the acknowledgement at the start of ``received``; 0 if it is incomplete."""
     if carrier.text:
-        return came.find(b"\n") + 1
-    if len(came) < len(framing.ACK):
+        return received.find(b"\n") + 1
+    if len(received) < len(framing.ACK):
         return 0
-    length = framed(came)
+    length = framed(received)
     if length is None or not 0 <= length <= _CHUNK:
-        raise ConnectionResetError(f"no acknowledgement: {came[:16]!r}")
+        raise ConnectionResetError(f"invalid acknowledgement: {received[:16]!r}")
     end = len(framing.ACK) + length
-    return end if len(came) >= end else 0
+    return end if len(received) >= end else 0

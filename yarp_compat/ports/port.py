@@ -1,4 +1,4 @@
-"""The engine under all kinds of ports: a name, a listening socket, inputs and outputs."""
+"""The core of all kinds of ports: a name, a listening socket, inputs and outputs."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.reply import ReplyEnd
 
 _log = logging.getLogger("yarp.ports")
-_LOOK = 0.5  # seconds between looks whether the peers of idle outputs are still there
-_KEPT_FOR = 5.0  # seconds for which an input keeps the memory of a large message for the next one
+_CHECK_PERIOD = 0.5  # seconds between two checks of idle outputs
+_KEPT_FOR = 5.0  # seconds for which an input reserves the memory of a large message for the next one
 
 
 class PortCore(ConnectingPort):
@@ -38,20 +38,20 @@ class PortCore(ConnectingPort):
 
     Args:
         name: the port's name; "" or "..." lets the name server choose one.
-        on_message: takes each message; on the thread of its connection, which goes on with the next one afterwards.
-            None: messages are dropped, and those that want a reply get an empty one.
+        on_message: called for each message, on its connection's thread, which continues with the next one afterwards.
+            None: messages are dropped, and requests get an empty reply.
         naming: the name server.
-        rpc: an RPC client or server: it has one output at most.
-        type_name: the type of what it writes or reads, as it announces it.
-        limit: bytes of the largest message or reply that is taken, and at most of each output's queue.
-        host: where to listen; by default where the name server says the port is.
-        number: its TCP port; 0: one of the naming's `numbers`, or the name server chooses.
+        rpc: whether it is an RPC client or server, with at most one output.
+        type_name: the announced type of its messages.
+        limit: most bytes of an accepted message or reply, and of each output's queue.
+        host: address to listen at; by default the one that the name server returns.
+        number: its TCP port; 0: one of the naming's `numbers`, or assigned by the name server.
         profile: the dialect of Bottles made from text.
-        is_input: it reads, as it announces.
-        is_output: it writes; otherwise no outputs are made.
-        on_event: told when a connection comes or goes; must not block.
-        on_line: answers lines to a name server, given without ``NAME_SERVER`` and with the peer's address.
-        replies: its owner answers, so who connects is asked for its dialect first; by default RPC ports do.
+        is_input: whether it reads, as announced.
+        is_output: whether it writes; otherwise outputs are refused.
+        on_event: called when a connection opens or closes; must not block.
+        on_line: answers lines to a name server; receives them without ``NAME_SERVER``, with the peer's address.
+        replies: whether its owner replies, so that clients are queried for their dialect first; by default if ``rpc``.
     """
 
     def __init__(
@@ -85,15 +85,15 @@ class PortCore(ConnectingPort):
         self._interrupted = False
 
     def open(self) -> PortContact:
-        """Register the port and listen, after a close under way; raises `NamingError`, `OSError` for the address."""
+        """Register the port and listen, after a pending close; raises `NamingError`, or `OSError` for the address."""
         self._closed.wait()
         with self._life:
             contact, sock = registered(self.naming, self.name, self._host, self._number)
             self.contact, self.name = contact, contact.name
             self._loop = shared = loop.acquire()
             self.connections.open()
-            self._listener = Listener(shared, sock, self._opened, self._refused)
-            shared.call(self._look)
+            self._listener = Listener(shared, sock, self._on_introduced, self._on_refused)
+            shared.call(self._check_outputs)
             note_open(self)
         try:
             self.naming.announce(self.name)
@@ -103,7 +103,7 @@ class PortCore(ConnectingPort):
         return contact
 
     def close(self) -> None:
-        """End all connections, give the name back, and leave nothing behind."""
+        """Close all connections and unregister the name; return when all threads have ended."""
         with self._life:
             shared, self._loop = self._loop, None
             listener, self._listener = self._listener, None
@@ -123,12 +123,12 @@ class PortCore(ConnectingPort):
         try:
             self.naming.unregister(self.name)
         except OSError as error:
-            _log.warning("port %s could not be unregistered: %s", self.name, error)
+            _log.warning("cannot unregister port %s: %s", self.name, error)
         loop.release(shared)
         self.resume()
 
     def abandon(self) -> None:
-        """In a child process of fork: let go of the sockets, and say nothing to anybody."""
+        """Close the sockets in a forked child process, without notifying peers or the name server."""
         self._life, self._closed = threading.Lock(), threading.Event()
         self._closed.set()
         self._loop = None
@@ -140,21 +140,21 @@ class PortCore(ConnectingPort):
         self.groups.abandon()
 
     def interrupt(self) -> None:
-        """Take and send nothing any more until :meth:`resume`."""
+        """Drop all messages until `resume`."""
         self._interrupted = True
 
     def resume(self) -> None:
-        """Go on after :meth:`interrupt`."""
+        """Continue after `interrupt`."""
         self._interrupted = False
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open."""
+        """Whether the port is registered and listens."""
         return self._loop is not None
 
     @property
     def on_event(self) -> OnEvent | None:
-        """The callback for connections that come or go; it must not block."""
+        """The callback for connections that open or close; it must not block."""
         return self.connections.on_event
 
     @on_event.setter
@@ -166,12 +166,12 @@ class PortCore(ConnectingPort):
         timeout: float | None = None, text: Callable[[], str] | None = None,
         chosen: Callable[[AnyOutput], bool] | None = None,
     ) -> int:  # fmt: skip
-        """Send a message to all outputs, or the ``chosen``; returns how many took it. Text carriers take Bottles only.
+        """Send a message to all outputs, or the ``chosen``; return how many accepted it. Text carriers need Bottles.
 
-        The payload may be what makes it in each output's dialect. ``strict``: queue it behind messages that are still
-        on their way to a peer, the oldest of which make room in a full queue; else it takes their place. ``wait``:
-        return when all peers took it, and acknowledged it where the carrier does that, ``timeout`` seconds at most;
-        else never wait. ``text`` makes the line for text carriers, by default the payload's own.
+        The payload may be a function that encodes it in each output's dialect. ``strict``: queue it after messages that
+        are still being sent (a full queue drops the oldest); else it replaces them. ``wait``: block until it is sent to
+        all peers, and acknowledged if the carrier does that, at most ``timeout`` seconds; else never block. ``text``
+        returns the line for text carriers, by default the payload's.
         """
         if self._interrupted:
             self.counters.dropped["interrupted"] += 1
@@ -179,7 +179,7 @@ class PortCore(ConnectingPort):
         outputs = self.connections.outputs
         if not outputs:
             return 0
-        made = OutgoingMessage(payload, envelope, "D", text)
+        message = OutgoingMessage(payload, envelope, "D", text)
         self.counters.sent += 1
         begun: list[tuple[AnyOutput, Item]] = []
         shared: dict[SendingGroup | None, Item] = {}
@@ -188,94 +188,94 @@ class PortCore(ConnectingPort):
                 if chosen is not None and not chosen(output):
                     continue
                 try:
-                    buffers = made.buffers(output.carrier, output.profile or self.profile)
+                    buffers = message.buffers(output.carrier, output.profile or self.profile)
                 except WireError:
                     if not output.carrier.text:
                         raise
-                    self.counters.dropped["no text"] += 1  # who reads it as text must not harm who does not
+                    self.counters.dropped["no text"] += 1  # readers of text must not affect other readers
                     continue
                 item = shared.get(output.group) or output.begin(buffers, strict or wait, wait)
                 if item is not None:
                     if output.group is not None:
                         shared[output.group] = item  # one message for all readers of the group
                     begun.append((output, item))
-            return _finished(begun, timeout) if wait else len(begun)
-        except BaseException:  # one cannot be made, or an interrupt from the keyboard: the others go on by themselves
+            return _finish(begun, timeout) if wait else len(begun)
+        except BaseException:  # one cannot be encoded, or KeyboardInterrupt: the shared thread completes the others
             for output, item in begun:
-                output.leave(item)
+                output.detach(item)
             raise
 
     def request(
         self, payload: Content, envelope: str = "", *, timeout: float | None = None, parse: ReplyEnd | None = None
     ) -> bytes:
-        """Send a request over the first output, and wait for the reply, ``timeout`` seconds at most.
+        """Send a request on the first output and wait for the reply, at most ``timeout`` seconds.
 
-        ``parse`` says where the reply ends that begins these bytes (raises Incomplete for more); by default a Bottle's
-        end. Raises as `Output.request` does, and `ConnectionError` without an output.
+        ``parse`` returns where the reply at the start of the bytes ends (raises Incomplete for more); by default at the
+        end of a Bottle. Raises like `Output.request`, and `ConnectionError` without an output.
         """
         outputs = self.connections.outputs
         if not outputs or self._interrupted:
-            msg = f"port {self.name} is {'interrupted' if outputs else 'not connected to anything that could reply'}"
+            msg = f"port {self.name} is {'interrupted' if outputs else 'not connected to a server'}"
             raise ConnectionResetError(msg)
         output = outputs[0]
         deadline = None if timeout is None else time.monotonic() + timeout
         profile = output.profile or self.profile
-        made = OutgoingMessage(payload, envelope, "d").buffers(output.carrier, profile)
+        buffers = OutgoingMessage(payload, envelope, "d").buffers(output.carrier, profile)
         self.counters.sent += 1
-        reply = output.request(made, parse, deadline)
+        reply = output.request(buffers, parse, deadline)
         return from_line(reply.strip(), profile) if output.carrier.text else reply
 
     @property
     def answers_in(self) -> Profile | None:
-        """The dialect of the port that answers requests; None where it is not known, or no port does."""
+        """The dialect of the port that answers requests; None if it is unknown or not connected."""
         outputs = self.connections.outputs
         return outputs[0].profile if outputs else None
 
     @property
     def is_writing(self) -> bool:
-        """Whether a message is still on its way to a peer."""
+        """Whether a message is still being sent to a peer."""
         return any(output.busy for output in self.connections.outputs)
 
     def wait_writes(self, timeout: float | None = None) -> bool:
-        """Wait until all messages are sent, and acknowledged where the carrier does that; False where not in time."""
+        """Wait until all messages are sent, and acknowledged if the carrier does that; return False if late."""
         deadline = None if timeout is None else time.monotonic() + timeout
         return all(output.wait_idle(deadline) for output in self.connections.outputs)
 
     @property
     def lost(self) -> Counter[str]:
-        """Messages that its outputs dropped, by reason; those of outputs that have ended too."""
+        """Messages that its outputs dropped, by reason; closed outputs included."""
         return self.connections.lost
 
-    def _look(self) -> None:
-        """On the shared thread, now and then: are the peers of idle outputs still there."""
+    def _check_outputs(self) -> None:
+        """Check idle outputs, and free unused memory of inputs; periodically, on the shared thread."""
         shared = self._loop
         if shared is not None:
             for output in self.connections.outputs:
                 output.check()
             for connection in self.connections.inputs:
                 connection.stream.give_back(_KEPT_FOR)
-            shared.later(_LOOK, self._look)
+            shared.call_later(_CHECK_PERIOD, self._check_outputs)
 
-    def _refused(self, peer: str, error: WireError) -> None:
+    def _on_refused(self, peer: str, error: WireError) -> None:
         self.counters.dropped["malformed"] += 1
         level = logging.WARNING if isinstance(error, carriers.CarrierError) else logging.INFO
         _log.log(level, "port %s refused a connection from %s: %s", self.name, peer, error)
 
     def administer(self, payload: Buffer, peer: MessagePeer) -> bytes:
-        """Obey an administrative command; returns the answer's Bottle."""
+        """Execute an administrative command and return the answer's Bottle."""
         try:
-            words = decode(payload, peer.profile)
+            command = decode(payload, peer.profile)
         except WireError as error:
-            _log.info("port %s: %s sends no administrative command: %s", self.name, peer.route.source, error)
-            words = []
-        return encode(admin.answer(self, words), peer.profile or self.profile)
+            _log.info("port %s: invalid administrative command from %s: %s", self.name, peer.route.source, error)
+            command = []
+        return encode(admin.answer(self, command), peer.profile or self.profile)
 
-    def obey(self, word: PortCommand) -> tuple[str, ...]:
-        """Obey a port command; returns the lines that text carriers answer."""
-        return admin.obey(self, word)
+    def execute(self, command: PortCommand) -> tuple[str, ...]:
+        """Execute a port command and return the answer's lines, for text carriers."""
+        return admin.execute(self, command)
 
 
-def _finished(begun: list[tuple[AnyOutput, Item]], timeout: float | None) -> int:
-    """Wait until outputs are done with a message; how many are in time."""
+def _finish(begun: list[tuple[AnyOutput, Item]], timeout: float | None) -> int:
+    """Wait until outputs have sent a message; return how many did so in time."""
     deadline = None if timeout is None else time.monotonic() + timeout
     return sum(item.done or output.finish(item, deadline) for output, item in begun)

@@ -1,9 +1,9 @@
-"""Classes of service of packets by their names (`yarp/os/QosStyle.h`; RFC 2474, RFC 2597, RFC 3246)."""
+"""Classes of service of IP packets by name (`yarp/os/QosStyle.h`; RFC 2474, RFC 2597, RFC 3246)."""
 
 from __future__ import annotations
 
 PRIORITIES = {"LOW": 10, "NORM": 0, "HIGH": 36, "CRIT": 44}
-"""YARP's own words for some of the classes."""
+"""YARP's names for some of the classes."""
 
 DSCP = {
     **{f"CS{n}": 8 * n for n in range(8)},

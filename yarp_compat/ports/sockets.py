@@ -1,4 +1,4 @@
-"""The sockets of ports and connections: how they are set, where a port listens, several buffers sent at once."""
+"""Sockets of ports and connections: their options, listening addresses, and sending several buffers at once."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.framing import JOINED, Buffer
 
 _KEEP_ALIVE = (("TCP_KEEPIDLE", 30), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3))
-"""After how many seconds of silence the system asks a peer's machine, how far apart, and how often."""
+"""TCP keepalive: seconds of silence before the first probe, seconds between probes, number of probes."""
 
 
 class Closable(Protocol):
-    """A socket, or a port."""
+    """An object that can be closed, such as a socket or a port."""
 
     def close(self) -> object:
-        """Close it."""
+        """Release the resources."""
 
 
 class Openable(ABC):
-    """Open between ``with`` and its end."""
+    """A base class for objects that are open inside a ``with`` block."""
 
     @abstractmethod
     def open(self) -> Self:
-        """Open it."""
+        """Open the object and return it."""
 
     @abstractmethod
     def close(self) -> None:
-        """Close it."""
+        """Release the resources."""
 
     def __enter__(self) -> Self:
         return self.open()
@@ -47,7 +47,7 @@ class Openable(ABC):
 
 @contextlib.contextmanager
 def closed_on_failure(made: Closable) -> Iterator[None]:
-    """Close something where what is done to it fails."""
+    """Close an object if the ``with`` block raises."""
     try:
         yield
     except BaseException:
@@ -56,7 +56,7 @@ def closed_on_failure(made: Closable) -> Iterator[None]:
 
 
 def tune(sock: socket.socket) -> None:
-    """Have small messages sent at once, and the end of a peer's machine noticed."""
+    """Set options to send small messages at once, and to detect unreachable peers."""
     with contextlib.suppress(OSError):
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -66,7 +66,7 @@ def tune(sock: socket.socket) -> None:
 
 
 def set_service(sock: socket.socket, tos: int) -> bool:
-    """Set the type of service of a socket's packets (0 to 255); False where this machine does not allow that."""
+    """Set the type of service of a socket's packets (0 to 255); return False if this machine does not allow that."""
     if not 0 <= tos <= 255:
         return False
     try:
@@ -80,7 +80,7 @@ def set_service(sock: socket.socket, tos: int) -> bool:
 
 
 def service(sock: socket.socket) -> int:
-    """The type of service of a socket's packets; 0 where this machine does not tell."""
+    """Return the type of service of a socket's packets; 0 if unknown."""
     try:
         if sock.family == socket.AF_INET6:
             return sock.getsockopt(socket.IPPROTO_IPV6, socket.IPV6_TCLASS)
@@ -90,14 +90,14 @@ def service(sock: socket.socket) -> int:
 
 
 def send_all(sock: socket.socket, buffers: Sequence[Buffer]) -> None:
-    """Send all of the buffers, in few system calls; waits until the peer took them."""
+    """Send all buffers, in few system calls; blocks until the socket has accepted them."""
     left = flat(buffers)
     while left:
         left = sent(left, send_some(sock, left))
 
 
 def send_some(sock: socket.socket, buffers: Sequence[Buffer]) -> int:
-    """Send what the socket takes of the buffers; the number of bytes."""
+    """Send as much of the buffers as the socket accepts; return the number of bytes."""
     if len(buffers) == 1:
         return sock.send(buffers[0])
     if hasattr(sock, "sendmsg"):
@@ -106,15 +106,15 @@ def send_some(sock: socket.socket, buffers: Sequence[Buffer]) -> int:
 
 
 def flat(buffers: Sequence[Buffer]) -> list[Buffer]:
-    """The buffers as bytes, small ones put together, empty ones left out."""
-    made = [b if isinstance(b, (bytes, bytearray)) else memoryview(b).cast("B") for b in buffers]
-    if sum(map(len, made)) <= JOINED:
-        return [b"".join(made)]
-    return [b for b in made if len(b)]
+    """Return the buffers as bytes: small ones joined, empty ones left out."""
+    chunks = [b if isinstance(b, (bytes, bytearray)) else memoryview(b).cast("B") for b in buffers]
+    if sum(map(len, chunks)) <= JOINED:
+        return [b"".join(chunks)]
+    return [b for b in chunks if len(b)]
 
 
 def sent(buffers: list[Buffer], count: int) -> list[Buffer]:
-    """The rest of the buffers after ``count`` bytes of them."""
+    """Return the buffers without their first ``count`` bytes."""
     for index, buffer in enumerate(buffers):
         if count < len(buffer):
             return [memoryview(buffer)[count:], *buffers[index + 1 :]]
@@ -122,22 +122,22 @@ def sent(buffers: list[Buffer], count: int) -> list[Buffer]:
     return []
 
 
-_BACKLOG = 1024  # connections that wait to be accepted
+_BACKLOG = 1024  # connections waiting to be accepted
 
 
 def registered(naming: Naming, name: str, host: str | None, number: int) -> tuple[PortContact, socket.socket]:
-    """Register a port, and listen; raises `NamingError`, or `OSError` where it cannot listen.
+    """Register a port and listen; raises `NamingError`, or `OSError` if it cannot listen.
 
-    Where no ``host`` is given, the name server's will do, or any; where no ``number`` is (0), a free one of the
-    naming's `numbers`, else the name server's or any.
+    Without a ``host``, it uses the name server's, or any; without a ``number`` (0), a free one of the naming's
+    `numbers`, else the name server's or any.
     """
-    wanted = number or _free(naming.numbers, name)
+    wanted = number or _free_number(naming.numbers, name)
     contact = naming.register(name, host or "", wanted)
     sock: socket.socket | None = None
     try:
         sock = listening(host or contact.host, contact.port, host_fixed=bool(host), number_fixed=bool(number))
-        if (found := sock.getsockname()[1]) != contact.port:
-            contact = naming.register(contact.name, contact.host, found)
+        if (actual := sock.getsockname()[1]) != contact.port:
+            contact = naming.register(contact.name, contact.host, actual)
     except BaseException:
         if sock is not None:
             sock.close()
@@ -146,15 +146,15 @@ def registered(naming: Naming, name: str, host: str | None, number: int) -> tupl
     return contact, sock
 
 
-def _free(numbers: range, name: str) -> int:
-    """A number that nobody listens at, the same each time for a name where it is free; 0 where all are taken."""
+def _free_number(numbers: range, name: str) -> int:
+    """Return a free number, always the same for a name if that is free; 0 if all are in use."""
     if not numbers:
         return 0
-    first = random.randrange(len(numbers)) if name in ("", "...") else zlib.crc32(name.encode(errors="replace"))  # noqa: S311 - no secret
+    first = random.randrange(len(numbers)) if name in ("", "...") else zlib.crc32(name.encode(errors="replace"))  # noqa: S311 - not a secret
     for step in range(len(numbers)):
         number = numbers[(first + step) % len(numbers)]
         try:
-            _bound(socket.AF_INET, "", number).close()
+            _bound_socket(socket.AF_INET, "", number).close()
         except OSError:
             continue
         return number
@@ -162,33 +162,33 @@ def _free(numbers: range, name: str) -> int:
 
 
 def listening(host: str, number: int, *, host_fixed: bool, number_fixed: bool) -> socket.socket:
-    """A socket that listens at an address and number (0: any); raises `OSError` where it cannot.
+    """Return a socket that listens at an address and number (0: any); raises `OSError` if it cannot.
 
-    Unless ``host_fixed``, it listens at all of this machine's addresses where ``host`` is none of them (another machine
-    translates it); unless ``number_fixed``, at another number where that one is taken.
+    Unless ``host_fixed``, it listens at all of this machine's addresses if ``host`` is none of them (with address
+    translation); unless ``number_fixed``, at another number if that one is in use.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        return _at(family, host, number)
+        return _listening_socket(family, host, number)
     except OSError as error:
         if error.errno == errno.EADDRINUSE and not number_fixed:
-            return _at(family, host, 0)
+            return _listening_socket(family, host, 0)
         if error.errno == errno.EADDRNOTAVAIL and not host_fixed:
-            return _at(family, "", number)
+            return _listening_socket(family, "", number)
         raise
 
 
-def _at(family: int, host: str, number: int) -> socket.socket:
-    sock = _bound(family, host, number)
+def _listening_socket(family: int, host: str, number: int) -> socket.socket:
+    sock = _bound_socket(family, host, number)
     with closed_on_failure(sock):
-        sock.listen(_BACKLOG)  # here two of those that share a number are told apart
+        sock.listen(_BACKLOG)  # fails if another socket listens on the same number
     return sock
 
 
-def _bound(family: int, host: str, number: int) -> socket.socket:
+def _bound_socket(family: int, host: str, number: int) -> socket.socket:
     sock = socket.socket(family, socket.SOCK_STREAM)
     with closed_on_failure(sock):
-        if os.name == "posix":  # elsewhere this would let two programs listen on one number
+        if os.name == "posix":  # on Windows this would let two programs listen on one number
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         sock.bind((host, number))
     return sock

@@ -1,4 +1,4 @@
-"""Reads whole messages or lines from a blocking socket, with few system calls and bounded memory."""
+"""Reading of whole messages or lines from a blocking socket, with few system calls and bounded memory."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from yarp_compat.wire.errors import TooLargeError, WireError
 from yarp_compat.wire.framing import Buffer
 
 _BUFFER = 1 << 16
-_AT_ONCE = 1 << 20  # bytes given to a large message before any of it came; more only as it comes
+_AT_ONCE = 1 << 20  # bytes allocated for a large message before its data arrives; more only as it arrives
 _COMMON = struct.Struct("<18sIIiIsBBB")
 _COMMON_SIZE = _COMMON.size
 _COMMON_HEAD = framing.prefix(0)[: framing.HEAD_SIZE]
@@ -19,7 +19,7 @@ _KEYS = {ord(k): k for k in "dDaq"}
 
 
 class ByteStream:
-    """A connection's incoming bytes; large payloads are writable views of memory that is used again once it is free."""
+    """A connection's incoming bytes; large payloads are writable views of memory that is reused when it is free."""
 
     def __init__(self, sock: socket.socket, already: bytes = b"", limit: int = framing.DEFAULT_LIMIT) -> None:
         self._sock = sock
@@ -33,48 +33,48 @@ class ByteStream:
         self._spared = 0.0
 
     def message(self) -> tuple[str, str, Buffer] | None:
-        """A message's key, command's text and payload; None at the end. Raises `WireError`, also above the limit."""
+        """Return a message's key, command text and payload; None at the end. Raises `WireError`, also if too large."""
         while True:
             start, have = self._start, self._end - self._start
             if have >= _COMMON_SIZE:
                 head, first, length, _, _, mark, key, _, _ = _COMMON.unpack_from(self._buffer, start)
                 if head == _COMMON_HEAD and first == 8 and key in _KEYS and mark == b"~":
                     if length > self._limit:
-                        raise TooLargeError(f"a message announces {length} bytes; at most {self._limit} are taken")
+                        raise TooLargeError(f"a message announces {length} bytes; the limit is {self._limit}")
                     self._start = start + _COMMON_SIZE
-                    payload = self._take(length)
+                    payload = self._read(length)
                     return None if payload is None else (_KEYS[key], "", payload)
             if have >= framing.HEAD_SIZE:
                 size = framing.index_size(self._buffer, start)
                 if have >= size:
                     return self._uncommon(start, size)
-            if not self._more():
+            if not self._receive():
                 return None
 
     def _uncommon(self, start: int, size: int) -> tuple[str, str, Buffer] | None:
-        """A message with an envelope, in many blocks, or with a command alone."""
+        """Read a message with an envelope, in several blocks, or with only a command."""
         total = framing.body_size(self._buffer, start, self._limit)
         self._start = start + size
-        body = self._take(total)
+        body = self._read(total)
         if body is None:
             return None
-        word, begin = framing.parse_command(body)
-        return word.key, word.text, body[begin:]
+        command, begin = framing.parse_command(body)
+        return command.key, command.text, body[begin:]
 
-    def _take(self, length: int) -> Buffer | None:
+    def _read(self, length: int) -> Buffer | None:
         start = self._start
         if length <= self._end - start:
             self._start = start + length
             return bytes(self._view[start : start + length])
         if length > _BUFFER // 2:
-            return self._take_large(length)
+            return self._read_large(length)
         while self._end - self._start < length:
-            if not self._more():
+            if not self._receive():
                 return None
         self._start += length
         return bytes(self._view[self._start - length : self._start])
 
-    def _take_large(self, length: int) -> Buffer | None:
+    def _read_large(self, length: int) -> Buffer | None:
         memory = self._memory(length)
         have = self._end - self._start
         memory[:have] = self._view[self._start : self._end]
@@ -82,8 +82,8 @@ class ByteStream:
         while have < length:
             if have == len(memory):
                 memory.extend(bytes(min(length - have, have)))
-            with memoryview(memory) as view, view[have:] as rest:
-                got = self._sock.recv_into(rest)
+            with memoryview(memory) as view, view[have:] as target:
+                got = self._sock.recv_into(target)
             if not got:
                 return None
             have += got
@@ -91,7 +91,7 @@ class ByteStream:
         return memoryview(memory)
 
     def _memory(self, length: int) -> bytearray:
-        """Memory for a large message: the last one's, where it has the right size and nobody looks at it any more."""
+        """Return memory for a large message: the last one's, if it has the right size and is no longer referenced."""
         spare, self._spare = self._spare, bytearray()
         if len(spare) == length:
             try:
@@ -104,16 +104,16 @@ class ByteStream:
 
     @property
     def kept(self) -> int:
-        """Bytes of memory that are kept for the next large message."""
+        """Bytes of memory reserved for the next large message."""
         return len(self._spare)
 
     def give_back(self, seconds: float) -> None:
-        """Keep no memory when no large message came for so long. From any thread."""
+        """Free the reserved memory if no large message arrived for ``seconds``. From any thread."""
         if self._spare and time.monotonic() - self._spared >= seconds:
             self._spare = bytearray()
 
     def line(self, longest: int | None = None) -> bytes | None:
-        """The next line without its end; None at the connection's end. Raises `WireError` beyond ``longest`` bytes."""
+        """Return the next line, or None at the end of the connection. Raises `WireError` beyond ``longest`` bytes."""
         longest = min(longest or self._limit, self._limit)
         parts: list[bytes] = []
         size = 0
@@ -127,27 +127,27 @@ class ByteStream:
             self._start = stop if end < 0 else end + 1
             if end >= 0:
                 return b"".join(parts).removesuffix(b"\r")
-            if not self._more():
+            if not self._receive():
                 return None
 
     def exactly(self, length: int) -> bytes | None:
-        """Wait for that many bytes; None at the connection's end."""
+        """Wait for ``length`` bytes and return them; None at the end of the connection."""
         parts: list[bytes] = []
         while length:
             part = bytes(self._view[self._start : min(self._end, self._start + length)])
             self._start += len(part)
             length -= len(part)
             parts.append(part)
-            if length and not self._more():
+            if length and not self._receive():
                 return None
         return b"".join(parts)
 
     def left(self) -> bytes:
-        """The bytes that came and were not read."""
+        """Return the bytes that were received and not read yet."""
         return bytes(self._view[self._start : self._end])
 
-    def _more(self) -> bool:
-        """Wait for more bytes; False at the connection's end."""
+    def _receive(self) -> bool:
+        """Wait for more bytes; return False at the end of the connection."""
         have = self._end - self._start
         if have == 0 or self._end == len(self._buffer):
             self._buffer[:have] = self._buffer[self._start : self._end]

@@ -1,7 +1,7 @@
-"""Asks any port by the text carrier, as YARP's own tools do: commands as text, answers as lines.
+"""Queries to any port by the text carrier, as YARP's tools send them: commands as text, answers as lines.
 
-``CONNACK admin`` is answered by ``Welcome admin``; then each answer ends with ``<ACK>`` (the carrier is text_ack).
-An administrative command is announced by a line ``a``, one for the port's owner by ``d``.
+The port answers ``CONNACK admin`` with ``Welcome admin``; each further answer ends with ``<ACK>`` (carrier text_ack).
+A line ``a`` precedes an administrative command, a line ``d`` a message for the port's owner.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text, to_text
 
-_STEP = 0.1  # seconds after which a thread that waits looks whether it still should
+_STEP = 0.1  # seconds between two checks of the deadline, which may change meanwhile
 
 
 class LineSocket:
-    """A short exchange of lines by TCP; raises `OSError`, also beyond ``timeout`` seconds or ``limit`` bytes."""
+    """A short exchange of lines over TCP; raises `OSError`, also beyond ``timeout`` seconds or ``limit`` bytes."""
 
     def __init__(self, host: str, port: int, timeout: float, limit: int = 1 << 20) -> None:
         self._end = time.monotonic() + timeout
@@ -37,11 +37,11 @@ class LineSocket:
             raise
 
     def on_error(self, explain: Callable[[OSError], Exception]) -> None:
-        """Have later errors raised as something else."""
+        """Replace the `OSError` that leaves the ``with`` block by the result of ``explain``."""
         self._explain = explain
 
     def close(self) -> None:
-        """Close the connection."""
+        """Close the socket."""
         self._socket.close()
 
     def __enter__(self) -> Self:
@@ -53,23 +53,23 @@ class LineSocket:
             raise self._explain(err) from None
 
     def send(self, data: bytes) -> None:
-        """Send all of it."""
+        """Send all of ``data``."""
         self._socket.settimeout(self._left())
         self._socket.sendall(data)
 
     def line(self) -> str:
-        """The next line, without its end."""
+        """Return the next line, without its end."""
         at = self._buffer.find(b"\n")
         while at < 0:
             seen = len(self._buffer)
-            self._more()
+            self._receive()
             at = self._buffer.find(b"\n", seen)
         line = bytes(self._buffer[:at])
         del self._buffer[: at + 1]
         return line.rstrip(b"\r").decode("utf-8", "surrogateescape")
 
-    def _more(self) -> None:
-        data = self._some()
+    def _receive(self) -> None:
+        data = self._receive_some()
         if not data:
             raise ConnectionError("the connection was closed before the answer was complete")
         self._taken += len(data)
@@ -77,7 +77,7 @@ class LineSocket:
             raise OSError(f"the answer is longer than {self._limit} bytes")
         self._buffer += data
 
-    def _some(self) -> bytes:
+    def _receive_some(self) -> bytes:
         while True:
             self._socket.settimeout(min(self._left(), _STEP))
             try:
@@ -86,7 +86,7 @@ class LineSocket:
                 continue
 
     def hurry(self, seconds: float) -> None:
-        """Have the exchange end within so many seconds from now; any thread may ask for that."""
+        """Limit the exchange to ``seconds`` from now; from any thread."""
         self._end = min(self._end, time.monotonic() + seconds)
 
     def _left(self) -> float:
@@ -101,21 +101,21 @@ _ACK = "<ACK>"
 
 
 def ask(contact: PortContact, command: Sequence[Any], *, admin: bool = False, timeout: float = TIMEOUT) -> list[str]:
-    """The lines of a port's answer to a Bottle (``admin``: the port's own); raises `PortError` if none in time."""
+    """Send a Bottle (``admin``: an administrative command), return the answer's lines; raises `PortError` if late."""
     return raw(contact, "admin", f"{'a' if admin else 'd'}\r\n{to_text(command)}\r\n", timeout)
 
 
 def admin(contact: PortContact, command: Sequence[Any], timeout: float = TIMEOUT) -> list[Any]:
-    """Send an administrative command and return the values of its answer; errors as `ask`."""
+    """Send an administrative command and return the values of its answer; raises like `ask`."""
     lines = ask(contact, command, admin=True, timeout=timeout)
     try:
         return from_text(lines[0]) if lines else []
     except WireError as err:
-        raise PortError(f"what {contact.name or 'the port'} answers at {contact.uri} is no Bottle: {err}") from None
+        raise PortError(f"the answer of {contact.name or 'the port'} at {contact.uri} is not a Bottle: {err}") from None
 
 
 def raw(contact: PortContact, sender: str, text: str, timeout: float = TIMEOUT) -> list[str]:
-    """Introduce oneself as ``sender``, send lines, and return what comes back before the acknowledgement."""
+    """Introduce this client as ``sender``, send lines, and return the lines before the acknowledgement."""
     try:
         with LineSocket(contact.host, contact.port, timeout) as peer:
             peer.send(f"CONNACK {sender}\r\n{text}".encode("utf-8", "surrogateescape"))
@@ -123,14 +123,14 @@ def raw(contact: PortContact, sender: str, text: str, timeout: float = TIMEOUT) 
     except PortError:
         raise
     except OSError as err:
-        why = f"no answer within {timeout:g} s" if isinstance(err, TimeoutError) else (err.strerror or str(err))
-        raise PortError(f"{contact.name or 'the port'} does not answer at {contact.uri}: {why}") from None
+        reason = f"no answer within {timeout:g} s" if isinstance(err, TimeoutError) else (err.strerror or str(err))
+        raise PortError(f"{contact.name or 'the port'} does not answer at {contact.uri}: {reason}") from None
 
 
 def _answer(peer: LineSocket, contact: PortContact) -> list[str]:
     welcome = peer.line()
     if not welcome.startswith("Welcome"):
-        raise PortError(f"what answers at {contact.uri} is no YARP port: it says {welcome[:60]!r}")
+        raise PortError(f"{contact.uri} is not a YARP port: it answers {welcome[:60]!r}")
     lines: list[str] = []
     while (line := peer.line()) != _ACK:
         lines.append(line)
@@ -138,11 +138,11 @@ def _answer(peer: LineSocket, contact: PortContact) -> list[str]:
 
 
 QUESTION = "getPid"
-PATIENCE = 1.0  # seconds that a port has to tell what it is
+PATIENCE = 1.0  # seconds for a port to answer the query of its dialect
 
 
 def ask_profile(contact: PortContact, timeout: float = PATIENCE) -> Profile | None:
-    """The dialect of a port, None if unknown; C++ ports that wait for a reply answer nobody, so do not ask those."""
+    """Return the dialect of a port; None if unknown. C++ ports that wait for a reply do not answer: do not ask them."""
     try:
         answer = admin(contact, [QUESTION], timeout)
     except (PortError, WireError):

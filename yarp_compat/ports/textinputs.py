@@ -1,6 +1,6 @@
-"""Inputs that speak text: the carriers text and text_ack, the name server's own, and browsers.
+"""Inputs of text: the carriers text and text_ack, the name server's carrier, and browsers.
 
-A browser gets a page about the port, sends a message from a form, or reads a stream of what the port writes.
+A browser gets a page about the port, sends a message from a form, or reads a stream of the port's messages.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ LONGEST_REQUEST = 64 << 10  # bytes of the longest line to a name server
 
 
 class TextInput(Input):
-    """An input of text or text_ack: a line with a command, and for data and administration a line with a Bottle."""
+    """An input of text or text_ack: a line with a command; for data and administration, a second one with a Bottle."""
 
-    def take(self) -> bool:
-        """Take messages until the end; True where the connection is to be turned round."""
+    def handle_messages(self) -> bool:
+        """Handle messages until the end; return True if the peer asked to reverse the connection."""
         ack = _ACK if self.carrier.ack else b""
         while (line := self.stream.line(framing.LONGEST_TEXT)) is not None:
             if not line:
                 continue
-            word = framing.parse_command_line(line)
+            command = framing.parse_command_line(line)
             answer, last = b"", False
-            if word.key in ("d", "D", "a"):
+            if command.key in ("d", "D", "a"):
                 content = self.stream.line()
                 if content is None:
                     return False
-                answer, last = self._content(word, from_line(content, self.port.profile))
-            elif word.key not in ("q", "r"):
-                answer = "".join(f"{line}\r\n" for line in self.port.obey(word)).encode()
+                answer, last = self._content(command, from_line(content, self.port.profile))
+            elif command.key not in ("q", "r"):
+                answer = "".join(f"{line}\r\n" for line in self.port.execute(command)).encode()
             if answer or ack:
                 self.sock.sendall(answer + ack)
-            self.answered()
-            if last or word.key in ("q", "r"):
-                return word.key == "r"
+            self.reply_sent()
+            if last or command.key in ("q", "r"):
+                return command.key == "r"
         return False
 
-    def _content(self, word: PortCommand, payload: bytes) -> tuple[bytes, bool]:
-        """The answer to a command with a Bottle; and whether the connection is to end."""
-        if word.key == "a":
+    def _content(self, command: PortCommand, payload: bytes) -> tuple[bytes, bool]:
+        """Return the answer to a command with a Bottle, and whether the connection has to end."""
+        if command.key == "a":
             answer = to_line(self.port.administer(payload, self), self.profile)
             return (answer if self.carrier.reply else b""), False
-        data_only = word.text == "do"
-        quiet = word.key == "D" or data_only or not self.carrier.reply
-        message = PortMessage(payload, "" if data_only else word.envelope, self, not quiet)
+        data_only = command.text == "do"
+        quiet = command.key == "D" or data_only or not self.carrier.reply
+        message = PortMessage(payload, "" if data_only else command.envelope, self, not quiet)
         self.counters.received += 1
         if quiet:
             self.port.deliver(message)
@@ -63,9 +63,9 @@ class TextInput(Input):
 
 
 class NameInput(Input):
-    """An input of name_ser: lines that begin with ``NAME_SERVER``. Without a hook they are messages like others."""
+    """An input of name_ser: lines that begin with ``NAME_SERVER``. Without ``on_line`` they are ordinary messages."""
 
-    def take(self) -> bool:
+    def handle_messages(self) -> bool:
         """Answer lines until the end."""
         while (line := self.stream.line(LONGEST_REQUEST)) is not None:
             if not line:
@@ -73,7 +73,7 @@ class NameInput(Input):
             self.counters.received += 1
             text = line.decode(errors="surrogateescape").removeprefix("NAME_SERVER").strip()
             self.sock.sendall(self._answer(text, line))
-            self.answered()
+            self.reply_sent()
         return False
 
     def _answer(self, text: str, line: bytes) -> bytes:
@@ -86,8 +86,8 @@ class NameInput(Input):
 class PageInput(Input):
     """An input of http: one request."""
 
-    def take(self) -> bool:
-        """Answer the request; True where the port's messages are to be streamed from now on."""
+    def handle_messages(self) -> bool:
+        """Answer the request; return True if it asks for a stream of the port's messages."""
         head = b""
         while True:
             line = self.stream.line(http.LONGEST_HEAD)
@@ -118,12 +118,12 @@ class PageInput(Input):
         if request.path == "favicon.ico":
             return http.response(b"", "image/x-icon", "404 Not Found")
         if request.foreign and (query or request.path):
-            msg = "another site's page must not talk to a port"
+            msg = "requests from pages of other sites are refused"
             return http.response(msg.encode() + b"\n", "text/plain", "403 Forbidden")
         if "admin" in query:
-            told = query["admin"] or query.get("data", "")
-            words = decode(self.port.administer(encode(from_text(told), self.port.profile), self))
-            return self._page([to_text(words)])
+            command = query["admin"] or query.get("data", "")
+            answer = decode(self.port.administer(encode(from_text(command), self.port.profile), self))
+            return self._page([to_text(answer)])
         if "req" in query:
             fields = {"format": "json", **query, "REQUEST_URI": request.target}
             values = [*from_text(query["req"]), *([key, fields[key]] for key in sorted(fields))]
@@ -131,25 +131,24 @@ class PageInput(Input):
         if "data" in query:
             return self._message(from_text(query["data"]), outer if query.get("format") == "json" else "")
         if not request.path:
-            return self._page(self.port.obey(PortCommand("*")))
-        words = [*from_text(request.path.replace("/", " ")), *([[k, v] for k, v in query.items()])]
-        return self._message(words)
+            return self._page(self.port.execute(PortCommand("*")))
+        return self._message([*from_text(request.path.replace("/", " ")), *([[k, v] for k, v in query.items()])])
 
     def _message(self, values: list[Any], json: str = "") -> bytes:
-        """Give the port's owner a message, and show the reply; as JSON ``dict``, ``list``, ``auto``."""
+        """Pass a message to the port's owner and return the reply: a page, or JSON (``dict``, ``list``, ``auto``)."""
         message = PortMessage(encode(values, self.port.profile), "", self, wants_reply=True)
         self.counters.received += 1
         reply = self.deliver(message)
         data = reply if isinstance(reply, (bytes, bytearray, memoryview)) else b"".join(reply)
         if message.is_plain:
             return self._page(bytes(data).decode(errors="replace").split("\r\n"))
-        told = decode(data)
+        content = decode(data)
         if json:
-            return http.response(http.as_json(told, json), "text/json")
-        if told[:1] == ["web"] and len(told) > 1:  # a page that the owner made himself
-            kind = told[3] if told[2:3] == ["mime"] and len(told) > 3 else "text/html"
-            return http.response(str(told[1]).encode(errors="replace"), str(kind))
-        return self._page([str(v) for v in told[1:]] if told[:1] == ["many"] else [to_text(told)])
+            return http.response(http.as_json(content, json), "text/json")
+        if content[:1] == ["web"] and len(content) > 1:  # a page made by the port's owner
+            kind = content[3] if content[2:3] == ["mime"] and len(content) > 3 else "text/html"
+            return http.response(str(content[1]).encode(errors="replace"), str(kind))
+        return self._page([str(v) for v in content[1:]] if content[:1] == ["many"] else [to_text(content)])
 
     def _page(self, lines: tuple[str, ...] | list[str]) -> bytes:
         names = getattr(self.port.naming, "contact", None)

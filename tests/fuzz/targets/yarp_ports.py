@@ -7,7 +7,7 @@ from typing import Any, cast
 
 from tests.fuzz.target import Subject, Target, texts
 from yarp_compat.ports import admin
-from yarp_compat.ports.admin import obey
+from yarp_compat.ports.admin import execute
 from yarp_compat.ports.inputs import BinaryInput, Input
 from yarp_compat.ports.loop import PortLoop
 from yarp_compat.ports.message import PortMessage
@@ -75,7 +75,7 @@ def _conversation(kind: type[Input], carrier: carriers.Carrier, seeds: list[byte
 
     def parse(data: bytes) -> None:
         with _FakeConnection(data) as sock:
-            kind(port, sock, Opening(carrier, "/peer", "", 0), b"", ("127.0.0.1", 1)).take()
+            kind(port, sock, Opening(carrier, "/peer", "", 0), b"", ("127.0.0.1", 1)).handle_messages()
         assert len(port.properties) <= admin.MOST_PROPERTIES
 
     return Subject(parse, seeds, (WireError,), tokens)
@@ -206,7 +206,7 @@ def _admin() -> Subject:
         reply = admin.answer(port, from_text(text))
         assert reply == [] or encode(reply, Profile.YARP4)
         assert len(port.properties) <= admin.MOST_PROPERTIES
-        assert obey(port, PortCommand(text[:1], text))
+        assert execute(port, PortCommand(text[:1], text))
 
     seeds = texts(
         "[help]", "[ver]", '[add] "tcp://r"', "[add] /r udp", "[del] /r", "[list] [in]", "[list] [out] /r",

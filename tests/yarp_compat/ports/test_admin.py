@@ -65,7 +65,7 @@ def test_connecting_and_disconnecting(make_port: MakePort) -> None:
         ("[prop] [set]", "[fail]"),
         ("[prop] [get] /unknown", '[fail] "cannot find any connection to/from /unknown"'),
         ("[prop] [set] /unknown 1", "[fail]"),
-        ("[atch] [out] x", '[fail] "portmonitor plug-ins are not offered by this port: it is no C++ program"'),
+        ("[atch] [out] x", '[fail] "this port does not support portmonitor plug-ins: it is not a C++ program"'),
         ("[atch]", '[fail] "attach command must be followed by [out] or [in]"'),
         ("[dtch] [in]", "[fail]"),
         ("[dtch]", '[fail] "detach command must be followed by [out] or [in]"'),

@@ -101,7 +101,7 @@ def test_strict_keeps_all(make_port: MakePort, slow: Slow) -> None:
 
 def test_who_has_acknowledged_is_not_busy(make_port: MakePort, slow: Slow, monkeypatch: pytest.MonkeyPatch) -> None:
     """Seen at once, and not when outputs are looked at now and then: commands are for those that are not busy."""
-    monkeypatch.setattr(port, "_LOOK", 1000.0)
+    monkeypatch.setattr(port, "_CHECK_PERIOD", 1000.0)
     writer = make_port("/w")
     writer.add_output("tcp://slow")
     (output,) = writer.connections.outputs
@@ -116,13 +116,13 @@ def test_who_has_acknowledged_is_not_busy(make_port: MakePort, slow: Slow, monke
 
 def test_who_is_looked_at_is_not_busy(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
     """A command that is written while somebody looks whether the reader is still there reaches it."""
-    monkeypatch.setattr(port, "_LOOK", 1000.0)
+    monkeypatch.setattr(port, "_CHECK_PERIOD", 1000.0)
     got: list[bytes] = []
     make_port("/r", lambda m: got.append(bytes(m.payload)))
     writer = make_port("/w")
     writer.add_output("fast_tcp://r")
     (output,) = writer.connections.outputs
-    look, asked = output.speaker.look, threading.Event()
+    look, asked = output.socket_side.is_connected, threading.Event()
 
     def idle(output: AnyOutput) -> bool:
         found = not output.busy
@@ -136,7 +136,7 @@ def test_who_is_looked_at_is_not_busy(make_port: MakePort, monkeypatch: pytest.M
         assert asked.wait(20)
         return look()
 
-    monkeypatch.setattr(output.speaker, "look", looking)
+    monkeypatch.setattr(output.socket_side, "is_connected", looking)
     output.check()
     command.join(20)
     until(lambda: got == [b"go"], "the command")
@@ -286,8 +286,8 @@ def test_a_writer_behind_another_message_goes_when_the_peer_is_out_of_the_list(
     writer = make_port("/w")
     writer.add_output("tcp://slow")
     (output,), listed = writer.connections.outputs, list[int]()
-    close = output.speaker.close  # once the writer is let go
-    monkeypatch.setattr(output.speaker, "close", lambda: (listed.append(len(writer.outputs())), close()))
+    close = output.socket_side.close  # once the writer is let go
+    monkeypatch.setattr(output.socket_side, "close", lambda: (listed.append(len(writer.outputs())), close()))
     assert writer.write(b"a") == 1
     assert writer.write(b"waits") == 1, "the shared thread waits for the acknowledgement before"
     threading.Timer(0.2, lambda: slow.sock and slow.sock.close()).start()
@@ -315,7 +315,7 @@ def test_what_is_closed_is_out_of_the_list(make_port: MakePort, monkeypatch: pyt
             output.sock.connect(nobody.getsockname())
         output.sock.send(b"refused")
     else:
-        output.speaker.shutdown()
+        output.socket_side.shutdown()
     output.check()
     until(lambda: output.closed, "it is noticed")
     assert closed == [False]

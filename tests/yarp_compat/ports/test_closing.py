@@ -109,7 +109,7 @@ def test_a_connection_that_is_closed_as_its_queue_is_empty_says_goodbye(
     writer = make_port("/w")
     writer.add_output("tcp://r")
     (output,) = writer.connections.outputs
-    step, say = output._step, output.speaker.say_goodbye
+    step, say = output._step, output.socket_side.send_farewell
     emptied, said = threading.Event(), list[bool]()
 
     def stepping() -> int | None:
@@ -127,7 +127,7 @@ def test_a_connection_that_is_closed_as_its_queue_is_empty_says_goodbye(
 
     closer = threading.Thread(target=output.close)
     monkeypatch.setattr(output, "_step", stepping)
-    monkeypatch.setattr(output.speaker, "say_goodbye", saying)
+    monkeypatch.setattr(output.socket_side, "send_farewell", saying)
     shared = loop.acquire()
     try:
         for _ in range(2):  # the second waits for the acknowledgement of the first

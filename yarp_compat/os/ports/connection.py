@@ -246,7 +246,7 @@ def report(core: PortCore, reporter: PortReport, event: ConnectionEvent | None =
     if event is not None:
         reporter.report(_connection(core.name, event.route, incoming=event.incoming, created=event.up))
         return
-    reporter.report(PortInfo(PortInfo.PORTINFO_MISC, portName=core.name, message=core.obey(PortCommand("*"))[0]))
+    reporter.report(PortInfo(PortInfo.PORTINFO_MISC, portName=core.name, message=core.execute(PortCommand("*"))[0]))
     for route in core.outputs():
         reporter.report(_connection(core.name, route, incoming=False, created=True))
     for route in core.inputs():
