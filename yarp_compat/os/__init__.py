@@ -1,1 +1,1 @@
-"""The classes of `yarp::os`: Bottle, Port, Network, RFModule and their kin."""
+"""The classes of `yarp::os`: Bottle, Port, Network, RFModule and others."""

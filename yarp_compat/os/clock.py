@@ -1,7 +1,7 @@
-"""YARP's network clock: a port that publishes the time (`yarp/os/NetworkClock.h`).
+"""YARP's network clock: follows a port that publishes the time (`yarp/os/NetworkClock.h`).
 
-Each message is a Bottle of two integers, seconds and nanoseconds. The connection is a persistent one: the name server
-makes it when the clock's port comes, and again when that returns.
+Each message is a Bottle of two integers, seconds and nanoseconds. The connection is persistent: the name server makes
+it as soon as the clock's port is registered, and again whenever that port returns.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from yarp_compat.wire.errors import WireError
 
 log = logging.getLogger("yarp.os.NetworkClock")
 
-DEFAULT = "/clock"  # the clock's port where nobody names another
+DEFAULT = "/clock"  # the clock's port by default
 VARIABLE = "YARP_CLOCK"  # the environment variable that names the clock's port
 
 
 def read_time(values: list[object]) -> float | None:
-    """The time in a clock's Bottle, in seconds; None if it has none. It may be nested in one list."""
+    """Return the time in a clock's Bottle, in seconds; None if invalid. It may be nested in one list."""
     if len(values) == 1 and isinstance(values[0], list):
         values = values[0]
     match values:
@@ -40,9 +40,9 @@ def read_time(values: list[object]) -> float | None:
 
 
 class NetworkClock:
-    """Follows a clock's port; ``local`` names the own port, "" for ``/<host>/<program>/<process>/clock:i``.
+    """A clock that follows a port; ``local`` names the input, "" for ``/<host>/<program>/<process>/clock:i``.
 
-    Raises `NamingError` where the own port cannot be opened, `PortError` where no name server makes the connection.
+    Raises `NamingError` if the input cannot be opened, `PortError` if no name server makes the connection.
     """
 
     def __init__(self, source: str = DEFAULT, local: str = "") -> None:
@@ -57,21 +57,21 @@ class NetworkClock:
         self._port.open()
         if not self._persistent("subscribe"):
             self._port.close()
-            raise PortError(f"no name server connects the clock {self.source}")
+            raise PortError(f"the name server did not connect the clock {self.source}")
 
     @property
     def is_valid(self) -> bool:
-        """Whether the clock has said the time yet."""
+        """Whether a time has been received."""
         return self._time is not None
 
     def now(self) -> float:
-        """The time in seconds; 0 until the clock has said it."""
+        """Return the time in seconds; 0 until one is received."""
         return self._time or 0.0
 
     def wait(self, seconds: float, stop: threading.Event | None = None, since: float | None = None) -> bool:
-        """Wait in the clock's time; whether ``stop`` was set. A clock that is set back does not prolong it.
+        """Wait in the clock's time; return whether ``stop`` was set. Setting the clock back does not prolong the wait.
 
-        The caller counts from ``since``, or from now: the clock may have gone on since the caller looked.
+        The wait starts at ``since``, by default now: the clock may have advanced since the caller read it.
         """
         woken = stop or threading.Event()
         passed = threading.Event()
@@ -111,7 +111,7 @@ class NetworkClock:
         except WireError:
             found = None
         if found is None:
-            log.error("%s does not say the time: two integers, seconds and nanoseconds", self.source)
+            log.error("invalid time from %s: expected two integers, seconds and nanoseconds", self.source)
             return
         with self._condition:
             before, self._time = self._time or 0.0, found
@@ -124,20 +124,20 @@ class NetworkClock:
 
 
 def useNetworkClock(clock: str, localPortName: str = "") -> None:
-    """Use a network clock ("" for ``/clock``), now and whenever its port returns; see `NetworkClock`."""
+    """Use a network clock ("" for ``/clock``), now and whenever its port returns; raises like `NetworkClock`."""
     time.use(NetworkClock(clock, localPortName))
 
 
 def use_the_asked_clock() -> None:
-    """Use the clock that ``YARP_CLOCK`` names, as the network begins, if any; errors as `useNetworkClock`."""
+    """Use the clock that ``YARP_CLOCK`` names, if any, when the network starts; raises like `useNetworkClock`."""
     asked = os.environ.get(VARIABLE)
     if asked:
         useNetworkClock(asked)
-        logging.getLogger("yarp.os.Time").info("the time is that of %s", asked)
+        logging.getLogger("yarp.os.Time").info("using the network clock %s", asked)
 
 
 class Time:
-    """The functions of time under YARP's class name: ``yarp.Time.now()``."""
+    """The time functions under YARP's class name: ``yarp.Time.now()``."""
 
     now = staticmethod(time.now)
     delay = staticmethod(time.delay)

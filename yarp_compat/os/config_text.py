@@ -1,10 +1,10 @@
-"""YARP's configuration files (`yarp/os/Property.cpp`, "yarp_config_file" of its documentation).
+"""YARP's configuration files (`yarp/os/Property.cpp`, "yarp_config_file" in its documentation).
 
-A line is a key and its values, ``key value ...`` or ``key = value``; brackets may go on over several lines, and so does
-a line that ends in a backslash. ``[GROUP]`` begins a group, ``[LIST GROUP]`` besides adds its name to a list,
-``[include "file.ini"]`` takes a file in, ``[include GROUP "file.ini"]`` as a group, ``[import context file.ini]`` from
-another context. ``//`` begins a comment, and so does ``#`` after a space; ``$NAME``, ``${NAME}`` and ``$(NAME)`` stand
-for environment variables or keys.
+A line has a key and its values, ``key value ...`` or ``key = value``; brackets may span several lines, and a backslash
+at the end continues the line. ``[GROUP]`` begins a group, ``[LIST GROUP]`` also adds its name to a list,
+``[include "file.ini"]`` includes a file, ``[include GROUP "file.ini"]`` as a group, ``[import context file.ini]`` from
+another context. ``//``, or ``#`` after a space, begins a comment; ``$NAME``, ``${NAME}`` and ``$(NAME)`` become the
+values of environment variables or keys.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from yarp_compat.wire.values import entries_of, entry_values, merge
 
 log = logging.getLogger(__name__)
 
-DEEPEST = 32  # the deepest nesting of files that include each other
+DEEPEST = 32  # most levels of nested includes
 
 _VARIABLE = re.compile(r"(\\.)|\$([({]?)([A-Za-z0-9_]*)", re.DOTALL)
 
 Entries = dict[str, Any]
 
 FindImport = Callable[[str, str], str]
-"""Finds a file in a context, by the context's and the file's names; empty where it is not found."""
+"""Returns the path of a file, given its context's and its own name; empty if not found."""
 
 
 class Environment(Protocol):
-    """Where variables are looked up."""
+    """A source of values for variables."""
 
     def find(self, key: str, /) -> Any:
-        """The value of a key; its ``toString()`` is the text."""
+        """Return the value of a key; its ``toString()`` is the text."""
 
 
 class KeyPlace(NamedTuple):
@@ -47,7 +47,7 @@ class KeyPlace(NamedTuple):
 
 
 Places = dict[tuple[str, ...], KeyPlace]
-"""The places of keys: ``("GROUP", "key")``, and ``("GROUP",)`` for the group itself; the last of several."""
+"""Where keys are defined: ``("GROUP", "key")``, and ``("GROUP",)`` for the group itself; the last definition."""
 
 
 def read_file(
@@ -59,10 +59,10 @@ def read_file(
     *,
     find_import: FindImport | None = None,
 ) -> bool:
-    """Take a file, or all files of a folder, into a dict of entries; False where none exists, and nothing changes.
+    """Read a file, or all files of a folder, into a dict of entries; return False, and change nothing, if not found.
 
-    ``env`` knows variables; ``wipe`` first empties ``entries``; ``places`` takes where each key stands, for messages to
-    people; ``find_import`` finds what ``[import ...]`` names.
+    ``env`` has values for variables; ``wipe`` first empties ``entries``; ``places`` receives the file and line of each
+    key, for error messages; ``find_import`` returns the files of ``[import ...]``.
     """
     return _File(env, {} if places is None else places, find_import).read(name, entries, wipe)
 
@@ -70,7 +70,7 @@ def read_file(
 def read_folder(
     name: str, section: str, entries: Entries, wipe: bool, *, find_import: FindImport | None = None
 ) -> bool:
-    """Take all ``.ini`` files of a folder; with a section, each as a group named like its file."""
+    """Read all ``.ini`` files of a folder; with a section, each as a group named like its file."""
     if not section:
         return read_file(name, entries, None, wipe, find_import=find_import)
     files = _inis(Path(name))
@@ -84,13 +84,13 @@ def read_folder(
 
 
 def read(text: str, entries: Entries, env: Environment | None, *, find_import: FindImport | None = None) -> None:
-    """Take a file's text into a dict of entries."""
+    """Read the text of a configuration file into a dict of entries."""
     _File(env, {}, find_import).take(text, entries)
 
 
 @dataclass
 class _File:
-    """One file, with what it may look up and where it may look for others; ``within`` are the groups it stands in."""
+    """One file, with its variables and include folders; ``within`` are the groups that include it."""
 
     env: Environment | None
     places: Places
@@ -105,9 +105,9 @@ class _File:
             self.folders = path.split(";")
 
     def read(self, name: str, entries: Entries, wipe: bool) -> bool:
-        """Take a file or folder by its name."""
+        """Read a file or folder by its name."""
         if self.depth > DEEPEST:
-            log.error("%s is not read: files include each other more than %d deep", name, DEEPEST)
+            log.error("cannot read %s: includes are nested more than %d deep", name, DEEPEST)
             return False
         for folder in ("", *self.folders):
             path = Path(folder, name)
@@ -122,11 +122,11 @@ class _File:
         return False
 
     def take(self, text: str, entries: Entries) -> None:
-        """Take all lines."""
+        """Read all lines."""
         group = ""
         content: list[Any] = []
         for number, line in _lines(text):
-            # what is open at the file's end is taken as it is, as YARP does
+            # a line that is incomplete at the end of the file is used unchanged, as in YARP
             buf = self._expanded(_uncommented(line), entries) if is_complete(line) else line
             if buf.startswith("[") and "]" in buf and is_complete(line):
                 _close(group, content, entries)
@@ -150,7 +150,7 @@ class _File:
             self.places[*self.within, *filter(None, keys)] = KeyPlace(self.name, line)
 
     def _header(self, header: str, entries: Entries) -> str:
-        """Reads what stands in brackets; returns the name of the group that begins, or empty."""
+        """Execute a header in brackets; return the name of the group that begins, or ""."""
         words = [plain_text(value) for value in from_text(header)] if " " in header else []
         if len(words) > 1 and words[0] == "include":
             self._include(words[1:], entries)
@@ -164,7 +164,7 @@ class _File:
         return header
 
     def _include(self, words: list[str], entries: Entries) -> None:
-        """Take another file: into all, or into a group, whose name may be put into a list."""
+        """Include another file: at the top level, or as a group, whose name may be added to a list."""
         if len(words) == 1:
             self.read(words[0], entries, wipe=False)
             return
@@ -181,7 +181,7 @@ class _File:
             merge(entries, dict_of([[group, *entries_of(inner)]]))
 
     def _import(self, context: str, name: str, entries: Entries) -> None:
-        """Take a file of another context."""
+        """Include a file from another context."""
         file = self.find_import(context, name) if self.find_import is not None else ""
         if file:
             self.read(file, entries, wipe=False)
@@ -189,7 +189,7 @@ class _File:
             log.warning("cannot import %s from the context %s", name, context)
 
     def _expanded(self, line: str, entries: Entries) -> str:
-        """The line with variables replaced."""
+        """Return the line with variables replaced."""
         if "$" not in line:
             return line
         out: list[str] = []
@@ -224,7 +224,7 @@ def _list_name(key: str, name: str, entries: Entries) -> None:
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
-    r"""Lines with the numbers of their first; those with open brackets or quotes go on, and those that end in ``\``."""
+    r"""Yield logical lines with their first line numbers; open brackets or quotes or a final ``\`` continue a line."""
     pending = ""
     first = 1
     going_on = False
@@ -243,7 +243,7 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _uncommented(line: str) -> str:
-    """The line without a comment."""
+    """Return the line without its comment."""
     if "//" not in line and "#" not in line:
         return line
     quoted = False
@@ -261,7 +261,7 @@ def _uncommented(line: str) -> str:
 
 
 def _text(path: Path) -> str | None:
-    """A file's text, or that of all files in a folder, one group of the next ended by ``[]``."""
+    """Return the text of a file, or of all files in a folder, separated by ``[]``, which ends a group."""
     files = _inis(path)
     try:
         if files is None:
@@ -276,7 +276,7 @@ def _read(path: Path) -> str:
 
 
 def _inis(path: Path) -> list[Path] | None:
-    """The configuration files of a folder; None where it is none."""
+    """Return the configuration files of a folder; None if it is not a folder."""
     try:
         return sorted(file for file in path.iterdir() if file.name.endswith(".ini")) if path.is_dir() else None
     except (OSError, ValueError):

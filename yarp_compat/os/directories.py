@@ -1,4 +1,4 @@
-"""YARP's directories and environment variables by the names of its functions (`yarp/conf/dirs.h`, `environment.h`)."""
+"""YARP's functions for directories and environment variables (`yarp/conf/dirs.h`, `environment.h`)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from yarp_compat.naming.directories import Directories
 
 path_separator = ";" if sys.platform == "win32" else ":"
-"""What stands between the directories in an environment variable."""
+"""The separator of directories in an environment variable."""
 
 _OWN = Directories()
 
@@ -24,21 +24,21 @@ yarpcachehome, yarpruntimedir = _OWN.cache_home, _OWN.runtime_home
 
 
 def get_string(key: str, default: str = "", *rest: str) -> str:
-    """An environment variable, or a default; with three texts another variable, its default, and what to append."""
+    """Return a variable, or a default; with three texts: another variable, its default, and a suffix for these."""
     if not rest or key in os.environ:
         return os.environ.get(key, "" if rest else default)
     return os.environ.get(default, rest[0]) + "".join(rest[1:])
 
 
 def get_path(key: str, default: str = "", *rest: str) -> tuple[str, ...]:
-    """The directories that an environment variable names; arguments as of `get_string`."""
+    """Return the directories in an environment variable; arguments as for `get_string`."""
     found = get_string(key, default, *rest[:1])
     suffix = "" if key in os.environ else "".join(rest[1:])
     return tuple(one + suffix for one in found.split(path_separator) if one)
 
 
 def get_bool(key: str, default: bool = False) -> bool:
-    """Whether an environment variable says ``1``, ``true``, ``on`` or ``yes``; the default where it says nothing."""
+    """Return whether an environment variable is ``1``, ``true``, ``on`` or ``yes``; the default if empty or unset."""
     return os.environ[key].lower() in ("1", "true", "on", "yes") if os.environ.get(key) else default
 
 
@@ -49,7 +49,7 @@ def set_string(key: str, value: str) -> bool:
 
 
 def set_path(key: str, value: Sequence[str]) -> bool:
-    """Set an environment variable to directories."""
+    """Set an environment variable to a list of directories."""
     return set_string(key, path_separator.join(value))
 
 
@@ -59,7 +59,7 @@ def set_bool(key: str, value: bool) -> bool:
 
 
 def is_set(key: str) -> bool:
-    """Whether there is an environment variable."""
+    """Return whether an environment variable is set."""
     return key in os.environ
 
 

@@ -1,8 +1,8 @@
-"""``Log`` as in the Python bindings: ``yarp.Log().info("...")``, in the format of YARP's own lines.
+"""``Log`` as in the Python bindings: ``yarp.Log().info("...")``, in YARP's log format.
 
 The format (``[INFO] |component| text``), the streams and the environment variables are those of
-src/libYARP_os/src/yarp/os/Log.cpp: trace, debug and info go to standard output, the rest to standard error. YARP's own
-messages (ports that open, connections that come and go) go through Python's ``logging`` under ``yarp``.
+src/libYARP_os/src/yarp/os/Log.cpp: trace, debug and info go to standard output, the others to standard error. The
+library's messages (ports that open, connections that open and close) use Python's ``logging`` under ``yarp``.
 """
 
 from __future__ import annotations
@@ -39,27 +39,27 @@ _COLOURS = dict(zip(_WORDS, ("01;37", "01;32", "01;34", "01;33", "01;31", "01;37
 
 
 def enabled(environment: Mapping[str, str], name: str, *, default: bool) -> bool:
-    """Whether a switch of YARP's is on: ``1``, ``true``, ``on``, ``yes``; anything else is off."""
+    """Return whether one of YARP's switches is on: ``1``, ``true``, ``on``, ``yes``; any other value is off."""
     value = environment.get(name, "")
     return value.lower() in ("1", "true", "on", "yes") if value else default
 
 
 @dataclass(frozen=True)
 class CodePlace:
-    """Where a message was written, as the program says it; ``name`` is one of several that write alike (YARP's id)."""
+    """The source location of a message, from the program; ``name`` distinguishes instances (YARP's id)."""
 
     file: str = ""
     line: int = 0
     function: str = ""
     name: str = ""
-    time: float = 0.0  # seconds, instead of the time now; 0 for that
+    time: float = 0.0  # seconds; 0: the current time
 
 
 _NOWHERE = CodePlace()
 
 
 def line(kind: LogType, text: str, component: str = "", *, colour: bool = False, place: CodePlace = _NOWHERE) -> str:
-    """One line as YARP prints it; a trace says its function."""
+    """Return a line in YARP's format; traces include the function."""
     word, name = _WORDS[kind], place.name
     shown = f"\033[{_COLOURS[kind]}m{word}\033[00m" if colour else word
     if kind == LogType.TraceType and place.function:
@@ -70,7 +70,7 @@ def line(kind: LogType, text: str, component: str = "", *, colour: bool = False,
 
 
 def _source(component: str, name: str) -> str:
-    """What stands before the text: the component and the name of the one that writes."""
+    """Return the prefix of the text: the component and the name of the writer."""
     if not component and not name:
         return ""
     return f"|{component}| " if not name else f"|{component}|{name}| " if component else f"|{name}| "
@@ -89,7 +89,7 @@ def _print(kind: LogType, text: str, component: str, place: CodePlace = _NOWHERE
     else:
         out = line(kind, text, component, colour=colour, place=place)
     with _lock:
-        stream.write(f"{out}\n")  # in one piece: between two, other threads' text would stand in the line
+        stream.write(f"{out}\n")  # in one piece, so that other threads cannot write into the line
         stream.flush()
 
 
@@ -100,7 +100,7 @@ def _first_level() -> LogType:
 
 
 class _Prints:
-    """A method of `Log` that is called on an object or on the class itself, with a text, or without for a stream."""
+    """A method of `Log`, for objects and the class; without a text it returns a stream."""
 
     def __init__(self, kind: LogType, doc: str) -> None:
         self._kind = kind
@@ -122,9 +122,9 @@ class _Prints:
 
 
 class LogStream:
-    """A line that is put together as in C++, ``yarp.Log().info() << "speed" << 0.3``; it is printed as the stream ends.
+    """A line composed as in C++, ``yarp.Log().info() << "speed" << 0.3``; it is printed when the stream is deleted.
 
-    Behind each piece stands a space. Numbers with a fraction have six digits, as C++ streams print them.
+    Pieces are separated by spaces. Floats have six digits, as in C++ streams.
     """
 
     def __init__(self, kind: LogType, place: CodePlace = _NOWHERE) -> None:
@@ -159,10 +159,10 @@ def _piece(piece: object) -> str:
 
 
 class Log:
-    """Prints: ``yarp.Log().info("speed %f", 0.3)``, ``yarp.Log.info("...")``; ``fatal`` ends the program, too.
+    """YARP's logger: ``yarp.Log().info("speed %f", 0.3)``, ``yarp.Log.info("...")``; ``fatal`` also ends the program.
 
-    Without a text the methods return a `LogStream`. ``Log(file, line, function)`` says where a message was written, as
-    ``YARP_VERBOSE_OUTPUT`` shows it; behind these may stand a name, and a time in seconds.
+    Without a text the methods return a `LogStream`. ``Log(file, line, function)`` sets the source location, which
+    ``YARP_VERBOSE_OUTPUT`` shows; a name and a time in seconds may follow.
     """
 
     LogTypeUnknown, TraceType, DebugType, InfoType, WarningType, ErrorType, FatalType, LogTypeReserved = LogType
@@ -177,12 +177,12 @@ class Log:
         times = [part for part in rest if isinstance(part, (int, float))]
         self.place = CodePlace(file, line, func, "".join(names[:1]), times[0] if times else 0.0)
 
-    trace = _Prints(LogType.TraceType, "Print for whoever follows each step; only where ``YARP_TRACE_ENABLE`` is 1.")
-    debug = _Prints(LogType.DebugType, "Print for developers; not shown when ``YARP_DEBUG_ENABLE`` is 0.")
-    info = _Prints(LogType.InfoType, "Print what users want to know.")
-    warning = _Prints(LogType.WarningType, "Print what may be wrong.")
-    error = _Prints(LogType.ErrorType, "Print what is wrong.")
-    fatal = _Prints(LogType.FatalType, "Print, and end the program by `SystemExit`.")
+    trace = _Prints(LogType.TraceType, "Print a trace message, shown only if ``YARP_TRACE_ENABLE`` is 1.")
+    debug = _Prints(LogType.DebugType, "Print a debug message, hidden if ``YARP_DEBUG_ENABLE`` is 0.")
+    info = _Prints(LogType.InfoType, "Print an info message.")
+    warning = _Prints(LogType.WarningType, "Print a warning.")
+    error = _Prints(LogType.ErrorType, "Print an error.")
+    fatal = _Prints(LogType.FatalType, "Print an error and raise `SystemExit`.")
 
     @staticmethod
     def nolog(*text: object) -> None:
@@ -190,69 +190,69 @@ class Log:
 
     @classmethod
     def setMinimumPrintLevel(cls, level: int) -> None:
-        """Print nothing less grave than this."""
+        """Print only messages of this severity or above."""
         cls._minimum = LogType(level)
 
     @classmethod
     def minimumPrintLevel(cls) -> LogType:
-        """The least grave messages that are printed."""
+        """Return the lowest severity that is printed."""
         return cls._minimum
 
     @staticmethod
     def defaultMinimumPrintLevel() -> LogType:
-        """The least grave messages that the environment has printed."""
+        """Return the lowest severity to print by the environment variables."""
         return _first_level()
 
     @classmethod
     def setPrintCallback(cls, callback: PrintCallback) -> None:
-        """Have ``callback(type, text, component)`` print instead."""
+        """Use ``callback(type, text, component)`` for printing."""
         cls._callback = None if callback is _print else staticmethod(callback)
 
     @classmethod
     def printCallback(cls) -> PrintCallback:
-        """The callback that prints."""
+        """Return the callback for printing."""
         return cls._callback or _print
 
     @classmethod
     def defaultPrintCallback(cls) -> PrintCallback:
-        """The callback that prints to the terminal."""
+        """Return the callback that prints to the terminal."""
         return _print
 
     @classmethod
     def setMinimumForwardLevel(cls, level: int) -> None:
-        """Hand nothing less grave than this to the callback of `setForwardCallback`."""
+        """Forward only messages of this severity or above, see `setForwardCallback`."""
         cls._forwarded = LogType(level)
 
     @classmethod
     def minimumForwardLevel(cls) -> LogType:
-        """The least grave messages that are handed to that callback."""
+        """Return the lowest severity that is forwarded."""
         return cls._forwarded
 
     @staticmethod
     def defaultMinimumForwardLevel() -> LogType:
-        """The least grave messages that are handed to it unless asked otherwise."""
+        """Return the lowest severity that is forwarded by default."""
         return LogType.DebugType
 
     @classmethod
     def setForwardCallback(cls, callback: PrintCallback | None) -> None:
-        """Hand each message to ``callback(type, text, component)`` besides."""
+        """Also forward each message to ``callback(type, text, component)``."""
         cls._forward = None if callback is None else staticmethod(callback)
 
     @classmethod
     def forwardCallback(cls) -> PrintCallback | None:
-        """The callback that messages are handed to besides; None where there is none."""
+        """Return the callback for forwarding, or None."""
         return cls._forward
 
     @staticmethod
     def defaultForwardCallback() -> PrintCallback | None:
-        """None: nothing is sent to yarplogger."""
+        """Return None: messages are not sent to yarplogger."""
         return None
 
     @classmethod
     def say(
         cls, kind: LogType, text: str, values: tuple[object, ...], component: str = "", place: CodePlace = _NOWHERE
     ) -> None:
-        """Print a text, in which values are put as ``%`` does, and hand it on."""
+        """Print and forward a text, after ``%`` formatting with ``values``."""
         said = str(text) % values if values else str(text)
         if kind >= cls._minimum:
             if cls._callback is None:
@@ -264,10 +264,10 @@ class Log:
 
 
 class LogHandler(logging.Handler):
-    """Prints the records of ``logging`` as YARP prints its own, for a script that set up no logging."""
+    """A ``logging`` handler that prints in YARP's format, for scripts that have not configured logging."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print one record."""
+        """Print a record with the severity of its level."""
         kind = next((kind for least, kind in _LEVELS if record.levelno >= least), LogType.TraceType)
         text = record.getMessage()
         if record.exc_info:
@@ -285,7 +285,7 @@ _LEVELS = (
 
 
 def print_as_yarp() -> None:
-    """Print the library's own messages in YARP's format, if the program has set up no logging of its own."""
+    """Print the library's messages in YARP's format, unless the program has configured logging."""
     logger = logging.getLogger("yarp")
     if logger.handlers or logging.getLogger().handlers:
         return

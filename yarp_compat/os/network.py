@@ -1,4 +1,4 @@
-"""``Network``: the name server, and connections between any two ports of the network."""
+"""``Network``: the name server, and connections between any ports of the network."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from yarp_compat.wire.values import Vocab
 
 log = logging.getLogger("yarp.os.Network")
 
-_POLL = 0.1  # seconds between two looks of what waits for a port or a connection
+_POLL = 0.1  # seconds between two checks for a port or a connection
 
 
 class Network:
-    """The functions of the network that belong to no port. ``Network.init()`` comes first, ``Network.fini()`` last.
+    """The network's functions that do not belong to a port. Call ``Network.init()`` first, ``Network.fini()`` last.
 
-    An object of it does both: ``network = yarp.Network()`` begins, and the end of the object ends, as does ``with``.
-    All methods are static, return False where something could not be done, and log why.
+    An object does both: ``network = yarp.Network()`` calls ``init``, and its deletion or the end of ``with`` calls
+    ``fini``. All methods are static; on failure they log the reason and return False.
     """
 
     def __init__(self, clockType: int = 0) -> None:
@@ -54,7 +54,7 @@ class Network:
 
     @staticmethod
     def init(clockType: int = 0) -> None:  # noqa: ARG004
-        """Begin to use the network."""
+        """Start using the network."""
         LIBRARY.ask = definition_from_daemon
         RUNTIME.init(use_the_asked_clock)
 
@@ -62,21 +62,21 @@ class Network:
 
     @staticmethod
     def fini() -> None:
-        """Stop using the network: ports that are still open are closed."""
+        """Stop using the network, and close all open ports."""
         RUNTIME.fini()
 
     finiMinimum = fini
 
     @staticmethod
     def initialized() -> bool:
-        """Whether the network is in use."""
+        """Return whether the network is in use."""
         return RUNTIME.is_up
 
     isNetworkInitialized = initialized
 
     @staticmethod
     def checkNetwork(timeout: float = -1) -> bool:
-        """Whether the name server answers, within ``timeout`` seconds when that is positive."""
+        """Return whether the name server answers, within ``timeout`` seconds if positive."""
         if RUNTIME.is_local:
             return True
         known = RUNTIME.client
@@ -85,13 +85,13 @@ class Network:
             client = NameClient(known.address, timeout=timeout) if known and timeout > 0 else known
             return client is not None and client.lines(["list", namespace()]) is not None
 
-        return _done(check, "the name server cannot be used")
+        return _done(check, "the name server is unavailable")
 
     @staticmethod
     def connect(src: str, dest: str, carrier: str | ContactStyle | None = "", quiet: bool = True) -> bool:
-        """Connect an output port to an input port; ``udp://r`` says the carrier too.
+        """Connect an output port to an input port; ``udp://r`` also selects the carrier.
 
-        Without any ``carrier`` it is the one that the port was registered with; ``quiet``: do not log the success.
+        The default ``carrier`` is the one that the port was registered with; ``quiet``: do not log the success.
         """
         style = _style(carrier, quiet)
         if style.persistent:
@@ -104,7 +104,7 @@ class Network:
 
     @staticmethod
     def disconnect(src: str, dest: str, carrier: str | ContactStyle | bool | None = "", quiet: bool = True) -> bool:
-        """End a connection."""
+        """Close the connection between two ports."""
         style = _style(carrier, quiet)
         if style.persistent:
             return _persistent("unsubscribe", src, dest, style)
@@ -117,21 +117,21 @@ class Network:
 
     @staticmethod
     def isConnected(src: str, dest: str, carrier: str | ContactStyle | bool | None = "", quiet: bool = True) -> bool:
-        """Whether two ports are connected, by this carrier when one is named."""
+        """Return whether two ports are connected, by the given carrier if any."""
         style = _style(carrier, quiet)
 
         def is_connected() -> bool:
             found = connections.carrier_between(RUNTIME.naming, src, dest, **_timeout(style))
             return bool(found) and style.carrier in ("", found)
 
-        return _done(is_connected, f"cannot tell whether {src} and {dest} are connected", quiet=style.quiet)
+        return _done(is_connected, f"cannot check whether {src} and {dest} are connected", quiet=style.quiet)
 
     @staticmethod
     def exists(port: str, style: ContactStyle | bool = True, checkVer: bool = True) -> bool:  # noqa: ARG004
-        """Whether a port is registered and answers."""
+        """Return whether a port is registered and answers."""
         quiet = style.quiet if isinstance(style, ContactStyle) else style
         timeout = _timeout(style) if isinstance(style, ContactStyle) else {}
-        what = f"cannot tell whether {port} exists"
+        what = f"cannot check whether {port} exists"
         return _done(lambda: connections.exists(RUNTIME.naming, port, **timeout), what, quiet=quiet)
 
     @staticmethod
@@ -141,23 +141,23 @@ class Network:
 
     @staticmethod
     def waitPort(target: str, quiet: bool = False) -> bool:
-        """Wait until a port is there, however long that takes."""
+        """Wait without a limit until a port exists."""
         return _wait(lambda: Network.exists(target, True), None, f"waiting for port {target}", quiet=quiet)
 
     @staticmethod
     def waitConnection(source: str, destination: str, quiet: bool = False) -> bool:
-        """Wait until two ports are connected, however long that takes."""
+        """Wait without a limit until two ports are connected."""
         what = f"waiting for the connection {source} -> {destination}"
         return _wait(lambda: Network.isConnected(source, destination, True), None, what, quiet=quiet)
 
     @staticmethod
     def queryName(name: str) -> Contact:
-        """The contact of a port; invalid when it is not registered."""
-        return Contact.of(_value(lambda: RUNTIME.naming.query(name), f"cannot ask for {name}"))
+        """Return the contact of a port; invalid if it is not registered."""
+        return Contact.of(_value(lambda: RUNTIME.naming.query(name), f"cannot query {name}"))
 
     @staticmethod
     def registerName(name: str) -> Contact:
-        """Register a name without a port of this program behind it."""
+        """Register a name without a port of this program."""
         return Contact.of(_value(lambda: RUNTIME.naming.register(name), f"cannot register {name}"))
 
     @staticmethod
@@ -170,18 +170,18 @@ class Network:
 
     @staticmethod
     def unregisterName(name: str) -> Contact:
-        """Forget a name."""
+        """Unregister a name."""
         _value(lambda: RUNTIME.naming.unregister(name), f"cannot unregister {name}")
         return Contact()
 
     @staticmethod
     def unregisterContact(contact: Contact) -> Contact:
-        """Forget a contact's name."""
+        """Unregister a contact's name."""
         return Network.unregisterName(contact.getRegName())
 
     @staticmethod
     def setProperty(name: str, key: str, value: Any) -> bool:
-        """Keep a value under a key of a registered port."""
+        """Store a value under a key of a registered port."""
         plain = value.plain if isinstance(value, Value) else value
         values = plain if isinstance(plain, (list, tuple)) else [plain]
 
@@ -193,7 +193,7 @@ class Network:
 
     @staticmethod
     def getProperty(name: str, key: str) -> Value | None:
-        """The value under a key of a registered port, or None."""
+        """Return the value under a key of a registered port, or None."""
         found = _value(lambda: RUNTIME.naming.get_property(name, key), f"cannot get the property {key} of {name}")
         if not found:
             return None
@@ -201,18 +201,18 @@ class Network:
 
     @staticmethod
     def getNameServerName() -> str:
-        """The name server's own port name, ``/root`` unless the namespace is another."""
-        return _value(namespace, "cannot tell the namespace") or ""
+        """Return the name server's port name, ``/root`` unless another namespace is configured."""
+        return _value(namespace, "cannot read the namespace") or ""
 
     @staticmethod
     def getNameServerContact() -> Contact:
-        """The configured address of the name server."""
+        """Return the configured address of the name server."""
         client = RUNTIME.client
-        return Contact.of(_value(lambda: client.contact, "no name server is known") if client else None)
+        return Contact.of(_value(lambda: client.contact, "the name server's address is unknown") if client else None)
 
     @staticmethod
     def setNameServerContact(contact: Contact) -> bool:
-        """Use the name server at this address, in this program."""
+        """Use the name server at this address in this program."""
         if not contact.isValid():
             log.error("a name server's contact needs an address and a port number, not %r", contact.toString())
             return False
@@ -221,18 +221,18 @@ class Network:
 
     @staticmethod
     def setLocalMode(flag: bool) -> bool:
-        """Keep names in this process, for programs whose ports only talk to each other."""
+        """Register names only in this process, for programs whose ports connect only to each other."""
         RUNTIME.set_local(local=flag)
         return True
 
     @staticmethod
     def getLocalMode() -> bool:
-        """Whether names are kept in this process."""
+        """Return whether names are registered only in this process."""
         return RUNTIME.is_local
 
     @staticmethod
     def setConnectionQos(src: str, dest: str, style: QosStyle, *rest: Any) -> bool:
-        """Set the service of a connection's packets, at both ends; a second style is that of the other end."""
+        """Set the type of service of a connection's packets at both ends; a second style is for the other end."""
         ends = [style, *(one for one in rest if isinstance(one, QosStyle))]
         quiet = next((one for one in rest if isinstance(one, bool)), True)
 
@@ -248,7 +248,7 @@ class Network:
 
     @staticmethod
     def getConnectionQos(src: str, dest: str, srcStyle: QosStyle, destStyle: QosStyle, quiet: bool = True) -> bool:
-        """Have two styles become those of a connection, as both of its ends say them."""
+        """Fill two styles with those of a connection, as its two ends report them."""
 
         def at(port: str, other: str, found: QosStyle) -> bool:
             reply = Bottle()
@@ -264,30 +264,30 @@ class Network:
 
     @staticmethod
     def disconnectInput(src: str, dest: str, silent: bool = False) -> bool:
-        """End a connection at the port that reads."""
+        """Close a connection at its reading port."""
         reply = Bottle()
         command = Bottle([Vocab("del"), src])
         return Network.write(dest, command, reply, True, silent) and reply.get(0).asInt32() == 0
 
     @staticmethod
     def setVerbosity(verbosity: int) -> None:
-        """Log what happens (0, as at first; above: for developers too), or below 0 only what is wrong."""
+        """Set the log level: info (0, the default), debug (above 0) or warnings (below 0)."""
         level = logging.WARNING if verbosity < 0 else logging.DEBUG if verbosity else logging.INFO
         logging.getLogger("yarp").setLevel(level)
 
     @staticmethod
     def isValidPortName(name: str) -> bool:
-        """Whether a port may have this name."""
+        """Return whether this is a valid port name."""
         return is_port_name(name)
 
     @staticmethod
     def getConfigFile(name: str) -> str:
-        """The path of one of YARP's configuration files; ``yarp.conf`` is that of the namespace."""
+        """Return the path of one of YARP's configuration files; for ``yarp.conf`` that of the namespace."""
         return str(file()) if name == "yarp.conf" else f"{folder()}/{name}"
 
     @staticmethod
     def write(contact: Contact | str, command: Any, reply: Any, *options: Any) -> bool:
-        """Send a message, usually a Bottle, and read its reply; options: a `ContactStyle`, or admin, quiet, timeout."""
+        """Send a message, usually a Bottle, and read the reply; options: a `ContactStyle`, or admin, quiet, timeout."""
         style = _write_style(options)
 
         def write() -> bool:
@@ -301,14 +301,14 @@ class Network:
 
     @staticmethod
     def writeToNameServer(command: Any, reply: Any, style: ContactStyle | None = None) -> bool:
-        """Send a command to the name server and read its reply."""
+        """Send a command to the name server and read the reply."""
         return Network.write(Network.getNameServerContact(), command, reply, style or ContactStyle())
 
     @staticmethod
     def assertion(shouldBeTrue: bool) -> None:
-        """Raise unless this holds."""
+        """Raise `AssertionError` unless the argument is true."""
         if not shouldBeTrue:
-            raise AssertionError("an assertion does not hold")
+            raise AssertionError("assertion failed")
 
 
 NetworkBase = Network
@@ -319,7 +319,7 @@ def _found(contact: Contact | str) -> WireContact:
     known = WireContact.parse(contact) if isinstance(contact, str) else contact.address
     address = known if known.is_valid else RUNTIME.naming.query(name)
     if address is None:
-        raise NamingError(f"there is no port {name} at the name server")
+        raise NamingError(f"port {name} is not registered")
     return address
 
 
@@ -343,7 +343,7 @@ def _timeout(style: ContactStyle) -> dict[str, float]:
 
 
 def _persistent(word: str, src: str, dest: str, style: ContactStyle) -> bool:
-    """A connection that the name server keeps up."""
+    """Ask the name server to maintain a connection, or to stop."""
     return _done(lambda: RUNTIME.persistent(word, src, dest, style.carrier), f"cannot {word} {src} to {dest}")
 
 
@@ -362,12 +362,12 @@ def _wait(ready: Callable[[], bool], limit: float | None, what: str, *, quiet: b
 
 
 def _done(action: Callable[[], bool], problem: str, *, quiet: bool = False) -> bool:
-    """Whether it worked; why not goes to the log."""
+    """Run an action and return whether it succeeded; log the reason if not."""
     return bool(_value(action, problem, quiet=quiet))
 
 
 def _said(action: Callable[[], str], problem: str, *, quiet: bool) -> bool:
-    """Whether it worked; what a port says of it goes to the log."""
+    """Run an action and return whether it succeeded; log the port's answer unless ``quiet``."""
     text = _value(action, problem)
     if text is not None and not quiet:
         log.info("%s", text)

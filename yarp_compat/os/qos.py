@@ -1,4 +1,4 @@
-"""``QosStyle``: how important the packets of a connection are (`yarp/os/QosStyle.h`)."""
+"""``QosStyle``: the priority of a connection's packets (`yarp/os/QosStyle.h`)."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ _LEVELS = {
     "PacketPriorityUndefined": 0x7FFF,
 }
 _CLASSES = {"DSCP_Invalid": -1, **{f"DSCP_{name}": number for name, number in DSCP.items()}, "DSCP_Undefined": 0x7FFF}
-_LARGEST = 63  # of a class of service
+_LARGEST = 63  # the largest class of service
 
 
 class QosStyle:
-    """The service of packets, and the priority of the thread that sends them; -1 leaves it as it is."""
+    """The type of service of packets, and the priority of the sending thread; -1: unchanged."""
 
     def __init__(self) -> None:
         self._tos = -1
         self._priority = -1
         self._policy = -1
 
-    setPacketPrioritybyTOS = setter("_tos", int, "Set the type of service, the byte in a packet's header.")
+    setPacketPrioritybyTOS = setter("_tos", int, "Set the type of service, the byte in the packet header.")
     setPacketPriorityByTOS = setPacketPrioritybyTOS
-    getPacketPriorityAsTOS = getter("_tos", int, "The type of service; -1 where none is set.")
-    setThreadPriority = setter("_priority", int, "Set the thread's priority; Python's ports have no such threads.")
+    getPacketPriorityAsTOS = getter("_tos", int, "The type of service; -1 if not set.")
+    setThreadPriority = setter("_priority", int, "Set the thread's priority, which has no effect in Python.")
     getThreadPriority = getter("_priority", int, "The thread's priority.")
-    setThreadPolicy = setter("_policy", int, "Set the thread's policy; Python's ports have no such threads.")
+    setThreadPolicy = setter("_policy", int, "Set the thread's policy, which has no effect in Python.")
     getThreadPolicy = getter("_policy", int, "The thread's policy.")
 
     def setPacketPriorityByDscp(self, dscp: int) -> None:
@@ -42,7 +42,7 @@ class QosStyle:
     setPacketPriorityByLevel = setPacketPriorityByDscp
 
     def setPacketPriority(self, priority: str) -> bool:
-        """Set ``LEVEL:HIGH`` (or LOW, NORM, CRIT), ``DSCP:AF41`` or ``TOS:144``; False where it is none of these."""
+        """Set ``LEVEL:HIGH`` (or LOW, NORM, CRIT), ``DSCP:AF41`` or ``TOS:144``; return False for other text."""
         kind, _, value = priority.partition(":")
         if kind == "TOS" and value.isdecimal():
             self._tos = int(value)
@@ -52,11 +52,11 @@ class QosStyle:
         return self._tos >= 0
 
     def getPacketPriorityAsDSCP(self) -> int:
-        """The class of service: ``QosStyle.DSCP_AF41`` and its kin."""
+        """Return the class of service, such as ``QosStyle.DSCP_AF41``."""
         return self._known(DSCP.values())
 
     def getPacketPriorityAsLevel(self) -> int:
-        """YARP's level: ``QosStyle.PacketPriorityHigh`` and its kin."""
+        """Return YARP's level, such as ``QosStyle.PacketPriorityHigh``."""
         return self._known(PRIORITIES.values())
 
     def _known(self, classes: Iterable[int]) -> int:

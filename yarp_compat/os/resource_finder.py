@@ -1,4 +1,4 @@
-"""``ResourceFinder``: finds a program's configuration and data files, and reads its command line."""
+"""``ResourceFinder``: search for a program's configuration and data files, and its command line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ log = logging.getLogger("yarp.os.ResourceFinder")
 
 
 class ResourceFinder(Searchable):
-    """Finds files by name in the places where YARP programs keep them.
+    """A search for files by name in YARP's folders, with the program's configuration.
 
     Example::
 
@@ -39,15 +39,15 @@ class ResourceFinder(Searchable):
 
     @classmethod
     def getResourceFinderSingleton(cls) -> ResourceFinder:
-        """The one of the program."""
+        """Return the program's shared finder."""
         if cls._singleton is None:
             cls._singleton = cls()
         return cls._singleton
 
     def configure(self, *args: Any) -> bool:
-        """Read a command line: ``configure(sys.argv)``, its first word skipped unless a second argument says False.
+        """Read a command line: ``configure(sys.argv)``, without its first word unless the second argument is False.
 
-        The older forms ``configure(argc, argv)`` and ``configure(policy, argv)`` work too. Returns False where a file
+        The older forms ``configure(argc, argv)`` and ``configure(policy, argv)`` work too. Returns False if the file
         given by ``--from`` cannot be read.
         """
         words, skip = self._command_line(args)
@@ -63,7 +63,7 @@ class ResourceFinder(Searchable):
         found = self._search.find_main(name)
         read = self._property.fromConfigFile(found or name, False)
         if not read:
-            log.warning("the configuration file %s cannot be read (looked for in %s)", name, self._search.said_places())
+            log.warning("cannot read the configuration file %s (searched in %s)", name, self._search.said_places())
         self._property.fromCommand(words, skip, False)  # the command line outranks the file
         return bool(read) or not given.check("from")
 
@@ -71,46 +71,46 @@ class ResourceFinder(Searchable):
     def _command_line(args: tuple[Any, ...]) -> tuple[list[str], bool]:
         rest = [arg for arg in args if not isinstance(arg, str) and (isinstance(arg, bool) or not isinstance(arg, int))]
         if not rest or isinstance(rest[0], bool):
-            raise TypeError("ResourceFinder.configure takes a list of words, as in configure(sys.argv)")
+            raise TypeError("ResourceFinder.configure expects a list of words, as in configure(sys.argv)")
         return [str(word) for word in rest[0]], bool(rest[1]) if len(rest) > 1 else True
 
     isConfigured = getter("_configured", bool, "Whether `configure` was called.")
 
     def setDefaultContext(self, context: str) -> bool:
-        """The context to look in unless the command line says another."""
+        """Set the context to search in, unless the command line names another."""
         self._search.contexts = [context] if context else []
         return True
 
     def setDefaultConfigFile(self, name: str) -> bool:
-        """The configuration file to read unless the command line says another."""
+        """Set the configuration file to read, unless the command line names another."""
         return self.setDefault("from", name)
 
     def setDefault(self, key: str, value: Any) -> bool:
-        """A value to use unless the command line or the configuration file says another."""
+        """Set the default of a key, for when the command line and the configuration file lack it."""
         if not self._property.check(key):
             self._property.put(key, Value.makeValue(value) if isinstance(value, str) else value)
         return True
 
     def setVerbose(self, verbose: bool = True) -> bool:
-        """Show each place looked in."""
+        """Log each searched folder."""
         log.setLevel(logging.DEBUG if verbose else logging.INFO)
         return True
 
     def setQuiet(self, quiet: bool = True) -> bool:
-        """Show warnings only."""
+        """Log only warnings."""
         log.setLevel(logging.WARNING if quiet else logging.INFO)
         return True
 
     def find(self, key: str) -> Value:
-        """The value of a key; a null value where the key is missing."""
+        """Return the value of a key; a null value if the key is missing."""
         return self._property.find(key)
 
     def findGroup(self, key: str) -> Bottle:
-        """The group of a key; a null Bottle where the key is missing."""
+        """Return the group of a key; a null Bottle if the key is missing."""
         return self._property.findGroup(key)
 
     def findNestedResourceFinder(self, key: str) -> ResourceFinder:
-        """A finder over a group's keys, in the same places."""
+        """Return a finder for a group's keys, with the same folders."""
         nested = ResourceFinder(self)
         group = self.findGroup(key)
         nested._property = Property()
@@ -119,57 +119,57 @@ class ResourceFinder(Searchable):
         nested._configured = True
         return nested
 
-    isNull = getter("_null", bool, "Whether this is the finder over a group that does not exist.")
+    isNull = getter("_null", bool, "Whether this is the finder for a missing group.")
 
     def toString(self) -> str:
-        """All keys as a Bottle's text."""
+        """Return all keys as a Bottle's text."""
         return self._property.toString()
 
     def getContext(self) -> str:
-        """The context that is looked in, or empty."""
+        """Return the context to search in, or ""."""
         return self._search.contexts[0] if self._search.contexts else ""
 
     def getContexts(self) -> Bottle:
-        """The contexts that are looked in."""
+        """Return the contexts to search in."""
         return Bottle(self._search.contexts)
 
     def findFile(self, name: str, options: ResourceFinderOptions | None = None) -> str:
-        """The path of a file, or of the file that the key ``name`` gives; empty when it is not found."""
+        """Return the path of a file, or of the file that the key ``name`` gives; "" if not found."""
         return self.findFileByName(self._meant(name), options)
 
     def findFileByName(self, name: str, options: ResourceFinderOptions | None = None) -> str:
-        """The path of the file of this very name; empty when it is not found."""
+        """Return the path of the file with exactly this name; "" if not found."""
         found = self._search.first(name, options or ResourceFinderOptions())
         if not found:
-            log.debug("%s is not found in %s", name, self._search.said_places())
+            log.debug("%s not found in %s", name, self._search.said_places())
         return found
 
     def findPath(self, name: str = "", options: ResourceFinderOptions | None = None) -> str:
-        """The path of a folder; without a name, the first place that is looked in."""
+        """Return the path of a folder; without a name, the first folder to search in."""
         where = options or ResourceFinderOptions()
         return self._search.first(self._meant(name) if name else "", where, folder=True) or (
             "" if name else str(Path.cwd())
         )
 
     def findPaths(self, name: str, options: ResourceFinderOptions | None = None) -> Bottle:
-        """The paths of all folders or files of this name."""
+        """Return the paths of all folders and files with this name."""
         every = options or ResourceFinderOptions.findAllMatch()
         return Bottle(list(self._search.paths(self._meant(name), every, folder=True)))
 
     def getContextPath(self) -> str:
-        """The folder of the context: the first that is found, or empty."""
+        """Return the first folder of the context that exists, or ""."""
         return next(iter(self._search.context_folders()), "")
 
     def getHomeContextPath(self) -> str:
-        """The folder for the context's files that the user changed; made when it is not there."""
+        """Return the user's folder for the context's files; create it if missing."""
         return self._home("contexts", self.getContext())
 
     def getHomeRobotPath(self) -> str:
-        """The folder for the robot's files that the user changed; made when it is not there."""
+        """Return the user's folder for the robot's files; create it if missing."""
         return self._home("robots", self._search.directories.robot())
 
     def readConfig(self, config: Property, key: str, options: ResourceFinderOptions) -> bool:
-        """Read every file of a name into ``config``, those found first outranking the others."""
+        """Read every file with a name into ``config``; earlier ones have priority."""
         paths = list(self._search.paths(self._meant(key), options, folder=True))
         for path in reversed(paths):
             config.fromConfigFile(path, False)
@@ -185,5 +185,5 @@ class ResourceFinder(Searchable):
         try:
             Path(path).mkdir(parents=True, exist_ok=True)
         except OSError as err:
-            log.warning("the folder %s cannot be made: %s", path, err)
+            log.warning("cannot create the folder %s: %s", path, err)
         return path

@@ -1,8 +1,8 @@
-"""The places where YARP's programs keep their files, and the search for a file in them.
+"""The folders of YARP's resources, and the search for a file in them.
 
-The order of the search is that of YARP's ResourceFinder.cpp: the current directory, beside the main configuration file,
-the robot, the contexts, the user's own folders, the administrator's, the installed ones, ``path.d``. So are the paths:
-what is asked for stands behind the folder as it was written, ``./map.txt`` and ``maps/`` too.
+The order of the search is that of YARP's ResourceFinder.cpp: the current directory, the main configuration file's
+folder, the robot, the contexts, the user's folders, the administrator's, the installed ones, ``path.d``. As in YARP,
+the name is appended to the folder unchanged, also ``./map.txt`` and ``maps/``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from yarp_compat.wire.values import entry_values
 
 @dataclass(eq=False)
 class ResourceFinderOptions:
-    """Where to look, and what to return. Attributes and values as YARP's."""
+    """Where to search, and what to return. Attributes and values are YARP's."""
 
     NoLocation = 0x0000
     Directory = 0x0001
@@ -54,21 +54,21 @@ class ResourceFinderOptions:
 
     @classmethod
     def findFirstMatch(cls) -> ResourceFinderOptions:
-        """Options that return the first file found."""
+        """Return options for the first match."""
         return cls()
 
     @classmethod
     def findAllMatch(cls) -> ResourceFinderOptions:
-        """Options that return every file found."""
+        """Return options for every match."""
         return cls(cls.ModuleDefault, cls.All)
 
 
 class ResourceSearch:
-    """Searches for files in YARP's directories and the contexts.
+    """A search for files in YARP's directories and the contexts.
 
     Attributes:
-        main_folder: the folder of the main configuration file; empty where that is not known.
-        near_main: that file was found in the current directory, so that others are looked for beside it.
+        main_folder: the folder of the main configuration file; "" if unknown.
+        near_main: whether that file is in the current directory, so that its folder is searched too.
     """
 
     def __init__(self, contexts: Sequence[str] = ()) -> None:
@@ -78,13 +78,13 @@ class ResourceSearch:
         self.near_main = False
 
     def copy(self) -> ResourceSearch:
-        """Another of the same state."""
+        """Return a copy of this search."""
         made = ResourceSearch(self.contexts)
         made.main_folder, made.near_main = self.main_folder, self.near_main
         return made
 
     def find_main(self, name: str) -> str:
-        """The path of the main configuration file, beside which others are looked for; empty where it is not found."""
+        """Return the path of the main configuration file, whose folder is searched from now on; "" if not found."""
         found = self.first(name, ResourceFinderOptions())
         self.near_main = bool(found) and found == (name if is_absolute(name) else _behind(_here(), name))
         path = (found or name).replace(os.sep, "/")
@@ -92,14 +92,14 @@ class ResourceSearch:
         return found
 
     def first(self, name: str, options: ResourceFinderOptions, *, folder: bool = False) -> str:
-        """The best path that exists, or empty; ``folder``: a folder is looked for."""
+        """Return the best existing path, or ""; ``folder``: search for a folder."""
         return next(self.paths(name, options, folder=folder), "")
 
     def paths(self, name: str, options: ResourceFinderOptions, *, folder: bool = False) -> Iterator[str]:
-        """Every path that exists, best first, each once; only the first where the options say so."""
+        """Yield each existing path once, best first; only the first if the options say so."""
         seen = set()
         for path in self._candidates(name, options, folder):
-            if path not in seen and os.path.exists(path):  # noqa: PTH110 - a Path would lose how it is written
+            if path not in seen and os.path.exists(path):  # noqa: PTH110 - a Path would normalize it
                 seen.add(path)
                 yield path
                 if options.duplicateFilesPolicy == ResourceFinderOptions.First:
@@ -112,7 +112,7 @@ class ResourceSearch:
             yield name if is_absolute(name) else _behind(place, name)
 
     def places(self, options: ResourceFinderOptions) -> Iterator[str]:
-        """The folders to look in, best first."""
+        """Yield the folders to search, best first."""
         where, flavor, o, kind = (
             options.searchLocations,
             options.searchFlavor,
@@ -139,20 +139,20 @@ class ResourceSearch:
             yield from (_typed(one, kind) for one in self._path_d())
 
     def context_folders(self) -> Iterator[str]:
-        """The folders of the contexts that are there."""
+        """Yield the existing folders of the contexts."""
         for context in self.contexts:
             every = ResourceFinderOptions(ResourceFinderOptions.Default, ResourceFinderOptions.All)
             yield from self.paths(_behind("contexts", context), every)
 
     def home_of(self, kind: str, name: str) -> str:
-        """The user's own folder of a context or robot; a name that begins with a folder is the path itself."""
+        """Return the user's folder for a context or robot; a rooted name is the path itself."""
         if _is_rooted(name):
             return name
         folder = _behind(self.directories.data_home(), kind)
         return _behind(folder, name) if name else folder
 
     def _path_d(self) -> Iterator[str]:
-        """Folders that packages added by files ``config/path.d/*.ini``: ``[search NAME]`` with ``path /a /b``."""
+        """Yield the folders from the packages' files ``config/path.d/*.ini``: ``[search NAME]`` with ``path /a /b``."""
         places = (Path(one, "config", "path.d") for one in self.directories.data_dirs())
         place = next((one for one in places if one.is_dir()), None)
         found: config_text.Entries = {}
@@ -160,7 +160,7 @@ class ResourceSearch:
             yield from _search_paths(found)
 
     def said_places(self) -> str:
-        """The folders to look in, for people."""
+        """Return the folders to search, for log messages."""
         return ", ".join(self.places(ResourceFinderOptions()))
 
 
@@ -169,19 +169,19 @@ def _here() -> str:
 
 
 def _behind(folder: str, name: str) -> str:
-    """A name behind a folder, both as they are written."""
+    """Append a name to a folder without normalizing either."""
     return f"{folder}{os.sep}{name}"
 
 
 def _typed(folder: str, kind: str) -> str:
-    """The folder of one kind of resources in another folder."""
+    """Return the subfolder for one kind of resources."""
     if not kind:
         return folder
     return f"{folder}{kind}" if folder.endswith(os.sep) else _behind(folder, kind)
 
 
 def find_in_context(context: str, name: str) -> str:
-    """The path of a file that is looked for in a context; empty where it is not found."""
+    """Return the path of a file, searched in a context; "" if not found."""
     return ResourceSearch([context] if context else []).first(name, ResourceFinderOptions())
 
 
@@ -193,10 +193,10 @@ def _search_paths(found: config_text.Entries) -> Iterator[str]:
 
 
 def is_absolute(name: str) -> bool:
-    """Whether a path begins at a root or a drive, on whichever system."""
+    """Return whether a path begins with a root or a drive, on any system."""
     return name.startswith(("/", "\\")) or name[1:2] == ":"
 
 
 def _is_rooted(name: str) -> bool:
-    """Whether a path is absolute, or said to begin in the current directory."""
+    """Return whether a path is absolute, or begins with the current directory."""
     return bool(name) and (is_absolute(name) or name == "." or name[:2] in ("./", ".\\"))

@@ -1,4 +1,4 @@
-"""``RFModule``: a program that is configured, updated at its period, answers commands, and stops on demand."""
+"""``RFModule``: a program that is configured, updated periodically, answers commands, and stops on demand."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from yarp_compat.wire.portable import PortReader
 log = logging.getLogger("yarp.os.RFModule")
 
 _QUIT = ("quit", "exit", "bye")
-_FORCED = 4  # the signal that ends a program at once whose module does not stop
+_FORCED = 4  # the number of signals that end the program at once
 
 
 class RFModule:
-    """Derive from it; ``updateModule`` is what it does.
+    """The base class of modules, which override ``updateModule``.
 
     Example::
 
@@ -65,51 +65,51 @@ class RFModule:
         self._signals = 0
 
     def configure(self, rf: ResourceFinder) -> bool:  # noqa: ARG002
-        """Prepare; False ends the module."""
+        """Prepare the module; return False to end it."""
         return True
 
     def updateModule(self) -> bool:
-        """Do one round; False ends the module."""
+        """Execute one cycle; return False to end the module."""
         raise NotImplementedError(f"{type(self).__name__} has no updateModule")
 
     def getPeriod(self) -> float:
-        """The time from one round to the next, in seconds."""
+        """Return the period of the cycles in seconds."""
         return 1.0
 
     def respond(self, command: Bottle, reply: Bottle) -> bool:
-        """Answer a command; False when it was not understood."""
+        """Answer a command; return False if it is unknown."""
         return self._basic_respond(command, reply)
 
     def interruptModule(self) -> bool:
-        """Let ports go that a round may be waiting on."""
+        """Interrupt the ports that a cycle may wait for."""
         return True
 
     def close(self) -> bool:
-        """Put everything away."""
+        """Release the module's resources."""
         return True
 
     def attach(self, source: Any) -> bool:
-        """Have ``respond`` answer what comes to this Port or RpcServer."""
+        """Let ``respond`` answer the commands that this Port or RpcServer receives."""
         source.setReader(self._responder)
         return True
 
     attach_rpc_server = attach
 
     def attachTerminal(self) -> bool:
-        """Have ``respond`` answer what is typed, until the module stops or input ends."""
+        """Let ``respond`` answer commands from the terminal, until the module stops or input ends."""
         threading.Thread(target=self._read_terminal, name="yarp-terminal", daemon=True).start()
         return True
 
     def detachTerminal(self) -> bool:
-        """Leave the terminal: its thread ends with the module."""
+        """Return True: the terminal's thread ends with the module."""
         return True
 
     def safeRespond(self, command: Bottle, reply: Bottle) -> bool:
-        """`respond`, and where that does not understand, ``quit`` and its kin."""
+        """Call `respond`; if it does not know the command, handle ``quit``, ``exit`` and ``bye``."""
         return bool(self.respond(command, reply)) or self._basic_respond(command, reply)
 
     def runModule(self, rf: ResourceFinder | None = None) -> int:
-        """Configure (when given a finder), then run until stopped; 1 where configuring fails or it ran before."""
+        """Configure (given a finder) and run until stopped; return 1 if configuring failed or it ran before, else 0."""
         if self._ran:
             return 1
         if rf is not None and not self.configure(rf):
@@ -129,7 +129,7 @@ class RFModule:
         return 0
 
     def runModuleThreaded(self, rf: ResourceFinder | None = None) -> int:
-        """Run in a thread of its own; returns 0 once that runs, 1 when configuring failed."""
+        """Run in a new thread; return 0 once it is started, 1 if configuring failed."""
         if self._ran or self._thread is not None:
             return 1
         if rf is not None and not self.configure(rf):
@@ -140,7 +140,7 @@ class RFModule:
         return 0
 
     def joinModule(self, seconds: float = -1) -> bool:
-        """Wait until the module's thread ended, at most so long (negative: without a limit)."""
+        """Wait until the module's thread has ended, at most ``seconds`` (negative: no limit)."""
         if self._thread is None:
             log.warning("Cannot call join: RFModule runModule() is not currently threaded.")
             return True
@@ -152,8 +152,8 @@ class RFModule:
         return True
 
     def stopModule(self, wait: bool = False) -> None:
-        """End the loop after the round that runs."""
-        with self._interrupting:  # close() comes after it
+        """End the loop after the current cycle."""
+        with self._interrupting:  # close() has to wait for it
             self._stop.set()
             if not self.interruptModule():
                 log.error("interruptModule() returned an error there could be problems shutting down the module.")
@@ -161,24 +161,24 @@ class RFModule:
             self.joinModule()
 
     def isStopping(self) -> bool:
-        """Whether the module was told to stop."""
+        """Return whether the module is stopping."""
         return self._stop.is_set()
 
     def getName(self, subName: str = "") -> str:
-        """The module's name, with a sub-name behind it."""
+        """Return the module's name, followed by a sub-name."""
         if subName and not subName.startswith("/"):
-            log.warning('subName %s in getName() does not begin with "/": it is added', subName)
+            log.warning('subName %s in getName() does not begin with "/", which is added', subName)
             subName = f"/{subName}"
         return self._name + subName
 
-    setName = setter("_name", str, "Name the module.")
+    setName = setter("_name", str, "Set the module's name.")
 
     def _loop(self) -> None:
         while not self.isStopping():
             began = clock.steady()
             if not self.updateModule():
                 return
-            # Waiting on the event, a module of a long period stops at once.
+            # Waiting on the event lets a module with a long period stop at once.
             clock.wait(self._stop, self.getPeriod(), began)
 
     def _basic_respond(self, command: Bottle, reply: Bottle) -> bool:
@@ -204,20 +204,20 @@ class RFModule:
 
     def _catch_signals(self) -> dict[int, Any]:
         if threading.current_thread() is not threading.main_thread():
-            return {}  # only the main thread may; a module in a thread is stopped by its program
+            return {}  # only the main thread may set handlers; the program stops a module in another thread
         return {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
         self._signals += 1
         if self._signals >= _FORCED:
-            log.error("Aborting: told to stop %d times", self._signals)
+            log.error("Aborting after %d signals", self._signals)
             raise SystemExit(128 + number)
         log.info("[try %d of %d] Trying to shut down.", self._signals, _FORCED - 1)
         self.stopModule(False)
 
 
 class _Responder(PortReader):
-    """Hands what comes to a port to the module's `respond`."""
+    """A reader that passes a port's commands to the module's `respond`."""
 
     def __init__(self, module: RFModule) -> None:
         super().__init__()

@@ -1,6 +1,6 @@
-"""The state that a program's ports share: their name server, and the list of open ports, which the end closes.
+"""The state that a program's ports share: their name server, and the list of open ports to close at exit.
 
-Also Midspan's daemon, as a YARP program sees it: ports that a property at the name server marks.
+Also the lookup of Midspan daemons, whose ports have a property at the name server.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ log = logging.getLogger("yarp.os.Network")
 
 
 class Runtime:
-    """The state behind `Network`'s static methods."""
+    """The state of `Network`'s static methods."""
 
     def __init__(self) -> None:
         self._users = 0
@@ -41,7 +41,7 @@ class Runtime:
         return self._users > 0
 
     def init(self, prepare: Callable[[], None]) -> None:
-        """Begin to use the network; the first user prepares it."""
+        """Start using the network; the first call prepares it."""
         with self._lock:
             self._users += 1
             if self._users == 1:
@@ -50,7 +50,7 @@ class Runtime:
                 prepare()
 
     def fini(self) -> None:
-        """Stop using it; the last one closes all ports that are open."""
+        """Stop using the network; the last call closes all open ports."""
         with self._lock:
             self._users = max(0, self._users - 1)
             if self._users:
@@ -66,16 +66,16 @@ class Runtime:
             port.close()
 
     def opened(self, port: Closable) -> None:
-        """A port is open: it will be closed at the latest with the network."""
+        """Add an open port, to be closed with the network at the latest."""
         self._open.add(port)
 
     def closed(self, port: Closable) -> None:
-        """A port was closed."""
+        """Remove a closed port."""
         self._open.discard(port)
 
     @property
     def naming(self) -> Naming:
-        """The name server's client, or in local mode a table of this process."""
+        """The name server's client, or in local mode a registry in this process."""
         with self._lock:
             if self._local is not None:
                 return self._local
@@ -85,7 +85,7 @@ class Runtime:
 
     @property
     def unregistered(self) -> Naming:
-        """Knows the same names, and registers none."""
+        """A client that finds the same names, but registers none."""
         return Unregistered(self.naming)
 
     @property
@@ -95,7 +95,7 @@ class Runtime:
         return naming if isinstance(naming, NameClient) else None
 
     def listed(self, folder: str = "") -> list[PortContact]:
-        """The registered ports, all or those below a name."""
+        """Return the registered ports, or those below a name."""
         naming = self.naming
         return naming.list(folder) if isinstance(naming, (NameClient, LocalNaming)) else []
 
@@ -105,31 +105,31 @@ class Runtime:
             self._client = client
 
     def persistent(self, word: str, source: str, target: str, carrier: str = "") -> bool:
-        """``subscribe`` or ``unsubscribe`` a connection that the name server keeps up."""
+        """Send ``subscribe`` or ``unsubscribe`` for a persistent connection to the name server; return if accepted."""
         client = self.client
         if client is None:
-            log.error("there are no persistent connections in local mode: %s -> %s", source, target)
+            log.error("persistent connections are not available in local mode: %s -> %s", source, target)
             return False
         return client.line([word, source, f"{carrier}:/{target}" if carrier else target]).startswith("[ok]")
 
     @property
     def is_local(self) -> bool:
-        """Whether names live in this process only."""
+        """Whether names are registered only in this process."""
         return self._local is not None
 
     def set_local(self, *, local: bool) -> None:
-        """Keep names in this process, or at the name server."""
+        """Register names only in this process, or at the name server."""
         with self._lock:
             self._local = (self._local or LocalNaming()) if local else None
 
     @property
     def profile(self) -> Profile:
-        """The dialect towards peers that have not shown theirs: ``YARP_COMPAT_PROFILE``, ``yarp3`` unless set."""
+        """The dialect for peers whose dialect is unknown: ``YARP_COMPAT_PROFILE``, by default ``yarp3``."""
         asked = os.environ.get("YARP_COMPAT_PROFILE", Profile.YARP3.value)
         try:
             return Profile(asked)
         except ValueError:
-            log.warning("YARP_COMPAT_PROFILE=%s is neither yarp3 nor yarp4: yarp3 is used", asked)
+            log.warning("YARP_COMPAT_PROFILE=%s is neither yarp3 nor yarp4: using yarp3", asked)
             return Profile.YARP3
 
 
@@ -138,24 +138,24 @@ RUNTIME = Runtime()
 
 _node_log = logging.getLogger("yarp.os.Node")
 
-_FOLDER = "/midspan/daemon"  # below this name each daemon has the port that answers
-_MARK = "midspan_owner"  # the property at the name server that tells them from others
+_FOLDER = "/midspan/daemon"  # each daemon has a port for requests below this name
+_MARK = "midspan_owner"  # the property at the name server that identifies these ports
 
 
 def find_daemon() -> PortContact | None:
-    """A port of a Midspan daemon on this network, or None."""
+    """Return a port of a Midspan daemon on this network, or None."""
     return next((c for c in RUNTIME.listed(_FOLDER) if RUNTIME.naming.get_property(c.name, _MARK)), None)
 
 
 def definition_from_daemon(type_name: str) -> str | None:
-    """The full definition of a message type from a daemon; None where none answers, or it does not know the type."""
+    """Return the full definition of a message type from a daemon; None without an answer, or if it is unknown."""
     if not RUNTIME.is_up:
         return None
     try:
         daemon = find_daemon()
         lines = [] if daemon is None else text_client.ask(daemon, ["definition", type_name])
     except NamingError as err:
-        _node_log.warning("no daemon tells the definition of %s: %s", type_name, err)
+        _node_log.warning("cannot get the definition of %s from a daemon: %s", type_name, err)
         return None
     words = from_text(lines[0]) if lines else []
     return str(words[1]) if len(words) == 2 and words[0] == "ok" else None

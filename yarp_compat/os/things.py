@@ -1,4 +1,4 @@
-"""``Things``: whatever comes or goes, which says what it is when it is asked for (`yarp/os/Things.h`)."""
+"""``Things``: a message of any type, which is decoded on demand (`yarp/os/Things.h`)."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ T = TypeVar("T", bound=Portable)
 
 
 class Things:
-    """Something that is to be written, to be read into, or has come on a connection."""
+    """An object to write, an object to read into, or a received message."""
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
-        """Be nothing."""
+        """Remove the content."""
         self._writer: PortWriter | None = None
         self._reader: PortReader | None = None
         self._connection: Any = None
@@ -25,37 +25,37 @@ class Things:
         self._been_read = False
 
     def setPortWriter(self, writer: PortWriter | None) -> None:
-        """Be what is to be written."""
+        """Set the object to write."""
         self._writer = writer
 
     def getPortWriter(self) -> PortWriter | None:
-        """What is to be written."""
+        """Return the object to write, or None."""
         return self._writer
 
     def setPortReader(self, reader: PortReader | None) -> None:
-        """Be what is to be read into."""
+        """Set the object to read into."""
         self._reader = reader
 
     def getPortReader(self) -> PortReader | None:
-        """What is to be read into."""
+        """Return the object to read into, or None."""
         return self._reader
 
     def setConnectionReader(self, connection: Any) -> bool:
-        """Be what a connection holds, a `ConnectionReader`; it is read when it is asked for."""
+        """Set the received message, a `ConnectionReader`; it is read on demand."""
         self._connection, self._portable = connection, None
         return True
 
     def write(self, connection: Any) -> bool:
-        """Put it on a connection; False where there is nothing."""
+        """Write the content to a connection; return False if there is none."""
         thing = self._writer or self._portable
         return thing is not None and thing.write(connection)
 
     def hasBeenRead(self) -> bool:
-        """Whether it was read from its connection."""
+        """Return whether the content was read from its connection."""
         return self._been_read
 
     def cast_as(self, kind: type[T]) -> T | None:
-        """It as data of a class; None where it is something else."""
+        """Return the content as an object of a class; None if it is of another type."""
         held = self._writer or self._reader or self._portable
         if held is None and self._connection is not None:
             made = kind()
@@ -66,49 +66,49 @@ class Things:
         return held if isinstance(held, kind) else None
 
     def asValue(self) -> Value | None:
-        """It as a Value."""
+        """Return the content as a Value, or None."""
         return self.cast_as(Value)
 
     def asBottle(self) -> Bottle | None:
-        """It as a Bottle."""
+        """Return the content as a Bottle, or None."""
         return self.cast_as(Bottle)
 
     def asProperty(self) -> Property | None:
-        """It as a Property."""
+        """Return the content as a Property, or None."""
         return self.cast_as(Property)
 
     def asVector(self) -> Any:
-        """It as a Vector."""
+        """Return the content as a Vector, or None."""
         from yarp_compat.sig.vector import Vector
 
         return self.cast_as(Vector)
 
     def asMatrix(self) -> Any:
-        """It as a Matrix."""
+        """Return the content as a Matrix, or None."""
         from yarp_compat.sig.matrix import Matrix
 
         return self.cast_as(Matrix)
 
     def asImage(self) -> Any:
-        """It as an image of any pixels."""
+        """Return the content as an image with any type of pixels, or None."""
         from yarp_compat.sig.image import FlexImage, Image
 
         return self.cast_as(FlexImage) or self.cast_as(Image)
 
     def asImageOfPixelRgb(self) -> Any:
-        """It as an ImageRgb."""
+        """Return the content as an ImageRgb, or None."""
         from yarp_compat.sig.image import ImageRgb
 
         return self.cast_as(ImageRgb)
 
     def asImageOfPixelBgr(self) -> Any:
-        """It as an ImageBgr."""
+        """Return the content as an ImageBgr, or None."""
         from yarp_compat.sig.image import ImageBgr
 
         return self.cast_as(ImageBgr)
 
     def asImageOfPixelMono(self) -> Any:
-        """It as an ImageMono."""
+        """Return the content as an ImageMono, or None."""
         from yarp_compat.sig.image import ImageMono
 
         return self.cast_as(ImageMono)

@@ -9,34 +9,34 @@ from yarp_compat.wire.accessors import getter
 
 
 class Thread:
-    """Derive from it; ``run`` is what it does, until it ends or, when `stop` was called, sees ``isStopping()``."""
+    """The base class of threads, which override ``run``; it should return when ``isStopping()`` is true."""
 
     def __init__(self) -> None:
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
 
     def run(self) -> None:
-        """The thread's work."""
+        """Do the thread's work."""
         raise NotImplementedError(f"{type(self).__name__} has no run")
 
     def threadInit(self) -> bool:
-        """Prepare, on the new thread; False ends it."""
+        """Prepare, on the new thread; return False to end it."""
         return True
 
     def threadRelease(self) -> None:
-        """Put things away, on the thread."""
+        """Release resources, on the thread."""
 
     def onStop(self) -> None:
-        """Let go of what `run` may wait for; on the thread that calls `stop`."""
+        """Interrupt a waiting `run`; on the thread that calls `stop`."""
 
     def beforeStart(self) -> None:
-        """Called before the thread starts."""
+        """Prepare on the calling thread, before the new one starts."""
 
     def afterStart(self, success: bool) -> None:
-        """Called when it has started, or failed to."""
+        """React on the calling thread to the start, or its failure."""
 
     def start(self) -> bool:
-        """Start; False when ``threadInit`` says so."""
+        """Start the thread; return False if ``threadInit`` fails."""
         self.join()
         self._stopping.clear()
         self.beforeStart()
@@ -62,13 +62,13 @@ class Thread:
         return success
 
     def stop(self) -> bool:
-        """Tell the thread to end, and wait for that."""
+        """Ask the thread to end, and wait until it has."""
         self._stopping.set()
         self.onStop()
         return self.join()
 
     def join(self, seconds: float = -1) -> bool:
-        """Wait for the end, at most so long (negative: without a limit); whether it has come."""
+        """Wait for the end, at most ``seconds`` (negative: no limit); return whether the thread has ended."""
         thread = self._thread
         if thread is None or thread is threading.current_thread():
             return True
@@ -76,23 +76,23 @@ class Thread:
         return not thread.is_alive()
 
     def isStopping(self) -> bool:
-        """Whether `stop` was called."""
+        """Return whether `stop` was called."""
         return self._stopping.is_set()
 
     def isRunning(self) -> bool:
-        """Whether the thread runs."""
+        """Return whether the thread is running."""
         return self._thread is not None and self._thread.is_alive()
 
     def _work(self) -> None:
         self.run()
 
     def getKey(self) -> int:
-        """The thread's number; -1 before it started."""
+        """Return the thread's identifier; -1 before it started."""
         return -1 if self._thread is None or self._thread.ident is None else self._thread.ident
 
 
 class PeriodicThread(Thread):
-    """Derive from it; ``run`` is called once a period, in seconds."""
+    """The base class of periodic threads, which override ``run``; the period is in seconds."""
 
     def __init__(self, period: float) -> None:
         super().__init__()
@@ -106,24 +106,24 @@ class PeriodicThread(Thread):
         return True
 
     getPeriod = getter("_period", float, "The period in seconds.")
-    getIterations = getter("_rounds", int, "The number of rounds.")
+    getIterations = getter("_rounds", int, "The number of cycles.")
 
     def suspend(self) -> None:
-        """Skip rounds until `resume`."""
+        """Skip cycles until `resume`."""
         self._suspended = True
 
     def resume(self) -> None:
-        """Go on after `suspend`."""
+        """Continue after `suspend`."""
         self._suspended = False
 
-    isSuspended = getter("_suspended", bool, "Whether rounds are skipped.")
+    isSuspended = getter("_suspended", bool, "Whether cycles are skipped.")
 
     def askToStop(self) -> None:
-        """Tell the thread to end after this round, without waiting."""
+        """Ask the thread to end after this cycle, without waiting."""
         self._stopping.set()
 
     def step(self) -> None:
-        """Do one round on the calling thread."""
+        """Execute one cycle on the calling thread."""
         self.run()
 
     def _work(self) -> None:

@@ -224,7 +224,7 @@ def test_an_rpc_client_has_one_server(make_port: MakePort) -> None:
     ("target", "told"),
     [
         ("/nowhere", "Do not know how to connect to /nowhere"),
-        ("mcast://r", "Cannot connect to mcast://r: the name server gives out no multicast group"),
+        ("mcast://r", "Cannot connect to mcast://r: the name server allocated no IPv4 multicast group"),
         ("shmem:/r", "Cannot connect to shmem:/r"),
         ("nonsense://r", "Cannot connect to nonsense://r"),
         ("http://r", "Cannot connect to http://r"),

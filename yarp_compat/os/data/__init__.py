@@ -1,1 +1,1 @@
-"""The data that YARP users know: Bottle, Value, Property, Stamp, vectors of C++."""
+"""YARP's data classes: Bottle, Value, Property, Stamp, and C++'s vectors."""

@@ -1,7 +1,7 @@
-"""Bottle, Value and Property: values that contain each other, and are found by a key.
+"""Bottle, Value and Property: nested values, which are looked up by key.
 
-A Bottle is a list of values with text and binary forms, YARP's everyday message (`yarp/os/Bottle.h`); a Value is one of
-its values with YARP's conversions (`yarp/os/Value.h`, `Storable.h`); a Property has values under keys (`Property.h`).
+A Bottle is a list of values with text and binary forms, YARP's most common message (`yarp/os/Bottle.h`); a Value is one
+of its values with YARP's conversions (`yarp/os/Value.h`, `Storable.h`); a Property maps keys to values (`Property.h`).
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _UNITS = {0: "mixed", tags.INT32: "int", tags.VOCAB32: "vocab", 10: "float", tag
 
 
 class Searchable:
-    """Something with keys and values."""
+    """The base of objects with keys and values."""
 
     def find(self, key: str) -> Value:
-        """The value after a key; a null value where the key is missing."""
+        """Return the value after a key; a null value if the key is missing."""
         raise NotImplementedError(f"{type(self).__name__} has no find for {key}")
 
     def findGroup(self, key: str) -> Bottle:
-        """The list that begins with a key; a null Bottle where none does."""
+        """Return the list that begins with a key; a null Bottle if it is missing."""
         raise NotImplementedError(f"{type(self).__name__} has no findGroup for {key}")
 
     def toString(self) -> str:
@@ -46,18 +46,18 @@ class Searchable:
     @overload
     def check(self, key: str, fallback: Value, comment: str = "") -> Value: ...
     def check(self, key: str, fallback: Value | str = "", comment: str = "") -> bool | Value:  # noqa: ARG002
-        """Whether there is a key; with a fallback: its value, or the fallback. A comment is for the reader only."""
+        """Return whether a key exists; with a fallback, its value or the fallback. A comment has no effect."""
         if not isinstance(fallback, str):
             found = self.find(key)
             return fallback if found.isNull() else found
         return self._has(key)
 
     def isNull(self) -> bool:
-        """Whether it stands for something missing."""
+        """Return whether this represents a missing object."""
         return False
 
     def toString_c(self) -> str:
-        """The text form, by the name that YARP's bindings give it."""
+        """Return the text form, under the name of YARP's bindings."""
         return self.toString()
 
     def _has(self, key: str) -> bool:
@@ -81,47 +81,47 @@ class _Comparable(Searchable):
 
 
 class Value(ValueBase, _Comparable):
-    """A value: int, float, string, vocab (of a word or number), blob, list (the default, empty), dict, or none.
+    """A value: int, float, string, vocab (of a word or number), blob, list (by default, empty), dict, or null.
 
-    Conversions never fail: what cannot be converted is 0, 0.0, False or an empty string.
+    Conversions never fail: values that cannot be converted become 0, 0.0, False or "".
     """
 
     def __init__(self, value: Any = (), vocab: bool = False) -> None:
         if isinstance(value, bool):
-            value = int(value)  # as YARP's bindings take it; `True` in a list of values is true
+            value = int(value)  # as in YARP's bindings; `True` in a list of values is true
         self._value = word_of(value) if vocab else plain_of(value)
 
     @classmethod
     def of(cls, value: Any) -> Value:
-        """The value that stands for a plain one: the same list, not a copy. None is null."""
+        """Wrap a plain value, without copying lists. None is null."""
         made = object.__new__(cls)
         made._value = value
         return made
 
     @property
     def plain(self) -> Any:
-        """The plain Python value; None where it is null."""
+        """The plain Python value; None if null."""
         return self._value
 
     def asList(self) -> Bottle | None:
-        """The list itself, as a Bottle that can be changed; None where it is something else."""
+        """Return the list itself, as a Bottle that can be changed; None for another type."""
         return Bottle.of(self._value) if isinstance(self._value, list) else None
 
     def asDict(self) -> Property | None:
-        """The dict itself, as a Property that can be changed; None where it is something else."""
+        """Return the dict itself, as a Property that can be changed; None for another type."""
         return Property.of(self._value) if isinstance(self._value, dict) else None
 
     def asSearchable(self) -> Bottle | Property | None:
-        """The dict or list."""
+        """Return the dict or list, as `asDict` and `asList` do."""
         return self.asDict() if isinstance(self._value, dict) else self.asList()
 
     def find(self, key: str) -> Value:
-        """The value after a key in the list or dict."""
+        """Return the value after a key in the list or dict."""
         inner = self.asSearchable()
         return NULL if inner is None else inner.find(key)
 
     def findGroup(self, key: str) -> Bottle:
-        """The list that begins with a key in the list or dict."""
+        """Return the list that begins with a key in the list or dict."""
         inner = self.asSearchable()
         return Bottle.getNullBottle() if inner is None else inner.findGroup(key)
 
@@ -138,26 +138,26 @@ class Value(ValueBase, _Comparable):
 
     @staticmethod
     def makeBlob(data: bytes | bytearray | memoryview, length: int | None = None) -> Value:
-        """A blob of the first ``length`` bytes, or all."""
+        """Return a blob of the first ``length`` bytes, or of all."""
         return Value.of(bytes(data[:length]))
 
     @staticmethod
     def makeValue(text: str) -> Value:
-        """The one value that a text says; a string where it says several, null where none."""
+        """Parse a text with one value; several become a string, none a null value."""
         values = from_text(text)
         return Value.of(text if len(values) > 1 else values[0] if values else None)
 
     def fromString(self, text: str) -> None:
-        """Become the one value that a text says; a string where it says several."""
+        """Replace the value by the one of a text; several become a string."""
         self._value = Value.makeValue(text)._value
 
     def clone(self) -> Value:
-        """A copy, with lists of its own."""
+        """Return a deep copy."""
         return Value.of(cloned(self._value))
 
     @staticmethod
     def getNullValue() -> Value:
-        """The value that stands for a missing one."""
+        """Return the value that represents a missing one."""
         return NULL
 
     makeInt, makeDouble, makeVocab = makeInt32, makeFloat64, makeVocab32  # YARP 2's names
@@ -169,7 +169,7 @@ class Value(ValueBase, _Comparable):
         return f"Value({self._value!r})"
 
 
-NULL = Value.of(None)  # the value that stands for a missing one
+NULL = Value.of(None)  # represents a missing value
 
 
 def _add(made: Callable[[Any], Any], doc: str) -> Callable[[Bottle, Any], None]:
@@ -183,9 +183,9 @@ def _add(made: Callable[[Any], Any], doc: str) -> Callable[[Bottle, Any], None]:
 class Bottle(Portable, _Comparable):
     """A list of values.
 
-    YARP's way: ``b.addString("x"); b.addFloat64(1.5); b.get(1).asFloat64()``. Python's: ``b = Bottle(["x", 1.5])``,
-    ``b[1]``, ``for value in b``, where values are plain ones (`yarp_compat.wire.values`). Made of the text form,
-    another Bottle, or plain values, which it copies.
+    In YARP's style: ``b.addString("x"); b.addFloat64(1.5); b.get(1).asFloat64()``. In Python's: ``b = Bottle(["x",
+    1.5])``, ``b[1]``, ``for value in b``, with plain values (`yarp_compat.wire.values`). The argument is the text form,
+    another Bottle, or plain values, which are copied.
     """
 
     def __init__(self, content: str | Bottle | Iterable[Any] = ()) -> None:
@@ -195,7 +195,7 @@ class Bottle(Portable, _Comparable):
 
     @classmethod
     def of(cls, values: list[Any]) -> Bottle:
-        """The Bottle of these plain values: the same list, not a copy."""
+        """Wrap a list of plain values, without a copy."""
         made = object.__new__(cls)
         made._values, made._null, made._fixed = values, False, False
         return made
@@ -207,10 +207,10 @@ class Bottle(Portable, _Comparable):
 
     @staticmethod
     def getNullBottle() -> Bottle:
-        """The Bottle that stands for a missing list; it cannot be changed."""
+        """Return the Bottle that represents a missing list; it cannot be changed."""
         return _NULL
 
-    isNull = getter("_null", bool, "Whether it stands for a missing list.")
+    isNull = getter("_null", bool, "Whether this represents a missing list.")
 
     addInt8 = _add(lambda x: Int8(integer(x, 8)), "Add an int of one byte.")
     addInt16 = _add(lambda x: Int16(integer(x, 16)), "Add an int of two bytes.")
@@ -218,17 +218,17 @@ class Bottle(Portable, _Comparable):
     addInt64 = _add(lambda x: Int64(integer(x, 64)), "Add an int of eight bytes.")
     addFloat32 = _add(Float32, "Add a float of four bytes.")
     addFloat64 = _add(float, "Add a float of eight bytes.")
-    addVocab64 = _add(Word64, "Add a vocab of eight bytes, which YARP 3 does not have.")
+    addVocab64 = _add(Word64, "Add a vocab of eight bytes, which YARP 3 lacks.")
     add = _add(plain_of, "Add a Value, or any plain value.")
 
     def addString(self, text: str) -> None:
         """Add a string."""
         if not isinstance(text, str):
-            raise TypeError(f"{text!r} is no str")
+            raise TypeError(f"expected a str, not {text!r}")
         self._edit().append(str(text))
 
     def addVocab32(self, word: str | int, *rest: str) -> None:
-        """Add a vocab of four bytes, given by its word, its number, or its characters."""
+        """Add a vocab of four bytes, given as word, number, or characters."""
         self._edit().append(word_of(word, *rest))
 
     def addList(self) -> Bottle:
@@ -244,11 +244,11 @@ class Bottle(Portable, _Comparable):
         return Property.of(inner)
 
     def append(self, other: Bottle | Iterable[Any]) -> None:
-        """Add copies of all values of another Bottle."""
+        """Append copies of all values of another Bottle."""
         self._edit().extend([plain_of(value) for value in other])
 
     def copy(self, other: Bottle, first: int = 0, len: int | None = None) -> None:  # noqa: A002 - YARP's name
-        """Become a copy of another Bottle, or of ``len`` values of it from ``first`` on."""
+        """Replace the content by a copy of another Bottle, or of ``len`` of its values from ``first`` on."""
         self._edit()
         self._null = other._null
         self._values[:] = [cloned(value) for value in other._values[first : None if len is None else first + len]]
@@ -262,78 +262,78 @@ class Bottle(Portable, _Comparable):
         return Value.of(self._edit().pop()) if self._values else NULL
 
     def size(self) -> int:
-        """The number of values."""
+        """Return the number of values."""
         return len(self._values)
 
     def get(self, index: int) -> Value:
-        """The value at a place; null beyond the end."""
+        """Return the value at an index; null if out of range."""
         return Value.of(self._values[index]) if 0 <= index < len(self._values) else NULL
 
     def find(self, key: str) -> Value:
-        """The value after a key: the second of the list that begins with it, or what follows it."""
+        """Return the value after a key: the second of the list that begins with it, or the one that follows it."""
         at = self._index(key)
         found = self._values[at] if at >= 0 else None
         return Bottle.of(found).get(1) if isinstance(found, list) else self.get(at + 1) if at >= 0 else NULL
 
     def findGroup(self, key: str) -> Bottle:
-        """The list that begins with a key; a null Bottle where none does."""
+        """Return the list that begins with a key; a null Bottle if it is missing."""
         at = self._index(key)
         found = self._values[at] if at >= 0 else None
         return Bottle.of(found) if isinstance(found, list) else _NULL
 
     def _index(self, key: str) -> int:
-        """The place of a key, or of the list that begins with it; -1 where it is not there."""
+        """Return the index of a key, or of the list that begins with it; -1 if it is missing."""
         for at, value in enumerate(self._values):
             if _text((value[0] if value else None) if isinstance(value, list) else value) == key:
                 return at
         return -1
 
     def tail(self) -> Bottle:
-        """All values but the first, in a Bottle of their own."""
+        """Return a new Bottle with all values except the first."""
         made = Bottle(self._values[1:])
         made._null = self._null
         return made
 
     def toString(self) -> str:
-        """The text form."""
+        """Return the text form."""
         return to_text(self._values)
 
     def fromString(self, text: str) -> None:
-        """Become what a text says."""
+        """Replace the content by the values of a text."""
         self._edit()[:] = from_text(text)
 
     def toBinary(self, profile: Profile = Profile.YARP3) -> bytes:
-        """The bytes that ports send."""
+        """Return the bytes that ports send."""
         return encode(self._values, profile)
 
     def fromBinary(self, data: Buffer, length: int | None = None, profile: Profile | None = None) -> None:
-        """Become what bytes say; raises `WireError` where they are no Bottle."""
+        """Replace the content by decoded bytes; raises `WireError` if they are not a Bottle."""
         self.from_wire(memoryview(data)[:length], profile)
 
     def to_wire(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> list[Buffer]:  # noqa: ARG002
-        """The bytes in pieces, large blobs uncopied."""
+        """Return the bytes in pieces, without copies of large blobs."""
         return encode_parts(self._values, profile)
 
     def to_bytes(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> bytes:  # noqa: ARG002
-        """The bytes in one piece."""
+        """Return the bytes in one piece."""
         return encode(self._values, profile)
 
     def from_wire(self, data: Buffer, profile: Profile | None = None) -> None:
-        """Become what a whole payload says; raises `WireError` where it is no Bottle, and stays as it was."""
+        """Replace the content by a whole payload; raises `WireError`, and changes nothing, if it is not a Bottle."""
         self._edit()[:] = decode(data, profile)
 
     def to_values(self) -> list[Any]:
-        """Copies of the plain values."""
+        """Return copies of the plain values."""
         return [cloned(value) for value in self._values]
 
     def from_values(self, values: Iterable[Any]) -> None:
-        """Become these values."""
+        """Replace the content by these values."""
         self._edit()[:] = [plain_of(value) for value in values]
 
     to_text = toString
 
     def from_text(self, line: str) -> None:
-        """Become what a text says."""
+        """Replace the content by the values of a text."""
         self.fromString(line)
 
     def _write(self, out: ElementWriter) -> None:
@@ -344,25 +344,25 @@ class Bottle(Portable, _Comparable):
         self._edit()[:], source.at = decode_prefix(source.data, source.profile, source.element())
 
     def getSpecialization(self) -> int:
-        """The tag of all values, where they have the same (YARP 3's)."""
+        """Return the tag that all values share (YARP 3's); 0 if they differ."""
         return int.from_bytes(encode(self._values, Profile.YARP3)[:4], "little") & tags.UNIT
 
     @staticmethod
     def describeBottleCode(code: int) -> str:
-        """The meaning of a tag, in words."""
+        """Return a description of a tag."""
         unit = _UNITS.get(code & ~(tags.LIST | tags.DICT), "unknown")
         return f"list of {unit}" if code & tags.LIST else f"dict of {unit}" if code & tags.DICT else unit
 
     def setReadOnly(self, readOnly: bool) -> None:
-        """Refuse changes, or allow them again."""
+        """Forbid changes, or allow them again."""
         self._fixed = readOnly
 
     def hasChanged(self) -> None:
-        """Nothing to do: the bytes are made when they are needed."""
+        """Do nothing: values are encoded on demand."""
 
     onCommencement = hasChanged
 
-    # names of YARP 2, which YARP 3 kept for a time
+    # YARP 2's names, which early releases of YARP 3 still had
     addInt, addDouble, addVocab = addInt32, addFloat64, addVocab32
 
     def __len__(self) -> int:
@@ -391,7 +391,7 @@ class Bottle(Portable, _Comparable):
 
     def _edit(self) -> list[Any]:
         if self._fixed:
-            raise RuntimeError("this Bottle cannot be changed: it is read-only, or stands for one that was not found")
+            raise RuntimeError("this Bottle cannot be changed: it is read-only, or represents a missing list")
         self._null = False
         return self._values
 
@@ -405,11 +405,11 @@ _NULL._null = _NULL._fixed = True
 
 
 class Property(PropertyBase, Searchable):
-    """Values under keys.
+    """A mapping of keys to values.
 
-    YARP's way: ``p.put("rate", 10); p.find("rate").asInt32()``. Python's: ``p["rate"]``, ``dict(p)``, where values are
-    plain ones, as in a dict of `yarp_compat.wire.values`. Made of the text form, another Property, or a mapping of
-    plain values, which it copies.
+    In YARP's style: ``p.put("rate", 10); p.find("rate").asInt32()``. In Python's: ``p["rate"]``, ``dict(p)``, with
+    plain values, as in a dict of `yarp_compat.wire.values`. The argument is the text form, another Property, or a
+    mapping of plain values, which is copied.
     """
 
     def __init__(self, content: str | Property | Mapping[str, Any] = "") -> None:
@@ -419,7 +419,7 @@ class Property(PropertyBase, Searchable):
 
     @classmethod
     def of(cls, entries: dict[str, Any]) -> Property:
-        """The Property of these plain values: the same dict, not a copy."""
+        """Wrap a dict of plain values, without a copy."""
         made = object.__new__(cls)
         made._entries = entries
         return made
@@ -430,21 +430,21 @@ class Property(PropertyBase, Searchable):
         return self._entries
 
     def addGroup(self, key: str) -> Property:
-        """Put an empty group under a key, and return it to be filled."""
+        """Add an empty group under a key, and return it to be filled."""
         group = Group()
         merge(self._entries, {key: group})
         return Property.of(group)
 
     def find(self, key: str) -> Value:
-        """The value under a key; null if it does not exist."""
+        """Return the value under a key; null if it does not exist."""
         values = entry_values(self._entries.get(key, ()))
         return Value.of(values[0]) if values else NULL
 
     def findGroup(self, key: str) -> Bottle:
-        """A key and its values, in a Bottle of their own; a null Bottle where the key is missing."""
+        """Return a new Bottle with the key and its values; a null Bottle if the key is missing."""
         if key not in self._entries:
             return Bottle.getNullBottle()
-        own = next(one for one in self._entries if one == key)  # which may stand for a number
+        own = next(one for one in self._entries if one == key)  # a str subclass may mark a number
         return Bottle.of(*entries_of({own: self._entries[key]}))
 
     def __eq__(self, other: object) -> bool:

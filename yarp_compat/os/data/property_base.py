@@ -1,4 +1,4 @@
-"""The base of `Property`: reads values from text, command lines, URLs and configuration files."""
+"""The base of `Property`: values from text, command lines, URLs and configuration files."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _WORD = re.compile(r'"([^"]*)"?|([^ "]+)')
 
 
 def take_options(words: Sequence[str], entries: dict[str, Any]) -> None:
-    """Put the options of a command line into a dict: ``--key value ...`` and ``--GROUP::key value ...``.
+    """Merge the options of a command line into a dict: ``--key value ...`` and ``--GROUP::key value ...``.
 
-    What stands before the first option, and what follows a bare ``--`` up to the next, belongs to none: YARP drops it.
+    Words before the first option, and after a bare ``--`` up to the next option, are dropped, as in YARP.
     """
     options: list[tuple[str, list[Any]]] = []
     values: list[Any] = []
@@ -42,7 +42,7 @@ def take_options(words: Sequence[str], entries: dict[str, Any]) -> None:
 
 
 def _put_in_groups(name: str, values: list[Any], entries: dict[str, Any]) -> None:
-    """Set the values of ``GROUP::key``; where groups are named, a name that reads as a number is none."""
+    """Set the values of ``GROUP::key``; if any option names a group, numeric names are ignored."""
     key = _value(name)
     if not isinstance(key, str):
         return
@@ -52,14 +52,14 @@ def _put_in_groups(name: str, values: list[Any], entries: dict[str, Any]) -> Non
     if len(path) == 1:
         merge(entries, dict_of([[type(key)(path[0]), *values]]))
         return
-    own = next((name for name in entries if name == path[0]), path[0])  # which may stand for a vocab
+    own = next((name for name in entries if name == path[0]), path[0])  # a str subclass may mark a vocab
     (tree,) = entries_of({own: entries.get(own, ())})
     _put(tree, path[1:], values)
     merge(entries, dict_of([tree]))
 
 
 def _put(tree: list[Any], path: list[str], values: list[Any]) -> None:
-    """Set a value in a group, below as many groups as the path has."""
+    """Set a value in a group, through nested groups along the path."""
     found = next((entry for entry in tree if _name_of(entry) == path[0]), None)
     if not isinstance(found, list):
         found = [path[0]]
@@ -71,24 +71,24 @@ def _put(tree: list[Any], path: list[str], values: list[Any]) -> None:
 
 
 def _name_of(entry: Any) -> str:
-    """What an element of a list is found by: the text of its first value, or its own."""
+    """Return the key of a list's element: the text of its first value, or its own."""
     first = (entry[0] if entry else "") if isinstance(entry, list) else entry
     return plain_text(first)
 
 
 def _value(word: str) -> Any:
-    """The one value that a word is; with spaces or the like in it, a string."""
+    """Parse a word as one value; a string if it contains several."""
     values = from_text(word)
     return values[0] if len(values) == 1 else word
 
 
 def split_words(text: str) -> list[str]:
-    """The words of a command line; double quotes hold them together."""
+    """Split a command line into words; double quotes group words."""
     return [quoted or word for quoted, word in _WORD.findall(text) if quoted or word]
 
 
 def query_of(url: str) -> dict[str, str]:
-    """The query of a URL: ``...?key=value&key=value``."""
+    """Return the query of a URL, ``...?key=value&key=value``, as a dict."""
     found: dict[str, str] = {}
     for part in url.rpartition("?")[2].split("&"):
         key, _, value = part.partition("=")
@@ -98,12 +98,12 @@ def query_of(url: str) -> dict[str, str]:
 
 
 class PropertyBase(Portable):
-    """Holds plain values under keys, and reads and writes them."""
+    """The base of `Property`: plain values under keys, with their readers and writers."""
 
     _entries: dict[str, Any]
 
     def put(self, key: str, value: Any) -> None:
-        """Put a value under a key; a bool is an int, as YARP's bindings take it."""
+        """Set the value of a key; a bool becomes an int, as in YARP's bindings."""
         made = plain_of(int(value) if isinstance(value, bool) else value)
         merge(self._entries, {key: () if made is None else made})
 
@@ -112,54 +112,54 @@ class PropertyBase(Portable):
         self._entries.pop(key, None)
 
     def clear(self) -> None:
-        """Remove all."""
+        """Remove all keys."""
         self._entries.clear()
 
-    # where values come from
+    # sources of values
 
     def toString(self) -> str:
-        """The text form, sorted by keys."""
+        """Return the text form, sorted by key."""
         return to_text(entries_of(self._entries))
 
     def fromString(self, text: str, wipe: bool = True) -> None:
-        """Take what a text says: lists, each a key and its values. ``wipe``, here and below: first remove all."""
+        """Read a text: lists, each with a key and its values. ``wipe``, here and below: first remove all keys."""
         self._take(dict_of(from_text(text)), wipe)
 
     def fromCommand(self, argv: Sequence[str], skipFirst: bool = True, wipe: bool = True) -> None:
-        """Take a command line, ``--key value ...`` and ``--GROUP::key value ...``, behind the program's name."""
+        """Read a command line, ``--key value ...`` and ``--GROUP::key value ...``, after the program's name."""
         if wipe:
             self.clear()
         take_options(list(argv)[1 if skipFirst else 0 :], self._entries)
 
     def fromArguments(self, text: str, wipe: bool = True) -> None:
-        """Take a command line as one text; double quotes hold words together."""
+        """Read a command line as one text; double quotes group words."""
         self.fromCommand(split_words(text), skipFirst=False, wipe=wipe)
 
     def fromQuery(self, url: str, wipe: bool = True) -> None:
-        """Take what a URL says behind its question mark."""
+        """Read the query of a URL."""
         self._take(query_of(url), wipe)
 
     def fromConfigFile(self, fname: str, env: Environment | bool | None = None, wipe: bool = True) -> bool:
-        """Take a configuration file, or all ``.ini`` files of a folder; False where none exists, and nothing changes.
+        """Read a configuration file, or all ``.ini`` files of a folder; return False, changing nothing, if not found.
 
-        Includes are looked for beside it, too. ``env`` has values for ``$NAMES`` in it that the environment does not
-        have; it may be left out: then ``wipe`` is next.
+        Includes are searched in its folder, too. ``env`` has values for ``$NAMES`` that the environment lacks; it may
+        be left out: then ``wipe`` is the second argument.
         """
         values, wipe = (None, env) if isinstance(env, bool) else (env, wipe)
         return config_text.read_file(str(fname), self._entries, values, wipe, find_import=find_in_context)
 
     def fromConfigDir(self, dirname: str, section: str = "", wipe: bool = True) -> bool:
-        """Take all ``.ini`` files of a folder; with a section, each as a group whose name is listed there."""
+        """Read all ``.ini`` files of a folder; with a section, each as a group whose name is listed there."""
         return config_text.read_folder(str(dirname), section, self._entries, wipe, find_import=find_in_context)
 
     def fromConfig(self, txt: str, env: Environment | bool | None = None, wipe: bool = True) -> None:
-        """Take the text of a configuration file."""
+        """Read the text of a configuration file."""
         values, wipe = (None, env) if isinstance(env, bool) else (env, wipe)
         if wipe:
             self.clear()
         config_text.read(txt, self._entries, values, find_import=find_in_context)
 
-    # as a message: YARP sends and reads the text form's values, sorted by keys
+    # as a message: YARP sends and reads the values of the text form, sorted by key
 
     def _write(self, out: ElementWriter) -> None:
         for part in encode_parts(from_text(self.toString()), out.profile):
@@ -173,7 +173,7 @@ class PropertyBase(Portable):
     to_text = toString
 
     def from_text(self, line: str) -> None:
-        """Become what a text says."""
+        """Replace the content by that of a text."""
         self.fromString(line)
 
     # Python's names
@@ -197,15 +197,15 @@ class PropertyBase(Portable):
         return True
 
     def keys(self) -> Sequence[str]:
-        """The keys."""
+        """Return the keys."""
         return list(self._entries)
 
     def items(self) -> Sequence[tuple[str, Any]]:
-        """Keys with their plain values."""
+        """Return the keys with their plain values."""
         return list(self._entries.items())
 
     def get(self, key: str, default: Any = None) -> Any:
-        """The plain value under a key, or a default."""
+        """Return the plain value under a key, or a default."""
         return self._entries.get(key, default)
 
     def _take(self, entries: Mapping[str, Any], wipe: bool) -> None:

@@ -1,4 +1,4 @@
-"""Stamp: a count and a time, by which messages are put in order (`yarp/os/Stamp.h`)."""
+"""Stamp: the sequence number and time of a message (`yarp/os/Stamp.h`)."""
 
 from __future__ import annotations
 
@@ -32,28 +32,28 @@ class Stamp(Portable):
     getTime = getter("_time", float, "The time in seconds.")
 
     def isValid(self) -> bool:
-        """Whether there is a sequence number."""
+        """Return whether the sequence number is set."""
         return self._count >= 0
 
-    getMaxCount = always(_LARGEST, "The number after which the next is 0.")
+    getMaxCount = always(_LARGEST, "The largest sequence number; the next is 0.")
 
     def update(self, time: float | None = None) -> None:
-        """Take the next number, and a time or the time now."""
+        """Set the next sequence number, and the given time or the current one."""
         self._count = self._count + 1 if -1 <= self._count < _LARGEST else 0
         self._time = now() if time is None else time
 
     def to_text(self) -> str:
-        """The envelope's text: ``5 123.5``, 15 digits for the time."""
+        """Return the envelope's text: ``5 123.5``, the time with 15 digits."""
         return f"{self._count} {self._time:.15g}"
 
     toString = to_text
 
     def from_text(self, line: str) -> None:
-        """Become what an envelope says; raises `WireError`, and is invalid, where it is not an int and a number."""
+        """Parse an envelope; raises `WireError`, and becomes invalid, unless it is an int and a number."""
         found = _TEXT.match(line)
         self._count, self._time = -1, 0.0
         if found is None or not -_LARGEST <= int(found[1]) <= _LARGEST:
-            raise WireError(f"{line!r:.80} is no stamp, which is a count and a time")
+            raise WireError(f"invalid stamp {line!r:.80}: expected a count and a time")
         self._count, self._time = int(found[1]), float(found[2])
 
     def _write(self, out: ElementWriter) -> None:
@@ -64,9 +64,9 @@ class Stamp(Portable):
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
         if count not in (2, 3):
-            raise WireError(f"a stamp has 2 elements, or 3 with a frame's name; there are {count}")
+            raise WireError(f"invalid stamp: {count} elements; expected 2, or 3 with a frame's name")
         if source.next_tag() != INT32:
-            raise WireError("a stamp's count is no int32")
+            raise WireError("invalid stamp: its count is not an int32")
         self._count, self._time = source.integer(), source.float64()
         if count == 3:
             source.string()

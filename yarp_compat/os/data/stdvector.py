@@ -1,4 +1,4 @@
-"""``DVector`` and its kin: C++'s ``std::vector`` as the bindings give it, which in Python is a list."""
+"""``DVector`` and similar classes: C++'s ``std::vector`` in YARP's bindings, which is a list in Python."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Self
 
 
 class StdVector(list[Any]):
-    """A list that is made by its length too, ``DVector(6)``, and has the methods that C++ has."""
+    """A list with the methods of C++'s; it can also be created by its length, ``DVector(6)``."""
 
     ZERO: ClassVar[Any] = None
 
@@ -15,53 +15,53 @@ class StdVector(list[Any]):
         super().__init__(self._fillers(content, value) if isinstance(content, int) else content)
 
     def _fillers(self, count: int, value: Any) -> list[Any]:
-        """So many of a value, or of what stands where none was given."""
+        """Return ``count`` copies of a value, by default of `ZERO`."""
         return [self.ZERO if value is None else value] * count
 
     def size(self) -> int:
-        """The number of them."""
+        """Return the number of elements."""
         return len(self)
 
     capacity = size
 
     def empty(self) -> bool:
-        """Whether it is empty."""
+        """Return whether it has no elements."""
         return not self
 
     def push_back(self, value: Any) -> None:
-        """Add one at the end."""
+        """Append an element."""
         self.append(value)
 
     def pop_back(self) -> None:
-        """Remove the last; raises `IndexError` where there is none."""
+        """Remove the last element; raises `IndexError` if empty."""
         self.pop()
 
     def front(self) -> Any:
-        """The first; raises `IndexError` where there is none."""
+        """Return the first element; raises `IndexError` if empty."""
         return self[0]
 
     def back(self) -> Any:
-        """The last; raises `IndexError` where there is none."""
+        """Return the last element; raises `IndexError` if empty."""
         return self[-1]
 
     def resize(self, size: int, value: Any = None) -> None:
-        """Make it this long."""
+        """Change the length; new elements get ``value``."""
         del self[size:]
         self.extend(self._fillers(size - len(self), value))
 
     def assign(self, size: int, value: Any) -> None:
-        """Become so many of one value."""
+        """Replace the content by ``size`` copies of a value."""
         self[:] = [value] * size
 
     def reserve(self, size: int) -> None:
-        """Nothing to do: memory comes when it is needed."""
+        """Do nothing: memory is allocated on demand."""
 
     def swap(self, other: Self) -> None:
-        """Exchange all with another."""
+        """Exchange the contents with another vector."""
         self[:], other[:] = list(other), list(self)
 
     def iterator(self) -> Iterator[Any]:
-        """An iterator over them."""
+        """Return an iterator over the elements."""
         return iter(self)
 
 
@@ -69,9 +69,9 @@ def _class(name: str, base: type[StdVector], zero: Any, doc: str) -> type[StdVec
     return type(name, (base,), {"ZERO": zero, "__doc__": doc, "__module__": __name__})
 
 
-DVector = _class("DVector", StdVector, 0.0, "Of numbers.")
-IVector = _class("IVector", StdVector, 0, "Of whole numbers.")
-ShortVector = _class("ShortVector", IVector, 0, "Of whole numbers from -32768 to 32767.")
-BVector = _class("BVector", StdVector, False, "Of truths.")
-SVector = _class("SVector", StdVector, "", "Of texts.")
-SPairVector = _class("SPairVector", StdVector, ("", ""), "Of pairs of texts.")
+DVector = _class("DVector", StdVector, 0.0, "A vector of floats.")
+IVector = _class("IVector", StdVector, 0, "A vector of ints.")
+ShortVector = _class("ShortVector", IVector, 0, "A vector of ints from -32768 to 32767.")
+BVector = _class("BVector", StdVector, False, "A vector of bools.")
+SVector = _class("SVector", StdVector, "", "A vector of strings.")
+SPairVector = _class("SPairVector", StdVector, ("", ""), "A vector of pairs of strings.")

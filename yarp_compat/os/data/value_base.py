@@ -1,4 +1,4 @@
-"""The plain Python values behind Value, Bottle and Property, and the base of `Value`."""
+"""The plain Python values inside Value, Bottle and Property, and the base of `Value`."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _LEAVES = frozenset({int, float, str, bool, bytes, Int8, Int16, Int64, Float32, 
 
 
 def plain_of(value: Any) -> Any:
-    """The plain value, with lists of its own, of what goes into a Bottle; raises `WireError` for anything else."""
+    """Return the plain value, deeply copied, of an object for a Bottle; raises `WireError` for unsupported types."""
     if type(value) in _LEAVES:
         return value
-    value = getattr(value, "plain", value)  # of a Value, a Bottle or a Property
+    value = getattr(value, "plain", value)  # for a Value, a Bottle or a Property
     if isinstance(value, dict):
         made = {key: tuple(map(plain_of, i)) if isinstance(i, tuple) else plain_of(i) for key, i in value.items()}
         return Group(made) if isinstance(value, Group) else made
@@ -40,12 +40,12 @@ def plain_of(value: Any) -> Any:
 
 
 def cloned(value: Any) -> Any:
-    """A copy of a plain value with lists of its own."""
+    """Return a deep copy of a plain value."""
     return value if value is None or type(value) in _LEAVES else plain_of(value)
 
 
 def integer(value: Any, bits: int) -> int:
-    """An int that fits; raises `TypeError` where it is none, `OverflowError` where it does not fit."""
+    """Return the value as an int; raises `TypeError` if it is not one, `OverflowError` if it does not fit."""
     number = operator.index(value)
     if not -(1 << bits - 1) <= number < 1 << bits - 1:
         raise OverflowError(f"{number} does not fit into {bits} bits")
@@ -53,7 +53,7 @@ def integer(value: Any, bits: int) -> int:
 
 
 def cut(value: float, bits: int) -> int:
-    """The lowest bits of a number, as C++ casts it; what no int can hold is the smallest."""
+    """Return the lowest bits of a number, as a C++ cast does; floats out of range become the smallest int."""
     if isinstance(value, float):
         smallest = -(1 << max(bits, 32) - 1)
         value = int(value) if math.isfinite(value) and smallest <= value < -smallest else smallest
@@ -62,14 +62,14 @@ def cut(value: float, bits: int) -> int:
 
 
 def code_of(word: str | bool, size: int) -> int:
-    """The number of a vocab, or of a string taken as one."""
+    """Return the number of a vocab, or of a string used as one."""
     if isinstance(word, bool):
         return 0x31 if word else 0
     return int.from_bytes(word.encode(errors="surrogateescape")[:size].ljust(size, b"\0"), "little", signed=True)
 
 
 def word_of(number: int | str, *rest: str) -> Word | bool:
-    """The value that a number, a word, or a word's characters stand for."""
+    """Return the vocab of a number, a word, or a word's characters."""
     if isinstance(number, str):
         number = code_of("".join((number, *rest)), 4)
     return vocab32(cut(number, 32))
@@ -110,7 +110,7 @@ class ValueBase(Portable):
 
     _value: Any
 
-    isNull = _whether(lambda v: v is None, "Whether it stands for something missing.")
+    isNull = _whether(lambda v: v is None, "Whether it represents a missing value.")
     isBool = _whether(lambda v: isinstance(v, bool), "Whether it is true or false.")
     isInt8 = _whether(lambda v: isinstance(v, Int8), "Whether it is an int of one byte.")
     isInt16 = _whether(lambda v: isinstance(v, Int16), "Whether it is an int of two bytes.")
@@ -124,38 +124,38 @@ class ValueBase(Portable):
     isString = _whether(lambda v: type(v) is str, "Whether it is a string.")
     isVocab32 = _whether(
         lambda v: isinstance(v, bool) or (isinstance(v, Word) and not _is_long(v)),
-        "Whether it is a vocab of four bytes, or a truth value, which is one too.",
+        "Whether it is a vocab of four bytes, or a bool, which is one too.",
     )
     isVocab64 = _whether(lambda v: isinstance(v, Word) and _is_long(v), "Whether it is a vocab of eight bytes.")
     isBlob = _whether(lambda v: isinstance(v, bytes), "Whether it is a blob.")
     isList = _whether(lambda v: isinstance(v, list), "Whether it is a list.")
     isDict = _whether(lambda v: isinstance(v, dict), "Whether it is a dict.")
 
-    # YARP 2's names, which YARP 3 kept for a time
+    # YARP 2's names, which early releases of YARP 3 still had
     isInt, isDouble, isVocab = isInt32, isFloat64, isVocab32
 
     def asBool(self) -> bool:
-        """Whether it is an int or vocab other than 0."""
+        """Return whether it is an int or vocab other than 0."""
         return isinstance(self._value, (int, Word)) and bool(self._value)
 
-    asInt8 = _cut_to(8, "The number, cut to one byte.")
-    asInt16 = _cut_to(16, "The number, cut to two bytes.")
-    asInt32 = _cut_to(32, "The number, cut to four bytes.")
-    asInt64 = _cut_to(64, "The number, cut to eight bytes.")
+    asInt8 = _cut_to(8, "The number, truncated to one byte.")
+    asInt16 = _cut_to(16, "The number, truncated to two bytes.")
+    asInt32 = _cut_to(32, "The number, truncated to four bytes.")
+    asInt64 = _cut_to(64, "The number, truncated to eight bytes.")
 
     def asFloat32(self) -> float:
-        """The number, with the digits of four bytes."""
+        """Return the number, rounded to a float of four bytes."""
         try:
             return rounded(float(self._number()))
         except WireError:
             return float("inf") if self._number() > 0 else float("-inf")
 
     def asFloat64(self) -> float:
-        """The number."""
+        """Return the number as a float; 0.0 for other types."""
         return float(self._number())
 
     def asString(self) -> str:
-        """The string, or the word of a vocab."""
+        """Return the string, or the word of a vocab; "" for other types."""
         if type(self._value) is str:
             return self._value
         return plain_text(self._value) if isinstance(self._value, (bool, Word)) else ""
@@ -165,26 +165,26 @@ class ValueBase(Portable):
     asInt, asDouble, asVocab = asInt32, asFloat64, asVocab32
 
     def asBlob(self) -> bytes | None:
-        """The blob; None where it is something else."""
+        """Return the blob; None for other types."""
         return self._value if isinstance(self._value, bytes) else None
 
     def asBlobLength(self) -> int:
-        """Bytes of the blob."""
+        """Return the length of the blob in bytes; 0 for other types."""
         return len(self._value) if isinstance(self._value, bytes) else 0
 
     def toString(self) -> str:
-        """The text form alone, without quotes or brackets around it."""
+        """Return the text form, without quotes or brackets around it."""
         return "" if self._value is None else plain_text(self._value)
 
     def getCode(self, profile: Profile = Profile.YARP3) -> int:
-        """The tag of its type; a list's with that of its elements; -1 for null."""
+        """Return the tag of its type; for a list combined with that of its elements; -1 for null."""
         if self._value is None:
             return -1
         data = encode([self._value], profile)
         (tag, first) = (int.from_bytes(data[at : at + 4], "little") for at in (0, 8))
         return tag & tags.UNIT or first
 
-    isLeaf = always(False, "False, as for all values that are not part of YARP's insides.")
+    isLeaf = always(False, "False: only YARP's internal values are leaves.")
 
     def _number(self) -> int | float:
         value = self._value
@@ -202,7 +202,7 @@ class ValueBase(Portable):
     def _read(self, source: ElementReader) -> None:
         values, end = decode_prefix(source.data, source.profile, source.at)
         if len(values) > 1:
-            raise WireError(f"one value was expected, {len(values)} came")
+            raise WireError(f"expected one value, received {len(values)}")
         self._value = values[0] if values else []
         source.at = end
 

@@ -1,4 +1,4 @@
-"""Vocabs: short words that are numbers. ``Vocab32.encode("set")`` is 7628147, as in `yarp/os/Vocab32.h`."""
+"""Vocabs: short words encoded as numbers. ``Vocab32.encode("set")`` is 7628147, as in `yarp/os/Vocab32.h`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Vocab32:
 
     @staticmethod
     def encode(text: str) -> int:
-        """The number of a word; what is beyond four bytes does not count."""
+        """Return the number of a word, of which only the first four bytes count."""
         return code_of(text, 4)
 
     @staticmethod
@@ -26,7 +26,7 @@ class Vocab64:
 
     @staticmethod
     def encode(text: str) -> int:
-        """The number of a word; what is beyond eight bytes does not count."""
+        """Return the number of a word, of which only the first eight bytes count."""
         return code_of(text, 8)
 
     @staticmethod
@@ -42,7 +42,7 @@ Vocab = Vocab32
 
 
 def createVocab32(a: str, b: str = "\0", c: str = "\0", d: str = "\0") -> int:
-    """The number of a word given by its characters."""
+    """Return the number of a word, given by its characters."""
     return code_of(a + b + c + d, 4)
 
 
@@ -50,7 +50,7 @@ createVocab = createVocab32  # YARP 2's name
 
 
 def createVocab64(*characters: str) -> int:
-    """The number of a word of up to eight characters, given by them (YARP 4)."""
+    """Return the number of a word, given by up to eight characters (YARP 4)."""
     return code_of("".join(characters), 8)
 
 

@@ -1,1 +1,1 @@
-"""The kinds of ports that YARP users know, on the engine of `yarp_compat.ports`."""
+"""YARP's port classes, on the core of `yarp_compat.ports`."""

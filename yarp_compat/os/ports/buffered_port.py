@@ -1,4 +1,4 @@
-"""``BufferedPort`` and its kin: reading and writing that wait for nobody, and callbacks on a thread of the port."""
+"""``BufferedPort``: reading and writing without blocking, and callbacks on the port's thread."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ log = logging.getLogger("yarp.os.BufferedPort")
 
 
 class TypedReaderCallback:
-    """Derive from it, or from ``BottleCallback`` and its kin, and give it to ``port.useCallback(callback)``."""
+    """The base class of callbacks for ``port.useCallback(callback)``; ``BottleCallback`` and others are aliases."""
 
     def onRead(self, datum: Any, reader: Any = None) -> None:
-        """Take one message; ``reader`` is the port. It may be defined with the first argument only."""
+        """Handle one message; ``reader`` is the port. It may be defined with only the first argument."""
 
 
 class CallbackThread:
-    """Calls a callback (an object with ``onRead``, or a function) with what comes, under a lock, until stopped.
+    """A thread that passes messages to a callback (an object with ``onRead``, or a function), under a lock.
 
-    ``take`` waits for the next content; given a function that tells when to stop, it returns None then or at the end.
-    ``port`` is for callbacks that want it.
+    ``take`` waits for the next content, and returns None at the end or when the function that it receives returns true.
+    ``port`` is passed to callbacks with a second argument.
     """
 
     def __init__(
@@ -57,10 +57,10 @@ class CallbackThread:
                 with self._lock:
                     self._call(content)
             except Exception:
-                log.exception("a callback failed; the port goes on with the next message")
+                log.exception("a callback failed; the port continues with the next message")
 
     def stop(self, wake: Callable[[], None]) -> None:
-        """Call it no more, and wait for a call that runs unless that is this one; ``wake`` has the taker look."""
+        """Stop calling, and wait for a running call unless on its thread; ``wake`` wakes up the waiting ``take``."""
         self._stopped.set()
         wake()
         if threading.current_thread() is not self._thread:
@@ -68,7 +68,7 @@ class CallbackThread:
 
 
 def _caller(function: Callable[..., Any], port: Any) -> Callable[[Any], Any]:
-    """The callback as a function of the content alone."""
+    """Return the callback as a function of the content only."""
     try:
         inspect.signature(function).bind(None, None)
     except TypeError:
@@ -79,8 +79,8 @@ def _caller(function: Callable[..., Any], port: Any) -> Callable[[Any], Any]:
 class BufferedPort(Contactable, TypedReaderCallback):
     """A port for one type of data, ``content``, that buffers what it reads and writes.
 
-    A reader gets the newest message, unless `setStrict`; a writer's message takes the place of one that a slow peer has
-    not taken yet, unless `writeStrict`. ``BufferedPortBottle`` and its kin have their content.
+    A reader gets the newest message, unless `setStrict`; a written message replaces one that is still queued for a slow
+    peer, unless `writeStrict`. ``BufferedPortBottle`` and similar classes have a fixed content.
     """
 
     CONTENT: ClassVar[type[Any] | None] = None
@@ -105,18 +105,18 @@ class BufferedPort(Contactable, TypedReaderCallback):
         self._spare: Any = None
 
     def prepare(self) -> Any:
-        """The object to fill and then to `write`. It may hold what was written before: clear it where that matters."""
+        """Return the object to fill and `write`. It may still contain an earlier message: clear it if that matters."""
         self._prepared = self._spare if self._spare is not None else self._content()
         self._spare = None
         return self._prepared
 
     def unprepare(self) -> bool:
-        """Give the prepared object back without writing it; False when there was none."""
+        """Discard the prepared object without writing it; return False if there is none to reuse."""
         self._spare, self._prepared = self._prepared or self._spare, None
         return self._spare is not None
 
     def write(self, forceStrict: bool = False) -> None:
-        """Send the prepared object; with ``forceStrict`` after what is still on its way, else instead of that."""
+        """Send the prepared object; with ``forceStrict`` after messages still being sent, else in their place."""
         data, self._prepared = self._prepared, None
         core = self._core
         if data is None:
@@ -132,23 +132,23 @@ class BufferedPort(Contactable, TypedReaderCallback):
             log.error("port %s cannot write: %s", core.name, err)
 
     def writeStrict(self) -> None:
-        """Send the prepared object after what is still on its way: none is lost."""
+        """Send the prepared object after the messages still being sent, so that none is dropped."""
         self.write(True)
 
     def waitForWrite(self) -> None:
-        """Wait until all that was written has been sent."""
+        """Wait until all written messages have been sent."""
         if self._core is not None:
             self._core.wait_writes()
 
     def read(self, shouldWait: bool = True) -> Any:
-        """The newest message, or in strict mode the oldest unread; None without one. ``shouldWait``: for one."""
+        """Return the newest message (in strict mode the oldest unread), or None; ``shouldWait``: wait for one."""
         if self._core is None or self._interrupted:
             return None
         self._last = self._next(wait=shouldWait)
         return self._last
 
     def _next(self, *, wait: bool, stopped: Callable[[], bool] | None = None) -> Any:
-        """The next message that is of this port's type."""
+        """Return the next message of this port's type."""
         while True:
             message = self._inbox.take(wait=wait, stopped=stopped)
             if message is None:
@@ -157,28 +157,28 @@ class BufferedPort(Contactable, TypedReaderCallback):
             try:
                 content.from_wire(message.payload, recognised(message))
             except WireError as err:
-                log.error("port %s: a message from %s is skipped: %s", self.getName(), message.peer.route.source, err)
+                log.error("port %s: skipped a message from %s: %s", self.getName(), message.peer.route.source, err)
                 continue
             self._last_envelope = message.envelope
             return content
 
     def lastRead(self) -> Any:
-        """The message read last; None when there was none."""
+        """Return the message read last, or None."""
         return self._last
 
     def acquire(self) -> Any:
-        """Take the message read last out of the port's hands, where it is not anyway: every read gives a new object."""
+        """Return the message read last; the port never reuses it, as every read returns a new object."""
         return self._last
 
     def release(self, handle: Any) -> None:
-        """Give it back: nothing to do."""
+        """Do nothing: acquired messages need no release."""
 
     def getPendingReads(self) -> int:
-        """The number of messages that wait to be read."""
+        """Return the number of unread messages."""
         return len(self._inbox)
 
     def getEnvelope(self, envelope: Any) -> bool:
-        """Read the envelope of the message read last; False when it had none, or another kind."""
+        """Read the envelope of the message read last; return False if it is missing or of another type."""
         try:
             envelope.from_text(self._last_envelope)
         except WireError:
@@ -186,31 +186,31 @@ class BufferedPort(Contactable, TypedReaderCallback):
         return bool(self._last_envelope)
 
     def setStrict(self, strict: bool = True) -> None:
-        """Whether every message is read, or the newest only."""
+        """Select whether `read` returns every message, or only the newest."""
         self._strict = self._inbox.strict = strict
 
     def isClosed(self) -> bool:
-        """Whether the port is closed."""
+        """Return whether the port is closed."""
         return self._core is None
 
     def setReplier(self, reader: PortReader) -> None:
-        """Have messages that want an answer taken by ``reader.read(connection)``."""
+        """Let ``reader.read(connection)`` answer requests."""
         self._replier = reader
 
     setReader = setReplier
 
     def onRead(self, datum: Any, reader: Any = None) -> None:
-        """Take one message after ``useCallback()``: for classes derived from this one."""
+        """Handle one message after ``useCallback()``; for derived classes to override."""
 
     def useCallback(self, callback: Any = None) -> None:
-        """Have each message taken by ``callback.onRead(message, port)``; by the port's own ``onRead`` without one."""
+        """Pass each message to ``callback.onRead(message, port)``; by default to the port's own ``onRead``."""
         self.disableCallback()
         self._callback = self if callback is None else callback
         if self._core is not None:
             self._start_callback()
 
     def disableCallback(self) -> None:
-        """Call nobody any more: messages wait for `read`."""
+        """Stop the callback: messages wait for `read`."""
         self._callback = None
         self._stop_callback()
 

@@ -1,6 +1,6 @@
-"""Base classes for a program's callbacks: ``PortReader`` gets messages, ``PortReport`` events of connections.
+"""Base classes for callbacks: ``PortReader`` receives messages, ``PortReport`` connection events.
 
-``ConnectionReader`` and ``ConnectionWriter`` are a message as a `PortReader` gets it, and the reply it writes.
+A `PortReader` receives a message as ``ConnectionReader``, and writes its reply to a ``ConnectionWriter``.
 """
 
 from __future__ import annotations
@@ -49,46 +49,46 @@ def _expect(kind: type[T], layout: str, doc: str) -> Callable[[ConnectionReader]
 
 
 class ConnectionWriter:
-    """Collects a reply."""
+    """A buffer for a reply."""
 
     def __init__(self, profile: Profile, *, text: bool = False) -> None:
         self.writer = ElementWriter(profile)
         self._text = text
         self._failed = False
 
-    appendInt8 = _append("<b", "One byte.")
-    appendInt16 = _append("<h", "Two bytes.")
-    appendInt32 = _append("<i", "Four bytes.")
-    appendInt64 = _append("<q", "Eight bytes.")
-    appendFloat32 = _append("<f", "Four bytes.")
-    appendFloat64 = _append("<d", "Eight bytes.")
+    appendInt8 = _append("<b", "Append an int of one byte.")
+    appendInt16 = _append("<h", "Append an int of two bytes.")
+    appendInt32 = _append("<i", "Append an int of four bytes.")
+    appendInt64 = _append("<q", "Append an int of eight bytes.")
+    appendFloat32 = _append("<f", "Append a float of four bytes.")
+    appendFloat64 = _append("<d", "Append a float of eight bytes.")
 
     def appendString(self, text: str) -> None:
-        """The text's length in four bytes, and the text."""
+        """Append the text's length in four bytes, and the text."""
         self.writer.string(text, tagged=False)
 
     def appendText(self, text: str, terminate: str = "\n") -> None:
-        """The text and a last character."""
+        """Append the text and a final character."""
         self.writer.block((text + terminate).encode())
 
     def appendBlock(self, data: Buffer, length: int | None = None) -> None:
-        """Bytes as they are."""
+        """Append raw bytes."""
         self.writer.block(bytes(data[:length]))
 
     appendExternalBlock = appendBlock
 
-    isTextMode = getter("_text", bool, "Whether the peer reads text; the reply is turned into it by the port.")
+    isTextMode = getter("_text", bool, "Whether the peer reads text; the port converts the reply.")
     isBareMode = always(False, "Whether the peer reads bytes without tags: never here.")
-    convertTextMode = always(True, "Nothing to do: the port turns replies into text.")
+    convertTextMode = always(True, "Nothing to do: the port converts replies to text.")
     isValid = always(True, "Whether a reply can be written.")
 
     isActive = isValid
 
-    isNull = always(False, "Whether what is written goes nowhere.")
-    isError = getter("_failed", bool, "Whether something could not be written.")
+    isNull = always(False, "Whether written data is discarded.")
+    isError = getter("_failed", bool, "Whether a value could not be written.")
 
     def lines(self) -> bytes | None:
-        """What was written as text, a line for each value; None where it is no values one after another."""
+        """Return the content as text, one line for each Bottle; None if it is not a sequence of Bottles."""
         data = b"".join(self.writer.buffers())
         lines, at = [], 0
         try:
@@ -103,12 +103,12 @@ class ConnectionWriter:
         try:
             self.writer.raw(struct.Struct(layout), value)
         except WireError as err:
-            log.error("a reply cannot be written: %s", err)
+            log.error("cannot write a reply: %s", err)
             self._failed = True
 
 
 class ConnectionReader:
-    """Reads one message, or as a port's end none. Missing or wrong content reads as 0 and sets `isError`."""
+    """A reader of one message, or of none when the port closes. Missing or invalid content is 0 and sets `isError`."""
 
     def __init__(self, message: PortMessage | None, local: Contact, profile: Profile = Profile.YARP3) -> None:
         self._message = message
@@ -121,19 +121,19 @@ class ConnectionReader:
         text = message is not None and message.peer.carrier.text
         self._writer = ConnectionWriter(self.reader.profile, text=text) if wanted else None
 
-    expectInt8 = _expect(int, "<b", "One byte.")
-    expectInt16 = _expect(int, "<h", "Two bytes.")
-    expectInt32 = _expect(int, "<i", "Four bytes.")
-    expectInt64 = _expect(int, "<q", "Eight bytes.")
-    expectFloat32 = _expect(float, "<f", "Four bytes.")
-    expectFloat64 = _expect(float, "<d", "Eight bytes.")
+    expectInt8 = _expect(int, "<b", "Read an int of one byte.")
+    expectInt16 = _expect(int, "<h", "Read an int of two bytes.")
+    expectInt32 = _expect(int, "<i", "Read an int of four bytes.")
+    expectInt64 = _expect(int, "<q", "Read an int of eight bytes.")
+    expectFloat32 = _expect(float, "<f", "Read a float of four bytes.")
+    expectFloat64 = _expect(float, "<d", "Read a float of eight bytes.")
 
     def expectString(self) -> str:
-        """A length in four bytes, and as much text."""
+        """Read a length in four bytes, and a text of that length."""
         return self.expectBlock(self.expectInt32()).decode("utf-8", "surrogateescape")
 
     def expectBlock(self, length: int) -> bytes:
-        """Bytes as they are."""
+        """Read raw bytes."""
         try:
             return bytes(self.reader.block(length if length >= 0 else sys.maxsize))
         except WireError as err:
@@ -141,45 +141,45 @@ class ConnectionReader:
             return b""
 
     def expectText(self, terminatingChar: str | int = "\n") -> str:
-        """Text up to a character."""
+        """Read text up to a terminating character, and skip that."""
         stop = terminatingChar.encode() if isinstance(terminatingChar, str) else bytes([terminatingChar])
         rest = bytes(self.reader.data[self.reader.at :])
         text, found, _ = rest.partition(stop)
         self.reader.at += len(text) + len(found)
         return text.decode("utf-8", "surrogateescape")
 
-    isTextMode = always(False, "Whether the bytes are text: never, the port has turned it into a Bottle.")
+    isTextMode = always(False, "Whether the bytes are text: never, the port has converted it to a Bottle.")
     isBareMode = always(False, "Whether the bytes have no tags: never here.")
-    convertTextMode = always(True, "Nothing to do: the port has turned text into a Bottle.")
+    convertTextMode = always(True, "Nothing to do: the port has converted text to a Bottle.")
 
     def getSize(self) -> int:
-        """The number of bytes left in the message."""
+        """Return the number of unread bytes."""
         return self._size - self.reader.at
 
     def getWriter(self) -> ConnectionWriter | None:
-        """The writer of the reply; None when no reply is wanted."""
+        """Return the writer of the reply; None if no reply is wanted."""
         return self._writer
 
     def readEnvelope(self) -> str:
-        """The message's envelope as text."""
+        """Return the message's envelope as text."""
         return "" if self._message is None else self._message.envelope
 
     def getRemoteContact(self) -> Contact:
-        """The contact of the sender, by name."""
+        """Return the sender's contact, with only its name."""
         return Contact("" if self._message is None else self._message.peer.route.source)
 
     getLocalContact = getter("_local", Contact, "The contact of the receiver.")
 
     def isValid(self) -> bool:
-        """Whether there is a message; otherwise the port closes."""
+        """Return whether this has a message; if not, the port is closing."""
         return self._message is not None
 
     isActive = isValid
 
-    isError = getter("_failed", bool, "Whether something was missing or of another kind.")
+    isError = getter("_failed", bool, "Whether content was missing or of another type.")
 
     def requestDrop(self) -> None:
-        """Ask that the connection end with this message."""
+        """End the connection after this message."""
         if self._message is not None:
             self._message.drop()
 
@@ -193,18 +193,18 @@ class ConnectionReader:
     def _fail(self, err: WireError) -> None:
         if not self._failed:
             log.warning(
-                "a message of %s is shorter than its reader expects: %s", self.getRemoteContact().getName(), err
+                "a message from %s is shorter than its reader expects: %s", self.getRemoteContact().getName(), err
             )
         self._failed = True
 
 
 def profile_of(message: PortMessage | None, default: Profile) -> Profile:
-    """The dialect of a message: its sender's where that is known, else told by the bytes, else the default."""
+    """Return the dialect of a message: its sender's if known, else detected from the bytes, else the default."""
     return (recognised(message) if message is not None else None) or default
 
 
 def recognised(message: PortMessage) -> Profile | None:
-    """The dialect of a message's sender, as known up to now; None where nothing that came has told it."""
+    """Return the dialect of a message's sender; None if no message has shown it so far."""
     if message.peer.profile is None:
         with contextlib.suppress(WireError):
             message.peer.profile = recognise(message.payload)
@@ -213,10 +213,10 @@ def recognised(message: PortMessage) -> Profile | None:
 
 @dataclass
 class PortInfo:
-    """One thing about a port.
+    """An item of a port's report.
 
-    ``tag`` is `PORTINFO_CONNECTION` or `PORTINFO_MISC`; ``created`` is False where a connection went; ``message`` is
-    the same in words.
+    ``tag`` is `PORTINFO_CONNECTION` or `PORTINFO_MISC`; ``created`` is False if a connection closed; ``message`` is the
+    same as text.
     """
 
     PORTINFO_NULL = 0
@@ -234,15 +234,15 @@ class PortInfo:
 
 
 class PortReport:
-    """Derive from it to get events of connections: ``port.getReport(reporter)``, ``port.setReporter(reporter)``."""
+    """The base class of receivers of connection events, for ``port.getReport(r)`` and ``port.setReporter(r)``."""
 
     def report(self, info: PortInfo) -> None:
-        """Take one thing about a port."""
+        """Handle one item of a report."""
         raise NotImplementedError(f"{type(self).__name__} has no report")
 
 
 def report(core: PortCore, reporter: PortReport, event: ConnectionEvent | None = None) -> None:
-    """Tell a reporter of one event, or of a port and all its connections."""
+    """Report one event, or a port and all its connections."""
     if event is not None:
         reporter.report(_connection(core.name, event.route, incoming=event.incoming, created=event.up))
         return

@@ -15,14 +15,14 @@ T = TypeVar("T")
 
 def _sets(part: str, kind: Callable[..., T], doc: str) -> Callable[[Contact, T], None]:  # noqa: ARG001
     def set_part(self: Contact, value: T) -> None:
-        self._address = replace(self._address, **{part: value})  # type: ignore[arg-type] # by its name
+        self._address = replace(self._address, **{part: value})  # type: ignore[arg-type] # by name
 
     set_part.__doc__ = doc
     return set_part
 
 
 class Contact:
-    """A port's place: ``Contact(name)``, ``(host, number)``, ``(carrier, host, number)`` or all; else empty, -1."""
+    """A port's address: ``Contact(name)``, ``(host, number)``, ``(carrier, host, number)`` or all; others "" or -1."""
 
     def __init__(self, *parts: Any) -> None:
         self._timeout = -1.0
@@ -40,62 +40,62 @@ class Contact:
 
     @classmethod
     def of(cls, address: Address | None) -> Self:
-        """The contact of an address; an invalid one of None."""
+        """Return the contact of an address; an invalid one for None."""
         made = cls()
         made._address = address or made._address
         return made
 
     @classmethod
     def fromString(cls, text: str) -> Self:
-        """Read ``/name``, ``tcp://name``, ``tcp://host:10002/`` and their kin."""
+        """Parse ``/name``, ``tcp://name``, ``tcp://host:10002/`` and similar forms."""
         return cls.of(Address.parse(text))
 
     @classmethod
     def fromConfig(cls, config: Any) -> Self:
-        """Read ``name``, ``ip``, ``port_number`` and ``carrier`` (``tcp`` without it) of a Property or its kin."""
+        """Read ``name``, ``ip``, ``port_number`` and ``carrier`` (by default ``tcp``) from a Searchable."""
         number = config.find("port_number").asInt32() if config.check("port_number") else -1
         carrier = config.find("carrier").asString() if config.check("carrier") else "tcp"
         return cls.of(Address(config.find("name").asString(), config.find("ip").asString(), number, carrier))
 
     @property
     def address(self) -> Address:
-        """The same for the rest of the library."""
+        """The address in the library's internal form."""
         return self._address
 
     def getName(self) -> str:
-        """The port's name; without one, its address, ``/127.0.0.1:10002``."""
+        """Return the port's name; without one, its address, ``/127.0.0.1:10002``."""
         return self._address.name or self._address.by("").uri.removesuffix("/")
 
-    getRegName = getter("_address.name", str, "The port's name as registered; empty where it has none.")
-    setName = _sets("name", str, "Name it.")
-    getHost = getter("_address.host", str, "Its address or host name.")
-    setHost = _sets("host", str, "Set its address or host name.")
-    getPort = getter("_address.port", int, "Its port number, -1 where that is not known.")
-    setPort = _sets("port", int, "Set its port number.")
-    getCarrier = getter("_address.carrier", str, "The carrier, ``tcp`` and its kin.")
+    getRegName = getter("_address.name", str, 'The port\'s registered name, or "".')
+    setName = _sets("name", str, "Set the port's name.")
+    getHost = getter("_address.host", str, "The IP address or host name.")
+    setHost = _sets("host", str, "Set the IP address or host name.")
+    getPort = getter("_address.port", int, "The port number; -1 if unknown.")
+    setPort = _sets("port", int, "Set the port number.")
+    getCarrier = getter("_address.carrier", str, "The carrier, such as ``tcp``.")
     setCarrier = _sets("carrier", str, "Set the carrier.")
 
     def setSocket(self, carrier: str, host: str, number: int) -> None:
-        """Set all but the name."""
+        """Set all parts except the name."""
         self._address = Address(self._address.name, host, number, carrier)
 
     def hasTimeout(self) -> bool:
-        """Whether a time limit was set."""
+        """Return whether a timeout is set."""
         return self._timeout >= 0
 
-    getTimeout = getter("_timeout", float, "The time limit in seconds; negative for none.")
-    setTimeout = setter("_timeout", float, "Limit the time of what is done with the contact.")
+    getTimeout = getter("_timeout", float, "The timeout in seconds; negative for none.")
+    setTimeout = setter("_timeout", float, "Set the timeout of operations with the contact.")
 
     def isValid(self) -> bool:
-        """Whether the port number is known."""
+        """Return whether the port number is known."""
         return self._address.port >= 0
 
     def toURI(self, includeCarrier: bool = True) -> str:
-        """The address, ``tcp://127.0.0.1:10002/``."""
+        """Return the address, ``tcp://127.0.0.1:10002/``."""
         return (self._address if includeCarrier else self._address.by("")).uri
 
     def toString(self) -> str:
-        """The name, or without one the address, by its carrier: ``tcp://name``, ``tcp://127.0.0.1:10002``."""
+        """Return the name, or else the address, with its carrier: ``tcp://name``, ``tcp://127.0.0.1:10002``."""
         return self._address.named(self.getName()).target
 
     toString_c = toString
@@ -103,7 +103,7 @@ class Contact:
 
     @staticmethod
     def convertHostToIp(host: str) -> str:
-        """A host name's IPv4 address, or the name itself where it has none."""
+        """Return a host name's IPv4 address, or the name itself if it cannot be resolved."""
         try:
             return socket.gethostbyname(host)
         except OSError:
@@ -112,7 +112,7 @@ class Contact:
 
 @dataclass
 class ContactStyle:
-    """How to make contact. Times in seconds, negative for the default."""
+    """Options for connecting. Times are in seconds, negative for the default."""
 
     OPENENDED = 0
     END_WITH_FROM_PORT = 1

@@ -1,4 +1,4 @@
-"""The base of all kinds of ports: names, connections, modes. The engine is `yarp_compat.ports.port.PortCore`."""
+"""The base of YARP's port classes: names, connections, modes. The core is `yarp_compat.ports.port.PortCore`."""
 
 from __future__ import annotations
 
@@ -44,19 +44,19 @@ class _Node(Protocol):
 
 
 class Nodes:
-    """The program's ROS nodes, as long as it holds them."""
+    """Weak references to the program's ROS nodes."""
 
     def __init__(self) -> None:
         self._nodes: list[weakref.ref[_Node]] = []
         self._lock = threading.Lock()
 
     def add(self, node: _Node) -> None:
-        """This is the newest node."""
+        """Add a node as the newest."""
         with self._lock:
             self._nodes.append(weakref.ref(node, self._nodes.remove))
 
     def discard(self, node: _Node) -> None:
-        """The node has closed."""
+        """Remove a closed node."""
         with self._lock:
             self._nodes[:] = [known for known in self._nodes if known() is not node]
 
@@ -67,7 +67,7 @@ class Nodes:
         return node.getName() if node is not None else ""
 
     def named(self, name: str) -> list[_Node]:
-        """The nodes of this name."""
+        """Return the nodes with this name."""
         nodes = [known() for known in list(self._nodes)]
         return [node for node in nodes if node is not None and node.getName() == name]
 
@@ -76,16 +76,16 @@ NODES = Nodes()
 
 
 class Contactable:
-    """A port of any kind. Methods return False where YARP's do, and log why."""
+    """The base class of ports. Methods return False when YARP's do, and log the reason."""
 
-    _ANSWERS: ClassVar[bool] = False  # whether those who write to it may get answers
+    _ANSWERS: ClassVar[bool] = False  # whether writers may receive replies
 
-    _latched = False  # whether later peers get the last message
+    _latched = False  # whether late joiners receive the last message
 
     def __init__(self) -> None:
         self._verbosity = 1
         self._core: PortCore | None = None
-        self._gate = Gate()  # of the kind of port, which threads wait at
+        self._gate = Gate()  # replaced by the derived class; threads wait at it
         self._reporter: PortReport | None = None
         self._is_input: bool | None = None
         self._is_output: bool | None = None
@@ -171,7 +171,7 @@ class Contactable:
             self._core = None
             self._ending()
             return False
-        # A port that the program lets go of is closed, as in C++.
+        # An unreferenced port is closed, as in C++.
         self._finalizer = weakref.finalize(self, core.close)
         self._finalizer.atexit = False
         RUNTIME.opened(self)
@@ -182,7 +182,7 @@ class Contactable:
         return True
 
     def _join_topic(self, name: NestedName) -> None:
-        """Tell the type of this end of a topic or service, count it to its node, connect it to YARP's other ends."""
+        """Publish the type of this end of a topic or service, add it to its node, connect it to YARP's other ends."""
         for node in NODES.named(name.node):
             node.add(self)
         try:
@@ -196,15 +196,14 @@ class Contactable:
                     _connect(name, other)
             if RUNTIME.client is not None and find_daemon() is None:
                 _node_log.warning(
-                    "no Midspan daemon is on this YARP network: %s reaches YARP ports only,"
-                    " and ROS as soon as one starts",
+                    "no Midspan daemon on this YARP network: %s reaches only YARP ports, and ROS when a daemon starts",
                     name.topic,
                 )
         except NamingError as err:
             _node_log.warning("%s: %s", name.port, err)
 
     def close(self) -> None:
-        """End all connections and give the name back."""
+        """Close all connections and unregister the name."""
         core, self._core = self._core, None
         if core is None:
             return
@@ -216,62 +215,62 @@ class Contactable:
         self._ended(core)
 
     def interrupt(self) -> None:
-        """Release waiting threads; until `resume` the port reads and writes nothing."""
+        """Release waiting threads, and stop reading and writing until `resume`."""
         self._interrupted = True
         if self._core is not None:
             self._core.interrupt()
         self._gate.interrupt()
 
     def resume(self) -> None:
-        """Go on after `interrupt`."""
+        """Continue after `interrupt`."""
         self._gate.resume()
         self._interrupted = False
         if self._core is not None:
             self._core.resume()
 
     def isOpen(self) -> bool:
-        """Whether the port is open."""
+        """Return whether the port is open."""
         return self._core is not None and self._core.is_open
 
     def getName(self) -> str:
-        """The port's name; empty while it is closed."""
+        """Return the port's name; "" while it is closed."""
         return "" if self._core is None else self._core.name
 
     def where(self) -> Contact:
-        """The port's name and address."""
+        """Return the port's name and address."""
         return Contact.of(None if self._core is None else self._core.contact)
 
-    # -- what kind of port --------------------------------------------------------------------------------------------
+    # -- the kind of port ---------------------------------------------------------------------------------------------
 
     def setReadOnly(self) -> None:
-        """Only read."""
+        """Make the port an input; before `open`."""
         self._is_input, self._is_output, self._rpc = True, False, False
 
     def setWriteOnly(self) -> None:
-        """Only write."""
+        """Make the port an output; before `open`."""
         self._is_input, self._is_output, self._rpc = False, True, False
 
     def setRpcServer(self) -> None:
-        """Only read, and answer."""
+        """Make the port a server, which receives requests and replies; before `open`."""
         self._is_input, self._is_output, self._rpc = True, False, True
 
     def setRpcClient(self) -> None:
-        """Only write, and read the answers."""
+        """Make the port a client, which sends requests and receives replies; before `open`."""
         self._is_input, self._is_output, self._rpc = False, True, True
 
     setInputMode = setter("_is_input", bool, "Whether the port reads.")
     setOutputMode = setter("_is_output", bool, "Whether the port writes.")
-    setRpcMode = setter("_rpc", bool, "Whether messages have answers.")
+    setRpcMode = setter("_rpc", bool, "Whether messages have replies.")
     includeNodeInName = setter("_in_node", bool, "Whether the name is a topic of the active node.")
-    promiseType = setter("_type", str, "Announce what is read or written, ``std_msgs/String``; before `open`.")
-    getType = getter("_type", str, "What is announced to be read or written.")
+    promiseType = setter("_type", str, "Set the announced type of the messages, ``std_msgs/String``; before `open`.")
+    getType = getter("_type", str, "The announced type of the messages.")
 
     def acquireProperties(self, readOnly: bool = True) -> Any:  # noqa: ARG002
-        """The port's properties, for ``[prop] [get]``, as a dict to change in place."""
+        """Return the port's properties, for ``[prop] [get]``, as a dict to change in place."""
         return {} if self._core is None else self._core.properties
 
     def releaseProperties(self, properties: Any) -> None:
-        """Give properties back; nothing to do."""
+        """Do nothing: the properties are changed in place."""
 
     # -- connections --------------------------------------------------------------------------------------------------
 
@@ -290,37 +289,37 @@ class Contactable:
         return done
 
     def getInputCount(self) -> int:
-        """The number of input connections."""
+        """Return the number of input connections."""
         return 0 if self._core is None else len(self._core.inputs())
 
     def getOutputCount(self) -> int:
-        """The number of output connections."""
+        """Return the number of output connections."""
         return 0 if self._core is None else len(self._core.outputs())
 
     def getReport(self, reporter: PortReport) -> None:
-        """Tell a reporter of the port and its connections."""
+        """Report the port and its connections to ``reporter``."""
         if self._core is not None:
             report(self._core, reporter)
 
     def setReporter(self, reporter: PortReport) -> None:
-        """Tell a reporter of connections that come and go."""
+        """Report connections that open and close to ``reporter``."""
         self._reporter = reporter
 
     def resetReporter(self) -> None:
-        """Stop reporting."""
+        """Stop reporting connections."""
         self._reporter = None
 
-    getVerbosity = getter("_verbosity", int, "Whether connections that come and go are logged.")
-    setVerbosity = setter("_verbosity", int, "Log connections that come and go (1, as at first), or do not (0).")
+    getVerbosity = getter("_verbosity", int, "Whether connection events are logged.")
+    setVerbosity = setter("_verbosity", int, "Log connection events (1, the default), or not (0).")
 
     # -- messages -----------------------------------------------------------------------------------------------------
 
     def isWriting(self) -> bool:
-        """Whether a message is still being sent."""
+        """Return whether a message is still being sent."""
         return self._core is not None and self._core.is_writing
 
     def setEnvelope(self, envelope: Any) -> bool:
-        """Send this (a Stamp, a Bottle) with every message from now on."""
+        """Send this envelope (a Stamp, a Bottle) with every message from now on."""
         try:
             self._envelope = envelope.to_text()
         except WireError as err:
@@ -329,15 +328,15 @@ class Contactable:
         return True
 
     def setAdminReader(self, reader: Any) -> None:
-        """Refuse by `NotImplementedError`: administrative commands are the port's own here."""
+        """Raise `NotImplementedError`: the port itself executes administrative commands."""
         raise NotImplementedError(
-            "yarp_compat ports answer administrative commands themselves: setAdminReader is not there"
+            "setAdminReader is not supported: ports of yarp_compat execute administrative commands themselves"
         )
 
     # -- a lock that callbacks hold -----------------------------------------------------------------------------------
 
     def setCallbackLock(self, mutex: Any = None) -> bool:
-        """Have readers and callbacks hold a lock while they take a message: this one, or one of the port's."""
+        """Hold a lock during readers and callbacks: this one, or by default a new one."""
         self._callback_lock = threading.RLock() if mutex is None else mutex
         return True
 
@@ -347,15 +346,15 @@ class Contactable:
         return True
 
     def lockCallback(self) -> bool:
-        """Wait until no callback runs, and let none run until `unlockCallback`; False without a lock."""
+        """Block callbacks until `unlockCallback`, after the running one has ended; return False without a lock."""
         return self._has_lock and bool(self._callback_lock.acquire())
 
     def tryLockCallback(self) -> bool:
-        """Like `lockCallback`, without waiting; False while a callback runs."""
+        """Block callbacks like `lockCallback`, without waiting; return False while a callback runs."""
         return self._has_lock and bool(self._callback_lock.acquire(blocking=False))
 
     def unlockCallback(self) -> None:
-        """Let callbacks run."""
+        """Let callbacks run again."""
         if self._has_lock:
             self._callback_lock.release()
 
@@ -363,24 +362,24 @@ class Contactable:
     def _has_lock(self) -> bool:
         return hasattr(self._callback_lock, "acquire")
 
-    # -- what comes from the engine -----------------------------------------------------------------------------------
+    # -- callbacks of the core ----------------------------------------------------------------------------------------
 
     def _take(self, message: PortMessage) -> None:
-        """Take a message, on its connection's thread."""
+        """Handle a message, on its connection's thread."""
         raise NotImplementedError
 
     def _began(self) -> None:
-        """The port opens: make ready for messages."""
+        """Prepare for messages, as the port opens."""
 
     def _ending(self) -> None:
-        """The port closes: release waiting threads."""
+        """Release waiting threads, as the port closes."""
 
     def _ended(self, core: PortCore) -> None:
-        """The port has closed."""
+        """Clean up after the port has closed."""
 
     def _tell(self, event: ConnectionEvent) -> None:
         route = event.route
-        if rooted(route.source) and self._verbosity > 0:  # commands from outside, ``admin``, are not worth a line
+        if rooted(route.source) and self._verbosity > 0:  # tools that send commands (``admin``) are not logged
             words = _WORDS[event.incoming, event.up]
             log.info("%s from %s to %s using %s", words, route.source, route.target, route.carrier)
         if self._reporter is not None and self._core is not None:
@@ -388,22 +387,22 @@ class Contactable:
 
 
 class UnbufferedContactable(Contactable):
-    """A port whose program reads and writes explicitly: `Port`, `RpcServer`, `RpcClient`."""
+    """The base class of ports without buffers: `Port`, `RpcServer`, `RpcClient`."""
 
 
 def _variable(prefix: str, name: str) -> str:
-    """The environment variable that concerns a port: ``YARP_RENAME_robot_camera`` (``NameConfig::getSafeString``)."""
+    """Return a port's environment variable: ``YARP_RENAME_robot_camera`` (``NameConfig::getSafeString``)."""
     return prefix + re.sub(r"[^0-9A-Za-z]", "_", name)
 
 
 def _number(name: str) -> int:
-    """The TCP port that the environment gives a port; 0 if it gives none."""
+    """Return the TCP port number that the environment sets for a port; 0 if none."""
     variable = _variable("YARP_PORTNUMBER", name)
     text = os.environ.get(variable, "")
     if text.isascii() and text.isdecimal() and int(text) < 1 << 16:
         return int(text)
     if text:
-        log.warning("%s=%.40s is ignored: it must be a number from 1 to 65535", variable, text)
+        log.warning("ignored %s=%.40s: it must be a number from 1 to 65535", variable, text)
     return 0
 
 
@@ -412,11 +411,11 @@ def _connect(one: NestedName, other: NestedName) -> None:
     try:
         connections.connect(RUNTIME.naming, source.port, target.port)
     except NamingError as err:
-        _node_log.info("%s: %s", one.port, err)  # usually left by a program that crashed
+        _node_log.info("%s: %s", one.port, err)  # usually the port of a program that crashed
 
 
 def _weakly(method: Callable[[Any], None]) -> Callable[[Any], None]:
-    """A method that does not keep its object alive."""
+    """Return a function that calls a method without keeping its object alive."""
     weak = weakref.WeakMethod(method)
 
     def call(argument: Any) -> None:

@@ -1,4 +1,4 @@
-"""Passes messages from the threads of connections to the reader: one at a time, or through an inbox."""
+"""Passing of messages from connection threads to the reader: one at a time, or through an inbox."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ class Gate:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self.is_closed = False  # whether nothing will come any more
+        self.is_closed = False  # no more messages follow
         self._interrupted = False
 
     def wake(self) -> None:
-        """Wake waiting threads, which check whether to go on waiting."""
+        """Wake up waiting threads, so that they check whether to continue waiting."""
         with self._changed:
             self._changed.notify_all()
 
     def interrupt(self) -> None:
-        """Release threads that wait for a message, until `resume`."""
+        """Release waiting readers, until `resume`."""
         with self._changed:
             self._interrupted = True
             self._changed.notify_all()
@@ -34,21 +34,21 @@ class Gate:
             self._interrupted = False
 
     def close(self) -> None:
-        """Let everybody go, for good."""
+        """Release all waiting threads permanently."""
         with self._changed:
             self.is_closed = True
             self._changed.notify_all()
 
 
 class Handoff(Gate):
-    """A place for one message: the giver waits until it is taken, the taker until one is there."""
+    """A slot for one message: the connection waits until it is read, the reader until one arrives."""
 
     def __init__(self) -> None:
         super().__init__()
         self._message: PortMessage | None = None
 
     def give(self, message: PortMessage) -> bool:
-        """Wait until the message was taken; False when the place was closed first."""
+        """Pass a message to the reader and wait until it is read; return False if the slot was closed first."""
         with self._changed:
             self._changed.wait_for(lambda: self._message is None or self.is_closed)
             if self.is_closed:
@@ -59,7 +59,7 @@ class Handoff(Gate):
             return self._message is not message
 
     def take(self, *, will_reply: bool) -> PortMessage | None:
-        """Wait for a message; None when interrupted or closed. With ``will_reply`` its sender goes on waiting."""
+        """Wait for a message; return None if interrupted or closed. With ``will_reply`` its sender waits on."""
         with self._changed:
             self._changed.wait_for(lambda: self._message is not None or self.is_closed or self._interrupted)
             message = self._message
@@ -72,7 +72,7 @@ class Handoff(Gate):
             return message
 
 
-LIMIT = 64 << 20  # bytes that wait in strict mode; whoever sends more, waits for the reader
+LIMIT = 64 << 20  # bytes of queued messages in strict mode; beyond, senders wait for the reader
 
 
 class Inbox(Gate):
@@ -89,7 +89,7 @@ class Inbox(Gate):
         return len(self._messages)
 
     def put(self, message: PortMessage) -> None:
-        """Keep a message: in strict mode behind the others, else in their place."""
+        """Queue a message: in strict mode after the others, else in their place."""
         with self._changed:
             if self.strict:
                 self._changed.wait_for(lambda: self._bytes < LIMIT or self.is_closed)
@@ -103,9 +103,9 @@ class Inbox(Gate):
                 self._changed.notify_all()
 
     def take(self, *, wait: bool, stopped: Callable[[], bool] | None = None) -> PortMessage | None:
-        """The oldest message; None where nothing waits, or the inbox is closed. ``wait``: for one to come.
+        """Remove and return the oldest message; None if the inbox is empty or closed. ``wait``: wait for one.
 
-        ``stopped``, looked at after `wake`, ends waiting; by default an interrupt does.
+        ``stopped``, checked after `wake`, ends waiting; by default an interrupt does.
         """
         over = stopped or (lambda: self._interrupted)
         with self._changed:
@@ -119,7 +119,7 @@ class Inbox(Gate):
             return message
 
     def close(self) -> None:
-        """Let everybody go, for good."""
+        """Release all waiting threads permanently, and discard the messages."""
         super().close()
         with self._changed:
             self._messages.clear()

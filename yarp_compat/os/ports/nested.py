@@ -1,7 +1,7 @@
 """YARP's names for ROS topics and services: ``/topic+@/node``.
 
-The grammar is that of yarp::os::NestedContact (YARP 3.5, src/libYARP_os/src/yarp/os/NestedContact.cpp): what stands
-before ``@`` is the topic and its role, what stands behind it is the node, and ``~type`` at the end says the type.
+The grammar is that of yarp::os::NestedContact (YARP 3.5, src/libYARP_os/src/yarp/os/NestedContact.cpp): the topic and
+its role precede ``@``, the node follows it, and ``~type`` at the end gives the type.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ CLIENT = "+1"
 SERVER = "-1"
 
 LATCHED = "latched"
-"""The property of a publisher's port, its own or at the name server: whoever connects gets its last message."""
+"""The property, in a publisher's port or at the name server, of publishers that send late joiners the last message."""
 
 _ROLES = (CLIENT, SERVER, PUBLISHER, SUBSCRIBER)
 
 
 @dataclass(frozen=True)
 class NestedName:
-    """One name in its parts."""
+    """The parts of a name."""
 
     topic: str  # the topic's or service's name, ``/chatter``; empty for an ordinary port name
-    node: str  # the node's name; empty where the name leaves it to the active node (``/chatter@``)
-    role: str = ""  # `PUBLISHER`, `SUBSCRIBER`, `CLIENT`, `SERVER`, or empty where the port's own mode decides
-    type: str = ""  # the type behind ``~``, ``std_msgs/String``; may be empty
+    node: str  # the node's name; empty for the active node (``/chatter@``)
+    role: str = ""  # `PUBLISHER`, `SUBSCRIBER`, `CLIENT`, `SERVER`, or empty: the port's mode decides
+    type: str = ""  # the type after ``~``, ``std_msgs/String``; may be empty
 
     @classmethod
     def parse(cls, name: str) -> NestedName:
-        """Take a port's name apart; an ordinary name becomes a node without a topic."""
+        """Split a port's name; an ordinary name becomes a node without a topic."""
         name, _, type_name = name.partition("~")
         topic, at, node = name.partition("@")
         if not at:
@@ -40,7 +40,7 @@ class NestedName:
 
     @property
     def is_nested(self) -> bool:
-        """Whether this names a topic or service of a node."""
+        """Whether this is the name of a topic or service of a node."""
         return bool(self.topic)
 
     @property
@@ -50,13 +50,13 @@ class NestedName:
 
     @property
     def port(self) -> str:
-        """The name under which the port is registered: ``/chatter+@/node``."""
+        """The registered name of the port: ``/chatter+@/node``."""
         return f"{self.topic}{self.role}@{self.node}" if self.is_nested else self.node
 
     def with_role(self, role: str) -> NestedName:
-        """The same name with this role, if it had none."""
+        """Return the name with this role, unless it has one."""
         return self if self.role else replace(self, role=role)
 
     def with_node(self, node: str) -> NestedName:
-        """The same name under this node, if it had none."""
+        """Return the name with this node, unless it has one."""
         return self if self.node else replace(self, node=node)

@@ -1,8 +1,7 @@
 """ROS topics from YARP code: `Node`, `Publisher`, `Subscriber`, on ordinary ports named ``/topic+@/node``.
 
-No ROS library is needed: a Midspan daemon on the same YARP network sees such a port at the name server and joins it
-with the topic on ROS 1 or ROS 2. Publishers and subscribers of one topic that are both YARP ports are connected
-directly.
+No ROS library is needed: a Midspan daemon on the same YARP network finds such a port at the name server and bridges it
+to the topic on ROS 1 or ROS 2. YARP publishers and subscribers of the same topic are connected directly.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ log = logging.getLogger("yarp.os.Node")
 
 
 class Node:
-    """A ROS node: topics opened while it is the newest one are its own. Its end closes them."""
+    """A ROS node: topics opened while it is the newest node belong to it, and are closed with it."""
 
     def __init__(self, name: str = "") -> None:
         self._port = Port()
@@ -36,7 +35,7 @@ class Node:
             self.prepare(name)
 
     def prepare(self, name: str) -> None:
-        """Open the node's own port and make this the newest node."""
+        """Open the node's port and make this the newest node."""
         if self._name:
             return
         self._name = name
@@ -48,16 +47,16 @@ class Node:
     getName = getter("_name", str, "The node's name.")
 
     def add(self, port: Contactable) -> None:
-        """Count a port as this node's."""
+        """Add a port to this node."""
         self._ports.add(port)
 
     def interrupt(self) -> None:
-        """Release threads that wait for one of the node's ports."""
+        """Release the threads that wait for the node's ports."""
         for port in (self._port, *self._ports):
             port.interrupt()
 
     def close(self) -> None:
-        """Close the node's ports, and the node."""
+        """Close the node and its ports."""
         NODES.discard(self)
         for port in list(self._ports):
             port.close()
@@ -80,18 +79,18 @@ class _TopicPort(BufferedPort):
         super().__init__(message_class(content) if isinstance(content, str) else content)
 
     def topic(self, name: str) -> bool:
-        """Publish on or subscribe to this topic, as the newest node (or the one behind ``@`` in the name)."""
+        """Publish on or subscribe to a topic, as the newest node (or the one after ``@`` in the name)."""
         self.includeNodeInName(True)
         return self.open(name)
 
 
 class Publisher(_TopicPort):
-    """Publishes messages of one type on a ROS topic.
+    """A publisher of messages of one type on a ROS topic.
 
     Args:
-        content: the message class, ``yarp.rosmsg.std_msgs.String``, or its type's name.
-        topic: opened at once when given.
-        latched: whoever comes later gets the last message.
+        content: the message class, ``yarp.rosmsg.std_msgs.String``, or the name of its type.
+        topic: the topic to open at once, if any.
+        latched: whether late joiners receive the last message.
 
     Example::
 
@@ -110,11 +109,11 @@ class Publisher(_TopicPort):
             self.topic(topic)
 
     def enableBackgroundWrite(self, backgroundFlag: bool) -> None:
-        """Whether writing a message returns before the peers took it; a slow peer then gets the newest only."""
+        """Select whether `write` returns before the message is sent; a slow peer then gets only the newest."""
         self._wait = not backgroundFlag
 
     def write(self, forceStrict: Any = False) -> Any:
-        """Send a message and return whether all took it; or send the prepared one, as `BufferedPort.write`."""
+        """Send a message and return whether all peers received it; or send the prepared one as `BufferedPort` does."""
         if isinstance(forceStrict, bool):
             self._keep(self._prepared)
             super().write(forceStrict)
@@ -133,18 +132,18 @@ class Publisher(_TopicPort):
 
     @property
     def is_latched(self) -> bool:
-        """Whether later subscribers get the last message."""
+        """Whether late joiners receive the last message."""
         return self._latched
 
     def _keep(self, message: Any) -> None:
-        """Remember what was written last, for who comes later."""
+        """Store the last message for late joiners."""
         if self._latched and message is not None:
-            with contextlib.suppress(WireError):  # writing it will say so
+            with contextlib.suppress(WireError):  # writing it reports the error
                 self._kept = b"".join(message.to_wire(RUNTIME.profile))
 
     def _began(self) -> None:
         super()._began()
-        if self._latched and self._core is not None:  # known before it listens, at the name server only later
+        if self._latched and self._core is not None:  # set before it listens; the name server gets it only later
             self._core.properties[LATCHED] = 1
 
     def _tell(self, event: ConnectionEvent) -> None:
@@ -155,7 +154,7 @@ class Publisher(_TopicPort):
 
 
 class Subscriber(_TopicPort):
-    """Reads messages of one type from a ROS topic; arguments as of `Publisher`."""
+    """A subscriber to messages of one type on a ROS topic; arguments as for `Publisher`."""
 
     def __init__(self, content: type[Any] | str, topic: str = "") -> None:
         super().__init__(content)
@@ -164,7 +163,7 @@ class Subscriber(_TopicPort):
             self.topic(topic)
 
     def read(self, shouldWait: Any = True) -> Any:
-        """The next message or None, as `BufferedPort.read`; given a message, wait, fill it, return whether it was."""
+        """Return the next message or None like `BufferedPort.read`; or wait, fill a given message, return if filled."""
         if isinstance(shouldWait, bool):
             return super().read(shouldWait)
         found = super().read(True)

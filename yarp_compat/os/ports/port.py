@@ -1,4 +1,4 @@
-"""``Port``: reads, writes, answers; ``RpcServer`` and ``RpcClient``: ports for questions and answers."""
+"""``Port``: reads, writes, replies; ``RpcServer`` and ``RpcClient``: ports for requests and replies."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ log = logging.getLogger("yarp.os.Port")
 
 
 class Port(UnbufferedContactable):
-    """Writes one message at a time, and reads each that comes, while its writer waits; of any of YARP's data."""
+    """A port without buffers, for any of YARP's data: a writer waits until its message is read."""
 
     _ANSWERS = True
 
@@ -33,24 +33,24 @@ class Port(UnbufferedContactable):
         self._due: PortMessage | None = None
 
     def asPort(self) -> Port:
-        """This port itself."""
+        """Return this port."""
         return self
 
     def setTimeout(self, timeout: float) -> bool:
-        """Wait for answers and acknowledgements at most so long, in seconds; negative: without a limit."""
+        """Set the timeout for replies and acknowledgements, in seconds; negative: no limit."""
         self._timeout = timeout if timeout > 0 else None
         return True
 
     enableBackgroundWrite = setter(
         "_background",
         bool,
-        "Whether `write` returns before the peers took the message; a slow peer then gets the newest only.",
+        "Select whether `write` returns before the message is sent; a slow peer then gets only the newest.",
     )
 
     def write(self, data: Any, reply: Any = None, callback: Any = None) -> bool:  # noqa: ARG002
-        """Send a message; with a second argument, wait for the answer and read it into that.
+        """Send a message; with a second argument, wait for the reply and read it into that.
 
-        False when a peer did not take it, or no answer came. Without any connection: True, but no answer.
+        Returns False if a peer did not receive it, or no reply arrived; True without connections and ``reply``.
         """
         core = self._core
         if core is None or self._interrupted:
@@ -71,10 +71,10 @@ class Port(UnbufferedContactable):
     def read(self, data: Any, willReply: bool = False) -> bool:
         """Wait for a message and read it into ``data``; ``willReply``: `reply` will be called before the next `read`.
 
-        False when the port was interrupted or closed, or the message was something else.
+        Returns False if the port was interrupted or closed, or the message is of another type.
         """
         if self._due is not None:
-            self._due.give_up()  # a reply was promised and did not come
+            self._due.give_up()  # the announced reply was not sent
             self._due = None
         core = self._core
         if core is None or self._interrupted:
@@ -86,18 +86,18 @@ class Port(UnbufferedContactable):
         try:
             data.from_wire(message.payload, recognised(message))
         except WireError as err:
-            log.error("port %s: a message from %s cannot be read: %s", core.name, message.peer.route.source, err)
+            log.error("port %s: cannot read a message from %s: %s", core.name, message.peer.route.source, err)
             message.give_up()
             return False
         self._due = message if willReply else None
         return True
 
     def reply(self, data: Any) -> bool:
-        """Answer the message read last with ``read(data, True)``."""
+        """Reply to the message read last with ``read(data, True)``."""
         return self._reply(data)
 
     def replyAndDrop(self, data: Any) -> bool:
-        """Answer, and end the connection."""
+        """Reply and end the connection."""
         if self._due is not None:
             self._due.drop()
         return self._reply(data)
@@ -115,7 +115,7 @@ class Port(UnbufferedContactable):
         return True
 
     def getEnvelope(self, envelope: Any) -> bool:
-        """Read the envelope of the message read last; False when it had none, or another kind."""
+        """Read the envelope of the message read last; return False if it is missing or of another type."""
         try:
             envelope.from_text(self._envelope)
         except WireError:
@@ -123,11 +123,11 @@ class Port(UnbufferedContactable):
         return bool(self._envelope)
 
     def setReader(self, reader: PortReader) -> None:
-        """Have each message taken by ``reader.read(connection)`` as it comes, on its connection's thread."""
+        """Pass each message to ``reader.read(connection)``, on its connection's thread."""
         self._reader = reader
 
     def _take(self, message: PortMessage) -> None:
-        """Take a message, on its connection's thread."""
+        """Handle a message, on its connection's thread."""
         core = self._core
         if core is not None and self._reader is not None:
             self._envelope = message.envelope or self._envelope
@@ -135,7 +135,7 @@ class Port(UnbufferedContactable):
                 answer(self._reader, message, Contact.of(core.contact))
         elif core is None or not self._handoff.give(message):
             message.later()
-            message.retire()  # who asked hears of the port's end: an empty reply would be one
+            message.retire()  # the connection closes without a reply: even an empty one would count as a reply
 
     def _began(self) -> None:
         self._gate = self._handoff = Handoff()
@@ -152,7 +152,7 @@ class Port(UnbufferedContactable):
 
 
 def answer(reader: PortReader, message: PortMessage, local: Contact) -> None:
-    """Have a reader take a message, and send what it wrote."""
+    """Pass a message to a reader and send its reply."""
     connection = ConnectionReader(message, local, RUNTIME.profile)
     reader.read(connection)
     writer = connection.getWriter()
@@ -166,50 +166,50 @@ def answer(reader: PortReader, message: PortMessage, local: Contact) -> None:
 
 
 def tell_end(reader: PortReader, local: Contact) -> None:
-    """Tell a reader, as YARP does, that its port is closed: by a connection that is not valid."""
+    """Notify a reader that its port is closed, by an invalid connection as in YARP."""
     try:
         reader.read(ConnectionReader(None, local))
     except Exception:
-        log.exception("the reader of %s failed on its end", local.getName())
+        log.exception("the reader of %s failed when the port closed", local.getName())
 
 
 _rpc_log = logging.getLogger("yarp.os.Rpc")
 
 
 class RpcServer(Port):
-    """A port that answers: ``read(command, True)`` and then ``reply(answer)``, or a `PortReader`."""
+    """A port that replies: ``read(command, True)`` and then ``reply(answer)``, or a `PortReader`."""
 
     def __init__(self) -> None:
         super().__init__()
         self.setRpcServer()
 
     def read(self, data: Any, willReply: bool = True) -> bool:
-        """Wait for a command; `reply` must follow."""
+        """Wait for a request; `reply` must follow."""
         if not willReply:
             _rpc_log.error("%s must reply, please use a regular Port if you do not want to", self.getName())
             return False
         return super().read(data, True)
 
     def write(self, data: Any, reply: Any = None, callback: Any = None) -> bool:  # noqa: ARG002
-        """Refuse: a server does not ask."""
+        """Log an error and return False: a server sends no requests."""
         _rpc_log.error("%s cannot write, please use a regular Port or RpcClient for that", self.getName())
         return False
 
 
 class RpcClient(Port):
-    """A port that asks: ``write(command, answer)``. It has one connection."""
+    """A port that sends requests: ``write(command, answer)``. It has one connection."""
 
     def __init__(self) -> None:
         super().__init__()
         self.setRpcClient()
 
     def read(self, data: Any, willReply: bool = False) -> bool:  # noqa: ARG002
-        """Refuse: a client is not asked."""
+        """Log an error and return False: a client receives no requests."""
         _rpc_log.error("cannot read from RpcClient %s, please use a regular Port for that", self.getName())
         return False
 
     def reply(self, data: Any) -> bool:  # noqa: ARG002
-        """Refuse: a client has nothing to answer."""
+        """Return False: a client receives no requests."""
         return False
 
     replyAndDrop = reply

@@ -239,7 +239,7 @@ def test_a_value_is_also_a_message() -> None:
     for profile in Profile:
         for value in (Value(5), Value("x"), Value(Float32(1.5)), Value.makeList("1 2")):
             assert Value.from_bytes(value.to_bytes(profile), profile) == value
-    with pytest.raises(WireError, match="one value was expected"):
+    with pytest.raises(WireError, match="expected one value"):
         Value.from_bytes(Bottle("1 2").to_bytes())
     value = Value(1)
     value.fromString("2.5")
