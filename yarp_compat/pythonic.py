@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Self, TypeVar
 
 from yarp_compat.naming.client import NameClient
-from yarp_compat.os.ports.connection import recognised
+from yarp_compat.os.ports.connection import sender_profile
 from yarp_compat.os.ports.inbox import Inbox
 from yarp_compat.ports.message import Payload, PortMessage
 from yarp_compat.ports.naming import Naming, PortError
@@ -37,7 +37,7 @@ class Received:
 
     def __init__(self, raw: PortMessage, profile: Profile) -> None:
         self.raw = raw
-        self._profile = recognised(raw)
+        self._profile = sender_profile(raw)
         self._reply_profile = self._profile or profile
 
     @property
@@ -122,11 +122,11 @@ class Reader(OpenPort):
 
     def read(self) -> Received | None:
         """Wait for the next message; None once the port is closed."""
-        return self._given(self._inbox.take(wait=True))
+        return self._given(self._inbox.pop(wait=True))
 
     def read_now(self) -> Received | None:
         """The next message, if there is one."""
-        return self._given(self._inbox.take(wait=False))
+        return self._given(self._inbox.pop(wait=False))
 
     def __iter__(self) -> Iterator[Received]:
         while (message := self.read()) is not None:

@@ -53,7 +53,7 @@ class NetworkClock:
         self._waiters: list[tuple[float, int, threading.Event]] = []
         self._numbers = itertools.count()
         name = local or f"/{socket.gethostname()}/{Path(sys.argv[0]).name or 'python'}/{os.getpid()}/clock:i"
-        self._port = PortCore(name, on_message=self._hear, naming=RUNTIME.naming, is_output=False)
+        self._port = PortCore(name, on_message=self._on_message, naming=RUNTIME.naming, is_output=False)
         self._port.open()
         if not self._persistent("subscribe"):
             self._port.close()
@@ -73,18 +73,18 @@ class NetworkClock:
 
         The wait starts at ``since``, by default now: the clock may have advanced since the caller read it.
         """
-        woken = stop or threading.Event()
+        stopped = stop or threading.Event()
         passed = threading.Event()
         with self._condition:
             now = self.now()
             due = seconds + (now if since is None else min(since, now))
-            if due <= now or woken.is_set():
-                return woken.is_set()
+            if due <= now or stopped.is_set():
+                return stopped.is_set()
             if self._closed:
-                return woken.wait(seconds)
+                return stopped.wait(seconds)
             heapq.heappush(self._waiters, (due, next(self._numbers), passed))
         while not passed.is_set():
-            if woken.wait(0.01) if stop is not None else passed.wait(1.0):
+            if stopped.wait(0.01) if stop is not None else passed.wait(1.0):
                 break
         return stop is not None and stop.is_set()
 
@@ -98,28 +98,28 @@ class NetworkClock:
         self._persistent("unsubscribe")
         self._port.close()
 
-    def _persistent(self, word: str) -> bool:
+    def _persistent(self, verb: str) -> bool:
         try:
-            return RUNTIME.persistent(word, self.source, self._port.name)
+            return RUNTIME.persistent(verb, self.source, self._port.name)
         except (NamingError, OSError, ValueError) as err:
-            log.error("cannot %s %s to %s: %s", word, self.source, self._port.name, err)
+            log.error("cannot %s %s to %s: %s", verb, self.source, self._port.name, err)
             return False
 
-    def _hear(self, message: PortMessage) -> None:
+    def _on_message(self, message: PortMessage) -> None:
         try:
-            found = read_time(binary.decode(bytes(message.payload)))
+            time = read_time(binary.decode(bytes(message.payload)))
         except WireError:
-            found = None
-        if found is None:
+            time = None
+        if time is None:
             log.error("invalid time from %s: expected two integers, seconds and nanoseconds", self.source)
             return
         with self._condition:
-            before, self._time = self._time or 0.0, found
-            if found < before:
-                gap = found - before
+            before, self._time = self._time or 0.0, time
+            if time < before:
+                gap = time - before
                 self._waiters = [(due + gap, number, passed) for due, number, passed in self._waiters]
                 heapq.heapify(self._waiters)
-            while self._waiters and self._waiters[0][0] - found < 1e-12:
+            while self._waiters and self._waiters[0][0] - time < 1e-12:
                 heapq.heappop(self._waiters)[2].set()
 
 
@@ -128,12 +128,12 @@ def useNetworkClock(clock: str, localPortName: str = "") -> None:
     time.use(NetworkClock(clock, localPortName))
 
 
-def use_the_asked_clock() -> None:
+def use_environment_clock() -> None:
     """Use the clock that ``YARP_CLOCK`` names, if any, when the network starts; raises like `useNetworkClock`."""
-    asked = os.environ.get(VARIABLE)
-    if asked:
-        useNetworkClock(asked)
-        logging.getLogger("yarp.os.Time").info("using the network clock %s", asked)
+    clock = os.environ.get(VARIABLE)
+    if clock:
+        useNetworkClock(clock)
+        logging.getLogger("yarp.os.Time").info("using the network clock %s", clock)
 
 
 class Time:

@@ -85,7 +85,7 @@ def read_folder(
 
 def read(text: str, entries: Entries, env: Environment | None, *, find_import: FindImport | None = None) -> None:
     """Read the text of a configuration file into a dict of entries."""
-    _File(env, {}, find_import).take(text, entries)
+    _File(env, {}, find_import).parse(text, entries)
 
 
 @dataclass
@@ -116,18 +116,18 @@ class _File:
                 if wipe:
                     entries.clear()
                 folders = [*self.folders, str(path.parent)]
-                replace(self, folders=folders, depth=self.depth + 1, name=str(path)).take(text, entries)
+                replace(self, folders=folders, depth=self.depth + 1, name=str(path)).parse(text, entries)
                 return True
         log.error("cannot read the configuration file %s", name)
         return False
 
-    def take(self, text: str, entries: Entries) -> None:
+    def parse(self, text: str, entries: Entries) -> None:
         """Read all lines."""
         group = ""
         content: list[Any] = []
         for number, line in _lines(text):
             # a line that is incomplete at the end of the file is used unchanged, as in YARP
-            buf = self._expanded(_uncommented(line), entries) if is_complete(line) else line
+            buf = self._expand(_without_comment(line), entries) if is_complete(line) else line
             if buf.startswith("[") and "]" in buf and is_complete(line):
                 _close(group, content, entries)
                 group, content = self._header(buf[1 : buf.index("]")], entries), []
@@ -151,26 +151,26 @@ class _File:
 
     def _header(self, header: str, entries: Entries) -> str:
         """Execute a header in brackets; return the name of the group that begins, or ""."""
-        words = [plain_text(value) for value in from_text(header)] if " " in header else []
-        if len(words) > 1 and words[0] == "include":
-            self._include(words[1:], entries)
+        parts = [plain_text(value) for value in from_text(header)] if " " in header else []
+        if len(parts) > 1 and parts[0] == "include":
+            self._include(parts[1:], entries)
             return ""
-        if len(words) > 2 and words[0] == "import":
-            self._import(words[1], words[2], entries)
+        if len(parts) > 2 and parts[0] == "import":
+            self._import(parts[1], parts[2], entries)
             return ""
-        if len(words) == 2:
-            _list_name(words[0], words[1], entries)
-            return words[1]
+        if len(parts) == 2:
+            _list_name(parts[0], parts[1], entries)
+            return parts[1]
         return header
 
-    def _include(self, words: list[str], entries: Entries) -> None:
+    def _include(self, arguments: list[str], entries: Entries) -> None:
         """Include another file: at the top level, or as a group, whose name may be added to a list."""
-        if len(words) == 1:
-            self.read(words[0], entries, wipe=False)
+        if len(arguments) == 1:
+            self.read(arguments[0], entries, wipe=False)
             return
-        *listed, group, name = words
+        *listed, group, name = arguments
         if len(listed) > 1:
-            log.error("[include %s] has too many words", " ".join(words))
+            log.error("[include %s] has too many words", " ".join(arguments))
             return
         if listed:
             _list_name(listed[0], group, entries)
@@ -188,19 +188,19 @@ class _File:
         else:
             log.warning("cannot import %s from the context %s", name, context)
 
-    def _expanded(self, line: str, entries: Entries) -> str:
+    def _expand(self, line: str, entries: Entries) -> str:
         """Return the line with variables replaced."""
         if "$" not in line:
             return line
         out: list[str] = []
         at = 0
-        for found in _VARIABLE.finditer(line):
-            if found[1] is not None or found.start() < at:
+        for variable in _VARIABLE.finditer(line):
+            if variable[1] is not None or variable.start() < at:
                 continue
-            end = found.end()
-            if found[2] and line[end : end + 1] in (")", "}"):
+            end = variable.end()
+            if variable[2] and line[end : end + 1] in (")", "}"):
                 end += 1
-            out += (line[at : found.start()], self._variable(found[3], entries).replace("\\", "\\\\"))
+            out += (line[at : variable.start()], self._variable(variable[3], entries).replace("\\", "\\\\"))
             at = end
         return "".join([*out, line[at:]])
 
@@ -227,22 +227,22 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
     r"""Yield logical lines with their first line numbers; open brackets or quotes or a final ``\`` continue a line."""
     pending = ""
     first = 1
-    going_on = False
+    continues = False
     for number, line in enumerate(text.replace("\r", "").replace("\0", "").split("\n"), 1):
-        first = first if going_on else number
+        first = first if continues else number
         pending += line
         escaped = (len(line) - len(line.rstrip("\\"))) % 2 == 1
         if escaped:
             pending = pending[:-1]
-        going_on = escaped or not is_complete(pending)
-        if not going_on:
+        continues = escaped or not is_complete(pending)
+        if not continues:
             yield first, pending
             pending = ""
     if pending:
         yield first, pending
 
 
-def _uncommented(line: str) -> str:
+def _without_comment(line: str) -> str:
     """Return the line without its comment."""
     if "//" not in line and "#" not in line:
         return line

@@ -11,16 +11,16 @@ from yarp_compat.naming.directories import Directories
 path_separator = ";" if sys.platform == "win32" else ":"
 """The separator of directories in an environment variable."""
 
-_OWN = Directories()
+_DIRECTORIES = Directories()
 
-home = _OWN.home
-tempdir = _OWN.temporary
-datahome, datadirs = _OWN.data, _OWN.shared_data
-confighome, configdirs = _OWN.config, _OWN.shared_config
-cachehome, runtimedir = _OWN.cache, _OWN.runtime
-yarpdatahome, yarpdatadirs = _OWN.data_home, _OWN.data_dirs
-yarpconfighome, yarpconfigdirs = _OWN.config_home, _OWN.config_dirs
-yarpcachehome, yarpruntimedir = _OWN.cache_home, _OWN.runtime_home
+home = _DIRECTORIES.home
+tempdir = _DIRECTORIES.temporary
+datahome, datadirs = _DIRECTORIES.data, _DIRECTORIES.shared_data
+confighome, configdirs = _DIRECTORIES.config, _DIRECTORIES.shared_config
+cachehome, runtimedir = _DIRECTORIES.cache, _DIRECTORIES.runtime
+yarpdatahome, yarpdatadirs = _DIRECTORIES.data_home, _DIRECTORIES.data_dirs
+yarpconfighome, yarpconfigdirs = _DIRECTORIES.config_home, _DIRECTORIES.config_dirs
+yarpcachehome, yarpruntimedir = _DIRECTORIES.cache_home, _DIRECTORIES.runtime_home
 
 
 def get_string(key: str, default: str = "", *rest: str) -> str:
@@ -32,9 +32,9 @@ def get_string(key: str, default: str = "", *rest: str) -> str:
 
 def get_path(key: str, default: str = "", *rest: str) -> tuple[str, ...]:
     """Return the directories in an environment variable; arguments as for `get_string`."""
-    found = get_string(key, default, *rest[:1])
+    value = get_string(key, default, *rest[:1])
     suffix = "" if key in os.environ else "".join(rest[1:])
-    return tuple(one + suffix for one in found.split(path_separator) if one)
+    return tuple(path + suffix for path in value.split(path_separator) if path)
 
 
 def get_bool(key: str, default: bool = False) -> bool:

@@ -34,8 +34,8 @@ class LogType(IntEnum):
     LogTypeReserved = 255
 
 
-_WORDS = {kind: kind.name.removesuffix("Type").upper() for kind in LogType if kind.name.endswith("Type")}
-_COLOURS = dict(zip(_WORDS, ("01;37", "01;32", "01;34", "01;33", "01;31", "01;37m\033[41"), strict=True))
+_SEVERITIES = {kind: kind.name.removesuffix("Type").upper() for kind in LogType if kind.name.endswith("Type")}
+_COLORS = dict(zip(_SEVERITIES, ("01;37", "01;32", "01;34", "01;33", "01;31", "01;37m\033[41"), strict=True))
 
 
 def enabled(environment: Mapping[str, str], name: str, *, default: bool) -> bool:
@@ -58,10 +58,10 @@ class CodePlace:
 _NOWHERE = CodePlace()
 
 
-def line(kind: LogType, text: str, component: str = "", *, colour: bool = False, place: CodePlace = _NOWHERE) -> str:
+def line(kind: LogType, text: str, component: str = "", *, color: bool = False, place: CodePlace = _NOWHERE) -> str:
     """Return a line in YARP's format; traces include the function."""
-    word, name = _WORDS[kind], place.name
-    shown = f"\033[{_COLOURS[kind]}m{word}\033[00m" if colour else word
+    severity, name = _SEVERITIES[kind], place.name
+    shown = f"\033[{_COLORS[kind]}m{severity}\033[00m" if color else severity
     if kind == LogType.TraceType and place.function:
         shown += f"] {place.function}: " if text or component else f"] {place.function}"
     else:
@@ -81,13 +81,13 @@ PrintCallback = Callable[[LogType, str, str], None]
 
 def _print(kind: LogType, text: str, component: str, place: CodePlace = _NOWHERE) -> None:
     stream = sys.stdout if kind <= LogType.InfoType else sys.stderr
-    colour = enabled(os.environ, "YARP_COLORED_OUTPUT", default=False)
+    color = enabled(os.environ, "YARP_COLORED_OUTPUT", default=False)
     if enabled(os.environ, "YARP_VERBOSE_OUTPUT", default=False):
         code = f"{place.file}:{place.line} {place.function} " if place.file else ""
         name = CodePlace(name=place.name)
-        out = f"[{place.time or time.time():.6f}] " + line(kind, code + text, component, colour=colour, place=name)
+        out = f"[{place.time or time.time():.6f}] " + line(kind, code + text, component, color=color, place=name)
     else:
-        out = line(kind, text, component, colour=colour, place=place)
+        out = line(kind, text, component, color=color, place=place)
     with _lock:
         stream.write(f"{out}\n")  # in one piece, so that other threads cannot write into the line
         stream.flush()
@@ -99,7 +99,7 @@ def _first_level() -> LogType:
     return LogType.TraceType if enabled(os.environ, "YARP_TRACE_ENABLE", default=False) else LogType.DebugType
 
 
-class _Prints:
+class _LogMethod:
     """A method of `Log`, for objects and the class; without a text it returns a stream."""
 
     def __init__(self, kind: LogType, doc: str) -> None:
@@ -109,16 +109,16 @@ class _Prints:
     def __get__(self, log: Log | None, owner: type[Log]) -> Callable[..., Any]:
         place = _NOWHERE if log is None else log.place
 
-        def say(text: str | None = None, *values: object) -> LogStream | None:
+        def write(text: str | None = None, *values: object) -> LogStream | None:
             if text is None:
                 return LogStream(self._kind, place)
-            owner.say(self._kind, text, values, place=place)
+            owner.write(self._kind, text, values, place=place)
             if self._kind == LogType.FatalType:
                 raise SystemExit(1)
             return None
 
-        say.__doc__ = self.__doc__
-        return say
+        write.__doc__ = self.__doc__
+        return write
 
 
 class LogStream:
@@ -141,7 +141,7 @@ class LogStream:
         pieces, self._pieces = self._pieces, None
         if pieces is None:
             return
-        Log.say(self._kind, " ".join(pieces).removesuffix("\n"), (), place=self._place)
+        Log.write(self._kind, " ".join(pieces).removesuffix("\n"), (), place=self._place)
         if self._kind == LogType.FatalType:
             # Python swallows SystemExit here
             atexit._run_exitfuncs()
@@ -177,12 +177,12 @@ class Log:
         times = [part for part in rest if isinstance(part, (int, float))]
         self.place = CodePlace(file, line, func, "".join(names[:1]), times[0] if times else 0.0)
 
-    trace = _Prints(LogType.TraceType, "Print a trace message, shown only if ``YARP_TRACE_ENABLE`` is 1.")
-    debug = _Prints(LogType.DebugType, "Print a debug message, hidden if ``YARP_DEBUG_ENABLE`` is 0.")
-    info = _Prints(LogType.InfoType, "Print an info message.")
-    warning = _Prints(LogType.WarningType, "Print a warning.")
-    error = _Prints(LogType.ErrorType, "Print an error.")
-    fatal = _Prints(LogType.FatalType, "Print an error and raise `SystemExit`.")
+    trace = _LogMethod(LogType.TraceType, "Print a trace message, shown only if ``YARP_TRACE_ENABLE`` is 1.")
+    debug = _LogMethod(LogType.DebugType, "Print a debug message, hidden if ``YARP_DEBUG_ENABLE`` is 0.")
+    info = _LogMethod(LogType.InfoType, "Print an info message.")
+    warning = _LogMethod(LogType.WarningType, "Print a warning.")
+    error = _LogMethod(LogType.ErrorType, "Print an error.")
+    fatal = _LogMethod(LogType.FatalType, "Print an error and raise `SystemExit`.")
 
     @staticmethod
     def nolog(*text: object) -> None:
@@ -249,18 +249,18 @@ class Log:
         return None
 
     @classmethod
-    def say(
+    def write(
         cls, kind: LogType, text: str, values: tuple[object, ...], component: str = "", place: CodePlace = _NOWHERE
     ) -> None:
         """Print and forward a text, after ``%`` formatting with ``values``."""
-        said = str(text) % values if values else str(text)
+        message = str(text) % values if values else str(text)
         if kind >= cls._minimum:
             if cls._callback is None:
-                _print(kind, said, component, place)
+                _print(kind, message, component, place)
             else:
-                cls._callback(kind, said, component)
+                cls._callback(kind, message, component)
         if cls._forward is not None and kind >= cls._forwarded:
-            cls._forward(kind, said, component)
+            cls._forward(kind, message, component)
 
 
 class LogHandler(logging.Handler):
@@ -272,7 +272,7 @@ class LogHandler(logging.Handler):
         text = record.getMessage()
         if record.exc_info:
             text += "\n" + _FORMATTER.formatException(record.exc_info)
-        Log.say(kind, text, (), record.name)
+        Log.write(kind, text, (), record.name)
 
 
 _FORMATTER = logging.Formatter()

@@ -10,7 +10,7 @@ from typing import Any, Self
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address, file, folder, namespace
-from yarp_compat.os.clock import use_the_asked_clock
+from yarp_compat.os.clock import use_environment_clock
 from yarp_compat.os.data.bottle import Bottle, Value
 from yarp_compat.os.ports.contact import Contact, ContactStyle
 from yarp_compat.os.qos import QosStyle
@@ -42,12 +42,12 @@ class Network:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._leave()
+        self._finish()
 
     def __del__(self) -> None:
-        self._leave()
+        self._finish()
 
-    def _leave(self) -> None:
+    def _finish(self) -> None:
         if self._used:
             self._used = False
             RUNTIME.fini()
@@ -56,7 +56,7 @@ class Network:
     def init(clockType: int = 0) -> None:  # noqa: ARG004
         """Start using the network."""
         LIBRARY.ask = definition_from_daemon
-        RUNTIME.init(use_the_asked_clock)
+        RUNTIME.init(use_environment_clock)
 
     initMinimum = autoInitMinimum = init
 
@@ -96,7 +96,7 @@ class Network:
         style = _style(carrier, quiet)
         if style.persistent:
             return _persistent("subscribe", src, dest, style)
-        return _said(
+        return _logged(
             lambda: connections.connect(RUNTIME.naming, src, dest, style.carrier, **_timeout(style)),
             f"cannot connect {src} to {dest}",
             quiet=style.quiet,
@@ -109,7 +109,7 @@ class Network:
         if style.persistent:
             return _persistent("unsubscribe", src, dest, style)
 
-        return _said(
+        return _logged(
             lambda: connections.disconnect(RUNTIME.naming, src, dest, **_timeout(style)),
             f"cannot disconnect {src} from {dest}",
             quiet=style.quiet,
@@ -121,8 +121,8 @@ class Network:
         style = _style(carrier, quiet)
 
         def is_connected() -> bool:
-            found = connections.carrier_between(RUNTIME.naming, src, dest, **_timeout(style))
-            return bool(found) and style.carrier in ("", found)
+            carrier = connections.carrier_between(RUNTIME.naming, src, dest, **_timeout(style))
+            return bool(carrier) and style.carrier in ("", carrier)
 
         return _done(is_connected, f"cannot check whether {src} and {dest} are connected", quiet=style.quiet)
 
@@ -131,8 +131,8 @@ class Network:
         """Return whether a port is registered and answers."""
         quiet = style.quiet if isinstance(style, ContactStyle) else style
         timeout = _timeout(style) if isinstance(style, ContactStyle) else {}
-        what = f"cannot check whether {port} exists"
-        return _done(lambda: connections.exists(RUNTIME.naming, port, **timeout), what, quiet=quiet)
+        problem = f"cannot check whether {port} exists"
+        return _done(lambda: connections.exists(RUNTIME.naming, port, **timeout), problem, quiet=quiet)
 
     @staticmethod
     def sync(port: str, quiet: bool = True) -> bool:
@@ -147,8 +147,8 @@ class Network:
     @staticmethod
     def waitConnection(source: str, destination: str, quiet: bool = False) -> bool:
         """Wait without a limit until two ports are connected."""
-        what = f"waiting for the connection {source} -> {destination}"
-        return _wait(lambda: Network.isConnected(source, destination, True), None, what, quiet=quiet)
+        message = f"waiting for the connection {source} -> {destination}"
+        return _wait(lambda: Network.isConnected(source, destination, True), None, message, quiet=quiet)
 
     @staticmethod
     def queryName(name: str) -> Contact:
@@ -194,10 +194,10 @@ class Network:
     @staticmethod
     def getProperty(name: str, key: str) -> Value | None:
         """Return the value under a key of a registered port, or None."""
-        found = _value(lambda: RUNTIME.naming.get_property(name, key), f"cannot get the property {key} of {name}")
-        if not found:
+        values = _value(lambda: RUNTIME.naming.get_property(name, key), f"cannot get the property {key} of {name}")
+        if not values:
             return None
-        return Value.of(found[0] if len(found) == 1 else list(found))
+        return Value.of(values[0] if len(values) == 1 else list(values))
 
     @staticmethod
     def getNameServerName() -> str:
@@ -233,34 +233,34 @@ class Network:
     @staticmethod
     def setConnectionQos(src: str, dest: str, style: QosStyle, *rest: Any) -> bool:
         """Set the type of service of a connection's packets at both ends; a second style is for the other end."""
-        ends = [style, *(one for one in rest if isinstance(one, QosStyle))]
-        quiet = next((one for one in rest if isinstance(one, bool)), True)
+        ends = [style, *(option for option in rest if isinstance(option, QosStyle))]
+        quiet = next((option for option in rest if isinstance(option, bool)), True)
 
-        def at(port: str, other: str, asked: QosStyle) -> bool:
-            if asked.getPacketPriorityAsTOS() == -1 and asked.getThreadPolicy() == -1:
+        def set_end(port: str, other: str, style: QosStyle) -> bool:
+            if style.getPacketPriorityAsTOS() == -1 and style.getThreadPolicy() == -1:
                 return True
-            sched = {"priority": asked.getThreadPriority(), "policy": asked.getThreadPolicy()}
-            qos = {"tos": asked.getPacketPriorityAsTOS()}
+            sched = {"priority": style.getThreadPriority(), "policy": style.getThreadPolicy()}
+            qos = {"tos": style.getPacketPriorityAsTOS()}
             command, reply = Bottle(["prop", "set", other, ["sched", sched], ["qos", qos]]), Bottle()
             return Network.write(port, command, reply, True, quiet, 2.0) and reply.get(0).asString() == "ok"
 
-        return at(src, dest, ends[0]) and at(dest, src, ends[-1])
+        return set_end(src, dest, ends[0]) and set_end(dest, src, ends[-1])
 
     @staticmethod
     def getConnectionQos(src: str, dest: str, srcStyle: QosStyle, destStyle: QosStyle, quiet: bool = True) -> bool:
         """Fill two styles with those of a connection, as its two ends report them."""
 
-        def at(port: str, other: str, found: QosStyle) -> bool:
+        def read_end(port: str, other: str, style: QosStyle) -> bool:
             reply = Bottle()
             if not Network.write(port, Bottle(["prop", "get", other]), reply, True, quiet, 2.0):
                 return False
-            told = reply.findGroup("qos").get(1)
-            if told.asSearchable() is None:
+            qos = reply.findGroup("qos").get(1)
+            if qos.asSearchable() is None:
                 return False
-            found.setPacketPrioritybyTOS(told.find("tos").asInt32())
+            style.setPacketPrioritybyTOS(qos.find("tos").asInt32())
             return True
 
-        return at(src, dest, srcStyle) and at(dest, src, destStyle)
+        return read_end(src, dest, srcStyle) and read_end(dest, src, destStyle)
 
     @staticmethod
     def disconnectInput(src: str, dest: str, silent: bool = False) -> bool:
@@ -291,7 +291,7 @@ class Network:
         style = _write_style(options)
 
         def write() -> bool:
-            address = _found(contact)
+            address = _address_of(contact)
             timeout = style.timeout if style.timeout > 0 else text_client.TIMEOUT
             lines = text_client.ask(address, command.to_values(), admin=style.admin, timeout=timeout)
             reply.from_text(lines[0] if lines else "")
@@ -314,7 +314,7 @@ class Network:
 NetworkBase = Network
 
 
-def _found(contact: Contact | str) -> WireContact:
+def _address_of(contact: Contact | str) -> WireContact:
     name = contact if isinstance(contact, str) else contact.getRegName()
     known = WireContact.parse(contact) if isinstance(contact, str) else contact.address
     address = known if known.is_valid else RUNTIME.naming.query(name)
@@ -342,21 +342,21 @@ def _timeout(style: ContactStyle) -> dict[str, float]:
     return {"timeout": style.timeout} if style.timeout > 0 else {}
 
 
-def _persistent(word: str, src: str, dest: str, style: ContactStyle) -> bool:
+def _persistent(verb: str, src: str, dest: str, style: ContactStyle) -> bool:
     """Ask the name server to maintain a connection, or to stop."""
-    return _done(lambda: RUNTIME.persistent(word, src, dest, style.carrier), f"cannot {word} {src} to {dest}")
+    return _done(lambda: RUNTIME.persistent(verb, src, dest, style.carrier), f"cannot {verb} {src} to {dest}")
 
 
-def _wait(ready: Callable[[], bool], limit: float | None, what: str, *, quiet: bool) -> bool:
+def _wait(ready: Callable[[], bool], limit: float | None, message: str, *, quiet: bool) -> bool:
     end = None if limit is None else time.monotonic() + limit
-    said = time.monotonic()
+    logged = time.monotonic()
     while not ready():
         now = time.monotonic()
         if end is not None and now > end:
             return False
-        if not quiet and now - said > 1:
-            log.info("%s", what)
-            said = now
+        if not quiet and now - logged > 1:
+            log.info("%s", message)
+            logged = now
         time.sleep(_POLL)
     return True
 
@@ -366,7 +366,7 @@ def _done(action: Callable[[], bool], problem: str, *, quiet: bool = False) -> b
     return bool(_value(action, problem, quiet=quiet))
 
 
-def _said(action: Callable[[], str], problem: str, *, quiet: bool) -> bool:
+def _logged(action: Callable[[], str], problem: str, *, quiet: bool) -> bool:
     """Run an action and return whether it succeeded; log the port's answer unless ``quiet``."""
     text = _value(action, problem)
     if text is not None and not quiet:

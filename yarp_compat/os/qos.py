@@ -53,16 +53,16 @@ class QosStyle:
 
     def getPacketPriorityAsDSCP(self) -> int:
         """Return the class of service, such as ``QosStyle.DSCP_AF41``."""
-        return self._known(DSCP.values())
+        return self._class_in(DSCP.values())
 
     def getPacketPriorityAsLevel(self) -> int:
         """Return YARP's level, such as ``QosStyle.PacketPriorityHigh``."""
-        return self._known(PRIORITIES.values())
+        return self._class_in(PRIORITIES.values())
 
-    def _known(self, classes: Iterable[int]) -> int:
+    def _class_in(self, classes: Iterable[int]) -> int:
         if self._tos < 0:
             return -1
-        return self._tos >> 2 if self._tos in [one << 2 for one in classes] else _CLASSES["DSCP_Undefined"]
+        return self._tos >> 2 if self._tos in [number << 2 for number in classes] else _CLASSES["DSCP_Undefined"]
 
 
 for _name, _number in (*_LEVELS.items(), *_CLASSES.items()):  # as YARP's bindings name enumerations inside a class

@@ -50,29 +50,31 @@ class ResourceFinder(Searchable):
         The older forms ``configure(argc, argv)`` and ``configure(policy, argv)`` work too. Returns False if the file
         given by ``--from`` cannot be read.
         """
-        words, skip = self._command_line(args)
+        argv, skip = self._command_line(args)
         self._configured = True
         given = Property()
-        given.fromCommand(words, skip)
+        given.fromCommand(argv, skip)
         if given.check("context"):
             self._search.contexts = [given.find("context").asString()]
-        self._property.fromCommand(words, skip, False)
+        self._property.fromCommand(argv, skip, False)
         if not self._property.check("from"):
             return True
         name = self._property.find("from").toString().strip('"')
-        found = self._search.find_main(name)
-        read = self._property.fromConfigFile(found or name, False)
+        path = self._search.find_main(name)
+        read = self._property.fromConfigFile(path or name, False)
         if not read:
-            log.warning("cannot read the configuration file %s (searched in %s)", name, self._search.said_places())
-        self._property.fromCommand(words, skip, False)  # the command line outranks the file
+            log.warning("cannot read the configuration file %s (searched in %s)", name, self._search.place_names())
+        self._property.fromCommand(argv, skip, False)  # the command line has priority over the file
         return bool(read) or not given.check("from")
 
     @staticmethod
     def _command_line(args: tuple[Any, ...]) -> tuple[list[str], bool]:
-        rest = [arg for arg in args if not isinstance(arg, str) and (isinstance(arg, bool) or not isinstance(arg, int))]
-        if not rest or isinstance(rest[0], bool):
+        arguments = [
+            arg for arg in args if not isinstance(arg, str) and (isinstance(arg, bool) or not isinstance(arg, int))
+        ]
+        if not arguments or isinstance(arguments[0], bool):
             raise TypeError("ResourceFinder.configure expects a list of words, as in configure(sys.argv)")
-        return [str(word) for word in rest[0]], bool(rest[1]) if len(rest) > 1 else True
+        return [str(argument) for argument in arguments[0]], bool(arguments[1]) if len(arguments) > 1 else True
 
     isConfigured = getter("_configured", bool, "Whether `configure` was called.")
 
@@ -135,26 +137,26 @@ class ResourceFinder(Searchable):
 
     def findFile(self, name: str, options: ResourceFinderOptions | None = None) -> str:
         """Return the path of a file, or of the file that the key ``name`` gives; "" if not found."""
-        return self.findFileByName(self._meant(name), options)
+        return self.findFileByName(self._value_or_name(name), options)
 
     def findFileByName(self, name: str, options: ResourceFinderOptions | None = None) -> str:
         """Return the path of the file with exactly this name; "" if not found."""
-        found = self._search.first(name, options or ResourceFinderOptions())
-        if not found:
-            log.debug("%s not found in %s", name, self._search.said_places())
-        return found
+        path = self._search.first(name, options or ResourceFinderOptions())
+        if not path:
+            log.debug("%s not found in %s", name, self._search.place_names())
+        return path
 
     def findPath(self, name: str = "", options: ResourceFinderOptions | None = None) -> str:
         """Return the path of a folder; without a name, the first folder to search in."""
-        where = options or ResourceFinderOptions()
-        return self._search.first(self._meant(name) if name else "", where, folder=True) or (
+        chosen = options or ResourceFinderOptions()
+        return self._search.first(self._value_or_name(name) if name else "", chosen, folder=True) or (
             "" if name else str(Path.cwd())
         )
 
     def findPaths(self, name: str, options: ResourceFinderOptions | None = None) -> Bottle:
         """Return the paths of all folders and files with this name."""
         every = options or ResourceFinderOptions.findAllMatch()
-        return Bottle(list(self._search.paths(self._meant(name), every, folder=True)))
+        return Bottle(list(self._search.paths(self._value_or_name(name), every, folder=True)))
 
     def getContextPath(self) -> str:
         """Return the first folder of the context that exists, or ""."""
@@ -170,12 +172,12 @@ class ResourceFinder(Searchable):
 
     def readConfig(self, config: Property, key: str, options: ResourceFinderOptions) -> bool:
         """Read every file with a name into ``config``; earlier ones have priority."""
-        paths = list(self._search.paths(self._meant(key), options, folder=True))
+        paths = list(self._search.paths(self._value_or_name(key), options, folder=True))
         for path in reversed(paths):
             config.fromConfigFile(path, False)
         return bool(paths)
 
-    def _meant(self, name: str) -> str:
+    def _value_or_name(self, name: str) -> str:
         return self._property.find(name).asString() if self._property.check(name) else name
 
     def _home(self, kind: str, name: str) -> str:

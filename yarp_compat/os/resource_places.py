@@ -79,17 +79,19 @@ class ResourceSearch:
 
     def copy(self) -> ResourceSearch:
         """Return a copy of this search."""
-        made = ResourceSearch(self.contexts)
-        made.main_folder, made.near_main = self.main_folder, self.near_main
-        return made
+        copy = ResourceSearch(self.contexts)
+        copy.main_folder, copy.near_main = self.main_folder, self.near_main
+        return copy
 
     def find_main(self, name: str) -> str:
         """Return the path of the main configuration file, whose folder is searched from now on; "" if not found."""
-        found = self.first(name, ResourceFinderOptions())
-        self.near_main = bool(found) and found == (name if is_absolute(name) else _behind(_here(), name))
-        path = (found or name).replace(os.sep, "/")
+        found_path = self.first(name, ResourceFinderOptions())
+        self.near_main = bool(found_path) and found_path == (
+            name if is_absolute(name) else _append(_current_folder(), name)
+        )
+        path = (found_path or name).replace(os.sep, "/")
         self.main_folder = path.rpartition("/")[0]
-        return found
+        return found_path
 
     def first(self, name: str, options: ResourceFinderOptions, *, folder: bool = False) -> str:
         """Return the best existing path, or ""; ``folder``: search for a folder."""
@@ -107,68 +109,68 @@ class ResourceSearch:
 
     def _candidates(self, name: str, options: ResourceFinderOptions, folder: bool) -> Iterator[str]:
         if folder and not name and options.searchLocations & ResourceFinderOptions.Directory:
-            yield _here()
+            yield _current_folder()
         for place in self.places(options):
-            yield name if is_absolute(name) else _behind(place, name)
+            yield name if is_absolute(name) else _append(place, name)
 
     def places(self, options: ResourceFinderOptions) -> Iterator[str]:
         """Yield the folders to search, best first."""
-        where, flavor, o, kind = (
+        locations, flavor, o, kind = (
             options.searchLocations,
             options.searchFlavor,
             ResourceFinderOptions,
             options.resourceType,
         )
-        if where & o.Directory:
-            yield kind if _is_rooted(kind) else _typed(_here(), kind)
-        if where & o.NearMainConfig and self.near_main and self.main_folder:
+        if locations & o.Directory:
+            yield kind if _is_rooted(kind) else _typed(_current_folder(), kind)
+        if locations & o.NearMainConfig and self.near_main and self.main_folder:
             yield kind if _is_rooted(kind) else _typed(self.main_folder, kind)
-        if where & o.Robot:
+        if locations & o.Robot:
             robots = ResourceFinderOptions(o.Default, o.All, resourceType="robots")
             yield from (_typed(path, kind) for path in self.paths(self.directories.robot(), robots))
-        if where & o.Context and not self.near_main:
+        if locations & o.Context and not self.near_main:
             yield from (_typed(path, kind) for path in self.context_folders())
-        if where & o.User and flavor & o.ConfigLike and (home := self.directories.config_home()):
+        if locations & o.User and flavor & o.ConfigLike and (home := self.directories.config_home()):
             yield _typed(home, kind)
-        if where & o.User and flavor & o.DataLike and (home := self.directories.data_home()):
+        if locations & o.User and flavor & o.DataLike and (home := self.directories.data_home()):
             yield _typed(home, kind)
-        if where & o.Sysadmin:
-            yield from (_typed(one, kind) for one in self.directories.config_dirs())
-        if where & o.Installed:
-            yield from (_typed(one, kind) for one in self.directories.data_dirs())
-            yield from (_typed(one, kind) for one in self._path_d())
+        if locations & o.Sysadmin:
+            yield from (_typed(folder, kind) for folder in self.directories.config_dirs())
+        if locations & o.Installed:
+            yield from (_typed(folder, kind) for folder in self.directories.data_dirs())
+            yield from (_typed(folder, kind) for folder in self._path_d())
 
     def context_folders(self) -> Iterator[str]:
         """Yield the existing folders of the contexts."""
         for context in self.contexts:
             every = ResourceFinderOptions(ResourceFinderOptions.Default, ResourceFinderOptions.All)
-            yield from self.paths(_behind("contexts", context), every)
+            yield from self.paths(_append("contexts", context), every)
 
     def home_of(self, kind: str, name: str) -> str:
         """Return the user's folder for a context or robot; a rooted name is the path itself."""
         if _is_rooted(name):
             return name
-        folder = _behind(self.directories.data_home(), kind)
-        return _behind(folder, name) if name else folder
+        folder = _append(self.directories.data_home(), kind)
+        return _append(folder, name) if name else folder
 
     def _path_d(self) -> Iterator[str]:
         """Yield the folders from the packages' files ``config/path.d/*.ini``: ``[search NAME]`` with ``path /a /b``."""
-        places = (Path(one, "config", "path.d") for one in self.directories.data_dirs())
-        place = next((one for one in places if one.is_dir()), None)
-        found: config_text.Entries = {}
-        if place is not None and config_text.read_file(str(place), found, None, wipe=True):
-            yield from _search_paths(found)
+        places = (Path(folder, "config", "path.d") for folder in self.directories.data_dirs())
+        place = next((folder for folder in places if folder.is_dir()), None)
+        entries: config_text.Entries = {}
+        if place is not None and config_text.read_file(str(place), entries, None, wipe=True):
+            yield from _search_paths(entries)
 
-    def said_places(self) -> str:
+    def place_names(self) -> str:
         """Return the folders to search, for log messages."""
         return ", ".join(self.places(ResourceFinderOptions()))
 
 
-def _here() -> str:
+def _current_folder() -> str:
     return os.getcwd()  # noqa: PTH109 - as text
 
 
-def _behind(folder: str, name: str) -> str:
+def _append(folder: str, name: str) -> str:
     """Append a name to a folder without normalizing either."""
     return f"{folder}{os.sep}{name}"
 
@@ -177,7 +179,7 @@ def _typed(folder: str, kind: str) -> str:
     """Return the subfolder for one kind of resources."""
     if not kind:
         return folder
-    return f"{folder}{kind}" if folder.endswith(os.sep) else _behind(folder, kind)
+    return f"{folder}{kind}" if folder.endswith(os.sep) else _append(folder, kind)
 
 
 def find_in_context(context: str, name: str) -> str:
@@ -185,9 +187,9 @@ def find_in_context(context: str, name: str) -> str:
     return ResourceSearch([context] if context else []).first(name, ResourceFinderOptions())
 
 
-def _search_paths(found: config_text.Entries) -> Iterator[str]:
-    for name in entry_values(found.get("search", ())):
-        groups = entry_values(found.get(name, ())) if isinstance(name, str) else ()
+def _search_paths(entries: config_text.Entries) -> Iterator[str]:
+    for name in entry_values(entries.get("search", ())):
+        groups = entry_values(entries.get(name, ())) if isinstance(name, str) else ()
         paths = next((group for group in groups if isinstance(group, list) and group[:1] == ["path"]), [])
         yield from (path for path in paths[1:] if isinstance(path, str))
 

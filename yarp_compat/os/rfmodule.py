@@ -194,8 +194,8 @@ class RFModule:
         for line in sys.stdin:
             reply = Bottle()
             if self.safeRespond(Bottle(line), reply):
-                said = reply if reply.get(0).toString() == "help" else [reply.toString()]
-                for text in said:
+                lines = reply if reply.get(0).toString() == "help" else [reply.toString()]
+                for text in lines:
                     log.info("%s.", Value(text).toString())
             else:
                 log.info("Command not understood -- %s.", line.strip())

@@ -104,13 +104,13 @@ class Runtime:
         with self._lock:
             self._client = client
 
-    def persistent(self, word: str, source: str, target: str, carrier: str = "") -> bool:
+    def persistent(self, verb: str, source: str, target: str, carrier: str = "") -> bool:
         """Send ``subscribe`` or ``unsubscribe`` for a persistent connection to the name server; return if accepted."""
         client = self.client
         if client is None:
             log.error("persistent connections are not available in local mode: %s -> %s", source, target)
             return False
-        return client.line([word, source, f"{carrier}:/{target}" if carrier else target]).startswith("[ok]")
+        return client.line([verb, source, f"{carrier}:/{target}" if carrier else target]).startswith("[ok]")
 
     @property
     def is_local(self) -> bool:
@@ -125,11 +125,11 @@ class Runtime:
     @property
     def profile(self) -> Profile:
         """The dialect for peers whose dialect is unknown: ``YARP_COMPAT_PROFILE``, by default ``yarp3``."""
-        asked = os.environ.get("YARP_COMPAT_PROFILE", Profile.YARP3.value)
+        name = os.environ.get("YARP_COMPAT_PROFILE", Profile.YARP3.value)
         try:
-            return Profile(asked)
+            return Profile(name)
         except ValueError:
-            log.warning("YARP_COMPAT_PROFILE=%s is neither yarp3 nor yarp4: using yarp3", asked)
+            log.warning("YARP_COMPAT_PROFILE=%s is neither yarp3 nor yarp4: using yarp3", name)
             return Profile.YARP3
 
 
@@ -157,5 +157,5 @@ def definition_from_daemon(type_name: str) -> str | None:
     except NamingError as err:
         _node_log.warning("cannot get the definition of %s from a daemon: %s", type_name, err)
         return None
-    words = from_text(lines[0]) if lines else []
-    return str(words[1]) if len(words) == 2 and words[0] == "ok" else None
+    reply = from_text(lines[0]) if lines else []
+    return str(reply[1]) if len(reply) == 2 and reply[0] == "ok" else None

@@ -58,10 +58,10 @@ class Things:
         """Return the content as an object of a class; None if it is of another type."""
         held = self._writer or self._reader or self._portable
         if held is None and self._connection is not None:
-            made = kind()
-            if not made.read(self._connection):
+            content = kind()
+            if not content.read(self._connection):
                 return None
-            held = self._portable = made
+            held = self._portable = content
             self._been_read = True
         return held if isinstance(held, kind) else None
 

@@ -106,9 +106,7 @@ def test_the_librarys_messages_name_their_component(capsys: pytest.CaptureFixtur
 
 
 def test_lines() -> None:
-    assert (
-        line(LogType.InfoType, "text", "yarp.os.Port", colour=True) == "[\033[01;34mINFO\033[00m] |yarp.os.Port| text"
-    )
+    assert line(LogType.InfoType, "text", "yarp.os.Port", color=True) == "[\033[01;34mINFO\033[00m] |yarp.os.Port| text"
     assert enabled({"X": "1"}, "X", default=False)
     assert not enabled({"X": "no"}, "X", default=True)
     assert enabled({}, "X", default=True)

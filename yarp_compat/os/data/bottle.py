@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, overload
 
 from yarp_compat.os.data.property_base import PropertyBase
-from yarp_compat.os.data.value_base import ValueBase, cloned, integer, plain_of, word_of
+from yarp_compat.os.data.value_base import ValueBase, deep_copy, integer, plain_of, word_of
 from yarp_compat.wire import tags
 from yarp_compat.wire.accessors import getter
 from yarp_compat.wire.binary import decode, decode_prefix, encode, encode_parts
@@ -48,8 +48,8 @@ class Searchable:
     def check(self, key: str, fallback: Value | str = "", comment: str = "") -> bool | Value:  # noqa: ARG002
         """Return whether a key exists; with a fallback, its value or the fallback. A comment has no effect."""
         if not isinstance(fallback, str):
-            found = self.find(key)
-            return fallback if found.isNull() else found
+            value = self.find(key)
+            return fallback if value.isNull() else value
         return self._has(key)
 
     def isNull(self) -> bool:
@@ -94,9 +94,9 @@ class Value(ValueBase, _Comparable):
     @classmethod
     def of(cls, value: Any) -> Value:
         """Wrap a plain value, without copying lists. None is null."""
-        made = object.__new__(cls)
-        made._value = value
-        return made
+        instance = object.__new__(cls)
+        instance._value = value
+        return instance
 
     @property
     def plain(self) -> Any:
@@ -153,7 +153,7 @@ class Value(ValueBase, _Comparable):
 
     def clone(self) -> Value:
         """Return a deep copy."""
-        return Value.of(cloned(self._value))
+        return Value.of(deep_copy(self._value))
 
     @staticmethod
     def getNullValue() -> Value:
@@ -172,9 +172,9 @@ class Value(ValueBase, _Comparable):
 NULL = Value.of(None)  # represents a missing value
 
 
-def _add(made: Callable[[Any], Any], doc: str) -> Callable[[Bottle, Any], None]:
+def _add(convert: Callable[[Any], Any], doc: str) -> Callable[[Bottle, Any], None]:
     def add(self: Bottle, value: Any) -> None:
-        self._edit().append(made(value))
+        self._edit().append(convert(value))
 
     add.__doc__ = doc
     return add
@@ -196,9 +196,9 @@ class Bottle(Portable, _Comparable):
     @classmethod
     def of(cls, values: list[Any]) -> Bottle:
         """Wrap a list of plain values, without a copy."""
-        made = object.__new__(cls)
-        made._values, made._null, made._fixed = values, False, False
-        return made
+        bottle = object.__new__(cls)
+        bottle._values, bottle._null, bottle._fixed = values, False, False
+        return bottle
 
     @property
     def plain(self) -> list[Any]:
@@ -251,7 +251,7 @@ class Bottle(Portable, _Comparable):
         """Replace the content by a copy of another Bottle, or of ``len`` of its values from ``first`` on."""
         self._edit()
         self._null = other._null
-        self._values[:] = [cloned(value) for value in other._values[first : None if len is None else first + len]]
+        self._values[:] = [deep_copy(value) for value in other._values[first : None if len is None else first + len]]
 
     def clear(self) -> None:
         """Remove all values."""
@@ -272,14 +272,14 @@ class Bottle(Portable, _Comparable):
     def find(self, key: str) -> Value:
         """Return the value after a key: the second of the list that begins with it, or the one that follows it."""
         at = self._index(key)
-        found = self._values[at] if at >= 0 else None
-        return Bottle.of(found).get(1) if isinstance(found, list) else self.get(at + 1) if at >= 0 else NULL
+        value = self._values[at] if at >= 0 else None
+        return Bottle.of(value).get(1) if isinstance(value, list) else self.get(at + 1) if at >= 0 else NULL
 
     def findGroup(self, key: str) -> Bottle:
         """Return the list that begins with a key; a null Bottle if it is missing."""
         at = self._index(key)
-        found = self._values[at] if at >= 0 else None
-        return Bottle.of(found) if isinstance(found, list) else _NULL
+        value = self._values[at] if at >= 0 else None
+        return Bottle.of(value) if isinstance(value, list) else _NULL
 
     def _index(self, key: str) -> int:
         """Return the index of a key, or of the list that begins with it; -1 if it is missing."""
@@ -290,9 +290,9 @@ class Bottle(Portable, _Comparable):
 
     def tail(self) -> Bottle:
         """Return a new Bottle with all values except the first."""
-        made = Bottle(self._values[1:])
-        made._null = self._null
-        return made
+        tail = Bottle(self._values[1:])
+        tail._null = self._null
+        return tail
 
     def toString(self) -> str:
         """Return the text form."""
@@ -324,7 +324,7 @@ class Bottle(Portable, _Comparable):
 
     def to_values(self) -> list[Any]:
         """Return copies of the plain values."""
-        return [cloned(value) for value in self._values]
+        return [deep_copy(value) for value in self._values]
 
     def from_values(self, values: Iterable[Any]) -> None:
         """Replace the content by these values."""
@@ -420,9 +420,9 @@ class Property(PropertyBase, Searchable):
     @classmethod
     def of(cls, entries: dict[str, Any]) -> Property:
         """Wrap a dict of plain values, without a copy."""
-        made = object.__new__(cls)
-        made._entries = entries
-        return made
+        instance = object.__new__(cls)
+        instance._entries = entries
+        return instance
 
     @property
     def plain(self) -> dict[str, Any]:
@@ -444,8 +444,8 @@ class Property(PropertyBase, Searchable):
         """Return a new Bottle with the key and its values; a null Bottle if the key is missing."""
         if key not in self._entries:
             return Bottle.getNullBottle()
-        own = next(one for one in self._entries if one == key)  # a str subclass may mark a number
-        return Bottle.of(*entries_of({own: self._entries[key]}))
+        stored = next(k for k in self._entries if k == key)  # a str subclass may mark a number
+        return Bottle.of(*entries_of({stored: self._entries[key]}))
 
     def __eq__(self, other: object) -> bool:
         return self.toString() == other.toString() if isinstance(other, Property) else self._entries == other

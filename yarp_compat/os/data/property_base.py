@@ -20,20 +20,20 @@ from yarp_compat.wire.values import entries_of, merge
 _WORD = re.compile(r'"([^"]*)"?|([^ "]+)')
 
 
-def take_options(words: Sequence[str], entries: dict[str, Any]) -> None:
+def merge_options(words: Sequence[str], entries: dict[str, Any]) -> None:
     """Merge the options of a command line into a dict: ``--key value ...`` and ``--GROUP::key value ...``.
 
     Words before the first option, and after a bare ``--`` up to the next option, are dropped, as in YARP.
     """
     options: list[tuple[str, list[Any]]] = []
     values: list[Any] = []
-    for word in words:
-        if word.startswith("--"):
+    for argument in words:
+        if argument.startswith("--"):
             values = []
-            if word != "--":
-                options.append((word[2:], values))
+            if argument != "--":
+                options.append((argument[2:], values))
         else:
-            values.append(_value(word.replace("\\", "\\\\")))
+            values.append(_value(argument.replace("\\", "\\\\")))
     if any("::" in name for name, _ in options):
         for name, values in options:
             _put_in_groups(name, values, entries)
@@ -52,22 +52,22 @@ def _put_in_groups(name: str, values: list[Any], entries: dict[str, Any]) -> Non
     if len(path) == 1:
         merge(entries, dict_of([[type(key)(path[0]), *values]]))
         return
-    own = next((name for name in entries if name == path[0]), path[0])  # a str subclass may mark a vocab
-    (tree,) = entries_of({own: entries.get(own, ())})
-    _put(tree, path[1:], values)
+    key = next((name for name in entries if name == path[0]), path[0])  # a str subclass may mark a vocab
+    (tree,) = entries_of({key: entries.get(key, ())})
+    _set_in_group(tree, path[1:], values)
     merge(entries, dict_of([tree]))
 
 
-def _put(tree: list[Any], path: list[str], values: list[Any]) -> None:
+def _set_in_group(tree: list[Any], path: list[str], values: list[Any]) -> None:
     """Set a value in a group, through nested groups along the path."""
-    found = next((entry for entry in tree if _name_of(entry) == path[0]), None)
-    if not isinstance(found, list):
-        found = [path[0]]
-        tree.append(found)
+    group = next((entry for entry in tree if _name_of(entry) == path[0]), None)
+    if not isinstance(group, list):
+        group = [path[0]]
+        tree.append(group)
     if len(path) > 1:
-        _put(found, path[1:], values)
+        _set_in_group(group, path[1:], values)
     else:
-        found[:] = [path[0], *values]
+        group[:] = [path[0], *values]
 
 
 def _name_of(entry: Any) -> str:
@@ -84,17 +84,17 @@ def _value(word: str) -> Any:
 
 def split_words(text: str) -> list[str]:
     """Split a command line into words; double quotes group words."""
-    return [quoted or word for quoted, word in _WORD.findall(text) if quoted or word]
+    return [quoted or plain for quoted, plain in _WORD.findall(text) if quoted or plain]
 
 
 def query_of(url: str) -> dict[str, str]:
     """Return the query of a URL, ``...?key=value&key=value``, as a dict."""
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for part in url.rpartition("?")[2].split("&"):
         key, _, value = part.partition("=")
         if key and value:
-            found[unquote_plus(key)] = unquote_plus(value)
-    return found
+            values[unquote_plus(key)] = unquote_plus(value)
+    return values
 
 
 class PropertyBase(Portable):
@@ -104,8 +104,8 @@ class PropertyBase(Portable):
 
     def put(self, key: str, value: Any) -> None:
         """Set the value of a key; a bool becomes an int, as in YARP's bindings."""
-        made = plain_of(int(value) if isinstance(value, bool) else value)
-        merge(self._entries, {key: () if made is None else made})
+        plain = plain_of(int(value) if isinstance(value, bool) else value)
+        merge(self._entries, {key: () if plain is None else plain})
 
     def unput(self, key: str) -> None:
         """Remove a key."""
@@ -123,13 +123,13 @@ class PropertyBase(Portable):
 
     def fromString(self, text: str, wipe: bool = True) -> None:
         """Read a text: lists, each with a key and its values. ``wipe``, here and below: first remove all keys."""
-        self._take(dict_of(from_text(text)), wipe)
+        self._merge(dict_of(from_text(text)), wipe)
 
     def fromCommand(self, argv: Sequence[str], skipFirst: bool = True, wipe: bool = True) -> None:
         """Read a command line, ``--key value ...`` and ``--GROUP::key value ...``, after the program's name."""
         if wipe:
             self.clear()
-        take_options(list(argv)[1 if skipFirst else 0 :], self._entries)
+        merge_options(list(argv)[1 if skipFirst else 0 :], self._entries)
 
     def fromArguments(self, text: str, wipe: bool = True) -> None:
         """Read a command line as one text; double quotes group words."""
@@ -137,7 +137,7 @@ class PropertyBase(Portable):
 
     def fromQuery(self, url: str, wipe: bool = True) -> None:
         """Read the query of a URL."""
-        self._take(query_of(url), wipe)
+        self._merge(query_of(url), wipe)
 
     def fromConfigFile(self, fname: str, env: Environment | bool | None = None, wipe: bool = True) -> bool:
         """Read a configuration file, or all ``.ini`` files of a folder; return False, changing nothing, if not found.
@@ -167,7 +167,7 @@ class PropertyBase(Portable):
 
     def _read(self, source: ElementReader) -> None:
         values, end = decode_prefix(source.data, source.profile, source.at)
-        self._take(dict_of(from_text(to_text(values))), wipe=True)
+        self._merge(dict_of(from_text(to_text(values))), wipe=True)
         source.at = end
 
     to_text = toString
@@ -208,10 +208,10 @@ class PropertyBase(Portable):
         """Return the plain value under a key, or a default."""
         return self._entries.get(key, default)
 
-    def _take(self, entries: Mapping[str, Any], wipe: bool) -> None:
+    def _merge(self, entries: Mapping[str, Any], wipe: bool) -> None:
         if wipe:
             self.clear()
         merge(self._entries, entries)
 
     def _become(self, other: Self) -> None:
-        self._take(dict(other._entries), wipe=True)
+        self._merge(dict(other._entries), wipe=True)

@@ -50,11 +50,11 @@ class Stamp(Portable):
 
     def from_text(self, line: str) -> None:
         """Parse an envelope; raises `WireError`, and becomes invalid, unless it is an int and a number."""
-        found = _TEXT.match(line)
+        match = _TEXT.match(line)
         self._count, self._time = -1, 0.0
-        if found is None or not -_LARGEST <= int(found[1]) <= _LARGEST:
+        if match is None or not -_LARGEST <= int(match[1]) <= _LARGEST:
             raise WireError(f"invalid stamp {line!r:.80}: expected a count and a time")
-        self._count, self._time = int(found[1]), float(found[2])
+        self._count, self._time = int(match[1]), float(match[2])
 
     def _write(self, out: ElementWriter) -> None:
         out.begin(2)

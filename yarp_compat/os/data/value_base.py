@@ -29,8 +29,8 @@ def plain_of(value: Any) -> Any:
         return value
     value = getattr(value, "plain", value)  # for a Value, a Bottle or a Property
     if isinstance(value, dict):
-        made = {key: tuple(map(plain_of, i)) if isinstance(i, tuple) else plain_of(i) for key, i in value.items()}
-        return Group(made) if isinstance(value, Group) else made
+        copy = {key: tuple(map(plain_of, i)) if isinstance(i, tuple) else plain_of(i) for key, i in value.items()}
+        return Group(copy) if isinstance(value, Group) else copy
     if isinstance(value, (list, tuple)):
         return [plain_of(item) for item in value]
     if getattr(value, "ndim", 0):  # a numpy array: the numbers keep their types
@@ -39,7 +39,7 @@ def plain_of(value: Any) -> Any:
     return plain_of(value) if isinstance(value, list) else value
 
 
-def cloned(value: Any) -> Any:
+def deep_copy(value: Any) -> Any:
     """Return a deep copy of a plain value."""
     return value if value is None or type(value) in _LEAVES else plain_of(value)
 
@@ -52,7 +52,7 @@ def integer(value: Any, bits: int) -> int:
     return int(number)
 
 
-def cut(value: float, bits: int) -> int:
+def truncate(value: float, bits: int) -> int:
     """Return the lowest bits of a number, as a C++ cast does; floats out of range become the smallest int."""
     if isinstance(value, float):
         smallest = -(1 << max(bits, 32) - 1)
@@ -72,7 +72,7 @@ def word_of(number: int | str, *rest: str) -> Word | bool:
     """Return the vocab of a number, a word, or a word's characters."""
     if isinstance(number, str):
         number = code_of("".join((number, *rest)), 4)
-    return vocab32(cut(number, 32))
+    return vocab32(truncate(number, 32))
 
 
 def _is_long(word: Word) -> bool:
@@ -87,9 +87,9 @@ def _whether(check: Callable[[Any], bool], doc: str) -> Callable[[ValueBase], bo
     return is_kind
 
 
-def _cut_to(bits: int, doc: str) -> Callable[[ValueBase], int]:
+def _truncated_to(bits: int, doc: str) -> Callable[[ValueBase], int]:
     def as_int(self: ValueBase) -> int:
-        return cut(self._number(), bits)
+        return truncate(self._number(), bits)
 
     as_int.__doc__ = doc
     return as_int
@@ -99,7 +99,7 @@ def _vocab_of(size: int, doc: str) -> Callable[[ValueBase], int]:
     def as_vocab(self: ValueBase) -> int:
         if isinstance(self._value, (str, bool)):
             return code_of(self._value, size)
-        return cut(self._value, 8 * size) if isinstance(self._value, int) else 0
+        return truncate(self._value, 8 * size) if isinstance(self._value, int) else 0
 
     as_vocab.__doc__ = doc
     return as_vocab
@@ -138,10 +138,10 @@ class ValueBase(Portable):
         """Return whether it is an int or vocab other than 0."""
         return isinstance(self._value, (int, Word)) and bool(self._value)
 
-    asInt8 = _cut_to(8, "The number, truncated to one byte.")
-    asInt16 = _cut_to(16, "The number, truncated to two bytes.")
-    asInt32 = _cut_to(32, "The number, truncated to four bytes.")
-    asInt64 = _cut_to(64, "The number, truncated to eight bytes.")
+    asInt8 = _truncated_to(8, "The number, truncated to one byte.")
+    asInt16 = _truncated_to(16, "The number, truncated to two bytes.")
+    asInt32 = _truncated_to(32, "The number, truncated to four bytes.")
+    asInt64 = _truncated_to(64, "The number, truncated to eight bytes.")
 
     def asFloat32(self) -> float:
         """Return the number, rounded to a float of four bytes."""

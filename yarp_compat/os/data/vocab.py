@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from yarp_compat.os.data.value_base import code_of, cut
+from yarp_compat.os.data.value_base import code_of, truncate
 from yarp_compat.wire.values import Vocab as Word
 from yarp_compat.wire.values import vocab32, vocab64
 
@@ -18,7 +18,7 @@ class Vocab32:
     @staticmethod
     def decode(code: int) -> str:
         """The word of a number."""
-        return _word(vocab32(cut(code, 32)))
+        return _word(vocab32(truncate(code, 32)))
 
 
 class Vocab64:

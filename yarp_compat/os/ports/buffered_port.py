@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, ClassVar
 
-from yarp_compat.os.ports.connection import recognised
+from yarp_compat.os.ports.connection import sender_profile
 from yarp_compat.os.ports.contact import Contact
 from yarp_compat.os.ports.contactable import Contactable
 from yarp_compat.os.ports.inbox import Inbox
@@ -32,19 +32,19 @@ class TypedReaderCallback:
 class CallbackThread:
     """A thread that passes messages to a callback (an object with ``onRead``, or a function), under a lock.
 
-    ``take`` waits for the next content, and returns None at the end or when the function that it receives returns true.
+    ``receive`` waits for the next content, and returns None at the end or when its argument returns true.
     ``port`` is passed to callbacks with a second argument.
     """
 
     def __init__(
         self,
         name: str,
-        take: Callable[[Callable[[], bool]], Any],
+        receive: Callable[[Callable[[], bool]], Any],
         callback: Any,
         port: Any,
         lock: AbstractContextManager[Any],
     ) -> None:
-        self._take = take
+        self._receive = receive
         self._lock = lock
         self._call = _caller(getattr(callback, "onRead", callback), port)
         self._stopped = threading.Event()
@@ -52,7 +52,7 @@ class CallbackThread:
         self._thread.start()
 
     def _run(self) -> None:
-        while (content := self._take(self._stopped.is_set)) is not None:
+        while (content := self._receive(self._stopped.is_set)) is not None:
             try:
                 with self._lock:
                     self._call(content)
@@ -60,7 +60,7 @@ class CallbackThread:
                 log.exception("a callback failed; the port continues with the next message")
 
     def stop(self, wake: Callable[[], None]) -> None:
-        """Stop calling, and wait for a running call unless on its thread; ``wake`` wakes up the waiting ``take``."""
+        """Stop calling, and wait for a running call unless on its thread; ``wake`` wakes up the waiting ``receive``."""
         self._stopped.set()
         wake()
         if threading.current_thread() is not self._thread:
@@ -87,13 +87,13 @@ class BufferedPort(Contactable, TypedReaderCallback):
 
     def __init__(self, content: type[Any] | None = None) -> None:
         super().__init__()
-        made = content or self.CONTENT
-        if made is None:
+        kind = content or self.CONTENT
+        if kind is None:
             raise TypeError(
                 "BufferedPort needs the class of its data: BufferedPort(yarp.Bottle), or BufferedPortBottle()"
             )
-        self._content: type[Any] = made
-        self._type = self._type or getattr(made, "TYPE", "")
+        self._content: type[Any] = kind
+        self._type = self._type or getattr(kind, "TYPE", "")
         self._gate = self._inbox = Inbox()
         self._strict = False
         self._replier: PortReader | None = None
@@ -150,12 +150,12 @@ class BufferedPort(Contactable, TypedReaderCallback):
     def _next(self, *, wait: bool, stopped: Callable[[], bool] | None = None) -> Any:
         """Return the next message of this port's type."""
         while True:
-            message = self._inbox.take(wait=wait, stopped=stopped)
+            message = self._inbox.pop(wait=wait, stopped=stopped)
             if message is None:
                 return None
             content = self._content()
             try:
-                content.from_wire(message.payload, recognised(message))
+                content.from_wire(message.payload, sender_profile(message))
             except WireError as err:
                 log.error("port %s: skipped a message from %s: %s", self.getName(), message.peer.route.source, err)
                 continue
@@ -220,27 +220,27 @@ class BufferedPort(Contactable, TypedReaderCallback):
             thread.stop(self._inbox.wake)
 
     def _start_callback(self) -> None:
-        def take(stopped: Callable[[], bool]) -> Any:
+        def next_message(stopped: Callable[[], bool]) -> Any:
             self._last = content = self._next(wait=True, stopped=stopped)
             return content
 
-        self._thread = CallbackThread(self.getName(), take, self._callback, self, self._callback_lock)
+        self._thread = CallbackThread(self.getName(), next_message, self._callback, self, self._callback_lock)
 
-    def _began(self) -> None:
+    def _on_open(self) -> None:
         self._gate = self._inbox = Inbox()
         self._inbox.strict = self._strict
         if self._callback is not None:
             self._start_callback()
 
-    def _ending(self) -> None:
+    def _on_closing(self) -> None:
         self._inbox.close()
         self._stop_callback()
 
-    def _ended(self, core: PortCore) -> None:
-        super()._ended(core)
+    def _on_closed(self, core: PortCore) -> None:
+        super()._on_closed(core)
         self._callback = None
 
-    def _take(self, message: PortMessage) -> None:
+    def _on_message(self, message: PortMessage) -> None:
         if message.wants_reply and self._replier is not None:
             with self._callback_lock:
                 answer(self._replier, message, Contact(self.getName()))

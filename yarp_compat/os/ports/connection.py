@@ -34,7 +34,7 @@ log = logging.getLogger("yarp.os.ConnectionReader")
 
 def _append(layout: str, doc: str) -> Callable[[ConnectionWriter, Any], None]:
     def append(self: ConnectionWriter, value: Any) -> None:
-        self._put(layout, value)
+        self._append_number(layout, value)
 
     append.__doc__ = doc
     return append
@@ -42,7 +42,7 @@ def _append(layout: str, doc: str) -> Callable[[ConnectionWriter, Any], None]:
 
 def _expect(kind: type[T], layout: str, doc: str) -> Callable[[ConnectionReader], T]:
     def expect(self: ConnectionReader) -> T:
-        return kind(self._take(layout))
+        return kind(self._read_number(layout))
 
     expect.__doc__ = doc
     return expect
@@ -99,7 +99,7 @@ class ConnectionWriter:
             return None
         return "".join(lines).encode(errors="surrogateescape")
 
-    def _put(self, layout: str, value: Any) -> None:
+    def _append_number(self, layout: str, value: Any) -> None:
         try:
             self.writer.raw(struct.Struct(layout), value)
         except WireError as err:
@@ -143,9 +143,9 @@ class ConnectionReader:
     def expectText(self, terminatingChar: str | int = "\n") -> str:
         """Read text up to a terminating character, and skip that."""
         stop = terminatingChar.encode() if isinstance(terminatingChar, str) else bytes([terminatingChar])
-        rest = bytes(self.reader.data[self.reader.at :])
-        text, found, _ = rest.partition(stop)
-        self.reader.at += len(text) + len(found)
+        unread = bytes(self.reader.data[self.reader.at :])
+        text, end, _ = unread.partition(stop)
+        self.reader.at += len(text) + len(end)
         return text.decode("utf-8", "surrogateescape")
 
     isTextMode = always(False, "Whether the bytes are text: never, the port has converted it to a Bottle.")
@@ -183,7 +183,7 @@ class ConnectionReader:
         if self._message is not None:
             self._message.drop()
 
-    def _take(self, layout: str) -> Any:
+    def _read_number(self, layout: str) -> Any:
         try:
             return self.reader.raw(struct.Struct(layout))[0]
         except WireError as err:
@@ -200,10 +200,10 @@ class ConnectionReader:
 
 def profile_of(message: PortMessage | None, default: Profile) -> Profile:
     """Return the dialect of a message: its sender's if known, else detected from the bytes, else the default."""
-    return (recognised(message) if message is not None else None) or default
+    return (sender_profile(message) if message is not None else None) or default
 
 
-def recognised(message: PortMessage) -> Profile | None:
+def sender_profile(message: PortMessage) -> Profile | None:
     """Return the dialect of a message's sender; None if no message has shown it so far."""
     if message.peer.profile is None:
         with contextlib.suppress(WireError):
@@ -255,6 +255,6 @@ def report(core: PortCore, reporter: PortReport, event: ConnectionEvent | None =
 
 def _connection(name: str, route: ConnectionRoute, *, incoming: bool, created: bool) -> PortInfo:
     kind = "input" if incoming else "output"
-    words = f"There is an {kind} connection from {route.source} to {route.target} using {route.carrier}"
+    text = f"There is an {kind} connection from {route.source} to {route.target} using {route.carrier}"
     tag = PortInfo.PORTINFO_CONNECTION
-    return PortInfo(tag, incoming, created, name, route.source, route.target, route.carrier, words)
+    return PortInfo(tag, incoming, created, name, route.source, route.target, route.carrier, text)

@@ -41,9 +41,9 @@ class Contact:
     @classmethod
     def of(cls, address: Address | None) -> Self:
         """Return the contact of an address; an invalid one for None."""
-        made = cls()
-        made._address = address or made._address
-        return made
+        contact = cls()
+        contact._address = address or contact._address
+        return contact
 
     @classmethod
     def fromString(cls, text: str) -> Self:

@@ -30,7 +30,7 @@ _node_log = logging.getLogger("yarp.os.Node")
 
 _OPPOSITE = {PUBLISHER: SUBSCRIBER, SUBSCRIBER: PUBLISHER, CLIENT: SERVER, SERVER: CLIENT}
 
-_WORDS = {
+_EVENT_TEXTS = {
     (True, True): "Receiving input",
     (False, True): "Sending output",
     (True, False): "Removing input",
@@ -78,7 +78,7 @@ NODES = Nodes()
 class Contactable:
     """The base class of ports. Methods return False when YARP's do, and log the reason."""
 
-    _ANSWERS: ClassVar[bool] = False  # whether writers may receive replies
+    _REPLIES: ClassVar[bool] = False  # whether writers may receive replies
 
     _latched = False  # whether late joiners receive the last message
 
@@ -110,11 +110,11 @@ class Contactable:
             return False
         self.close()
         contact = name if isinstance(name, Contact) else Contact(name)
-        asked = contact.getRegName()
-        full = self._full_name(os.environ.get(_variable("YARP_RENAME", asked)) or asked)
+        requested = contact.getRegName()
+        full = self._full_name(os.environ.get(_variable("YARP_RENAME", requested)) or requested)
         if full is None:
             return False
-        return self._open(full, contact, _number(asked) or max(contact.getPort(), 0), register=registerName)
+        return self._open(full, contact, _number(requested) or max(contact.getPort(), 0), register=registerName)
 
     def _full_name(self, name: str) -> str | None:
         """Return the full name to register; None if the name is invalid."""
@@ -156,20 +156,20 @@ class Contactable:
     def _open(self, name: str, contact: Contact, number: int, *, register: bool) -> bool:
         naming = RUNTIME.naming if register else RUNTIME.unregistered
         core = PortCore(
-            name, on_message=_weakly(self._take), naming=naming, rpc=self._rpc, type_name=self._type,
+            name, on_message=_weakly(self._on_message), naming=naming, rpc=self._rpc, type_name=self._type,
             host=contact.getHost() or None, number=number, profile=RUNTIME.profile,
-            is_input=self._is_input is not False, is_output=self._is_output is not False, on_event=_weakly(self._tell),
-            replies=self._ANSWERS,
+            is_input=self._is_input is not False, is_output=self._is_output is not False, replies=self._REPLIES,
+            on_event=_weakly(self._on_event),
         )  # fmt: skip
         self._interrupted = False
         self._core = core
-        self._began()
+        self._on_open()
         try:
             core.open()
         except (NamingError, OSError) as err:
             log.error("Port %s failed to activate (%s)", name or "without a name", err)
             self._core = None
-            self._ending()
+            self._on_closing()
             return False
         # An unreferenced port is closed, as in C++.
         self._finalizer = weakref.finalize(self, core.close)
@@ -208,11 +208,11 @@ class Contactable:
         if core is None:
             return
         RUNTIME.closed(self)
-        self._ending()
+        self._on_closing()
         if self._finalizer is not None:
             self._finalizer.detach()
         core.close()
-        self._ended(core)
+        self._on_closed(core)
 
     def interrupt(self) -> None:
         """Release waiting threads, and stop reading and writing until `resume`."""
@@ -284,8 +284,8 @@ class Contactable:
         target = name.toString() if isinstance(name, Contact) else name
         if carrier:
             target = f"{carrier}:/{target}"
-        done, said = core.add_output(target)
-        log.log(logging.INFO if done else logging.ERROR, "%s", said)
+        done, message = core.add_output(target)
+        log.log(logging.INFO if done else logging.ERROR, "%s", message)
         return done
 
     def getInputCount(self) -> int:
@@ -364,24 +364,24 @@ class Contactable:
 
     # -- callbacks of the core ----------------------------------------------------------------------------------------
 
-    def _take(self, message: PortMessage) -> None:
+    def _on_message(self, message: PortMessage) -> None:
         """Handle a message, on its connection's thread."""
         raise NotImplementedError
 
-    def _began(self) -> None:
+    def _on_open(self) -> None:
         """Prepare for messages, as the port opens."""
 
-    def _ending(self) -> None:
+    def _on_closing(self) -> None:
         """Release waiting threads, as the port closes."""
 
-    def _ended(self, core: PortCore) -> None:
+    def _on_closed(self, core: PortCore) -> None:
         """Clean up after the port has closed."""
 
-    def _tell(self, event: ConnectionEvent) -> None:
+    def _on_event(self, event: ConnectionEvent) -> None:
         route = event.route
         if rooted(route.source) and self._verbosity > 0:  # tools that send commands (``admin``) are not logged
-            words = _WORDS[event.incoming, event.up]
-            log.info("%s from %s to %s using %s", words, route.source, route.target, route.carrier)
+            text = _EVENT_TEXTS[event.incoming, event.up]
+            log.info("%s from %s to %s using %s", text, route.source, route.target, route.carrier)
         if self._reporter is not None and self._core is not None:
             report(self._core, self._reporter, event)
 
@@ -406,12 +406,12 @@ def _number(name: str) -> int:
     return 0
 
 
-def _connect(one: NestedName, other: NestedName) -> None:
-    source, target = (one, other) if one.role in (PUBLISHER, CLIENT) else (other, one)
+def _connect(name: NestedName, other: NestedName) -> None:
+    source, target = (name, other) if name.role in (PUBLISHER, CLIENT) else (other, name)
     try:
         connections.connect(RUNTIME.naming, source.port, target.port)
     except NamingError as err:
-        _node_log.info("%s: %s", one.port, err)  # usually the port of a program that crashed
+        _node_log.info("%s: %s", name.port, err)  # usually the port of a program that crashed
 
 
 def _weakly(method: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -419,8 +419,8 @@ def _weakly(method: Callable[[Any], None]) -> Callable[[Any], None]:
     weak = weakref.WeakMethod(method)
 
     def call(argument: Any) -> None:
-        found = weak()
-        if found is not None:
-            found(argument)
+        bound = weak()
+        if bound is not None:
+            bound(argument)
 
     return call

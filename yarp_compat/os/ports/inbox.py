@@ -47,7 +47,7 @@ class Handoff(Gate):
         super().__init__()
         self._message: PortMessage | None = None
 
-    def give(self, message: PortMessage) -> bool:
+    def deliver(self, message: PortMessage) -> bool:
         """Pass a message to the reader and wait until it is read; return False if the slot was closed first."""
         with self._changed:
             self._changed.wait_for(lambda: self._message is None or self.is_closed)
@@ -58,7 +58,7 @@ class Handoff(Gate):
             self._changed.wait_for(lambda: self._message is not message or self.is_closed)
             return self._message is not message
 
-    def take(self, *, will_reply: bool) -> PortMessage | None:
+    def receive(self, *, will_reply: bool) -> PortMessage | None:
         """Wait for a message; return None if interrupted or closed. With ``will_reply`` its sender waits on."""
         with self._changed:
             self._changed.wait_for(lambda: self._message is not None or self.is_closed or self._interrupted)
@@ -102,7 +102,7 @@ class Inbox(Gate):
                 self._bytes += memoryview(message.payload).nbytes
                 self._changed.notify_all()
 
-    def take(self, *, wait: bool, stopped: Callable[[], bool] | None = None) -> PortMessage | None:
+    def pop(self, *, wait: bool, stopped: Callable[[], bool] | None = None) -> PortMessage | None:
         """Remove and return the oldest message; None if the inbox is empty or closed. ``wait``: wait for one.
 
         ``stopped``, checked after `wake`, ends waiting; by default an interrupt does.

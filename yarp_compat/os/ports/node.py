@@ -104,7 +104,7 @@ class Publisher(_TopicPort):
         self.setWriteOnly()
         self._wait = True
         self._latched = latched
-        self._kept: bytes | None = None
+        self._last_message: bytes | None = None
         if topic:
             self.topic(topic)
 
@@ -115,10 +115,10 @@ class Publisher(_TopicPort):
     def write(self, forceStrict: Any = False) -> Any:
         """Send a message and return whether all peers received it; or send the prepared one as `BufferedPort` does."""
         if isinstance(forceStrict, bool):
-            self._keep(self._prepared)
+            self._store_last(self._prepared)
             super().write(forceStrict)
             return None
-        self._keep(forceStrict)
+        self._store_last(forceStrict)
         core = self._core
         if core is None or self._interrupted:
             return False
@@ -135,22 +135,22 @@ class Publisher(_TopicPort):
         """Whether late joiners receive the last message."""
         return self._latched
 
-    def _keep(self, message: Any) -> None:
+    def _store_last(self, message: Any) -> None:
         """Store the last message for late joiners."""
         if self._latched and message is not None:
             with contextlib.suppress(WireError):  # writing it reports the error
-                self._kept = b"".join(message.to_wire(RUNTIME.profile))
+                self._last_message = b"".join(message.to_wire(RUNTIME.profile))
 
-    def _began(self) -> None:
-        super()._began()
+    def _on_open(self) -> None:
+        super()._on_open()
         if self._latched and self._core is not None:  # set before it listens; the name server gets it only later
             self._core.properties[LATCHED] = 1
 
-    def _tell(self, event: ConnectionEvent) -> None:
-        super()._tell(event)
-        core, kept = self._core, self._kept
-        if kept is not None and core is not None and event.up and not event.incoming:
-            core.write(kept, strict=True, chosen=lambda output: output.route.target == event.route.target)
+    def _on_event(self, event: ConnectionEvent) -> None:
+        super()._on_event(event)
+        core, last = self._core, self._last_message
+        if last is not None and core is not None and event.up and not event.incoming:
+            core.write(last, strict=True, chosen=lambda output: output.route.target == event.route.target)
 
 
 class Subscriber(_TopicPort):
@@ -166,8 +166,8 @@ class Subscriber(_TopicPort):
         """Return the next message or None like `BufferedPort.read`; or wait, fill a given message, return if filled."""
         if isinstance(shouldWait, bool):
             return super().read(shouldWait)
-        found = super().read(True)
-        if found is None:
+        message = super().read(True)
+        if message is None:
             return False
-        shouldWait.from_wire(b"".join(found.to_wire()))
+        shouldWait.from_wire(b"".join(message.to_wire()))
         return True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from yarp_compat.os.ports.connection import ConnectionReader, profile_of, recognised
+from yarp_compat.os.ports.connection import ConnectionReader, profile_of, sender_profile
 from yarp_compat.os.ports.contact import Contact
 from yarp_compat.os.ports.contactable import UnbufferedContactable
 from yarp_compat.os.ports.inbox import Handoff
@@ -22,7 +22,7 @@ log = logging.getLogger("yarp.os.Port")
 class Port(UnbufferedContactable):
     """A port without buffers, for any of YARP's data: a writer waits until its message is read."""
 
-    _ANSWERS = True
+    _REPLIES = True
 
     def __init__(self) -> None:
         super().__init__()
@@ -79,12 +79,12 @@ class Port(UnbufferedContactable):
         core = self._core
         if core is None or self._interrupted:
             return False
-        message = self._handoff.take(will_reply=willReply)
+        message = self._handoff.receive(will_reply=willReply)
         if message is None:
             return False
         self._envelope = message.envelope or self._envelope
         try:
-            data.from_wire(message.payload, recognised(message))
+            data.from_wire(message.payload, sender_profile(message))
         except WireError as err:
             log.error("port %s: cannot read a message from %s: %s", core.name, message.peer.route.source, err)
             message.give_up()
@@ -126,29 +126,29 @@ class Port(UnbufferedContactable):
         """Pass each message to ``reader.read(connection)``, on its connection's thread."""
         self._reader = reader
 
-    def _take(self, message: PortMessage) -> None:
+    def _on_message(self, message: PortMessage) -> None:
         """Handle a message, on its connection's thread."""
         core = self._core
         if core is not None and self._reader is not None:
             self._envelope = message.envelope or self._envelope
             with self._callback_lock:
                 answer(self._reader, message, Contact.of(core.contact))
-        elif core is None or not self._handoff.give(message):
+        elif core is None or not self._handoff.deliver(message):
             message.later()
             message.retire()  # the connection closes without a reply: even an empty one would count as a reply
 
-    def _began(self) -> None:
+    def _on_open(self) -> None:
         self._gate = self._handoff = Handoff()
 
-    def _ending(self) -> None:
+    def _on_closing(self) -> None:
         self._handoff.close()
         if self._due is not None:
             self._due.retire()
             self._due = None
 
-    def _ended(self, core: PortCore) -> None:
+    def _on_closed(self, core: PortCore) -> None:
         if self._reader is not None:
-            tell_end(self._reader, Contact.of(core.contact))
+            notify_closed(self._reader, Contact.of(core.contact))
 
 
 def answer(reader: PortReader, message: PortMessage, local: Contact) -> None:
@@ -165,7 +165,7 @@ def answer(reader: PortReader, message: PortMessage, local: Contact) -> None:
         message.reply(writer.writer.buffers())
 
 
-def tell_end(reader: PortReader, local: Contact) -> None:
+def notify_closed(reader: PortReader, local: Contact) -> None:
     """Notify a reader that its port is closed, by an invalid connection as in YARP."""
     try:
         reader.read(ConnectionReader(None, local))
