@@ -1,8 +1,8 @@
-"""Point clouds in files: PCL's ``.pcd`` and Stanford's ``.ply``, as text or binary.
+"""Files of point clouds: PCL's ``.pcd`` and Stanford's ``.ply``, text or binary.
 
-Facts: pointclouds.org, "The PCD (Point Cloud Data) file format" (0.7); Greg Turk's "The PLY Polygon File Format". Of a
-file's numbers those are taken that a kind of YARP's points has, see `yarp_compat.sig.pointcloud`; files are written
-with all of them, binary and little endian.
+Sources: pointclouds.org, "The PCD (Point Cloud Data) file format" (0.7); Greg Turk's "The PLY Polygon File Format".
+Readers use the fields that one of YARP's point types has, see `yarp_compat.sig.pointcloud`; files are written with all
+fields, binary and little endian.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from yarp_compat.wire.errors import WireError
 
 MOST_POINTS = 8_000_000
 MAX_FILE = 512 << 20
-"""Bytes of a file that is read."""
+"""Most bytes of a file to read."""
 
 _MOST_HEAD = 8192
 _MOST_FIELDS = 64
@@ -30,7 +30,7 @@ _KINDS = (
     (PointType.INTEREST_POINT_XYZ, {"x", "y", "z", "strength"}),
     (PointType.XYZ, {"x", "y", "z"}),
 )
-"""The first kind all of whose names a file has."""
+"""Point types with their required fields; a file gets the first type that fits."""
 _PLY_NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z", "red": "r", "green": "g", "blue": "b", "alpha": "a"}
 _PLY_TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -40,24 +40,24 @@ _PLY_TYPES = {
 
 
 class CloudFileError(WireError):
-    """A file that is no cloud; the text names the line of its head that is wrong."""
+    """A file is not a point cloud; the message names the invalid line of the header."""
 
 
 def load_cloud(path: str | Path) -> PointCloud:
-    """The cloud of a ``.pcd`` or ``.ply`` file; raises `CloudFileError` and `OSError`."""
+    """Read a ``.pcd`` or ``.ply`` file; raises `CloudFileError` and `OSError`."""
     size = Path(path).stat().st_size
     if size > MAX_FILE:
-        raise CloudFileError(f"{path} has {size} bytes, and may have {MAX_FILE}")
+        raise CloudFileError(f"{path} has {size} bytes; the limit is {MAX_FILE}")
     return read_cloud(Path(path).read_bytes())
 
 
 def read_cloud(data: bytes) -> PointCloud:
-    """The cloud of a file's bytes; raises `CloudFileError`."""
+    """Parse the bytes of a ``.pcd`` or ``.ply`` file; raises `CloudFileError`."""
     return _read_ply(data) if data[:3] == b"ply" else _read_pcd(data)
 
 
 def write_pcd(cloud: PointCloud) -> bytes:
-    """A ``.pcd`` file, binary."""
+    """Return the cloud as a binary ``.pcd`` file."""
     points, names = _packed(cloud, colour="rgba")
     letters = ["U" if points.dtype[name].kind == "u" else "F" for name in names]
     lines = (
@@ -70,7 +70,7 @@ def write_pcd(cloud: PointCloud) -> bytes:
 
 
 def write_ply(cloud: PointCloud) -> bytes:
-    """A ``.ply`` file, binary."""
+    """Return the cloud as a binary ``.ply`` file."""
     points, names = _packed(cloud, colour="")
     ours = {ours: theirs for theirs, ours in _PLY_NAMES.items()}
     kinds = ["uchar" if points.dtype[name].itemsize == 1 else "float" for name in names]
@@ -80,7 +80,7 @@ def write_ply(cloud: PointCloud) -> bytes:
 
 
 def _packed(cloud: PointCloud, colour: str) -> tuple[NDArray[Any], list[str]]:
-    """The points without gaps, and the names of their numbers; a colour's four as one number, where that has a name."""
+    """Return the points without padding, and their field names; ``color`` names one field for the four of a color."""
     points = cloud.numpy()
     names = list(points.dtype.names or ())
     merged = colour and "b" in names
@@ -96,7 +96,7 @@ def _packed(cloud: PointCloud, colour: str) -> tuple[NDArray[Any], list[str]]:
 
 
 def _lines(data: bytes, end: str) -> tuple[list[list[str]], int]:
-    """The words of a head's lines up to the one that begins with a word, and where the points begin."""
+    """Return the words of the header's lines, up to the one that begins with ``end``, and the offset of the points."""
     found: list[list[str]] = []
     start = 0
     while (stop := data.find(b"\n", start, _MOST_HEAD)) >= 0:
@@ -105,12 +105,12 @@ def _lines(data: bytes, end: str) -> tuple[list[list[str]], int]:
             found.append(words)
             if words[0] == end:
                 return found, start
-    raise CloudFileError(f"{end}: there is no such line in the first {_MOST_HEAD} bytes: it is no .pcd or .ply file")
+    raise CloudFileError(f"{end}: line not found in the first {_MOST_HEAD} bytes; it is not a .pcd or .ply file")
 
 
 def _whole(words: list[str], what: str) -> int:
     if len(words) != 1 or not words[0].isdecimal() or len(words[0]) > 10:
-        raise CloudFileError(f"{what}: {' '.join(words)[:40]!r} is no number")
+        raise CloudFileError(f"{what}: {' '.join(words)[:40]!r} is not a number")
     return int(words[0])
 
 
@@ -121,17 +121,17 @@ def _read_pcd(data: bytes) -> PointCloud:
     counts = head.get("COUNT", ["1"] * len(names))
     width, height = (_whole(head.get(key, []), key) for key in ("WIDTH", "HEIGHT"))
     if not 0 < len(names) == len(sizes) == len(types) == len(counts) <= _MOST_FIELDS:
-        raise CloudFileError(f"FIELDS, SIZE, TYPE, COUNT: they name {len(names)} to {_MOST_FIELDS} fields differently")
+        raise CloudFileError(f"FIELDS, SIZE, TYPE, COUNT: their lengths differ, or exceed {_MOST_FIELDS} fields")
     columns: list[Any] = []
     for place, (name, size, letter, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
         many = _whole([count], f"COUNT of {name}")
         if f"{letter}{size}" not in ("I1", "I2", "I4", "I8", "U1", "U2", "U4", "U8", "F4", "F8") or many > 4096:
-            raise CloudFileError(f"TYPE, SIZE of {name[:40]}: {letter}{size}, {count} times, is no number")
+            raise CloudFileError(f"TYPE, SIZE of {name[:40]}: {letter}{size}, {count} times, is not a number")
         own = name if many == 1 and name not in [column[0] for column in columns] else f"{place}_"
         columns.append((own, f"<{letter.lower()}{size}", *([] if many == 1 else [(many,)])))
     form = (head["DATA"] or [""])[0]
     if form not in ("binary", "ascii"):
-        raise CloudFileError(f"DATA: {form[:40]!r} is not read, binary and ascii are (pcl_convert_pcd_ascii_binary)")
+        raise CloudFileError(f"DATA: {form[:40]!r} is not binary or ascii; convert it by pcl_convert_pcd_ascii_binary")
     points = _rows(data, start, np.dtype(columns), width * height, text=form == "ascii")
     return _cloud(points, max(height, 1))
 
@@ -141,10 +141,10 @@ def _read_ply(data: bytes) -> PointCloud:
     form = next((words[1] for words in lines if words[0] == "format" and len(words) > 1), "")
     order = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}.get(form)
     if order is None:
-        raise CloudFileError(f"format: {form[:40]!r} is none of ascii, binary_little_endian and binary_big_endian")
+        raise CloudFileError(f"format: {form[:40]!r} is not ascii, binary_little_endian or binary_big_endian")
     elements = [place for place, words in enumerate(lines) if words[0] == "element"]
     if not elements or lines[elements[0]][1:2] != ["vertex"]:
-        raise CloudFileError("element: the first is to be vertex")
+        raise CloudFileError("element: the first must be vertex")
     count = _whole(lines[elements[0]][2:], "element vertex")
     columns: list[tuple[str, str]] = []
     for words in lines[elements[0] + 1 : (elements[1:] or [len(lines)])[0]]:
@@ -152,28 +152,28 @@ def _read_ply(data: bytes) -> PointCloud:
             continue
         letters = _PLY_TYPES.get(words[1] if len(words) == 3 else "")
         if letters is None or len(columns) >= _MOST_FIELDS:
-            raise CloudFileError(f"property: {' '.join(words[1:])[:40]!r} is no number of a vertex")
+            raise CloudFileError(f"property: {' '.join(words[1:])[:40]!r} is not a number of a vertex")
         name = _PLY_NAMES.get(words[2], words[2])
         columns.append((name if name not in [one for one, _ in columns] else f"{len(columns)}_", order + letters))
     return _cloud(_rows(data, start, np.dtype(columns), count, text=form == "ascii"), 1)
 
 
 def _rows(data: bytes, start: int, layout: np.dtype[Any], count: int, *, text: bool) -> NDArray[Any]:
-    """So many points; raises `CloudFileError` where there are fewer, or too many to be taken."""
+    """Return ``count`` points; raises `CloudFileError` if there are fewer, or more than the limit."""
     if count > MOST_POINTS:
-        raise CloudFileError(f"{count} points are declared, more than {MOST_POINTS}")
+        raise CloudFileError(f"the header declares {count} points; the limit is {MOST_POINTS}")
     if not text:
         if len(data) - start < count * layout.itemsize:
-            raise CloudFileError(f"the points have {len(data) - start} bytes, and {count * layout.itemsize} are named")
+            raise CloudFileError(f"the points have {len(data) - start} bytes, not {count * layout.itemsize}")
         return np.frombuffer(data, layout, count, start)
     lines = data[start:].split(b"\n", count)[:count]
     wide = sum(int(np.prod(layout[name].shape)) for name in layout.names or ())
     try:
         numbers = np.array([line.split() for line in lines if line.strip()], "S32").astype(np.float64)
     except ValueError as err:
-        raise CloudFileError(f"a point's line is wrong: {str(err)[:80]}") from None
+        raise CloudFileError(f"invalid line of a point: {str(err)[:80]}") from None
     if numbers.shape != (count, wide) and count:
-        raise CloudFileError(f"the points have {numbers.shape} numbers, and ({count}, {wide}) are named")
+        raise CloudFileError(f"the points have {numbers.shape} numbers, not ({count}, {wide})")
     found, place = np.zeros(count, layout), 0
     with np.errstate(invalid="ignore", over="ignore"):
         for name in layout.names or () if count else ():
@@ -184,7 +184,7 @@ def _rows(data: bytes, start: int, layout: np.dtype[Any], count: int, *, text: b
 
 
 def _cloud(points: NDArray[Any], height: int) -> PointCloud:
-    """The cloud of the kind that has most of the numbers; raises `CloudFileError` where there is none."""
+    """Return a cloud of the type with most of the fields; raises `CloudFileError` if none fits."""
     names = set(points.dtype.names or ())
     packed = next((name for name in ("rgba", "rgb") if name in names and points.dtype[name].itemsize == 4), "")
     own = names | ({"b", "g", "r", "a"} if packed else set())

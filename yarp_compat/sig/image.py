@@ -1,12 +1,11 @@
 """Images (`yarp/sig/Image.h`): rows of pixels, each row padded to a multiple of the quantum (8 bytes by default).
 
 On the wire (`yarp/sig/ImageNetworkHeader.h`): ``[mat] [code] (depth size quantum width height) {rows}``. Before 4.0
-the upper half of the quantum said whether the top row comes first: 3.4 to 3.9 write and obey 0 for yes, 3.10 to 3.12
-write 1 whatever it is and obey nothing (measured on 3.12.3), 4.0 knows only the quantum. So 0 is written, and 1 is not
-looked at.
+the upper half of the quantum stated whether the top row comes first: 3.4 to 3.9 write and interpret 0 as yes, 3.10 to
+3.12 always write 1 and ignore it (measured on 3.12.3), 4.0 has only the quantum. So 0 is written, and 1 is ignored.
 
-:meth:`Image.numpy` shares the image's memory. An image that was read shares the message's; one that wraps an array
-(:meth:`Image.setExternal`) is read into that array as long as what comes has its size.
+`Image.numpy` shares the image's memory. A received image shares the message's; an image that wraps an array
+(`Image.setExternal`) copies received pixels into that array, if their size is the same.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.tags import BLOB, INT32, LIST, VOCAB32
 
-QUANTUM = 8  # bytes to whose multiple rows are padded where nothing else is asked for
+QUANTUM = 8  # rows are padded to a multiple of this number of bytes by default
 
 
 class RawImage(np.ndarray[Any, np.dtype[np.uint8]]):
-    """An image's bytes, as a pointer to them where that is asked for."""
+    """An image's bytes; ``int()`` of it is their address."""
 
     def __int__(self) -> int:
         return int(self.ctypes.data)
@@ -40,7 +39,7 @@ class RawImage(np.ndarray[Any, np.dtype[np.uint8]]):
 class Raster:
     """Pixels in memory."""
 
-    code: ClassVar[int] = PixelCode.INVALID  # the pixel code that every image of the class has; INVALID: whatever comes
+    code: ClassVar[int] = PixelCode.INVALID  # the pixel code of the class; INVALID: any
 
     def __init__(self) -> None:
         self._code: int = self.code
@@ -50,7 +49,7 @@ class Raster:
         self._external = False
 
     def numpy(self) -> NDArray[Any]:
-        """The pixels, (height, width[, channels]), in the memory that the image has now; read-only if that is."""
+        """Return the pixels, (height, width[, channels]), as a view of the current memory; read-only if that is."""
         form = self._format()
         shape: tuple[int, ...] = (self._height, self._width)
         strides: tuple[int, ...] = (self._row, form.size)
@@ -61,59 +60,59 @@ class Raster:
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return as_array(self.numpy(), dtype, copy)
 
-    width = getter("_width", int, "Pixels in a row.")
-    height = getter("_height", int, "Rows.")
+    width = getter("_width", int, "The number of pixels in a row.")
+    height = getter("_height", int, "The number of rows.")
 
     def getPixelCode(self) -> int:
-        """The content of the pixels: a :class:`PixelCode`, or minus their size."""
+        """Return the pixel code: a `PixelCode`, or minus the size of a pixel."""
         return int(self._code)
 
     def getPixelSize(self) -> int:
-        """Bytes of a pixel."""
+        """Return the size of a pixel in bytes."""
         return self._format().size if self._code else 0
 
-    getRowSize = getter("_row", int, "Bytes of a row, its padding among them.")
-    getQuantum = getter("_quantum", int, "Bytes to whose multiple rows are padded; 0 before the first size.")
+    getRowSize = getter("_row", int, "The size of a row in bytes, with its padding.")
+    getQuantum = getter("_quantum", int, "Rows are padded to a multiple of these bytes; 0 before the first size.")
 
     def getPadding(self) -> int:
-        """Bytes of padding at the end of a row."""
+        """Return the number of padding bytes at the end of a row."""
         return self._row - self._width * self.getPixelSize()
 
     def getRawImage(self) -> RawImage:
-        """The rows' bytes, which are the image's memory; ``int`` of it is where they are."""
+        """Return the image's memory as bytes; ``int`` of it is the address."""
         return np.ndarray(self._memory.nbytes, np.uint8, self._memory).view(RawImage)
 
-    getRawImageSize = getter("_memory.nbytes", int, "The number of bytes of the rows.")
+    getRawImageSize = getter("_memory.nbytes", int, "The size of all rows in bytes.")
 
     def getRow(self, row: int) -> memoryview:
-        """One row's bytes, which are the image's memory."""
+        """Return one row of the image's memory as bytes."""
         self._check(0, row)
         return self._memory[row * self._row : row * self._row + self._width * self.getPixelSize()]
 
     def getRowArray(self) -> tuple[memoryview, ...]:
-        """The bytes of all rows, which are the image's memory."""
+        """Return all rows of the image's memory as bytes."""
         return tuple(map(self.getRow, range(self._height)))
 
     def getPixelAddress(self, x: int, y: int) -> int:
-        """The address of a pixel in memory."""
+        """Return the address of a pixel in memory."""
         self._check(x, y)
         return int(self.getRawImage()) + y * self._row + x * self.getPixelSize()
 
     def topIsLowIndex(self) -> bool:
-        """Whether the top row comes first: always, see this module."""
+        """Return True: the top row always comes first, see the module's docstring."""
         return True
 
     def setTopIsLowIndex(self, flag: bool) -> None:
-        """Say whether the top row comes first; raises `ValueError` for the other order, which nothing obeys."""
+        """Accept the top row first; raises `ValueError` for the other order, which is not supported."""
         if not flag:
-            raise ValueError("the top row of an image comes first here: turn it by image.numpy()[::-1]")
+            raise ValueError("images must have the top row first; flip them by image.numpy()[::-1]")
 
     def resize(self, width: int | Raster, height: int = 0) -> None:
-        """Become of this size, or another image's; the content of an image that changes its size is 0."""
+        """Change the size to this, or to another image's; if it differs, all pixels become 0."""
         if isinstance(width, Raster):
             height, width = width.height(), width.width()
         if width < 0 or height < 0:
-            raise ValueError(f"an image cannot be {width} x {height} pixels")
+            raise ValueError(f"an image cannot have {width} x {height} pixels")
         if (width, height) == (self._width, self._height):
             return
         self._quantum = self._quantum or QUANTUM
@@ -121,7 +120,7 @@ class Raster:
         self._place(width, height, row, memoryview(bytearray(row * height)))
 
     def setQuantum(self, quantum: int) -> None:
-        """Pad rows to a multiple of so many bytes from now on, those that there are too."""
+        """Pad all rows to a multiple of this number of bytes."""
         if quantum <= 0:
             raise ValueError(f"rows cannot be padded to a multiple of {quantum} bytes")
         self._quantum = quantum
@@ -129,15 +128,15 @@ class Raster:
             self._fill(self.numpy())
 
     def setExternal(self, data: Buffer | NDArray[Any] | VectorOf, width: int, height: int) -> None:
-        """Use this memory for the pixels; raises `ValueError` if too small or in pieces.
+        """Use this memory for the pixels; raises `ValueError` if it is too small or not contiguous.
 
-        Rows are padded to the quantum, or not at all where the memory's size says so. What comes in this size and kind
-        is read into this memory.
+        Rows are padded to the quantum, or not at all if the memory has exactly that size. Received images of this size
+        and pixel code are copied into this memory.
         """
-        held = data.numpy() if isinstance(data, VectorOf) else data  # which scripts for YARP's bindings do
+        held = data.numpy() if isinstance(data, VectorOf) else data  # as in scripts for YARP's bindings
         view = held.data if isinstance(held, np.ndarray) else memoryview(held)
         if not view.c_contiguous:
-            raise ValueError("the memory of an image must be in one piece: numpy.ascontiguousarray makes it so")
+            raise ValueError("the memory of an image must be contiguous; use numpy.ascontiguousarray")
         memory = view.cast("B") if view.nbytes else memoryview(b"")
         quantum = self._quantum or 1
         bare = width * self._format().size
@@ -145,18 +144,18 @@ class Raster:
         if memory.nbytes == bare * height and row != bare:
             quantum, row = 1, bare
         if memory.nbytes < row * height:
-            raise ValueError(f"{width} x {height} pixels need {row * height} bytes, and there are {memory.nbytes}")
+            raise ValueError(f"{width} x {height} pixels need {row * height} bytes, not {memory.nbytes}")
         self._quantum = quantum
         self._place(width, height, row, memory[: row * height], external=True)
 
     setExternal2 = setExternal
 
     def tostring(self) -> bytes:
-        """The rows' bytes."""
+        """Return a copy of the rows' bytes."""
         return bytes(self._memory)
 
     def fromstring(self, data: Buffer, width: int, height: int) -> None:
-        """Use these bytes for the rows."""
+        """Use these bytes for the rows, without a copy."""
         self.setExternal(data, width, height)
 
     def zero(self) -> None:
@@ -165,7 +164,7 @@ class Raster:
         np.ndarray(self._memory.nbytes, np.uint8, self._memory)[:] = 0
 
     def isPixel(self, x: int, y: int) -> bool:
-        """Whether there is such a pixel."""
+        """Return whether the pixel is inside the image."""
         return 0 <= x < self._width and 0 <= y < self._height
 
     def _format(self) -> Format:
@@ -173,18 +172,18 @@ class Raster:
 
     def _check(self, x: int, y: int) -> None:
         if not (0 <= x < max(self._width, 1) and 0 <= y < self._height):
-            raise IndexError(f"there is no pixel ({x}, {y}) in an image of {self._width} x {self._height}")
+            raise IndexError(f"pixel ({x}, {y}) is outside of the image of {self._width} x {self._height}")
 
     def _place(self, width: int, height: int, row: int, memory: memoryview, *, external: bool = False) -> None:
         self._width, self._height, self._row, self._memory, self._external = width, height, row, memory, external
 
     def _own(self) -> None:
-        """Have memory that can be changed."""
+        """Make the memory writable, by a copy if needed."""
         if self._memory.readonly:
             self._memory = memoryview(bytearray(self._memory))
 
     def _fill(self, pixels: NDArray[Any]) -> None:
-        """Become these pixels, in the memory that there is where they fit, else in new memory."""
+        """Replace the pixels, in the current memory if they fit, else in new memory."""
         height, width = pixels.shape[:2]
         self._quantum = self._quantum or QUANTUM
         row = padded(width * self._format().size, self._quantum)
@@ -194,7 +193,7 @@ class Raster:
 
 
 def padded(size: int, quantum: int) -> int:
-    """Bytes of a row with its padding."""
+    """Return the size of a row with its padding, in bytes."""
     return -(-size // quantum) * quantum if quantum else size
 
 
@@ -203,19 +202,19 @@ _MAT = int.from_bytes(b"mat\0", "little")
 
 
 class Image(Raster, Comparable, Portable):
-    """A picture. Use the class of its pixels (:class:`ImageRgb`), or :class:`FlexImage` for any."""
+    """An image. Use the class for its pixels, such as `ImageRgb`, or `FlexImage` for any."""
 
     TYPE = "yarp/image"
 
     @classmethod
     def of(cls, array: NDArray[Any]) -> Self:
-        """An image of an array (height, width[, channels]), which it shares in one piece; raises `ValueError`."""
+        """Return an image of an array (height, width[, channels]), shared if contiguous; raises `ValueError`."""
         image = cls()
         image._wrap(array)
         return image
 
     def pixel(self, x: int, y: int) -> Any:
-        """The pixel in column x of row y: a number, or an object of its numbers, which are the image's."""
+        """Return the pixel in column x of row y: a number, or an object that views its channels in the image."""
         self._check(x, y)
         kind = PIXELS.get(self._code)
         if kind is None:
@@ -226,26 +225,26 @@ class Image(Raster, Comparable, Portable):
     access = pixel
 
     def safePixel(self, x: int, y: int) -> Any:
-        """The pixel, or one of 0 where none exists."""
+        """Return the pixel, or one of 0 outside of the image."""
         if self.isPixel(x, y):
             return self.pixel(x, y)
         kind = PIXELS.get(self._code)
         return 0 if kind is None else kind()
 
     def getPixel(self, x: int, y: int) -> Any:
-        """A pixel's number, or its numbers as a tuple."""
+        """Return a pixel's number, or a tuple of its channels."""
         self._check(x, y)
         found = self.numpy()[y, x].tolist()
         return tuple(found) if isinstance(found, list) else found
 
     def setPixel(self, x: int, y: int, value: Any) -> None:
-        """Change a pixel to a number, or to as many as it has."""
+        """Set a pixel to a number, or to one for each channel."""
         self._check(x, y)
         self._own()
         self.numpy()[y, x] = tuple(value) if hasattr(value, "__iter__") else value
 
     def copy(self, other: Image, width: int | None = None, height: int | None = None) -> bool:
-        """Become another image in this class's pixels, coarsely scaled where a size is given; raises `ValueError`."""
+        """Copy another image, converted to this class's pixels and scaled by nearest neighbor; raises `ValueError`."""
         if not self._code:
             self._code, self._quantum = other.getPixelCode(), other.getQuantum()
         pixels = convert(other.numpy(), other.getPixelCode(), self._code)
@@ -257,13 +256,13 @@ class Image(Raster, Comparable, Portable):
         return True
 
     def swap(self, alt: Image) -> None:
-        """Exchange all with another image of this class."""
+        """Exchange the contents with another image of this class."""
         if type(alt) is not type(self):
-            raise TypeError(f"a {type(alt).__name__} does not become a {type(self).__name__}")
+            raise TypeError(f"cannot swap a {type(self).__name__} and a {type(alt).__name__}")
         self.__dict__, alt.__dict__ = alt.__dict__, self.__dict__
 
     def move(self, alt: Image) -> None:
-        """Take over another image, which is empty after it."""
+        """Move another image's content into this one, which leaves the other empty."""
         self.swap(alt)
         alt._place(0, 0, 0, memoryview(bytearray()))
 
@@ -282,7 +281,7 @@ class Image(Raster, Comparable, Portable):
         channels = array.shape[2] if array.ndim == 3 else 1
         if array.ndim not in (2, 3) or channels != len(form.channels) or array.dtype != form.dtype:
             raise ValueError(
-                f"an image of {'/'.join(form.channels)} in {form.dtype} cannot be made of an array of {array.shape} in "
+                f"cannot make an image of {'/'.join(form.channels)} in {form.dtype} from an array {array.shape} of "
                 f"{array.dtype}"
             )
         self.setExternal(np.ascontiguousarray(array, form.dtype), array.shape[1], array.shape[0])
@@ -307,7 +306,7 @@ class Image(Raster, Comparable, Portable):
         self._take(*_parsed(source))
 
     def _take(self, code: int, quantum: int, width: int, height: int, data: memoryview) -> None:
-        """Become what was read: in place of memory given from outside, as a view into the message, or converted."""
+        """Store a received image: in the external memory, as a view of the message, or converted."""
         size = format_of(code).size if code else 0
         row = padded(width * size, quantum)
         own = padded(width * size, self._quantum or quantum)
@@ -331,7 +330,7 @@ class Image(Raster, Comparable, Portable):
 
 
 def _parsed(source: ElementReader) -> tuple[int, int, int, int, memoryview]:
-    """An image's code, quantum, width, height and rows."""
+    """Return a received image's code, quantum, width, height and rows."""
     at = source.at
     count = source.begin()
     names, word, named, code, listed, numbers, depth, size, quantum, width, height, blob, length = source.raw(_HEADER)
@@ -339,13 +338,13 @@ def _parsed(source: ElementReader) -> tuple[int, int, int, int, memoryview]:
         quantum &= 0xFFFF
     told = (source.unit, count, names, word, named, listed, numbers, blob)
     if told != (0, 4, VOCAB32, _MAT, VOCAB32, LIST | INT32, 5, BLOB):
-        raise WireError(f"what begins at byte {at} is no image")
+        raise WireError(f"no image at byte {at}")
     if min(size, quantum, width, height) < 0 or size != length:
-        raise WireError(f"an image of {width} x {height} pixels in rows of {quantum} and {size} or {length} bytes")
+        raise WireError(f"invalid image of {width} x {height} pixels, quantum {quantum}, {size} or {length} bytes")
     try:
         form = format_of(code) if code or size else None
     except ValueError as error:
-        raise WireError(f"an image whose pixels are unknown: {error}") from error
+        raise WireError(f"an image has unknown pixels: {error}") from error
     if form and (depth != form.size or padded(width * depth, quantum) * height != size):
         raise WireError(f"an image of {width} x {height} pixels of {depth} bytes cannot have {size} bytes")
     data = source.block(size)
@@ -354,29 +353,29 @@ def _parsed(source: ElementReader) -> tuple[int, int, int, int, memoryview]:
 
 
 class FlexImage(Image):
-    """An image of any pixels."""
+    """An image with any pixel code."""
 
     def setPixelCode(self, code: int) -> None:
-        """Have pixels of this code, and none where they are of another size; raises `ValueError` for no such code."""
+        """Set the pixel code; a different pixel size empties the image. Raises `ValueError` for an unknown code."""
         size = format_of(code).size if code else 0
         if size != self.getPixelSize():
             self._place(0, 0, 0, memoryview(bytearray()))
         self._code = code
 
     def setPixelSize(self, size: int) -> None:
-        """Have pixels of so many bytes, of which nothing else is known."""
+        """Set the pixel size in bytes, without a known pixel code."""
         if size != self.getPixelSize():
             self.setPixelCode(-size)
 
 
 class ImageMono(Image):
-    """Grey in bytes."""
+    """Gray pixels of one byte."""
 
     code = PixelCode.MONO
 
 
 class ImageRgb(Image):
-    """Red, green, blue in bytes."""
+    """Pixels of red, green, blue in bytes."""
 
     code = PixelCode.RGB
 
@@ -385,15 +384,15 @@ def _class(name: str, code: PixelCode, doc: str) -> type[Image]:
     return type(name, (Image,), {"code": code, "__doc__": doc, "__module__": __name__})
 
 
-ImageMono16 = _class("ImageMono16", PixelCode.MONO16, "Grey in two bytes.")
-ImageRgba = _class("ImageRgba", PixelCode.RGBA, "Red, green, blue, opacity in bytes.")
-ImageBgr = _class("ImageBgr", PixelCode.BGR, "Blue, green, red in bytes.")
-ImageBgra = _class("ImageBgra", PixelCode.BGRA, "Blue, green, red, opacity in bytes.")
-ImageInt = _class("ImageInt", PixelCode.INT, "Integers of four bytes.")
-ImageFloat = _class("ImageFloat", PixelCode.MONO_FLOAT, "Floats, as depth images are.")
-ImageRgbFloat = _class("ImageRgbFloat", PixelCode.RGB_FLOAT, "Red, green, blue in floats.")
-ImageRgbInt = _class("ImageRgbInt", PixelCode.RGB_INT, "Red, green, blue in integers of four bytes.")
-ImageRgbSigned = _class("ImageRgbSigned", PixelCode.RGB_SIGNED, "Red, green, blue in signed bytes.")
-ImageMonoSigned = _class("ImageMonoSigned", PixelCode.MONO_SIGNED, "Grey in signed bytes.")
-ImageHsv = _class("ImageHsv", PixelCode.HSV, "Hue, saturation, value in bytes.")
-ImageHsvFloat = _class("ImageHsvFloat", PixelCode.HSV_FLOAT, "Hue, saturation, value in floats.")
+ImageMono16 = _class("ImageMono16", PixelCode.MONO16, "Gray pixels of two bytes.")
+ImageRgba = _class("ImageRgba", PixelCode.RGBA, "Pixels of red, green, blue, alpha in bytes.")
+ImageBgr = _class("ImageBgr", PixelCode.BGR, "Pixels of blue, green, red in bytes.")
+ImageBgra = _class("ImageBgra", PixelCode.BGRA, "Pixels of blue, green, red, alpha in bytes.")
+ImageInt = _class("ImageInt", PixelCode.INT, "Pixels of integers of four bytes.")
+ImageFloat = _class("ImageFloat", PixelCode.MONO_FLOAT, "Pixels of floats, as in depth images.")
+ImageRgbFloat = _class("ImageRgbFloat", PixelCode.RGB_FLOAT, "Pixels of red, green, blue in floats.")
+ImageRgbInt = _class("ImageRgbInt", PixelCode.RGB_INT, "Pixels of red, green, blue in integers of four bytes.")
+ImageRgbSigned = _class("ImageRgbSigned", PixelCode.RGB_SIGNED, "Pixels of red, green, blue in signed bytes.")
+ImageMonoSigned = _class("ImageMonoSigned", PixelCode.MONO_SIGNED, "Gray pixels of signed bytes.")
+ImageHsv = _class("ImageHsv", PixelCode.HSV, "Pixels of hue, saturation, value in bytes.")
+ImageHsvFloat = _class("ImageHsvFloat", PixelCode.HSV_FLOAT, "Pixels of hue, saturation, value in floats.")

@@ -1,11 +1,12 @@
 """Image and sound files: ``yarp.read(image, "a.ppm")``, ``yarp.write(image, "a.png", yarp.FORMAT_PNG)``.
 
-The formats are those of `yarp/sig/ImageFile.h`: PGM and PPM in their binary form of 255 values, PNG, and of floats the
-numbers of rows and columns in eight bytes each and the values, plain, or packed by zlib with their padding. JPEG is not
-there. A file of another kind than the image is converted, where YARP refuses. YARP spoils plain files of floats in an
-odd number of columns; these are written as it reads them. Sounds are WAV files of two bytes per sample.
+The formats are those of `yarp/sig/ImageFile.h`: binary PGM and PPM with 255 values, PNG, and files of floats with the
+numbers of rows and columns in eight bytes each and the values, plain, or compressed by zlib with their padding. JPEG is
+not supported. A file with other pixels than the image's is converted, while YARP refuses it. YARP corrupts plain files
+of floats with an odd number of columns; here they are written as YARP reads them. Sounds are WAV files with two bytes
+per sample.
 
-The functions return False where they fail, and log why.
+On failure the functions log the reason and return False.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ log = logging.getLogger("yarp.sig.ImageFile")
 
 _SIZES = struct.Struct("<QQ")
 _PXM = re.compile(rb"P([56])(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,6})\s")
-_ZIPPED = 1 << 28  # bytes of the floats of a packed file
+_ZIPPED = 1 << 28  # most bytes of floats in a compressed file
 
 
 class ImageFileFormat(IntEnum):
@@ -54,11 +55,11 @@ _SUFFIXES = {
     ".pgm": _F.FORMAT_PGM, ".ppm": _F.FORMAT_PPM, ".png": _F.FORMAT_PNG, ".jpg": _F.FORMAT_JPG, ".jpeg": _F.FORMAT_JPG,
     ".float": _F.FORMAT_NUMERIC, ".floatzip": _F.FORMAT_NUMERIC_COMPRESSED,
 }  # fmt: skip
-_NO_JPEG = "JPEG is not there: use PNG, or PIL.Image and setExternal"
+_NO_JPEG = "JPEG is not supported; use PNG, or PIL.Image and setExternal"
 
 
 def read(dest: Image | Sound, src: str, format: int | str = _F.FORMAT_ANY) -> bool:  # noqa: A002 - YARP's name
-    """Become what a file holds; its name's ending tells the format, else ``format``."""
+    """Read a file into ``dest``; the suffix selects the format, else ``format``."""
     if isinstance(dest, Sound):
         return _done(lambda: _take_wave(dest, Path(src).read_bytes()), src)
 
@@ -67,14 +68,14 @@ def read(dest: Image | Sound, src: str, format: int | str = _F.FORMAT_ANY) -> bo
         kind = _SUFFIXES.get(suffix) or _F(int(format))
         reader = _READERS.get(kind)
         if reader is None:
-            raise ValueError(_NO_JPEG if kind == _F.FORMAT_JPG else f"{suffix or 'no ending'} tells no format")
+            raise ValueError(_NO_JPEG if kind == _F.FORMAT_JPG else f"unknown format (suffix {suffix!r})")
         _become(dest, reader(Path(src).read_bytes()))
 
     return _done(take, src)
 
 
 def write(src: Image | Sound, dest: str, format: int | None = None) -> bool:  # noqa: A002 - YARP's name
-    """Write a file: PGM of grey, PPM of colours, numbers of floats, unless ``format`` says another."""
+    """Write a file, by default PGM for gray, PPM for color, and numbers for floats."""
     if isinstance(src, Sound):
         return _done(lambda: Path(dest).write_bytes(_wave_of(src)), dest)
 
@@ -84,8 +85,8 @@ def write(src: Image | Sound, dest: str, format: int | None = None) -> bool:  # 
         kind = own if format is None else _F(format)
         kinds = {own, *((_F.FORMAT_NUMERIC_COMPRESSED,) if floats else (_F.FORMAT_PNG,))}
         if kind not in kinds:
-            of = "floats" if floats else "grey" if grey else "colours"
-            reason = _NO_JPEG if kind == _F.FORMAT_JPG else f"an image of {of} is not written as {kind.name}"
+            of = "floats" if floats else "gray" if grey else "color"
+            reason = _NO_JPEG if kind == _F.FORMAT_JPG else f"cannot write an image of {of} as {kind.name}"
             raise ValueError(reason)
         image = src if grey or floats else ImageRgb()
         if image is not src:
@@ -96,12 +97,12 @@ def write(src: Image | Sound, dest: str, format: int | None = None) -> bool:  # 
 
 
 def read_bytestream(data: Sound, bytestream: bytes, streamsize: int, format: str = ".wav") -> bool:  # noqa: A002, ARG001
-    """Become the sound of a WAV file's first ``streamsize`` bytes."""
+    """Read the sound from a WAV file's first ``streamsize`` bytes."""
     return _done(lambda: _take_wave(data, bytes(bytestream[:streamsize])), "the bytes")
 
 
 def write_bytestream(data: Sound, bytestream: bytearray, *_: object) -> bool:
-    """Have a bytearray become the sound's WAV file; its length is the size."""
+    """Replace a bytearray's content by the sound's WAV file."""
 
     def give() -> None:
         bytestream[:] = _wave_of(data)
@@ -123,18 +124,18 @@ def _become(dest: Image, pixels: NDArray[Any]) -> None:
     source = kind()
     source._fill(pixels)
     if (kind is ImageFloat) != (dest.code == PixelCode.MONO_FLOAT) and dest.code != PixelCode.INVALID:
-        raise ValueError(f"its pixels are not those of {type(dest).__name__}")
+        raise ValueError(f"cannot convert its pixels to {type(dest).__name__}")
     dest.copy(source)
 
 
 def _read_pxm(data: bytes) -> NDArray[np.uint8]:
     found = _PXM.match(data)
     if found is None or int(found[4]) != 255:
-        raise ValueError("it is no binary PGM or PPM file of 255 values")
+        raise ValueError("not a binary PGM or PPM file with 255 values")
     width, height, channels = int(found[2]), int(found[3]), 3 if found[1] == b"6" else 1
     size = width * height * channels
     if len(data) - found.end() < size:
-        raise ValueError(f"{width} x {height} pixels need {size} bytes, and there are {len(data) - found.end()}")
+        raise ValueError(f"{width} x {height} pixels need {size} bytes, not {len(data) - found.end()}")
     values = np.frombuffer(data, np.uint8, size, found.end())
     return values.reshape((height, width, 3) if channels == 3 else (height, width))
 
@@ -146,7 +147,7 @@ def _write_pxm(pixels: NDArray[np.uint8]) -> bytes:
 
 def _sizes(data: bytes) -> tuple[int, int]:
     if len(data) < _SIZES.size:
-        raise ValueError("it has no number of rows and columns")
+        raise ValueError("the numbers of rows and columns are missing")
     height, width = _SIZES.unpack_from(data)
     if height * padded(width * 4, QUANTUM) > _ZIPPED:
         raise ValueError(f"{width} x {height} floats are more than {_ZIPPED} bytes")
@@ -170,7 +171,7 @@ def _read_zipped(data: bytes) -> NDArray[Any]:
     try:
         opened = zlib.decompressobj().decompress(data[_SIZES.size :], height * row or 1)
     except zlib.error as error:
-        raise ValueError(f"its floats cannot be unpacked: {error}") from None
+        raise ValueError(f"cannot decompress its floats: {error}") from None
     if len(opened) < height * row:
         raise ValueError(f"it has fewer than {width} x {height} floats")
     return np.frombuffer(opened, "<f4").reshape(height, -1)[:, :width]
@@ -186,7 +187,7 @@ def _write_zipped(pixels: NDArray[Any]) -> bytes:
 def _take_wave(sound: Sound, data: bytes) -> None:
     with wave.open(io.BytesIO(data)) as file:
         if file.getsampwidth() != 2:
-            raise ValueError(f"its samples have {file.getsampwidth()} bytes, and a sound's have 2")
+            raise ValueError(f"its samples have {file.getsampwidth()} bytes, not 2")
         values = np.frombuffer(file.readframes(file.getnframes()), "<i2")
         channels = file.getnchannels()
         sound._become(Sound.of(values.reshape(-1, channels).T, file.getframerate()))

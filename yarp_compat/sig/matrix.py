@@ -1,7 +1,8 @@
 """Matrices of doubles (`yarp/sig/Matrix.h`): ``(rows cols (values row by row))``; rotations as quaternions.
 
-Real YARP refuses to read a matrix without elements, and a real client that waits for one in a reply hangs: send none
-there. This reads it. Of a quaternion (`yarp/math/Quaternion.h`) w comes first on the wire, last in C++'s constructor.
+C++ YARP refuses to read a matrix without elements, and a C++ client that waits for one in a reply hangs: do not send
+them in replies. Here they are read. A quaternion (`yarp/math/Quaternion.h`) has w first on the wire, last in C++'s
+constructor.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ _FLOAT64 = np.dtype("<f8")
 
 
 class Matrix(Comparable, Portable):
-    """A matrix, of so many rows and columns, or of an array or lists of rows."""
+    """A matrix, created by the numbers of rows and columns, or from an array or lists of rows."""
 
     def __init__(self, rows: int | ArrayLike = 0, cols: int = 0) -> None:
         if isinstance(rows, int):
@@ -32,11 +33,11 @@ class Matrix(Comparable, Portable):
         self._values = given.reshape(given.shape if given.ndim == 2 else (1, -1))
 
     def numpy(self) -> NDArray[Any]:
-        """The elements (rows, cols), in the matrix's memory until it changes its size; read-only if that is."""
+        """Return the elements (rows, cols), a view of the memory until the size changes; read-only if that is."""
         return self._values
 
     def data(self) -> NDArray[Any]:
-        """The elements to be filled in, row after row, where C++ has a pointer."""
+        """Return the elements, row by row, as a writable view, like C++'s pointer."""
         self._values = np.ascontiguousarray(self._own())
         return self._values.reshape(-1)
 
@@ -44,15 +45,15 @@ class Matrix(Comparable, Portable):
         return as_array(self._values, dtype, copy)
 
     def rows(self) -> int:
-        """The number of rows."""
+        """Return the number of rows."""
         return int(self._values.shape[0])
 
     def cols(self) -> int:
-        """The number of columns."""
+        """Return the number of columns."""
         return int(self._values.shape[1])
 
     def resize(self, rows: int, cols: int) -> None:
-        """Become of this size; what fits of the old elements stays, new ones are 0."""
+        """Change the size; elements that fit are preserved, new ones are 0."""
         if (rows, cols) == self._values.shape:
             return
         values = np.zeros((rows, cols), _FLOAT64)
@@ -65,95 +66,95 @@ class Matrix(Comparable, Portable):
         self._own()[:] = 0
 
     def eye(self) -> Self:
-        """Become an identity."""
+        """Make this an identity matrix of its size."""
         self._values = np.eye(*self._values.shape, dtype=_FLOAT64)
         return self
 
     def diagonal(self, values: Vector | Sequence[float]) -> Self:
-        """Become 0 except for these values on the diagonal."""
+        """Set the diagonal to these values, and all other elements to 0."""
         self.zero()
         given = np.asarray(values)
         np.fill_diagonal(self._values[: len(given), : len(given)], given)
         return self
 
     def transposed(self) -> Self:
-        """A matrix of the columns as rows."""
+        """Return the transposed matrix."""
         return type(self)(self._values.T)
 
     def submatrix(self, r1: int, r2: int, c1: int, c2: int) -> Self:
-        """A copy of the rows and columns from one to another, both included."""
+        """Return a copy of a range of rows and columns, ends included."""
         return type(self)(self._values[r1 : r2 + 1, c1 : c2 + 1])
 
     def setSubmatrix(self, other: Matrix, row: int, col: int) -> bool:
-        """Copy another matrix's elements into this one; False where they do not fit."""
+        """Copy another matrix into this one; return False if it does not fit."""
         return self._put(other.numpy(), row, col)
 
     def removeRows(self, first_row: int, how_many: int) -> Self:
-        """Remove rows; returns a copy of what stays."""
+        """Remove rows; return a copy of the remaining matrix."""
         return self._without(0, first_row, how_many)
 
     def removeCols(self, first_col: int, how_many: int) -> Self:
-        """Remove columns; returns a copy of what stays."""
+        """Remove columns; return a copy of the remaining matrix."""
         return self._without(1, first_col, how_many)
 
     def _without(self, axis: int, first: int, count: int) -> Self:
         if first < 0 or count < 0 or first + count > self._values.shape[axis]:
-            raise IndexError(f"{count} from {first} on are not in {self.rows()} rows and {self.cols()} columns")
+            raise IndexError(f"cannot remove {count} from {first} on of {self.rows()} rows and {self.cols()} columns")
         self._values = np.delete(self._values, slice(first, first + count), axis)
         return type(self)(self._values)
 
     def subrow(self, r: int, c: int, size: int) -> Vector:
-        """A copy of so many elements of a row from one on; empty where there are not so many."""
+        """Return a copy of ``size`` elements of a row; empty if out of range."""
         inside = 0 <= r < self.rows() and c >= 0 and c + size <= self.cols()
         return Vector(self._values[r, c : c + size]) if inside else Vector()
 
     def subcol(self, r: int, c: int, size: int) -> Vector:
-        """A copy of so many elements of a column from one on; empty where there are not so many."""
+        """Return a copy of ``size`` elements of a column; empty if out of range."""
         inside = 0 <= c < self.cols() and r >= 0 and r + size <= self.rows()
         return Vector(self._values[r : r + size, c]) if inside else Vector()
 
     def setSubrow(self, v: Vector, r: int, c: int) -> bool:
-        """Change a part of a row, from one element on; False where it does not fit."""
+        """Set elements of a row from ``c`` on; return False if they do not fit."""
         return self._put(v.numpy()[None, :], r, c)
 
     def setSubcol(self, v: Vector, r: int, c: int) -> bool:
-        """Change a part of a column, from one element on; False where it does not fit."""
+        """Set elements of a column from ``r`` on; return False if they do not fit."""
         return self._put(v.numpy()[:, None], r, c)
 
     def getRow(self, row: int) -> Vector:
-        """A copy of one row."""
+        """Return a copy of one row."""
         return Vector(self._values[row])
 
     def getCol(self, col: int) -> Vector:
-        """A copy of one column."""
+        """Return a copy of one column."""
         return Vector(self._values[:, col])
 
     def setRow(self, row: int, values: Vector) -> bool:
-        """Change one row; False if it does not exist or its length is another."""
+        """Set one row; return False if it does not exist or its length differs."""
         return len(values) == self.cols() and self._put(values.numpy()[None, :], row, 0)
 
     def setCol(self, col: int, values: Vector) -> bool:
-        """Change one column; False if it does not exist or its length is another."""
+        """Set one column; return False if it does not exist or its length differs."""
         return len(values) == self.rows() and self._put(values.numpy()[:, None], 0, col)
 
     def get(self, row: int, col: int) -> float:
-        """One element."""
+        """Return one element."""
         return self[row, col]
 
     access = get
 
     def set(self, row: int, col: int, value: float) -> None:
-        """Change one element."""
+        """Set one element."""
         self[row, col] = value
 
     def toString(self, precision: int = -1, width: int = -1, endRowStr: str = "\n") -> str:
-        """The elements as YARP prints them."""
+        """Return the elements in YARP's text format."""
         digits = 6 if precision < 0 else precision
         between, form = ("\t", f"{{: .{digits}f}}") if width < 0 else (" ", f"{{: {width}.{digits}f}}")
         return endRowStr.join(between.join(map(form.format, row)) for row in self._values.tolist())
 
     def toString_c(self) -> str:
-        """The elements as YARP prints them."""
+        """Return the elements in YARP's text format."""
         return self.toString()
 
     __str__ = toString_c
@@ -173,7 +174,7 @@ class Matrix(Comparable, Portable):
         return f"Matrix({self._values.tolist()})"
 
     def _own(self) -> NDArray[Any]:
-        """The elements in memory that can be changed."""
+        """Return the elements in writable memory, by a copy if needed."""
         if not self._values.flags.writeable:
             self._values = self._values.copy()
         return self._values
@@ -193,17 +194,17 @@ class Matrix(Comparable, Portable):
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
         if count != 3:
-            raise WireError(f"a matrix has rows, columns and a list, not {count} elements")
+            raise WireError(f"invalid matrix: expected rows, columns and a list, not {count} elements")
         rows, cols = source.integer(), source.integer()
         values = read_numbers(source, _FLOAT64)
         source.end()
         if rows < 0 or cols < 0 or rows * cols != len(values):
-            raise WireError(f"a matrix of {rows} rows and {cols} columns does not have {len(values)} elements")
+            raise WireError(f"invalid matrix: {len(values)} elements for {rows} rows and {cols} columns")
         self._values = values.reshape(rows, cols)
 
 
 def submatrix(source: Matrix, out: Matrix, r1: int, r2: int, c1: int, c2: int) -> bool:
-    """Have ``out`` become the rows and columns from one to another, both included; False where it has not so many."""
+    """Copy a range of rows and columns, ends included, to ``out``; return False if out of range."""
     if not (0 <= r1 <= r2 < source.rows() and 0 <= c1 <= c2 < source.cols()):
         return False
     out._become(Matrix(source.numpy()[r1 : r2 + 1, c1 : c2 + 1]))
@@ -211,13 +212,13 @@ def submatrix(source: Matrix, out: Matrix, r1: int, r2: int, c1: int, c2: int) -
 
 
 def removeRows(source: Matrix, out: Matrix, first_row: int, how_many: int) -> bool:
-    """Have ``out`` become the matrix without some rows."""
+    """Copy the matrix without some rows to ``out``."""
     out._become(Matrix(source).removeRows(first_row, how_many))
     return True
 
 
 def removeCols(source: Matrix, out: Matrix, first_col: int, how_many: int) -> bool:
-    """Have ``out`` become the matrix without some columns."""
+    """Copy the matrix without some columns to ``out``."""
     out._become(Matrix(source).removeCols(first_col, how_many))
     return True
 
@@ -231,7 +232,7 @@ def _part(index: int, doc: str) -> Callable[[Quaternion], float]:
 
 
 class Quaternion(Portable):
-    """A rotation."""
+    """A rotation as a quaternion."""
 
     TYPE = "yarp/quaternion"
 
@@ -239,19 +240,19 @@ class Quaternion(Portable):
         self._values = (w, x, y, z)
 
     w = _part(0, "The real part.")
-    x = _part(1, "The part of the first axis.")
-    y = _part(2, "The part of the second axis.")
-    z = _part(3, "The part of the third axis.")
+    x = _part(1, "The x part.")
+    y = _part(2, "The y part.")
+    z = _part(3, "The z part.")
 
     def toRotationMatrix3x3(self) -> Matrix:
-        """The rotation as a matrix; as in YARP the quaternion's length does not matter."""
+        """Return the rotation as a matrix; the quaternion need not be normalized, as in YARP."""
         return self.toRotationMatrix4x4().submatrix(0, 2, 0, 2)
 
     def toRotationMatrix4x4(self) -> Matrix:
-        """The rotation as a transform that moves nothing; raises `ValueError` for a quaternion of zeros."""
+        """Return the rotation as a transform without translation; raises `ValueError` for a quaternion of zeros."""
         length = math.sqrt(sum(value * value for value in self._values))
         if not length:
-            raise ValueError("a quaternion of zeros is no rotation")
+            raise ValueError("a quaternion of zeros is not a rotation")
         w, x, y, z = (value / length for value in self._values)
         return Matrix([
             [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y), 0.0],
@@ -261,7 +262,7 @@ class Quaternion(Portable):
         ])  # fmt: skip
 
     def fromRotationMatrix(self, R: Matrix | ArrayLike) -> None:
-        """Become the rotation of a matrix (3, 3) or larger; w is positive, or else the largest other, as in YARP."""
+        """Set the rotation from a matrix (3, 3) or larger; w is positive, or else the largest other, as in YARP."""
         r = np.asarray(R, float)
         trace = r[0, 0] + r[1, 1] + r[2, 2]
         if trace > 0.0:
@@ -297,7 +298,7 @@ class Quaternion(Portable):
     def _read(self, source: ElementReader) -> None:
         count = source.begin()
         if count != 4:
-            raise WireError(f"a quaternion has four numbers, not {count}")
+            raise WireError(f"invalid quaternion: expected four numbers, not {count}")
         w, x, y, z = (source.float64() for _ in range(4))
         source.end()
         self._values = (w, x, y, z)

@@ -1,12 +1,11 @@
-"""The pixels of YARP's images: their codes, what a pixel of each holds, and conversion (`yarp/sig/Image.h`).
+"""The pixels of YARP's images: their codes, their channels, and conversion (`yarp/sig/Image.h`).
 
-On the wire a code is a vocab, the same from 3.4 to 4.0; a negative code -n means pixels of n bytes of which nothing
-else is known.
+On the wire a code is a vocab, the same from 3.4 to 4.0; a negative code -n means pixels of n unknown bytes.
 
-Pixels of another kind are made as YARP does it when an image is copied or read into one of another kind: grey is the
-mean of red, green and blue; from grey all three are the same; opacity becomes 255; brightness alone becomes the value
-of hue, saturation, value. Integers keep their lowest bits, floats are cut to what the integer can hold (C++ leaves that
-open). What YARP cannot convert either (from or to hue, bayer patterns, YUV) is refused (`Image.copyPixels.cpp`).
+Pixels are converted as in YARP when an image is copied or read into another class: gray is the mean of red, green and
+blue; from gray all three are the same; alpha becomes 255; gray becomes the value of hue, saturation, value. Integers
+keep their lowest bits, floats are clipped to the integer's range (undefined in C++). Conversions that YARP lacks (from
+or to hue, bayer patterns, YUV) are refused (`Image.copyPixels.cpp`).
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-LARGEST = 1024  # bytes of the largest pixel that only has a size
+LARGEST = 1024  # most bytes of a pixel with unknown content
 
 
 def _code(word: str) -> int:
@@ -26,7 +25,7 @@ def _code(word: str) -> int:
 
 
 class PixelCode(IntEnum):
-    """The codes; each is the number of its vocab."""
+    """The pixel codes; each is the number of its vocab."""
 
     INVALID = 0
     MONO = _code("mono")
@@ -59,14 +58,14 @@ class PixelCode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """The content of a pixel: the type of each number, and the numbers' names in their order in memory."""
+    """The format of a pixel: the type of its channels, and their names in memory order."""
 
     dtype: np.dtype[Any]
     channels: tuple[str, ...]
 
     @property
     def size(self) -> int:
-        """Bytes of a pixel."""
+        """The size of a pixel in bytes."""
         return self.dtype.itemsize * len(self.channels)
 
 
@@ -97,18 +96,18 @@ _FORMATS = {
 
 
 def format_of(code: int) -> Format:
-    """The content of pixels of a code; raises `ValueError` where YARP has no such code."""
+    """Return the format of a pixel code; raises `ValueError` for an unknown code."""
     if -LARGEST <= code < 0:
         return Format(np.dtype("u1"), tuple(f"byte{index}" for index in range(-code)))
     try:
         return _FORMATS[PixelCode(code)]
     except (ValueError, KeyError):
         word = (code & 0xFFFFFFFF).to_bytes(4, "little").rstrip(b"\0")
-        raise ValueError(f"there are no pixels of code {word.decode('latin-1')!r} ({code})") from None
+        raise ValueError(f"unknown pixel code {word.decode('latin-1')!r} ({code})") from None
 
 
 class Pixel:
-    """One pixel of several numbers, in an image's memory or its own, by default 0; setting one changes the image."""
+    """A pixel with several channels, by default 0, in its own memory or an image's, which it changes."""
 
     __slots__ = ("_memory",)
     names: tuple[str, ...] = ()
@@ -121,21 +120,21 @@ class Pixel:
 
     @classmethod
     def at(cls, memory: NDArray[Any]) -> Pixel:
-        """The pixel in this memory of its numbers."""
+        """Return a pixel that views this memory."""
         pixel = cls.__new__(cls)
         pixel._memory = memory
         return pixel
 
     @classmethod
     def _arguments(cls) -> tuple[str, ...]:
-        """The names in the order in which C++ takes them: red first, whatever the memory's order."""
+        """Return the names in the order of C++'s constructors: red first, independent of the memory order."""
         return tuple(sorted(cls.names, key="rgbahsv".index))
 
     def __getattr__(self, name: str) -> Any:
         try:
             return self._memory[self.names.index(name)].item()
         except ValueError:
-            raise AttributeError(f"{type(self).__name__} has no {name!r}, only {', '.join(self.names)}") from None
+            raise AttributeError(f"{type(self).__name__} has only {', '.join(self.names)}, not {name!r}") from None
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name == "_memory":
@@ -143,7 +142,7 @@ class Pixel:
         elif name in self.names:
             self._memory[self.names.index(name)] = value
         else:
-            raise AttributeError(f"{type(self).__name__} has no {name!r}, only {', '.join(self.names)}")
+            raise AttributeError(f"{type(self).__name__} has only {', '.join(self.names)}, not {name!r}")
 
     def __iter__(self) -> Any:
         return iter(self._memory.tolist())
@@ -158,7 +157,7 @@ class Pixel:
         return f"{type(self).__name__}({values})"
 
 
-PIXELS: dict[int, type[Pixel]] = {}  # the class of pixels of several numbers, by code
+PIXELS: dict[int, type[Pixel]] = {}  # the classes of pixels with several channels, by code
 
 
 def _class(name: str, code: PixelCode, doc: str) -> type[Pixel]:
@@ -169,8 +168,8 @@ def _class(name: str, code: PixelCode, doc: str) -> type[Pixel]:
 
 PixelRgb = _class("PixelRgb", PixelCode.RGB, "Red, green, blue in bytes.")
 PixelBgr = _class("PixelBgr", PixelCode.BGR, "Blue, green, red in bytes.")
-PixelRgba = _class("PixelRgba", PixelCode.RGBA, "Red, green, blue, opacity in bytes.")
-PixelBgra = _class("PixelBgra", PixelCode.BGRA, "Blue, green, red, opacity in bytes.")
+PixelRgba = _class("PixelRgba", PixelCode.RGBA, "Red, green, blue, alpha in bytes.")
+PixelBgra = _class("PixelBgra", PixelCode.BGRA, "Blue, green, red, alpha in bytes.")
 PixelHsv = _class("PixelHsv", PixelCode.HSV, "Hue, saturation, value in bytes.")
 PixelRgbSigned = _class("PixelRgbSigned", PixelCode.RGB_SIGNED, "Red, green, blue in signed bytes.")
 PixelRgbInt = _class("PixelRgbInt", PixelCode.RGB_INT, "Red, green, blue in integers of four bytes.")
@@ -182,7 +181,7 @@ _RGB = ("r", "g", "b")
 
 
 def convert(pixels: NDArray[Any], source: int, target: int) -> NDArray[Any]:
-    """A picture (height, width[, channels]) in another code's pixels; raises `ValueError` where YARP has no way."""
+    """Convert an array (height, width[, channels]) to another pixel code; raises `ValueError` if YARP cannot."""
     if source == target:
         return pixels
     given, wanted = format_of(source), format_of(target)
@@ -222,4 +221,4 @@ def _cast(values: NDArray[Any], wanted: np.dtype[Any]) -> NDArray[Any]:
 
 def _none(source: int, target: int) -> ValueError:
     names = [PixelCode(code).name if code > 0 else f"of {-code} bytes" for code in (source, target)]
-    return ValueError(f"YARP has no way from {names[0]} pixels to {names[1]} pixels: read them into a FlexImage")
+    return ValueError(f"YARP cannot convert {names[0]} pixels to {names[1]} pixels: read them into a FlexImage")

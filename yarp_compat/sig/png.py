@@ -1,4 +1,4 @@
-"""PNG images as arrays (RFC 2083), by zlib: all kinds of pixels are read; grey and colours of 8 bits are written."""
+"""PNG images as arrays (RFC 2083), by zlib: reads all kinds of pixels; writes gray and color with 8 bits."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _HEADER = struct.Struct(">IIBBBBB")
 _GREY, _RGB, _PALETTE, _GREY_ALPHA, _RGBA = 0, 2, 3, 4, 6
 _CHANNELS = {_GREY: 1, _RGB: 3, _PALETTE: 1, _GREY_ALPHA: 2, _RGBA: 4}
 _DEPTHS = {_GREY: (1, 2, 4, 8, 16), _PALETTE: (1, 2, 4, 8)}
-LARGEST = 1 << 28  # bytes of the pixels of an image that is read
+LARGEST = 1 << 28  # most bytes of pixels of an image to read
 
 
 def write(pixels: NDArray[np.uint8]) -> bytes:
-    """The file of an image: (height, width) grey or (height, width, 3) colours."""
+    """Return an image, (height, width) gray or (height, width, 3) color, as a PNG file."""
     height, width = pixels.shape[:2]
     kind = _GREY if pixels.ndim == 2 else _RGB
     rows = np.ascontiguousarray(pixels).reshape(height, -1)
-    filtered = np.zeros((height, rows.shape[1] + 1), np.uint8)  # each row begins with its filter: none
+    filtered = np.zeros((height, rows.shape[1] + 1), np.uint8)  # each row begins with its filter type: none
     filtered[:, 1:] = rows
     header = _HEADER.pack(width, height, 8, kind, 0, 0, 0)
     packed = zlib.compress(filtered.tobytes())
@@ -31,12 +31,12 @@ def write(pixels: NDArray[np.uint8]) -> bytes:
 
 
 def read(data: bytes) -> NDArray[np.uint8]:
-    """The pixels of a file: (height, width) grey or (height, width, 3) colours, of 8 bits, without their opacity.
+    """Return a file's pixels, (height, width) gray or (height, width, 3) color, with 8 bits, without alpha.
 
-    Raises `ValueError` for what is no PNG, is cut off, interlaced or larger than `LARGEST`.
+    Raises `ValueError` if it is not a PNG file, truncated, interlaced or larger than `LARGEST`.
     """
     if not data.startswith(_SIGNATURE):
-        raise ValueError("it does not begin as a PNG file")
+        raise ValueError("not a PNG file")
     header, palette, packed = b"", b"", bytearray()
     for kind, content in _chunks(data):
         if kind == b"IHDR":
@@ -46,19 +46,19 @@ def read(data: bytes) -> NDArray[np.uint8]:
         elif kind == b"IDAT":
             packed += content
     if len(header) != _HEADER.size:
-        raise ValueError("it has no header")
+        raise ValueError("the header is missing")
     width, height, depth, colours, _, _, interlaced = _HEADER.unpack(header)
     if colours not in _CHANNELS or depth not in _DEPTHS.get(colours, (8, 16)):
-        raise ValueError(f"it has pixels of kind {colours} with {depth} bits, which PNG does not have")
+        raise ValueError(f"invalid color type {colours} with {depth} bits")
     if interlaced:
-        raise ValueError("it is interlaced, which is not read: save it without")
+        raise ValueError("interlaced images are not supported; save it without interlacing")
     channels = _CHANNELS[colours]
     samples = _unpacked(_rows(bytes(packed), height, width * channels * depth, depth, channels), depth)
     values = samples[:, : width * channels].reshape(height, width, channels)
     if colours == _PALETTE:
         table = np.frombuffer(palette[: len(palette) // 3 * 3], np.uint8).reshape(-1, 3)
         if values.size and int(values.max()) >= len(table):
-            raise ValueError("it names colours that its palette does not have")
+            raise ValueError("it uses colors that its palette lacks")
         return np.ascontiguousarray(table[values[:, :, 0]])
     scaled = values if depth == 8 else values >> 8 if depth == 16 else values * (255 // ((1 << depth) - 1))
     found = scaled[:, :, 0] if colours in (_GREY, _GREY_ALPHA) else scaled[:, :, :3]
@@ -73,11 +73,11 @@ def _chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
     at = len(_SIGNATURE)
     while at < len(data):
         if len(data) - at < 12:
-            raise ValueError("it is cut off")
+            raise ValueError("the file is truncated")
         (length,) = struct.unpack_from(">I", data, at)
         kind, content = data[at + 4 : at + 8], data[at + 8 : at + 8 + length]
         if len(content) < length:
-            raise ValueError("it is cut off")
+            raise ValueError("the file is truncated")
         yield kind, content
         if kind == b"IEND":
             return
@@ -85,16 +85,16 @@ def _chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _rows(packed: bytes, height: int, bits: int, depth: int, channels: int) -> NDArray[np.uint8]:
-    """The bytes of the rows, without their filters."""
+    """Return the bytes of the rows, without filters."""
     length = (bits + 7) // 8
     if height * (length + 1) > LARGEST:
         raise ValueError(f"it has more than {LARGEST} bytes")
     try:
         opened = zlib.decompressobj().decompress(packed, height * (length + 1) or 1)
     except zlib.error as error:
-        raise ValueError(f"its pixels cannot be unpacked: {error}") from None
+        raise ValueError(f"cannot decompress its pixels: {error}") from None
     if len(opened) < height * (length + 1):
-        raise ValueError("it is cut off")
+        raise ValueError("the file is truncated")
     raw = np.frombuffer(opened, np.uint8).reshape(height, length + 1)
     step = max(depth * channels // 8, 1)
     out = np.zeros((height, length), np.uint8)
@@ -105,7 +105,7 @@ def _rows(packed: bytes, height: int, bits: int, depth: int, channels: int) -> N
 
 
 def _unfiltered(kind: int, row: NDArray[np.uint8], above: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
-    """A row as it was before its filter, which tells each byte by those to the left and above."""
+    """Undo a row's filter, which predicts each byte from those to the left and above."""
     if kind == 0:
         return row
     if kind == 2:
@@ -116,7 +116,7 @@ def _unfiltered(kind: int, row: NDArray[np.uint8], above: NDArray[np.uint8], ste
         sums: NDArray[np.uint8] = np.cumsum(padded.reshape(-1, step), axis=0, dtype=np.uint8)
         return sums.reshape(-1)[: len(row)]
     if kind not in (3, 4):
-        raise ValueError(f"a row has the filter {kind}, which PNG does not have")
+        raise ValueError(f"a row has the unknown filter {kind}")
     out, over = bytearray(row.tobytes()), above.tobytes()
     for at in range(len(out)):
         left = out[at - step] if at >= step else 0
@@ -129,7 +129,7 @@ def _unfiltered(kind: int, row: NDArray[np.uint8], above: NDArray[np.uint8], ste
 
 
 def _paeth(left: int, above: int, corner: int) -> int:
-    """The one of the three that is nearest to ``left + above - corner``."""
+    """Return the value of the three that is nearest to ``left + above - corner``."""
     to_left, to_above, to_corner = abs(above - corner), abs(left - corner), abs(left + above - 2 * corner)
     if to_left <= to_above and to_left <= to_corner:
         return left
@@ -137,7 +137,7 @@ def _paeth(left: int, above: int, corner: int) -> int:
 
 
 def _unpacked(rows: NDArray[np.uint8], depth: int) -> NDArray[Any]:
-    """The samples in the rows' bytes."""
+    """Return the samples of the rows' bytes."""
     if depth == 8:
         return rows
     if depth == 16:

@@ -1,7 +1,7 @@
-"""Point clouds (`yarp/sig/PointCloud.h`): points as PCL lays them out, one after another.
+"""Point clouds (`yarp/sig/PointCloud.h`): points in PCL's memory layout, one after another.
 
 On the wire: width, height, the points' type (int32 each) and whether all are finite (1 byte), all without tags; then a
-vector whose tag is a double's and whose elements are points. So a cloud is no legal Bottle and has no text form.
+vector with the tag of doubles, whose elements are points. So a cloud is not a valid Bottle and has no text form.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _LIST = struct.Struct("<ii")
 
 
 class PointType(IntEnum):
-    """The content of points, a sum of YARP's numbers in `yarp/sig/PointCloudTypes.h`; the kinds that YARP sends."""
+    """The point types that YARP sends, as sums of the flags in `yarp/sig/PointCloudTypes.h`."""
 
     XY = 1 << 0
     XYZ = 1 << 1
@@ -57,15 +57,15 @@ LAYOUTS: Mapping[int, np.dtype[Any]] = {
     PointType.XYZ_NORMAL: _layout(48, {**_XYZ, **_NORMAL, "curvature": 32}),
     PointType.XYZ_NORMAL_RGBA: _layout(48, {**_XYZ, **_NORMAL, "curvature": 36}, color=32),
 }
-"""A point of each type: the names, types and places of its numbers, and its size in bytes."""
+"""The layout of each point type: the names, types and offsets of its fields, and its size in bytes."""
 
 
 class PointCloud(Portable):
-    """A cloud of whatever points come (those below hold one type, and convert others); unordered: ``height`` is 1."""
+    """A cloud of any points (subclasses convert them to one type); an unorganized cloud has the ``height`` 1."""
 
     TYPE = "yarp/pointCloud"
-    point: ClassVar[int] = PointType.XYZ  # the points' type, to begin with
-    fixed: ClassVar[bool] = False  # whether it stays
+    point: ClassVar[int] = PointType.XYZ  # the initial point type
+    fixed: ClassVar[bool] = False  # whether the type is fixed
 
     def __init__(self, width: int = 0, height: int = 1) -> None:
         self._point = int(self.point)
@@ -75,66 +75,66 @@ class PointCloud(Portable):
 
     @classmethod
     def of(cls, points: NDArray[Any], *, dense: bool = True) -> Self:
-        """A cloud that shares an array of points (see ``LAYOUTS``), a row or (height, width); raises `ValueError`."""
+        """Return a cloud that shares an array of points (`LAYOUTS`), 1-D or (height, width); raises `ValueError`."""
         cloud = cls()
         kind = cloud._point if cls.fixed else next((kind for kind, form in LAYOUTS.items() if form == points.dtype), 0)
         if points.dtype != LAYOUTS.get(kind):
-            raise ValueError(f"a {cls.__name__} cannot be made of points of {points.dtype}")
+            raise ValueError(f"cannot make a {cls.__name__} from points of {points.dtype}")
         cloud._point, cloud._height = kind, points.shape[0] if points.ndim == 2 else 1
         cloud._points, cloud.dense = np.ascontiguousarray(points).reshape(-1), dense
         return cloud
 
     def numpy(self) -> NDArray[Any]:
-        """The points, row after row, as an array of records in the cloud's memory."""
+        """Return the points, row by row, as a view of the cloud's memory."""
         return self._points
 
     def bytes_of_points(self) -> memoryview:
-        """The points' bytes, uncopied."""
+        """Return the points' bytes, without a copy."""
         return self._points.view(np.uint8).data if self._points.size else memoryview(b"")
 
     def width(self) -> int:
-        """Points in a row."""
+        """Return the number of points in a row."""
         return len(self._points) // self._height if self._height else 0
 
-    height = getter("_height", int, "Rows.")
+    height = getter("_height", int, "The number of rows.")
 
     def size(self) -> int:
-        """The number of points."""
+        """Return the number of points."""
         return len(self._points)
 
     __len__ = size
 
-    getPointType = getter("_point", int, "What the points hold.")
+    getPointType = getter("_point", int, "The point type.")
 
     def isOrganized(self) -> bool:
-        """Whether the points are in rows, as an image's."""
+        """Return whether the points are in rows, as in an image."""
         return self._height > 1
 
     isDense = getter("dense", bool, "Whether all points are finite.")
-    dataSizeBytes = getter("_points.nbytes", int, "Bytes of the points.")
+    dataSizeBytes = getter("_points.nbytes", int, "The size of the points in bytes.")
 
     def wireSizeBytes(self) -> int:
-        """Bytes of the points and of the header."""
+        """Return the size of the points and the header in bytes."""
         return _HEADER.size + self._points.nbytes
 
     def resize(self, width: int, height: int = 1) -> None:
-        """Become of this size, with the points that fit."""
+        """Change the size; points that fit are preserved, new ones are 0."""
         points = np.zeros(width * height, self._points.dtype)
         kept = min(len(points), len(self._points))
         points[:kept] = self._points[:kept]
         self._points, self._height = points, height
 
     def clear(self) -> None:
-        """Become empty."""
+        """Remove all points."""
         self._points, self._height = self._points[:0], 0
 
     def push_back(self, point: Any) -> None:
-        """Append a point, a record or a tuple of its numbers; the points have no order then."""
+        """Append a point, a record or a tuple of its fields; the cloud becomes unorganized."""
         self.resize(len(self._points) + 1)
         self._points[-1] = point
 
     def toString(self) -> str:
-        """The points, one on a line."""
+        """Return the points as text, one per line."""
         return "\n".join(" ".join(map(str, point)) for point in self._points.tolist())
 
     toString_c = toString
@@ -160,12 +160,12 @@ class PointCloud(Portable):
         width, height, kind, dense = source.raw(_HEADER)
         layout = LAYOUTS.get(kind)
         if layout is None:
-            raise WireError(f"there are no points of type {kind}")
+            raise WireError(f"unknown point type {kind}")
         code, count = source.raw(_LIST)
         if code != LIST | source.profile.float64_tag:
-            raise WireError(f"a cloud's points are a list of doubles by its tag, not {code}")
+            raise WireError(f"invalid cloud: expected the tag of a list of doubles, not {code}")
         if min(width, height) < 0 or width * height != count:
-            raise WireError(f"a cloud of {width} x {height} does not have {count} points")
+            raise WireError(f"invalid cloud: {count} points for {width} x {height}")
         points = np.frombuffer(source.block(count * layout.itemsize), layout, count)
         if self.fixed and kind != self._point:
             points, kind = _converted(points, LAYOUTS[self._point]), self._point
@@ -173,7 +173,7 @@ class PointCloud(Portable):
 
 
 def _converted(points: NDArray[Any], layout: np.dtype[Any]) -> NDArray[Any]:
-    """The same points with the numbers of another type, 0 where they lack them."""
+    """Convert points to another layout; missing fields become 0."""
     made = np.zeros(len(points), layout)
     for name in set(layout.names or ()) & set(points.dtype.names or ()):
         made[name] = points[name]
@@ -184,15 +184,15 @@ def _class(name: str, point: PointType, doc: str) -> type[PointCloud]:
     return type(name, (PointCloud,), {"fixed": True, "point": point, "__doc__": doc, "__module__": __name__})
 
 
-PointCloudXY = _class("PointCloudXY", PointType.XY, "Points in a plane.")
-PointCloudXYZ = _class("PointCloudXYZ", PointType.XYZ, "Points in space.")
-PointCloudXYZRGBA = _class("PointCloudXYZRGBA", PointType.XYZ_RGBA, "Points in space with a colour.")
-PointCloudXYZI = _class("PointCloudXYZI", PointType.XYZ_I, "Points in space with an intensity.")
+PointCloudXY = _class("PointCloudXY", PointType.XY, "A cloud of points in a plane.")
+PointCloudXYZ = _class("PointCloudXYZ", PointType.XYZ, "A cloud of points in space.")
+PointCloudXYZRGBA = _class("PointCloudXYZRGBA", PointType.XYZ_RGBA, "A cloud of points with a color.")
+PointCloudXYZI = _class("PointCloudXYZI", PointType.XYZ_I, "A cloud of points with an intensity.")
 PointCloudInterestPointXYZ = _class(
-    "PointCloudInterestPointXYZ", PointType.INTEREST_POINT_XYZ, "Points in space with a strength."
+    "PointCloudInterestPointXYZ", PointType.INTEREST_POINT_XYZ, "A cloud of points with a strength."
 )
-PointCloudNormal = _class("PointCloudNormal", PointType.NORMAL, "Normals with a curvature.")
-PointCloudXYZNormal = _class("PointCloudXYZNormal", PointType.XYZ_NORMAL, "Points in space with their normals.")
+PointCloudNormal = _class("PointCloudNormal", PointType.NORMAL, "A cloud of normals with a curvature.")
+PointCloudXYZNormal = _class("PointCloudXYZNormal", PointType.XYZ_NORMAL, "A cloud of points with normals.")
 PointCloudXYZNormalRGBA = _class(
-    "PointCloudXYZNormalRGBA", PointType.XYZ_NORMAL_RGBA, "Points in space with their normals and a colour."
+    "PointCloudXYZNormalRGBA", PointType.XYZ_NORMAL_RGBA, "A cloud of points with normals and a color."
 )

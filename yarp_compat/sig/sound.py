@@ -1,6 +1,6 @@
-"""Sounds (`yarp/sig/Sound.h`): samples of two bytes, one channel after another.
+"""Sounds (`yarp/sig/Sound.h`): samples of two bytes, channel by channel.
 
-The bytes changed with nearly every release, and only the length of the outer list tells which they are:
+The format changed with nearly every release; the length of the outer list identifies it:
 
 ======  ==============================================================================
 4.0     list of 6: samples, channels, bytes per sample, frequency, the samples, the markers (whose fields have no tags)
@@ -8,8 +8,8 @@ The bytes changed with nearly every release, and only the length of the outer li
 3.9     "list of 4": the same with samples that have no header, and a tag of 0 before the first number
 ======  ==============================================================================
 
-All are read; YARP 4 is written the first, YARP 3 the second. Before 3.9 a sound was a pair of an image and a Bottle,
-which this does not know. Real YARP spoils sounds of one byte per sample on the wire; this refuses them.
+All are read; YARP 4 peers get the first, YARP 3 peers the second. Before 3.9 a sound was a pair of an image and a
+Bottle, which is not supported. C++ YARP corrupts sounds of one byte per sample on the wire; here they are refused.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ _LIST = struct.Struct("<ii")
 _PLACE = struct.Struct("<iq")
 _LENGTH = struct.Struct("<i")
 _LARGEST = 2**31 - 1
-_LOUDEST = 2**15 - 1  # the greatest sample
+_LOUDEST = 2**15 - 1  # the largest sample
 
 log = logging.getLogger("yarp.sig.Sound")
 
 
 @dataclass(frozen=True, slots=True)
 class SoundMarker:
-    """A named place in a sound: a channel, or -1, and a sample."""
+    """A named position in a sound: a channel, or -1, and a sample."""
 
     label: str = ""
     channel: int = -1
@@ -51,7 +51,7 @@ class SoundMarker:
 
 
 class Sound(Comparable, Portable):
-    """A sound."""
+    """A sound with channels of 16-bit samples."""
 
     def __init__(self, bytesPerSample: int = 2) -> None:
         if bytesPerSample != 2:
@@ -62,90 +62,90 @@ class Sound(Comparable, Portable):
 
     @classmethod
     def of(cls, samples: NDArray[Any], frequency: int) -> Self:
-        """A sound of an int16 array (channels, samples), which it shares where that is in one piece."""
+        """Return a sound of an int16 array (channels, samples), shared if contiguous."""
         sound = cls()
         sound._samples = np.ascontiguousarray(np.atleast_2d(samples), _SAMPLE)
         sound._frequency = frequency
         return sound
 
     def numpy(self) -> NDArray[Any]:
-        """The samples as an array (channels, samples) in the sound's memory."""
+        """Return the samples (channels, samples) as a view of the sound's memory."""
         return self._samples
 
     def resize(self, samples: int, channels: int = 1) -> None:
-        """Become of this size, silent."""
+        """Change the size and set all samples to 0."""
         self._samples = np.zeros((channels, samples), _SAMPLE)
 
     def clear(self) -> None:
-        """Become empty."""
+        """Remove all samples and markers."""
         self._samples = np.zeros((0, 0), _SAMPLE)
         self._markers, self._frequency = {}, 0
 
     def get(self, sample: int, channel: int = 0) -> int:
-        """One sample."""
+        """Return one sample."""
         return int(self._samples[channel, sample])
 
     def set(self, value: int, sample: int, channel: int = 0) -> None:
-        """Change one sample."""
+        """Set one sample."""
         self._own()[channel, sample] = value
 
     def isSample(self, sample: int, channel: int = 0) -> bool:
-        """Whether there is such a sample."""
+        """Return whether the sample exists."""
         return 0 <= channel < self.getChannels() and 0 <= sample < self.getSamples()
 
     def getSafe(self, sample: int, channel: int = 0) -> int:
-        """One sample, or 0 where none exists."""
+        """Return one sample, or 0 if it does not exist."""
         return self.get(sample, channel) if self.isSample(sample, channel) else 0
 
     def setSafe(self, value: int, sample: int, channel: int = 0) -> None:
-        """Change one sample, if there is such."""
+        """Set one sample, if it exists."""
         if self.isSample(sample, channel):
             self.set(value, sample, channel)
 
-    getFrequency = getter("_frequency", int, "Samples per second.")
-    setFrequency = setter("_frequency", int, "Change how many samples there are in a second.")
-    getBytesPerSample = always(2, "Bytes of a sample.")
+    getFrequency = getter("_frequency", int, "The number of samples per second.")
+    setFrequency = setter("_frequency", int, "Set the number of samples per second.")
+    getBytesPerSample = always(2, "The size of a sample in bytes.")
 
     def getSamples(self) -> int:
-        """Samples in a channel."""
+        """Return the number of samples in a channel."""
         return int(self._samples.shape[1])
 
     def getChannels(self) -> int:
-        """The number of channels."""
+        """Return the number of channels."""
         return int(self._samples.shape[0])
 
     def getDuration(self) -> float:
-        """Seconds."""
+        """Return the duration in seconds."""
         return self.getSamples() / self._frequency if self._frequency else 0.0
 
     def sample2timestamp(self, sampleid: int) -> float:
-        """The time of a sample in whole seconds, as YARP divides."""
+        """Return the time of a sample in whole seconds, rounded down as in YARP."""
         return float(sampleid // self._frequency) if self._frequency else 0.0
 
     def timestamp2sample(self, time: float) -> int:
-        """The sample at a time, in seconds."""
+        """Return the index of the sample at a time in seconds."""
         return int(time * self._frequency)
 
-    # parts of it
+    # parts
 
     def subSound(self, first: int | str, length: int | str) -> Self:
-        """So many samples from one on, as of 4.0 (3.x has the last one there), or those from one marker to another."""
+        """Return ``length`` samples from ``first`` on, as in 4.0 (in 3.x to the second one), or between two markers."""
         if isinstance(first, str) or isinstance(length, str):
             begin = self._place(first, 0)
             first, length = begin, self._place(length, self.getSamples() - 1) - begin + 1
         return type(self).of(self._samples[:, first : first + max(length, 0)].copy(), self._frequency)
 
     def extractChannelAsSound(self, channel_id: int) -> Self:
-        """One channel as a sound."""
+        """Return one channel as a sound."""
         return type(self).of(self._samples[channel_id].copy(), self._frequency)
 
     def getChannel(self, channel_id: int) -> NDArray[Any]:
-        """The samples of one channel, in the sound's memory."""
+        """Return the samples of one channel, as a view of the sound's memory."""
         samples: NDArray[Any] = self._samples[channel_id]
         return samples
 
     def replaceChannel(self, id: int, schannel: Sound) -> bool:  # noqa: A002 - YARP's name
-        """Change a channel to that of another sound; False where that has several, or is of another length."""
+        """Replace a channel by another sound; return False unless that has one channel of the same length."""
         if schannel.getChannels() != 1 or schannel.getSamples() != self.getSamples() or not self.isChannel(id):
             return False
         self._own()[id] = schannel.numpy()[0]
@@ -153,7 +153,7 @@ class Sound(Comparable, Portable):
         return True
 
     def overwrite(self, alt: Sound, offset: int = 0, len: int = 0) -> None:  # noqa: A002 - YARP's name
-        """Change samples from one on to another sound's, as many as fit (``len``: at most so many)."""
+        """Replace samples from ``offset`` on by another sound's, as many as fit (``len``: at most that many)."""
         if not self._alike(alt):
             return
         count = min(len or alt.getSamples(), alt.getSamples(), max(self.getSamples() - offset, 0))
@@ -168,11 +168,11 @@ class Sound(Comparable, Portable):
     # loudness
 
     def zero(self) -> None:
-        """Become silent."""
+        """Set all samples to 0."""
         self._own()[:] = 0
 
     def zeroChannel(self, chan: int) -> bool:
-        """Silence a channel; False where there is no such."""
+        """Set a channel's samples to 0; return False if it does not exist."""
         if not self.isChannel(chan):
             return False
         self._own()[chan] = 0
@@ -182,118 +182,118 @@ class Sound(Comparable, Portable):
     clearChannel = zeroChannel  # 3.x's name
 
     def isChannel(self, channel: int) -> bool:
-        """Whether there is such a channel."""
+        """Return whether the channel exists."""
         return 0 <= channel < self.getChannels()
 
     def amplify(self, gain: float) -> None:
-        """Make it louder or quieter; what is too loud for two bytes is as loud as they can say, where YARP wraps."""
+        """Scale all samples; values out of range are clipped, while YARP's wrap around."""
         for channel in range(self.getChannels()):
             self.amplifyChannel(channel, gain)
 
     def amplifyChannel(self, channel: int, gain: float) -> None:
-        """Make one channel louder or quieter, see `amplify`."""
+        """Scale one channel's samples like `amplify`."""
         samples = self._own()
         samples[channel] = np.clip(np.trunc(samples[channel] * float(gain)), -_LOUDEST - 1, _LOUDEST)
 
     def normalize(self) -> None:
-        """Make it so loud that its greatest sample is the greatest there is; silence stays."""
+        """Scale the sound so that its peak has the largest value; silence is unchanged."""
         _, _, peak = self.findPeak()
         if peak > 0:
             self.amplify(_LOUDEST / peak)
 
     def normalizeChannel(self, channel: int) -> None:
-        """The same for one channel."""
+        """Scale one channel like `normalize`."""
         _, peak = self.findPeakInChannel(channel)
         if peak > 0:
             self.amplifyChannel(channel, _LOUDEST / peak)
 
     def findPeakInChannel(self, channelId: int) -> tuple[int, int]:
-        """The sample of a channel that is the greatest above 0, and its value; 0, 0 where none is."""
+        """Return the index and value of a channel's largest sample above 0; 0, 0 if there is none."""
         samples = self._samples[channelId]
         at = int(samples.argmax()) if samples.size else 0
         return (at, int(samples[at])) if samples.size and samples[at] > 0 else (0, 0)
 
     def findPeak(self) -> tuple[int, int, int]:
-        """The channel, the sample and the value of the greatest above 0; 0, 0, 0 where none is."""
+        """Return the channel, index and value of the largest sample above 0; 0, 0, 0 if there is none."""
         peaks = [(channel, *self.findPeakInChannel(channel)) for channel in range(self.getChannels())]
         return max(peaks, key=lambda peak: peak[2], default=(0, 0, 0))
 
     def toString(self) -> str:
-        """The samples, a line for each channel."""
+        """Return the samples as text, a line for each channel."""
         return "".join("".join(f" {value}" for value in row) + "\n" for row in self._samples.tolist())
 
     toString_c = toString
 
-    getRawDataSize = getter("_samples.nbytes", int, "Bytes of all samples.")
+    getRawDataSize = getter("_samples.nbytes", int, "The size of all samples in bytes.")
 
     def sound2VecNonInterleaved(self) -> tuple[int, ...]:
-        """All samples, channel after channel."""
+        """Return all samples, channel by channel."""
         return tuple(self._samples.reshape(-1).tolist())
 
     def sound2VecInterleaved(self) -> tuple[int, ...]:
-        """All samples, those of one moment together."""
+        """Return all samples, interleaved."""
         return tuple(self._samples.T.reshape(-1).tolist())
 
     getNonInterleavedAudioRawData = sound2VecNonInterleaved
     getInterleavedAudioRawData = sound2VecInterleaved
 
     def vecNonInterleaved2Sound(self, values: list[int], samples: int, channels: int) -> None:
-        """Become these samples, given channel after channel."""
+        """Replace the samples by these, given channel by channel."""
         self._samples = np.array(values, _SAMPLE).reshape(channels, samples)
 
     def vecInterleaved2Sound(self, values: list[int], samples: int, channels: int) -> None:
-        """Become these samples, given with those of one moment together."""
+        """Replace the samples by these, given interleaved."""
         self._samples = np.ascontiguousarray(np.array(values, _SAMPLE).reshape(samples, channels).T)
 
     def add_marker(self, label: str, sample_id: int, channel: int = -1) -> None:
-        """Name a place."""
+        """Add a marker."""
         self._markers[label] = SoundMarker(label, channel, sample_id)
 
     def getMarkers(self) -> list[SoundMarker]:
-        """All named places, by name."""
+        """Return all markers, sorted by label."""
         return [self._markers[label] for label in sorted(self._markers)]
 
     def getMarker(self, index: int) -> SoundMarker:
-        """One of the named places, by name."""
+        """Return one of the markers, sorted by label."""
         return self.getMarkers()[index]
 
     def get_marker(self, marker_label: str) -> tuple[bool, int, int]:
-        """Whether there is such a place, its sample, and its channel or -1."""
+        """Return whether the marker exists, its sample, and its channel or -1."""
         marker = self._markers.get(marker_label)
         return (False, 0, -1) if marker is None else (True, marker.sample_id, marker.channel)
 
     def remove_marker(self, marker_label: str) -> None:
-        """Forget one of the named places."""
+        """Remove a marker, if it exists."""
         self._markers.pop(marker_label, None)
 
     def getMarkersCount(self) -> int:
-        """The number of them."""
+        """Return the number of markers."""
         return len(self._markers)
 
     def remove_all_markers(self) -> None:
-        """Forget the named places."""
+        """Remove all markers."""
         self._markers = {}
 
     def _own(self) -> NDArray[Any]:
-        """The samples in memory that can be changed."""
+        """Return the samples in writable memory, by a copy if needed."""
         if not self._samples.flags.writeable:
             self._samples = self._samples.copy()
         return self._samples
 
     def _alike(self, other: Sound) -> bool:
-        """Whether both have as many channels, and as many samples in a second; says in the log what differs."""
+        """Return whether both have the same number of channels and frequency; log an error if not."""
         alike = (self.getChannels(), self._frequency) == (other.getChannels(), other._frequency)
         if not alike:
-            log.error("%r and %r are of another number of channels or rate", self, other)
+            log.error("the channels or frequencies of %r and %r differ", self, other)
         return alike
 
     def _place(self, marker: int | str, default: int) -> int:
-        """The sample of a marker."""
+        """Return the sample of a marker."""
         if isinstance(marker, int):
             return marker
         found, sample, _ = self.get_marker(marker)
         if not found:
-            log.warning("there is no marker %s", marker)
+            log.warning("marker %s not found", marker)
         return sample if found else default
 
     def __eq__(self, other: object) -> bool:
@@ -322,16 +322,16 @@ class Sound(Comparable, Portable):
     def _read(self, source: ElementReader) -> None:
         parts = source.begin()
         if parts not in (4, 5, 6):
-            raise WireError(f"a sound has 4, 5 or 6 parts, not {parts}")
+            raise WireError(f"invalid sound: expected 4, 5 or 6 parts, not {parts}")
         _, samples, _, channels, _, size, _, frequency = source.raw(_FIELDS)
         if size != 2:
             raise WireError(f"sounds have 2 bytes per sample, not {size}")
         if min(samples, channels) < 0 or samples * channels > _LARGEST:
-            raise WireError(f"a sound of {samples} samples in {channels} channels")
+            raise WireError(f"invalid sound: {samples} samples in {channels} channels")
         if parts > 4:
             code, count = source.raw(_LIST)
             if code != LIST | INT16 or count != samples * channels:
-                raise WireError(f"{samples} samples in {channels} channels are not a list of {count} of tag {code}")
+                raise WireError(f"invalid sound: {count} of tag {code} for {samples} samples in {channels} channels")
         values = np.frombuffer(source.block(2 * samples * channels), _SAMPLE)
         markers = _markers(source) if parts == 6 else {}
         source.leave()
@@ -341,11 +341,11 @@ class Sound(Comparable, Portable):
 def _markers(source: ElementReader) -> dict[str, SoundMarker]:
     code, count = source.raw(_LIST)
     if code != LIST or count < 0:
-        raise WireError(f"a sound's markers are a list, not {code} of {count}")
+        raise WireError(f"invalid sound: expected a list of markers, not {code} of {count}")
     markers = {}
     for _ in range(count):
         if source.raw(_LIST) != (LIST, 4):
-            raise WireError(f"a sound's marker before byte {source.at} is no list of 4")
+            raise WireError(f"invalid sound: the marker before byte {source.at} is not a list of 4")
         key, label = _text(source), _text(source)
         markers[key] = SoundMarker(label, *source.raw(_PLACE))
     return markers
@@ -354,5 +354,5 @@ def _markers(source: ElementReader) -> dict[str, SoundMarker]:
 def _text(source: ElementReader) -> str:
     size = int(source.raw(_LENGTH)[0])
     if size < 0:
-        raise WireError(f"a string of {size} bytes before byte {source.at}")
+        raise WireError(f"invalid sound: a string of {size} bytes before byte {source.at}")
     return str(source.block(size), "utf-8", "surrogateescape")

@@ -1,4 +1,4 @@
-"""Sounds made of nothing, and two of one: `yarp/sig/SoundUtils.h` of 4.0."""
+"""Generated sounds, and the mix of two: `yarp/sig/SoundUtils.h` of 4.0."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def makeTone(
     frequency: float = 440.0,
     amplitude: int = 30000,
 ) -> bool:
-    """Become a sine of so many seconds, samples per second, and Hz; False for arguments that are not above 0."""
+    """Fill ``outSound`` with a sine wave; return False for arguments that are not positive."""
     return _made(outSound, duration_s, channels, sampleRate, amplitude, lambda t: np.sin(2 * np.pi * frequency * t))
 
 
@@ -36,7 +36,7 @@ def makeSquareWave(
     frequency: float = 1.0,
     amplitude: int = 30000,
 ) -> bool:
-    """Become a square wave; arguments as of `makeTone`."""
+    """Fill ``outSound`` with a square wave; arguments as for `makeTone`."""
 
     def wave(t: NDArray[Any]) -> NDArray[Any]:
         return np.where(np.sin(2 * np.pi * frequency * t) >= 0, 1.0, -1.0)
@@ -52,7 +52,7 @@ def makeSawTooth(
     frequency: float = 1.0,
     amplitude: int = 30000,
 ) -> bool:
-    """Become a saw tooth; arguments as of `makeTone`."""
+    """Fill ``outSound`` with a sawtooth wave; arguments as for `makeTone`."""
 
     def wave(t: NDArray[Any]) -> NDArray[Any]:
         return 2 * (t * frequency - np.floor(t * frequency + 0.5))
@@ -61,9 +61,9 @@ def makeSawTooth(
 
 
 def mix(A: Sound, B: Sound, percentage: float = 0.5) -> Sound:
-    """Two sounds at once, the first at this part of its loudness, the other at the rest; empty where they differ."""
+    """Mix two sounds, the first with the weight ``percentage``; return an empty sound if their formats differ."""
     if (A.getFrequency(), A.getChannels()) != (B.getFrequency(), B.getChannels()):
-        log.error("%r and %r cannot be mixed: they have another number of channels or rate", A, B)
+        log.error("cannot mix %r and %r: their channels or frequencies differ", A, B)
         return Sound()
     part = min(max(percentage, 0.0), 1.0)
     both = np.zeros((A.getChannels(), max(A.getSamples(), B.getSamples())))
@@ -75,7 +75,7 @@ def mix(A: Sound, B: Sound, percentage: float = 0.5) -> Sound:
 def _made(sound: Sound, seconds: float, channels: int, rate: int, amplitude: int, wave: Wave) -> bool:
     if min(seconds, channels, rate, amplitude) <= 0:
         log.error(
-            "a sound of %s s, %s channels, %s Hz and the amplitude %s cannot be made",
+            "cannot generate a sound of %s s, %s channels, %s Hz and the amplitude %s",
             seconds,
             channels,
             rate,

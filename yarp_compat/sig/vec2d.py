@@ -1,4 +1,4 @@
-"""Pairs of numbers (`yarp/math/Vec2D.h`)."""
+"""2-D vectors (`yarp/math/Vec2D.h`)."""
 
 from __future__ import annotations
 
@@ -62,4 +62,4 @@ class Vec2DSize(Vec2DInt):
 def _pair(source: ElementReader) -> None:
     count = source.begin()
     if count != 2:
-        raise WireError(f"a pair has two numbers, not {count}")
+        raise WireError(f"invalid pair: expected two numbers, not {count}")

@@ -1,9 +1,9 @@
-"""Vectors of numbers (`yarp/sig/Vector.h`): one list of one type, in one piece of memory.
+"""Vectors of numbers (`yarp/sig/Vector.h`): a list of one type, in contiguous memory.
 
-Beside YARP's own names there are Python's: indexing, iteration, ``numpy.asarray``. :meth:`VectorOf.numpy` shares the
-vector's memory; a vector that was read shares the message's and copies it before it is changed, where that is needed.
+In addition to YARP's methods, vectors support indexing, iteration and ``numpy.asarray``. `VectorOf.numpy` shares the
+vector's memory; a received vector shares the message's, and copies it before a change if it is read-only.
 
-Real YARP refuses to read an empty vector, though it writes one. This reads it.
+C++ YARP refuses to read empty vectors, though it writes them. Here they are read.
 """
 
 from __future__ import annotations
@@ -28,31 +28,31 @@ _TAGS = {profile: {found: tag for tag, found in types.items()} for profile, type
 
 
 def tag_of(dtype: np.dtype[Any], profile: Profile) -> int:
-    """The tag of a numpy type; an unsigned one has that of the signed type of its size, as YARP's vectors do."""
+    """Return the tag of a numpy type; an unsigned type has the signed type's tag, as in YARP."""
     if dtype.kind == "u":
         dtype = np.dtype(f"<i{dtype.itemsize}")
     return _TAGS[profile][dtype]
 
 
 def as_array(values: NDArray[Any], dtype: Any, copy: bool | None) -> NDArray[Any]:
-    """These values as numpy asks for them: of a type, in own memory; raises `ValueError` for a forbidden copy."""
+    """Implement ``__array__``: convert to a type, copy if asked; raises `ValueError` if a copy is forbidden."""
     if dtype is not None and np.dtype(dtype) != values.dtype:
         if copy is False:
-            raise ValueError(f"numbers of {values.dtype} are no array of {np.dtype(dtype)} without a copy")
+            raise ValueError(f"cannot convert {values.dtype} to {np.dtype(dtype)} without a copy")
         return values.astype(dtype)
     return values.copy() if copy else values
 
 
 def write_numbers(out: ElementWriter, values: NDArray[Any]) -> None:
-    """A list of numbers, one after another in memory, which are passed on uncopied where they are many."""
+    """Write contiguous numbers as a list; large ones are not copied."""
     out.begin(values.size, tag_of(values.dtype, out.profile))
     out.block(values.view(np.uint8).data)
 
 
 def read_numbers(source: ElementReader, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """A list of numbers, as a view into the payload if of this type; raises `WireError` for what does not fit the type.
+    """Read a list of numbers, as a view of the payload if the type matches; raises `WireError` if they do not fit.
 
-    YARP's own readers take only lists of exactly their type; this also takes what people type, such as ``1 2.5``.
+    YARP's readers accept only lists of exactly their type; this also accepts typed text such as ``1 2.5``.
     """
     tag, count, data = source.numbers()
     if data is None:
@@ -69,7 +69,7 @@ def read_numbers(source: ElementReader, dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def _exact(values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """The same numbers as this type; those of a float type may lose digits."""
+    """Convert numbers to a type; only floats may lose precision."""
     given = np.asarray(values)
     if dtype.kind == "f" or not given.size:
         return given.astype(dtype)
@@ -77,7 +77,7 @@ def _exact(values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
         raise WireError("expected a list of integers, found floats")
     limits = np.iinfo(dtype)
     if int(given.min()) < limits.min or int(given.max()) > limits.max:
-        raise WireError(f"a number in the list is no {dtype.name}")
+        raise WireError(f"a number in the list does not fit into {dtype.name}")
     return given.astype(dtype)
 
 
@@ -85,16 +85,16 @@ class Comparable:
     """YARP's names for ``==`` and ``!=``."""
 
     def isEqual(self, other: object) -> bool:
-        """Whether both hold the same."""
+        """Return whether both are equal."""
         return self == other
 
     def notEqual(self, other: object) -> bool:
-        """Whether they differ."""
+        """Return whether they differ."""
         return self != other
 
 
 class VectorOf(Comparable, Portable):
-    """A vector, of so many elements of value ``fill``, or of the given ones; the classes below have a type each."""
+    """A vector, created by its length and ``fill``, or from elements; each subclass has one type."""
 
     TYPE = "yarp/vector"
     dtype: ClassVar[np.dtype[Any]]  # the elements' type
@@ -109,18 +109,18 @@ class VectorOf(Comparable, Portable):
 
     @classmethod
     def of(cls, array: NDArray[Any]) -> Self:
-        """A vector that shares an array's memory where the array is of its type and in one piece."""
+        """Return a vector that shares an array's memory, if that has the same type and is contiguous."""
         vector = cls()
         vector._room = np.ascontiguousarray(array, cls.dtype).reshape(-1)
         vector._count = len(vector._room)
         return vector
 
     def numpy(self) -> NDArray[Any]:
-        """The elements, in the vector's memory until it changes its size; read-only if that is."""
+        """Return the elements, as a view of the memory until the size changes; read-only if that is."""
         return self._room[: self._count]
 
     def data(self) -> NDArray[Any]:
-        """The elements to be filled in, where C++ has a pointer: ``encoders.getEncoders(vector.data())``."""
+        """Return the elements as a writable view, like C++'s pointer: ``encoders.getEncoders(vector.data())``."""
         return self._own()
 
     getMemoryBlock = data
@@ -129,30 +129,30 @@ class VectorOf(Comparable, Portable):
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return as_array(self.numpy(), dtype, copy)
 
-    size = getter("_count", int, "How many elements there are.")
+    size = getter("_count", int, "The number of elements.")
 
     length = size
     getListSize = size
 
-    getElementSize = getter("dtype.itemsize", int, "Bytes of an element.")
+    getElementSize = getter("dtype.itemsize", int, "The size of an element in bytes.")
 
     def getBottleTag(self) -> int:
-        """The elements' tag, in YARP 3."""
+        """Return the elements' tag in YARP 3."""
         return tag_of(self.dtype, Profile.YARP3)
 
     def capacity(self) -> int:
-        """The number of elements that have memory."""
+        """Return the number of elements with allocated memory."""
         return len(self._room)
 
     def reserve(self, size: int) -> None:
-        """Have memory for so many elements."""
+        """Allocate memory for at least ``size`` elements."""
         if size > len(self._room):
             room = np.zeros(size, self.dtype)
             room[: self._count] = self._room[: self._count]
             self._room = room
 
     def resize(self, size: int, fill: Any = None) -> None:
-        """Become so long; new elements are 0, or all are ``fill`` where it is given."""
+        """Change the length; new elements are 0, or all elements are ``fill`` if given."""
         if size < 0:
             raise ValueError(f"a vector cannot have {size} elements")
         if size != self._count:
@@ -164,7 +164,7 @@ class VectorOf(Comparable, Portable):
             self._own()[:] = fill
 
     def clear(self) -> None:
-        """Become empty."""
+        """Remove all elements."""
         self.resize(0)
 
     def zero(self) -> None:
@@ -187,30 +187,30 @@ class VectorOf(Comparable, Portable):
         self._count -= 1
 
     def get(self, index: int) -> Any:
-        """One element."""
+        """Return one element."""
         return self[index]
 
     access = get
 
     def set(self, index: int, value: Any) -> None:
-        """Change one element."""
+        """Set one element."""
         self[index] = value
 
     def subVector(self, first: int, last: int) -> Self:
-        """The elements from one to another, both included; an empty vector outside of it."""
+        """Return a copy of a range of elements, ends included; an empty vector if out of range."""
         if 0 <= first <= last < self._count:
             return type(self)(self._room[first : last + 1])
         return type(self)()
 
     def setSubvector(self, position: int, other: VectorOf) -> bool:
-        """Copy another vector's elements into this one; False where they do not fit."""
+        """Copy another vector's elements into this one; return False if they do not fit."""
         if position < 0 or position + len(other) > self._count:
             return False
         self._own()[position : position + len(other)] = other.numpy()
         return True
 
     def toString(self, precision: int = -1, width: int = -1) -> str:
-        """The elements as YARP prints them."""
+        """Return the elements in YARP's text format."""
         digits = 6 if precision < 0 else precision
         if self.dtype == np.float64:
             if width < 0:
@@ -220,7 +220,7 @@ class VectorOf(Comparable, Portable):
         return " ".join(map(form.format, self.numpy()))
 
     def toString_c(self) -> str:
-        """The elements as YARP prints them."""
+        """Return the elements in YARP's text format."""
         return self.toString()
 
     __str__ = toString_c
@@ -247,7 +247,7 @@ class VectorOf(Comparable, Portable):
         return f"{type(self).__name__}({self.numpy().tolist()})"
 
     def _own(self) -> NDArray[Any]:
-        """The elements in memory that can be changed."""
+        """Return the elements in writable memory, by a copy if needed."""
         if not self._room.flags.writeable:
             self._room = self._room.copy()
         return self._room[: self._count]
@@ -261,7 +261,7 @@ class VectorOf(Comparable, Portable):
 
 
 class Vector(VectorOf):
-    """Doubles: what YARP means by a vector."""
+    """A vector of doubles, YARP's standard vector."""
 
     dtype = np.dtype("<f8")
 
@@ -270,20 +270,20 @@ def _class(name: str, dtype: str, doc: str) -> type[VectorOf]:
     return type(name, (VectorOf,), {"dtype": np.dtype(dtype), "__doc__": doc, "__module__": __name__})
 
 
-VectorFloat = _class("VectorFloat", "<f4", "Floats of four bytes.")
-VectorInt = _class("VectorInt", "<i4", "Integers of four bytes.")
-VectorInt8 = _class("VectorInt8", "<i1", "Integers of one byte.")
-VectorInt16 = _class("VectorInt16", "<i2", "Integers of two bytes.")
-VectorInt64 = _class("VectorInt64", "<i8", "Integers of eight bytes.")
-VectorUInt8 = _class("VectorUInt8", "<u1", "Unsigned integers of one byte.")
-VectorUInt16 = _class("VectorUInt16", "<u2", "Unsigned integers of two bytes.")
-VectorUInt32 = _class("VectorUInt32", "<u4", "Unsigned integers of four bytes.")
-VectorUInt64 = _class("VectorUInt64", "<u8", "Unsigned integers of eight bytes.")
+VectorFloat = _class("VectorFloat", "<f4", "A vector of floats of four bytes.")
+VectorInt = _class("VectorInt", "<i4", "A vector of integers of four bytes.")
+VectorInt8 = _class("VectorInt8", "<i1", "A vector of integers of one byte.")
+VectorInt16 = _class("VectorInt16", "<i2", "A vector of integers of two bytes.")
+VectorInt64 = _class("VectorInt64", "<i8", "A vector of integers of eight bytes.")
+VectorUInt8 = _class("VectorUInt8", "<u1", "A vector of unsigned integers of one byte.")
+VectorUInt16 = _class("VectorUInt16", "<u2", "A vector of unsigned integers of two bytes.")
+VectorUInt32 = _class("VectorUInt32", "<u4", "A vector of unsigned integers of four bytes.")
+VectorUInt64 = _class("VectorUInt64", "<u8", "A vector of unsigned integers of eight bytes.")
 _CLASSES: dict[np.dtype[Any], type[VectorOf]] = {found.dtype: found for found in VectorOf.__subclasses__()}
 
 
 def vector_of(dtype: Any) -> type[VectorOf]:
-    """The class of vectors of a numpy type; raises `TypeError` where YARP has none."""
+    """Return the vector class for a numpy type; raises `TypeError` if YARP has none."""
     found = _CLASSES.get(np.dtype(dtype).newbyteorder("<"))
     if found is None:
         raise TypeError(f"YARP has no vectors of {np.dtype(dtype)}")

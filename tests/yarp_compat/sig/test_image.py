@@ -145,15 +145,15 @@ def test_arrays_of_any_width(width: int) -> None:
 
 def test_memory_that_will_not_do_is_refused() -> None:
     image = ImageRgb()
-    with pytest.raises(ValueError, match="12 bytes, and there are 11"):
+    with pytest.raises(ValueError, match="12 bytes, not 11"):
         image.setExternal(bytes(11), 2, 2)
-    with pytest.raises(ValueError, match="one piece"):
+    with pytest.raises(ValueError, match="contiguous"):
         image.setExternal(np.zeros((4, 4, 3), np.uint8)[:, ::2], 2, 4)
-    with pytest.raises(ValueError, match="array of"):
+    with pytest.raises(ValueError, match="from an array"):
         ImageRgb.of(np.zeros((4, 4), np.uint8))
     with pytest.raises(ValueError, match="uint16"):
         ImageMono.of(np.zeros((4, 4), np.uint16))
-    with pytest.raises(ValueError, match="no pixels"):
+    with pytest.raises(ValueError, match="unknown pixel code"):
         FlexImage().setPixelCode(12345)
     with pytest.raises(IndexError):
         picture(PixelCode.RGB, 2, 2).getPixel(2, 0)

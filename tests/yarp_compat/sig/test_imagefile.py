@@ -66,14 +66,14 @@ def test_files_of_others(tmp_path: Path) -> None:
     ("name", "data", "reason"),
     [
         ("a.ppm", b"P6\n2 2\n255\n123", "need 12 bytes"),
-        ("a.ppm", b"P3\n2 2\n255\n1 2 3", "no binary PGM or PPM"),
-        ("a.ppm", b"P6\n2 2\n65535\n123", "no binary PGM or PPM"),
-        ("a.png", b"GIF89a", "does not begin as a PNG"),
-        ("a.png", png.write(GREY)[:40], "cut off"),
-        ("a.jpg", b"", "JPEG is not there"),
-        ("a.txt", b"", ".txt tells no format"),
-        ("a.float", b"1", "no number of rows"),
-        ("a.float", struct.pack("<QQf", 1, 1, 1.0), "not those of ImageRgb"),
+        ("a.ppm", b"P3\n2 2\n255\n1 2 3", "not a binary PGM or PPM"),
+        ("a.ppm", b"P6\n2 2\n65535\n123", "not a binary PGM or PPM"),
+        ("a.png", b"GIF89a", "not a PNG file"),
+        ("a.png", png.write(GREY)[:40], "truncated"),
+        ("a.jpg", b"", "JPEG is not supported"),
+        ("a.txt", b"", "unknown format (suffix '.txt')"),
+        ("a.float", b"1", "numbers of rows and columns are missing"),
+        ("a.float", struct.pack("<QQf", 1, 1, 1.0), "cannot convert its pixels to ImageRgb"),
     ],
 )
 def test_what_cannot_be_read(
@@ -89,7 +89,7 @@ def test_what_cannot_be_written(tmp_path: Path, caplog: pytest.LogCaptureFixture
     assert not yarp.write(yarp.ImageFloat.of(FLOATS), str(tmp_path / "a.ppm"), yarp.FORMAT_PPM)
     assert not yarp.write(yarp.ImageRgb.of(COLOURS), str(tmp_path / "no" / "a.ppm"))
     assert "JPEG" in caplog.text
-    assert "floats is not written as FORMAT_PPM" in caplog.text
+    assert "cannot write an image of floats as FORMAT_PPM" in caplog.text
     assert list(tmp_path.iterdir()) == []
 
 

@@ -273,7 +273,7 @@ def test_images_are_swapped_and_moved() -> None:
     assert (one.getPixel(1, 1), other.width()) == (7, 0)
     with pytest.raises(TypeError):
         one.swap(yarp.ImageRgb())
-    with pytest.raises(ValueError, match="turn it"):
+    with pytest.raises(ValueError, match="flip them"):
         one.setTopIsLowIndex(False)
 
 

@@ -131,7 +131,7 @@ def test_the_null_bottle_stays_empty() -> None:
     assert null.isNull()
     assert not null
     assert Bottle.getNullBottle().isNull()
-    with pytest.raises(RuntimeError, match="not found"):
+    with pytest.raises(RuntimeError, match="missing list"):
         null.addInt32(1)
     taken = Bottle("x")
     taken.copy(null)
