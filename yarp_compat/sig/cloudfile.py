@@ -58,7 +58,7 @@ def read_cloud(data: bytes) -> PointCloud:
 
 def write_pcd(cloud: PointCloud) -> bytes:
     """Return the cloud as a binary ``.pcd`` file."""
-    points, names = _packed(cloud, colour="rgba")
+    points, names = _packed(cloud, color="rgba")
     letters = ["U" if points.dtype[name].kind == "u" else "F" for name in names]
     lines = (
         "# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", f"FIELDS {' '.join(names)}",
@@ -71,7 +71,7 @@ def write_pcd(cloud: PointCloud) -> bytes:
 
 def write_ply(cloud: PointCloud) -> bytes:
     """Return the cloud as a binary ``.ply`` file."""
-    points, names = _packed(cloud, colour="")
+    points, names = _packed(cloud, color="")
     ours = {ours: theirs for theirs, ours in _PLY_NAMES.items()}
     kinds = ["uchar" if points.dtype[name].itemsize == 1 else "float" for name in names]
     properties = [f"property {kind} {ours.get(name, name)}" for kind, name in zip(kinds, names, strict=True)]
@@ -79,56 +79,56 @@ def write_ply(cloud: PointCloud) -> bytes:
     return "\n".join(head).encode() + points.tobytes()
 
 
-def _packed(cloud: PointCloud, colour: str) -> tuple[NDArray[Any], list[str]]:
+def _packed(cloud: PointCloud, color: str) -> tuple[NDArray[Any], list[str]]:
     """Return the points without padding, and their field names; ``color`` names one field for the four of a color."""
     points = cloud.numpy()
     names = list(points.dtype.names or ())
-    merged = colour and "b" in names
-    kept = [name for name in names if not (merged and name in "gra")]
-    kinds = [("rgba" if merged and n == "b" else n, "<u4" if merged and n == "b" else points.dtype[n]) for n in kept]
-    made = np.zeros(len(points), kinds)
-    for name in kept:
+    merged = color and "b" in names
+    fields = [name for name in names if not (merged and name in "gra")]
+    kinds = [("rgba" if merged and n == "b" else n, "<u4" if merged and n == "b" else points.dtype[n]) for n in fields]
+    packed = np.zeros(len(points), kinds)
+    for name in fields:
         if merged and name == "b":
-            made["rgba"] = sum(points[one].astype("<u4") << (8 * place) for place, one in enumerate("bgra"))
+            packed["rgba"] = sum(points[channel].astype("<u4") << (8 * place) for place, channel in enumerate("bgra"))
         else:
-            made[name] = points[name]
-    return made, list(made.dtype.names or ())
+            packed[name] = points[name]
+    return packed, list(packed.dtype.names or ())
 
 
 def _lines(data: bytes, end: str) -> tuple[list[list[str]], int]:
     """Return the words of the header's lines, up to the one that begins with ``end``, and the offset of the points."""
-    found: list[list[str]] = []
+    lines: list[list[str]] = []
     start = 0
     while (stop := data.find(b"\n", start, _MOST_HEAD)) >= 0:
-        words, start = data[start:stop].decode("latin-1").split(), stop + 1
-        if words and not words[0].startswith("#"):
-            found.append(words)
-            if words[0] == end:
-                return found, start
+        line, start = data[start:stop].decode("latin-1").split(), stop + 1
+        if line and not line[0].startswith("#"):
+            lines.append(line)
+            if line[0] == end:
+                return lines, start
     raise CloudFileError(f"{end}: line not found in the first {_MOST_HEAD} bytes; it is not a .pcd or .ply file")
 
 
-def _whole(words: list[str], what: str) -> int:
+def _int_of(words: list[str], name: str) -> int:
     if len(words) != 1 or not words[0].isdecimal() or len(words[0]) > 10:
-        raise CloudFileError(f"{what}: {' '.join(words)[:40]!r} is not a number")
+        raise CloudFileError(f"{name}: {' '.join(words)[:40]!r} is not a number")
     return int(words[0])
 
 
 def _read_pcd(data: bytes) -> PointCloud:
     lines, start = _lines(data, "DATA")
-    head = {words[0]: words[1:] for words in lines}
+    head = {line[0]: line[1:] for line in lines}
     names, sizes, types = (head.get(key, []) for key in ("FIELDS", "SIZE", "TYPE"))
     counts = head.get("COUNT", ["1"] * len(names))
-    width, height = (_whole(head.get(key, []), key) for key in ("WIDTH", "HEIGHT"))
+    width, height = (_int_of(head.get(key, []), key) for key in ("WIDTH", "HEIGHT"))
     if not 0 < len(names) == len(sizes) == len(types) == len(counts) <= _MOST_FIELDS:
         raise CloudFileError(f"FIELDS, SIZE, TYPE, COUNT: their lengths differ, or exceed {_MOST_FIELDS} fields")
     columns: list[Any] = []
     for place, (name, size, letter, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
-        many = _whole([count], f"COUNT of {name}")
+        many = _int_of([count], f"COUNT of {name}")
         if f"{letter}{size}" not in ("I1", "I2", "I4", "I8", "U1", "U2", "U4", "U8", "F4", "F8") or many > 4096:
             raise CloudFileError(f"TYPE, SIZE of {name[:40]}: {letter}{size}, {count} times, is not a number")
-        own = name if many == 1 and name not in [column[0] for column in columns] else f"{place}_"
-        columns.append((own, f"<{letter.lower()}{size}", *([] if many == 1 else [(many,)])))
+        field = name if many == 1 and name not in [column[0] for column in columns] else f"{place}_"
+        columns.append((field, f"<{letter.lower()}{size}", *([] if many == 1 else [(many,)])))
     form = (head["DATA"] or [""])[0]
     if form not in ("binary", "ascii"):
         raise CloudFileError(f"DATA: {form[:40]!r} is not binary or ascii; convert it by pcl_convert_pcd_ascii_binary")
@@ -138,23 +138,23 @@ def _read_pcd(data: bytes) -> PointCloud:
 
 def _read_ply(data: bytes) -> PointCloud:
     lines, start = _lines(data, "end_header")
-    form = next((words[1] for words in lines if words[0] == "format" and len(words) > 1), "")
+    form = next((line[1] for line in lines if line[0] == "format" and len(line) > 1), "")
     order = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}.get(form)
     if order is None:
         raise CloudFileError(f"format: {form[:40]!r} is not ascii, binary_little_endian or binary_big_endian")
-    elements = [place for place, words in enumerate(lines) if words[0] == "element"]
+    elements = [place for place, line in enumerate(lines) if line[0] == "element"]
     if not elements or lines[elements[0]][1:2] != ["vertex"]:
         raise CloudFileError("element: the first must be vertex")
-    count = _whole(lines[elements[0]][2:], "element vertex")
+    count = _int_of(lines[elements[0]][2:], "element vertex")
     columns: list[tuple[str, str]] = []
-    for words in lines[elements[0] + 1 : (elements[1:] or [len(lines)])[0]]:
-        if words[0] != "property":
+    for line in lines[elements[0] + 1 : (elements[1:] or [len(lines)])[0]]:
+        if line[0] != "property":
             continue
-        letters = _PLY_TYPES.get(words[1] if len(words) == 3 else "")
+        letters = _PLY_TYPES.get(line[1] if len(line) == 3 else "")
         if letters is None or len(columns) >= _MOST_FIELDS:
-            raise CloudFileError(f"property: {' '.join(words[1:])[:40]!r} is not a number of a vertex")
-        name = _PLY_NAMES.get(words[2], words[2])
-        columns.append((name if name not in [one for one, _ in columns] else f"{len(columns)}_", order + letters))
+            raise CloudFileError(f"property: {' '.join(line[1:])[:40]!r} is not a number of a vertex")
+        name = _PLY_NAMES.get(line[2], line[2])
+        columns.append((name if name not in [known for known, _ in columns] else f"{len(columns)}_", order + letters))
     return _cloud(_rows(data, start, np.dtype(columns), count, text=form == "ascii"), 1)
 
 
@@ -174,30 +174,30 @@ def _rows(data: bytes, start: int, layout: np.dtype[Any], count: int, *, text: b
         raise CloudFileError(f"invalid line of a point: {str(err)[:80]}") from None
     if numbers.shape != (count, wide) and count:
         raise CloudFileError(f"the points have {numbers.shape} numbers, not ({count}, {wide})")
-    found, place = np.zeros(count, layout), 0
+    points, place = np.zeros(count, layout), 0
     with np.errstate(invalid="ignore", over="ignore"):
         for name in layout.names or () if count else ():
             many = int(np.prod(layout[name].shape))
-            found[name] = numbers[:, place : place + many].reshape(count, *layout[name].shape)
+            points[name] = numbers[:, place : place + many].reshape(count, *layout[name].shape)
             place += many
-    return found
+    return points
 
 
 def _cloud(points: NDArray[Any], height: int) -> PointCloud:
     """Return a cloud of the type with most of the fields; raises `CloudFileError` if none fits."""
     names = set(points.dtype.names or ())
     packed = next((name for name in ("rgba", "rgb") if name in names and points.dtype[name].itemsize == 4), "")
-    own = names | ({"b", "g", "r", "a"} if packed else set())
-    kind = next((kind for kind, wanted in _KINDS if wanted <= own), None)
+    fields = names | ({"b", "g", "r", "a"} if packed else set())
+    kind = next((kind for kind, wanted in _KINDS if wanted <= fields), None)
     if kind is None:
         raise CloudFileError(f"the points have {', '.join(sorted(names))[:80]}: x, y and z are needed")
-    made = np.zeros(len(points), LAYOUTS[kind])
+    converted = np.zeros(len(points), LAYOUTS[kind])
     with np.errstate(invalid="ignore", over="ignore"):
-        for name in set(made.dtype.names or ()) & names:
-            made[name] = points[name]
-    if packed and "b" in (made.dtype.names or ()):
-        colour = np.ascontiguousarray(points[packed]).view(np.uint8).reshape(-1, 4)
+        for name in set(converted.dtype.names or ()) & names:
+            converted[name] = points[name]
+    if packed and "b" in (converted.dtype.names or ()):
+        color = np.ascontiguousarray(points[packed]).view(np.uint8).reshape(-1, 4)
         for place, name in enumerate("bgra"):
-            made[name] = colour[:, place]
-    dense = all(np.isfinite(made[name]).all() for name in "xyz")
-    return PointCloud.of(made.reshape(height, -1) if height > 1 else made, dense=dense)
+            converted[name] = color[:, place]
+    dense = all(np.isfinite(converted[name]).all() for name in "xyz")
+    return PointCloud.of(converted.reshape(height, -1) if height > 1 else converted, dense=dense)

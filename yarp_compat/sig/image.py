@@ -160,7 +160,7 @@ class Raster:
 
     def zero(self) -> None:
         """Set every byte to 0."""
-        self._own()
+        self._make_writable()
         np.ndarray(self._memory.nbytes, np.uint8, self._memory)[:] = 0
 
     def isPixel(self, x: int, y: int) -> bool:
@@ -177,7 +177,7 @@ class Raster:
     def _place(self, width: int, height: int, row: int, memory: memoryview, *, external: bool = False) -> None:
         self._width, self._height, self._row, self._memory, self._external = width, height, row, memory, external
 
-    def _own(self) -> None:
+    def _make_writable(self) -> None:
         """Make the memory writable, by a copy if needed."""
         if self._memory.readonly:
             self._memory = memoryview(bytearray(self._memory))
@@ -219,8 +219,8 @@ class Image(Raster, Comparable, Portable):
         kind = PIXELS.get(self._code)
         if kind is None:
             return self.getPixel(x, y)
-        self._own()
-        return kind.at(self.numpy()[y, x])
+        self._make_writable()
+        return kind.view(self.numpy()[y, x])
 
     access = pixel
 
@@ -234,13 +234,13 @@ class Image(Raster, Comparable, Portable):
     def getPixel(self, x: int, y: int) -> Any:
         """Return a pixel's number, or a tuple of its channels."""
         self._check(x, y)
-        found = self.numpy()[y, x].tolist()
-        return tuple(found) if isinstance(found, list) else found
+        value = self.numpy()[y, x].tolist()
+        return tuple(value) if isinstance(value, list) else value
 
     def setPixel(self, x: int, y: int, value: Any) -> None:
         """Set a pixel to a number, or to one for each channel."""
         self._check(x, y)
-        self._own()
+        self._make_writable()
         self.numpy()[y, x] = tuple(value) if hasattr(value, "__iter__") else value
 
     def copy(self, other: Image, width: int | None = None, height: int | None = None) -> bool:
@@ -298,19 +298,19 @@ class Image(Raster, Comparable, Portable):
 
     def _whole(self, data: Buffer, profile: Profile) -> None:
         source = ElementReader(data, profile)
-        found = _parsed(source)
+        parts = _parse(source)
         source.finish()
-        self._take(*found)
+        self._store(*parts)
 
     def _read(self, source: ElementReader) -> None:
-        self._take(*_parsed(source))
+        self._store(*_parse(source))
 
-    def _take(self, code: int, quantum: int, width: int, height: int, data: memoryview) -> None:
+    def _store(self, code: int, quantum: int, width: int, height: int, data: memoryview) -> None:
         """Store a received image: in the external memory, as a view of the message, or converted."""
         size = format_of(code).size if code else 0
         row = padded(width * size, quantum)
-        own = padded(width * size, self._quantum or quantum)
-        if self.code in (PixelCode.INVALID, code) and own == row:
+        own_row = padded(width * size, self._quantum or quantum)
+        if self.code in (PixelCode.INVALID, code) and own_row == row:
             same = (self._code, self._width, self._height, self._row) == (code, width, height, row)
             if same and self._external and not self._memory.readonly:
                 self._memory[:] = data
@@ -329,15 +329,15 @@ class Image(Raster, Comparable, Portable):
             raise WireError(str(error)) from error
 
 
-def _parsed(source: ElementReader) -> tuple[int, int, int, int, memoryview]:
+def _parse(source: ElementReader) -> tuple[int, int, int, int, memoryview]:
     """Return a received image's code, quantum, width, height and rows."""
     at = source.at
     count = source.begin()
-    names, word, named, code, listed, numbers, depth, size, quantum, width, height, blob, length = source.raw(_HEADER)
+    names, mat, named, code, listed, numbers, depth, size, quantum, width, height, blob, length = source.raw(_HEADER)
     if quantum >> 16 == 1:
         quantum &= 0xFFFF
-    told = (source.unit, count, names, word, named, listed, numbers, blob)
-    if told != (0, 4, VOCAB32, _MAT, VOCAB32, LIST | INT32, 5, BLOB):
+    constants = (source.unit, count, names, mat, named, listed, numbers, blob)
+    if constants != (0, 4, VOCAB32, _MAT, VOCAB32, LIST | INT32, 5, BLOB):
         raise WireError(f"no image at byte {at}")
     if min(size, quantum, width, height) < 0 or size != length:
         raise WireError(f"invalid image of {width} x {height} pixels, quantum {quantum}, {size} or {length} bytes")

@@ -61,9 +61,9 @@ _NO_JPEG = "JPEG is not supported; use PNG, or PIL.Image and setExternal"
 def read(dest: Image | Sound, src: str, format: int | str = _F.FORMAT_ANY) -> bool:  # noqa: A002 - YARP's name
     """Read a file into ``dest``; the suffix selects the format, else ``format``."""
     if isinstance(dest, Sound):
-        return _done(lambda: _take_wave(dest, Path(src).read_bytes()), src)
+        return _done(lambda: _read_wave(dest, Path(src).read_bytes()), src)
 
-    def take() -> None:
+    def load() -> None:
         suffix = Path(src).suffix
         kind = _SUFFIXES.get(suffix) or _F(int(format))
         reader = _READERS.get(kind)
@@ -71,7 +71,7 @@ def read(dest: Image | Sound, src: str, format: int | str = _F.FORMAT_ANY) -> bo
             raise ValueError(_NO_JPEG if kind == _F.FORMAT_JPG else f"unknown format (suffix {suffix!r})")
         _become(dest, reader(Path(src).read_bytes()))
 
-    return _done(take, src)
+    return _done(load, src)
 
 
 def write(src: Image | Sound, dest: str, format: int | None = None) -> bool:  # noqa: A002 - YARP's name
@@ -79,35 +79,35 @@ def write(src: Image | Sound, dest: str, format: int | None = None) -> bool:  # 
     if isinstance(src, Sound):
         return _done(lambda: Path(dest).write_bytes(_wave_of(src)), dest)
 
-    def give() -> None:
-        grey, floats = src.getPixelCode() == PixelCode.MONO, src.getPixelCode() == PixelCode.MONO_FLOAT
-        own = _F.FORMAT_PGM if grey else _F.FORMAT_NUMERIC if floats else _F.FORMAT_PPM
-        kind = own if format is None else _F(format)
-        kinds = {own, *((_F.FORMAT_NUMERIC_COMPRESSED,) if floats else (_F.FORMAT_PNG,))}
+    def save() -> None:
+        gray, floats = src.getPixelCode() == PixelCode.MONO, src.getPixelCode() == PixelCode.MONO_FLOAT
+        default = _F.FORMAT_PGM if gray else _F.FORMAT_NUMERIC if floats else _F.FORMAT_PPM
+        kind = default if format is None else _F(format)
+        kinds = {default, *((_F.FORMAT_NUMERIC_COMPRESSED,) if floats else (_F.FORMAT_PNG,))}
         if kind not in kinds:
-            of = "floats" if floats else "gray" if grey else "color"
+            of = "floats" if floats else "gray" if gray else "color"
             reason = _NO_JPEG if kind == _F.FORMAT_JPG else f"cannot write an image of {of} as {kind.name}"
             raise ValueError(reason)
-        image = src if grey or floats else ImageRgb()
+        image = src if gray or floats else ImageRgb()
         if image is not src:
             image.copy(src)
         Path(dest).write_bytes(_WRITERS[kind](image.numpy()))
 
-    return _done(give, dest)
+    return _done(save, dest)
 
 
 def read_bytestream(data: Sound, bytestream: bytes, streamsize: int, format: str = ".wav") -> bool:  # noqa: A002, ARG001
     """Read the sound from a WAV file's first ``streamsize`` bytes."""
-    return _done(lambda: _take_wave(data, bytes(bytestream[:streamsize])), "the bytes")
+    return _done(lambda: _read_wave(data, bytes(bytestream[:streamsize])), "the bytes")
 
 
 def write_bytestream(data: Sound, bytestream: bytearray, *_: object) -> bool:
     """Replace a bytearray's content by the sound's WAV file."""
 
-    def give() -> None:
+    def save() -> None:
         bytestream[:] = _wave_of(data)
 
-    return _done(give, "the bytes")
+    return _done(save, "the bytes")
 
 
 def _done(action: Callable[[], object], name: str) -> bool:
@@ -129,14 +129,14 @@ def _become(dest: Image, pixels: NDArray[Any]) -> None:
 
 
 def _read_pxm(data: bytes) -> NDArray[np.uint8]:
-    found = _PXM.match(data)
-    if found is None or int(found[4]) != 255:
+    header = _PXM.match(data)
+    if header is None or int(header[4]) != 255:
         raise ValueError("not a binary PGM or PPM file with 255 values")
-    width, height, channels = int(found[2]), int(found[3]), 3 if found[1] == b"6" else 1
+    width, height, channels = int(header[2]), int(header[3]), 3 if header[1] == b"6" else 1
     size = width * height * channels
-    if len(data) - found.end() < size:
-        raise ValueError(f"{width} x {height} pixels need {size} bytes, not {len(data) - found.end()}")
-    values = np.frombuffer(data, np.uint8, size, found.end())
+    if len(data) - header.end() < size:
+        raise ValueError(f"{width} x {height} pixels need {size} bytes, not {len(data) - header.end()}")
+    values = np.frombuffer(data, np.uint8, size, header.end())
     return values.reshape((height, width, 3) if channels == 3 else (height, width))
 
 
@@ -184,7 +184,7 @@ def _write_zipped(pixels: NDArray[Any]) -> bytes:
     return _SIZES.pack(height, width) + zlib.compress(rows.tobytes())
 
 
-def _take_wave(sound: Sound, data: bytes) -> None:
+def _read_wave(sound: Sound, data: bytes) -> None:
     with wave.open(io.BytesIO(data)) as file:
         if file.getsampwidth() != 2:
             raise ValueError(f"its samples have {file.getsampwidth()} bytes, not 2")

@@ -38,7 +38,7 @@ class Matrix(Comparable, Portable):
 
     def data(self) -> NDArray[Any]:
         """Return the elements, row by row, as a writable view, like C++'s pointer."""
-        self._values = np.ascontiguousarray(self._own())
+        self._values = np.ascontiguousarray(self._writable())
         return self._values.reshape(-1)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
@@ -63,7 +63,7 @@ class Matrix(Comparable, Portable):
 
     def zero(self) -> None:
         """Set every element to 0."""
-        self._own()[:] = 0
+        self._writable()[:] = 0
 
     def eye(self) -> Self:
         """Make this an identity matrix of its size."""
@@ -87,7 +87,7 @@ class Matrix(Comparable, Portable):
 
     def setSubmatrix(self, other: Matrix, row: int, col: int) -> bool:
         """Copy another matrix into this one; return False if it does not fit."""
-        return self._put(other.numpy(), row, col)
+        return self._set_block(other.numpy(), row, col)
 
     def removeRows(self, first_row: int, how_many: int) -> Self:
         """Remove rows; return a copy of the remaining matrix."""
@@ -115,11 +115,11 @@ class Matrix(Comparable, Portable):
 
     def setSubrow(self, v: Vector, r: int, c: int) -> bool:
         """Set elements of a row from ``c`` on; return False if they do not fit."""
-        return self._put(v.numpy()[None, :], r, c)
+        return self._set_block(v.numpy()[None, :], r, c)
 
     def setSubcol(self, v: Vector, r: int, c: int) -> bool:
         """Set elements of a column from ``r`` on; return False if they do not fit."""
-        return self._put(v.numpy()[:, None], r, c)
+        return self._set_block(v.numpy()[:, None], r, c)
 
     def getRow(self, row: int) -> Vector:
         """Return a copy of one row."""
@@ -131,11 +131,11 @@ class Matrix(Comparable, Portable):
 
     def setRow(self, row: int, values: Vector) -> bool:
         """Set one row; return False if it does not exist or its length differs."""
-        return len(values) == self.cols() and self._put(values.numpy()[None, :], row, 0)
+        return len(values) == self.cols() and self._set_block(values.numpy()[None, :], row, 0)
 
     def setCol(self, col: int, values: Vector) -> bool:
         """Set one column; return False if it does not exist or its length differs."""
-        return len(values) == self.rows() and self._put(values.numpy()[:, None], 0, col)
+        return len(values) == self.rows() and self._set_block(values.numpy()[:, None], 0, col)
 
     def get(self, row: int, col: int) -> float:
         """Return one element."""
@@ -168,21 +168,21 @@ class Matrix(Comparable, Portable):
         return float(self._values[place])
 
     def __setitem__(self, place: tuple[int, int], value: float) -> None:
-        self._own()[place] = value
+        self._writable()[place] = value
 
     def __repr__(self) -> str:
         return f"Matrix({self._values.tolist()})"
 
-    def _own(self) -> NDArray[Any]:
+    def _writable(self) -> NDArray[Any]:
         """Return the elements in writable memory, by a copy if needed."""
         if not self._values.flags.writeable:
             self._values = self._values.copy()
         return self._values
 
-    def _put(self, values: NDArray[Any], row: int, col: int) -> bool:
+    def _set_block(self, values: NDArray[Any], row: int, col: int) -> bool:
         if row < 0 or col < 0 or row + values.shape[0] > self.rows() or col + values.shape[1] > self.cols():
             return False
-        self._own()[row : row + values.shape[0], col : col + values.shape[1]] = values
+        self._writable()[row : row + values.shape[0], col : col + values.shape[1]] = values
         return True
 
     def _write(self, out: ElementWriter) -> None:

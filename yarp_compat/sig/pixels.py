@@ -102,8 +102,8 @@ def format_of(code: int) -> Format:
     try:
         return _FORMATS[PixelCode(code)]
     except (ValueError, KeyError):
-        word = (code & 0xFFFFFFFF).to_bytes(4, "little").rstrip(b"\0")
-        raise ValueError(f"unknown pixel code {word.decode('latin-1')!r} ({code})") from None
+        text = (code & 0xFFFFFFFF).to_bytes(4, "little").rstrip(b"\0")
+        raise ValueError(f"unknown pixel code {text.decode('latin-1')!r} ({code})") from None
 
 
 class Pixel:
@@ -119,7 +119,7 @@ class Pixel:
             setattr(self, name, value)
 
     @classmethod
-    def at(cls, memory: NDArray[Any]) -> Pixel:
+    def view(cls, memory: NDArray[Any]) -> Pixel:
         """Return a pixel that views this memory."""
         pixel = cls.__new__(cls)
         pixel._memory = memory
@@ -199,11 +199,11 @@ def convert(pixels: NDArray[Any], source: int, target: int) -> NDArray[Any]:
         planes = {"a": 255, **{name: pixels[..., place] for place, name in enumerate(given.channels)}}
     else:
         raise _none(source, target)
-    made = np.empty((*pixels.shape[:2], len(wanted.channels)), wanted.dtype)
+    converted = np.empty((*pixels.shape[:2], len(wanted.channels)), wanted.dtype)
     for place, name in enumerate(wanted.channels):
         plane = planes[name]
-        made[..., place] = plane if isinstance(plane, int) else _cast(plane, wanted.dtype)
-    return made
+        converted[..., place] = plane if isinstance(plane, int) else _cast(plane, wanted.dtype)
+    return converted
 
 
 def _mean(pixels: NDArray[Any], given: Format, wanted: np.dtype[Any]) -> NDArray[Any]:

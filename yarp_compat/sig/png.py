@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _HEADER = struct.Struct(">IIBBBBB")
-_GREY, _RGB, _PALETTE, _GREY_ALPHA, _RGBA = 0, 2, 3, 4, 6
-_CHANNELS = {_GREY: 1, _RGB: 3, _PALETTE: 1, _GREY_ALPHA: 2, _RGBA: 4}
-_DEPTHS = {_GREY: (1, 2, 4, 8, 16), _PALETTE: (1, 2, 4, 8)}
+_GRAY, _RGB, _PALETTE, _GRAY_ALPHA, _RGBA = 0, 2, 3, 4, 6
+_CHANNELS = {_GRAY: 1, _RGB: 3, _PALETTE: 1, _GRAY_ALPHA: 2, _RGBA: 4}
+_DEPTHS = {_GRAY: (1, 2, 4, 8, 16), _PALETTE: (1, 2, 4, 8)}
 LARGEST = 1 << 28  # most bytes of pixels of an image to read
 
 
 def write(pixels: NDArray[np.uint8]) -> bytes:
     """Return an image, (height, width) gray or (height, width, 3) color, as a PNG file."""
     height, width = pixels.shape[:2]
-    kind = _GREY if pixels.ndim == 2 else _RGB
+    kind = _GRAY if pixels.ndim == 2 else _RGB
     rows = np.ascontiguousarray(pixels).reshape(height, -1)
     filtered = np.zeros((height, rows.shape[1] + 1), np.uint8)  # each row begins with its filter type: none
     filtered[:, 1:] = rows
@@ -47,22 +47,22 @@ def read(data: bytes) -> NDArray[np.uint8]:
             packed += content
     if len(header) != _HEADER.size:
         raise ValueError("the header is missing")
-    width, height, depth, colours, _, _, interlaced = _HEADER.unpack(header)
-    if colours not in _CHANNELS or depth not in _DEPTHS.get(colours, (8, 16)):
-        raise ValueError(f"invalid color type {colours} with {depth} bits")
+    width, height, depth, color_type, _, _, interlaced = _HEADER.unpack(header)
+    if color_type not in _CHANNELS or depth not in _DEPTHS.get(color_type, (8, 16)):
+        raise ValueError(f"invalid color type {color_type} with {depth} bits")
     if interlaced:
         raise ValueError("interlaced images are not supported; save it without interlacing")
-    channels = _CHANNELS[colours]
+    channels = _CHANNELS[color_type]
     samples = _unpacked(_rows(bytes(packed), height, width * channels * depth, depth, channels), depth)
     values = samples[:, : width * channels].reshape(height, width, channels)
-    if colours == _PALETTE:
+    if color_type == _PALETTE:
         table = np.frombuffer(palette[: len(palette) // 3 * 3], np.uint8).reshape(-1, 3)
         if values.size and int(values.max()) >= len(table):
             raise ValueError("it uses colors that its palette lacks")
         return np.ascontiguousarray(table[values[:, :, 0]])
     scaled = values if depth == 8 else values >> 8 if depth == 16 else values * (255 // ((1 << depth) - 1))
-    found = scaled[:, :, 0] if colours in (_GREY, _GREY_ALPHA) else scaled[:, :, :3]
-    return np.ascontiguousarray(found.astype(np.uint8))
+    pixels = scaled[:, :, 0] if color_type in (_GRAY, _GRAY_ALPHA) else scaled[:, :, :3]
+    return np.ascontiguousarray(pixels.astype(np.uint8))
 
 
 def _chunk(kind: bytes, content: bytes) -> bytes:

@@ -174,10 +174,10 @@ class PointCloud(Portable):
 
 def _converted(points: NDArray[Any], layout: np.dtype[Any]) -> NDArray[Any]:
     """Convert points to another layout; missing fields become 0."""
-    made = np.zeros(len(points), layout)
+    converted = np.zeros(len(points), layout)
     for name in set(layout.names or ()) & set(points.dtype.names or ()):
-        made[name] = points[name]
-    return made
+        converted[name] = points[name]
+    return converted
 
 
 def _class(name: str, point: PointType, doc: str) -> type[PointCloud]:

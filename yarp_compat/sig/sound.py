@@ -87,7 +87,7 @@ class Sound(Comparable, Portable):
 
     def set(self, value: int, sample: int, channel: int = 0) -> None:
         """Set one sample."""
-        self._own()[channel, sample] = value
+        self._writable()[channel, sample] = value
 
     def isSample(self, sample: int, channel: int = 0) -> bool:
         """Return whether the sample exists."""
@@ -148,20 +148,20 @@ class Sound(Comparable, Portable):
         """Replace a channel by another sound; return False unless that has one channel of the same length."""
         if schannel.getChannels() != 1 or schannel.getSamples() != self.getSamples() or not self.isChannel(id):
             return False
-        self._own()[id] = schannel.numpy()[0]
+        self._writable()[id] = schannel.numpy()[0]
         self._markers = {}
         return True
 
     def overwrite(self, alt: Sound, offset: int = 0, len: int = 0) -> None:  # noqa: A002 - YARP's name
         """Replace samples from ``offset`` on by another sound's, as many as fit (``len``: at most that many)."""
-        if not self._alike(alt):
+        if not self._same_format(alt):
             return
         count = min(len or alt.getSamples(), alt.getSamples(), max(self.getSamples() - offset, 0))
-        self._own()[:, offset : offset + count] = alt.numpy()[:, :count]
+        self._writable()[:, offset : offset + count] = alt.numpy()[:, :count]
         self._markers = {}
 
     def __iadd__(self, alt: Sound) -> Self:
-        if self._alike(alt):
+        if self._same_format(alt):
             self._samples = np.ascontiguousarray(np.concatenate([self._samples, alt.numpy()], axis=1))
         return self
 
@@ -169,13 +169,13 @@ class Sound(Comparable, Portable):
 
     def zero(self) -> None:
         """Set all samples to 0."""
-        self._own()[:] = 0
+        self._writable()[:] = 0
 
     def zeroChannel(self, chan: int) -> bool:
         """Set a channel's samples to 0; return False if it does not exist."""
         if not self.isChannel(chan):
             return False
-        self._own()[chan] = 0
+        self._writable()[chan] = 0
         self._markers = {}
         return True
 
@@ -192,7 +192,7 @@ class Sound(Comparable, Portable):
 
     def amplifyChannel(self, channel: int, gain: float) -> None:
         """Scale one channel's samples like `amplify`."""
-        samples = self._own()
+        samples = self._writable()
         samples[channel] = np.clip(np.trunc(samples[channel] * float(gain)), -_LOUDEST - 1, _LOUDEST)
 
     def normalize(self) -> None:
@@ -274,13 +274,13 @@ class Sound(Comparable, Portable):
         """Remove all markers."""
         self._markers = {}
 
-    def _own(self) -> NDArray[Any]:
+    def _writable(self) -> NDArray[Any]:
         """Return the samples in writable memory, by a copy if needed."""
         if not self._samples.flags.writeable:
             self._samples = self._samples.copy()
         return self._samples
 
-    def _alike(self, other: Sound) -> bool:
+    def _same_format(self, other: Sound) -> bool:
         """Return whether both have the same number of channels and frequency; log an error if not."""
         alike = (self.getChannels(), self._frequency) == (other.getChannels(), other._frequency)
         if not alike:
@@ -291,10 +291,10 @@ class Sound(Comparable, Portable):
         """Return the sample of a marker."""
         if isinstance(marker, int):
             return marker
-        found, sample, _ = self.get_marker(marker)
-        if not found:
+        exists, sample, _ = self.get_marker(marker)
+        if not exists:
             log.warning("marker %s not found", marker)
-        return sample if found else default
+        return sample if exists else default
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Sound):

@@ -25,7 +25,7 @@ def makeTone(
     amplitude: int = 30000,
 ) -> bool:
     """Fill ``outSound`` with a sine wave; return False for arguments that are not positive."""
-    return _made(outSound, duration_s, channels, sampleRate, amplitude, lambda t: np.sin(2 * np.pi * frequency * t))
+    return _generate(outSound, duration_s, channels, sampleRate, amplitude, lambda t: np.sin(2 * np.pi * frequency * t))
 
 
 def makeSquareWave(
@@ -41,7 +41,7 @@ def makeSquareWave(
     def wave(t: NDArray[Any]) -> NDArray[Any]:
         return np.where(np.sin(2 * np.pi * frequency * t) >= 0, 1.0, -1.0)
 
-    return _made(outSound, duration_s, channels, sampleRate, amplitude, wave)
+    return _generate(outSound, duration_s, channels, sampleRate, amplitude, wave)
 
 
 def makeSawTooth(
@@ -57,7 +57,7 @@ def makeSawTooth(
     def wave(t: NDArray[Any]) -> NDArray[Any]:
         return 2 * (t * frequency - np.floor(t * frequency + 0.5))
 
-    return _made(outSound, duration_s, channels, sampleRate, amplitude, wave)
+    return _generate(outSound, duration_s, channels, sampleRate, amplitude, wave)
 
 
 def mix(A: Sound, B: Sound, percentage: float = 0.5) -> Sound:
@@ -72,7 +72,7 @@ def mix(A: Sound, B: Sound, percentage: float = 0.5) -> Sound:
     return Sound.of(np.trunc(both).astype("<i2"), A.getFrequency())
 
 
-def _made(sound: Sound, seconds: float, channels: int, rate: int, amplitude: int, wave: Wave) -> bool:
+def _generate(sound: Sound, seconds: float, channels: int, rate: int, amplitude: int, wave: Wave) -> bool:
     if min(seconds, channels, rate, amplitude) <= 0:
         log.error(
             "cannot generate a sound of %s s, %s channels, %s Hz and the amplitude %s",
@@ -82,6 +82,6 @@ def _made(sound: Sound, seconds: float, channels: int, rate: int, amplitude: int
             amplitude,
         )
         return False
-    one = np.trunc(amplitude * wave(np.arange(int(rate * seconds)) / rate)).astype("<i2")
-    sound._become(Sound.of(np.tile(one, (channels, 1)), rate))
+    channel = np.trunc(amplitude * wave(np.arange(int(rate * seconds)) / rate)).astype("<i2")
+    sound._become(Sound.of(np.tile(channel, (channels, 1)), rate))
     return True

@@ -24,7 +24,7 @@ from yarp_compat.wire.tags import formats
 _TYPES = {
     profile: {tag: np.dtype("<" + letter) for tag, letter in formats(profile).items()} for profile in Profile
 }  # fmt: skip
-_TAGS = {profile: {found: tag for tag, found in types.items()} for profile, types in _TYPES.items()}
+_TAGS = {profile: {dtype: tag for tag, dtype in types.items()} for profile, types in _TYPES.items()}
 
 
 def tag_of(dtype: np.dtype[Any], profile: Profile) -> int:
@@ -62,10 +62,10 @@ def read_numbers(source: ElementReader, dtype: np.dtype[Any]) -> NDArray[Any]:
         return _exact(values, dtype)
     if tag == tag_of(dtype, source.profile):
         return np.frombuffer(data, dtype, count)
-    found = _TYPES[source.profile].get(tag)
-    if found is None:
+    found_dtype = _TYPES[source.profile].get(tag)
+    if found_dtype is None:
         raise WireError(f"expected a list of numbers, found one of tag {tag}")
-    return _exact(np.frombuffer(data, found, count), dtype)
+    return _exact(np.frombuffer(data, found_dtype, count), dtype)
 
 
 def _exact(values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
@@ -121,7 +121,7 @@ class VectorOf(Comparable, Portable):
 
     def data(self) -> NDArray[Any]:
         """Return the elements as a writable view, like C++'s pointer: ``encoders.getEncoders(vector.data())``."""
-        return self._own()
+        return self._writable()
 
     getMemoryBlock = data
     getFirst = data
@@ -161,7 +161,7 @@ class VectorOf(Comparable, Portable):
             room[:kept] = self._room[:kept]
             self._room, self._count = room, size
         if fill is not None:
-            self._own()[:] = fill
+            self._writable()[:] = fill
 
     def clear(self) -> None:
         """Remove all elements."""
@@ -169,7 +169,7 @@ class VectorOf(Comparable, Portable):
 
     def zero(self) -> None:
         """Set every element to 0."""
-        self._own()[:] = 0
+        self._writable()[:] = 0
 
     def push_back(self, value: Any) -> None:
         """Append an element."""
@@ -206,7 +206,7 @@ class VectorOf(Comparable, Portable):
         """Copy another vector's elements into this one; return False if they do not fit."""
         if position < 0 or position + len(other) > self._count:
             return False
-        self._own()[position : position + len(other)] = other.numpy()
+        self._writable()[position : position + len(other)] = other.numpy()
         return True
 
     def toString(self, precision: int = -1, width: int = -1) -> str:
@@ -237,16 +237,16 @@ class VectorOf(Comparable, Portable):
         return iter(self.numpy().tolist())
 
     def __getitem__(self, index: int | slice) -> Any:
-        found = self.numpy()[index]
-        return found if isinstance(index, slice) else found.item()
+        selected = self.numpy()[index]
+        return selected if isinstance(index, slice) else selected.item()
 
     def __setitem__(self, index: int | slice, value: Any) -> None:
-        self._own()[index] = value
+        self._writable()[index] = value
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.numpy().tolist()})"
 
-    def _own(self) -> NDArray[Any]:
+    def _writable(self) -> NDArray[Any]:
         """Return the elements in writable memory, by a copy if needed."""
         if not self._room.flags.writeable:
             self._room = self._room.copy()
@@ -279,12 +279,12 @@ VectorUInt8 = _class("VectorUInt8", "<u1", "A vector of unsigned integers of one
 VectorUInt16 = _class("VectorUInt16", "<u2", "A vector of unsigned integers of two bytes.")
 VectorUInt32 = _class("VectorUInt32", "<u4", "A vector of unsigned integers of four bytes.")
 VectorUInt64 = _class("VectorUInt64", "<u8", "A vector of unsigned integers of eight bytes.")
-_CLASSES: dict[np.dtype[Any], type[VectorOf]] = {found.dtype: found for found in VectorOf.__subclasses__()}
+_CLASSES: dict[np.dtype[Any], type[VectorOf]] = {kind.dtype: kind for kind in VectorOf.__subclasses__()}
 
 
 def vector_of(dtype: Any) -> type[VectorOf]:
     """Return the vector class for a numpy type; raises `TypeError` if YARP has none."""
-    found = _CLASSES.get(np.dtype(dtype).newbyteorder("<"))
-    if found is None:
+    kind = _CLASSES.get(np.dtype(dtype).newbyteorder("<"))
+    if kind is None:
         raise TypeError(f"YARP has no vectors of {np.dtype(dtype)}")
-    return found
+    return kind
