@@ -1,1 +1,1 @@
-"""The YARP side: topics and ports are one thing."""
+"""The YARP side, where each topic has ports."""

@@ -1,4 +1,4 @@
-"""What ports carry by the configuration: topics, and the requests and replies of services."""
+"""The configured contents of ports: of topics, and of the requests and replies of services."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ OK, FAIL = Vocab("ok"), Vocab("fail")
 
 
 class CallBottles:
-    """Converts the calls of one service in one content and profile. Methods may be called from any thread.
+    """Converter of the calls of one service, for one content and profile. All methods are thread-safe.
 
-    A reply without fields is ``[ok]``. A call that fails is answered ``[fail]`` and the reason, and such an answer is
-    an error, as YARP's modules use it.
+    A reply without fields is ``[ok]``. A failed call gets the reply ``[fail]`` and the reason; a received ``[fail]`` is
+    an error, as in YARP's modules.
 
     Args:
         type_name: ROS 2 name of the service's type.
-        type_hash: its hash, "" for the one known here.
-        request: what stands in the request's Bottle; none for all fields as nested lists.
+        type_hash: its hash, "" for this machine's definition.
+        request: the content of the request's Bottle; empty for all fields as nested lists.
         reply: the same for the reply.
-        profile: whose bytes are written where a peer's are not known.
+        profile: the profile to write for peers whose profile is unknown.
 
     Raises:
-        MessageTypeError: the type is unknown, or cannot be said so.
+        MessageTypeError: the type is unknown, or cannot be converted to this content.
     """
 
     def __init__(
@@ -68,11 +68,11 @@ class CallBottles:
         self._silent = not schemas[1].root.fields and not reply
 
     def request_to_yarp(self, cdr: bytes, profile: Profile | None) -> list[Buffer]:
-        """A request for a port, in its dialect; raises `ConversionError`."""
+        """Convert a request for a port, in its dialect; raises `ConversionError`."""
         return self._request[profile or self._profile].to_yarp(cdr).payload
 
     def request_to_hub(self, payload: Buffer, profile: Profile | None) -> tuple[bytes, Profile]:
-        """A port's request for the hub and its dialect, by the bytes where need be; raises `ConversionError`."""
+        """Convert a port's request; return its CDR and dialect, detected if unknown; raises `ConversionError`."""
         likely = profile or self._profile
         first: ConversionError | None = None
         for known in (likely, Profile.YARP3 if likely is Profile.YARP4 else Profile.YARP4):
@@ -84,21 +84,21 @@ class CallBottles:
         raise first
 
     def reply_to_yarp(self, reply: bytes | CallError, profile: Profile | None) -> list[Buffer]:
-        """A reply, or an error, for a port that asked; raises `ConversionError`."""
+        """Convert a reply or error for the calling port; raises `ConversionError`."""
         used = profile or self._profile
         if isinstance(reply, CallError):
             return [binary.encode([FAIL, str(reply)], used)]
         return [binary.encode([OK], used)] if self._silent else self._reply[used].to_yarp(reply).payload
 
     def reply_to_hub(self, payload: Buffer, profile: Profile | None) -> bytes:
-        """A port's reply for the hub; raises `ConversionError`, or `CallError` if it reports a failure."""
+        """Convert a port's reply; raises `ConversionError`, or `CallError` if the port reports a failure."""
         try:
             values = binary.decode(bytes(payload), profile)
         except WireError:
             values = []
         if values and values[0] == FAIL and isinstance(values[0], Vocab):
             words = " ".join(str(value) for value in values[1:])
-            raise CallError(words or "the port answered [fail]")
+            raise CallError(words or "the port replied [fail]")
         if self._silent:
             payload = binary.encode([], profile or self._profile)
         return self._reply[profile or self._profile].to_hub(payload, profile, None)
@@ -109,7 +109,7 @@ BOTTLE = Content()
 
 @dataclass(frozen=True, slots=True)
 class ForeignPort:
-    """A port of a YARP program that a rule names; ``carrier`` is "" for the usual one."""
+    """A port of a YARP program, named by a rule; ``carrier`` is "" for the default."""
 
     port: str
     topic: str
@@ -121,7 +121,7 @@ class ForeignPort:
 
 
 class Contents:
-    """The rules, by topic and port, and the converters that they need; ``now_ns`` times messages without a time."""
+    """The rules by topic and port, and their converters; ``now_ns`` returns the stamp for messages without one."""
 
     now_ns: Callable[[], int] = staticmethod(time.time_ns)
 
@@ -153,21 +153,21 @@ class Contents:
         )
 
     def of(self, topic: str) -> Content:
-        """The content of a topic's ports."""
+        """Return the content of a topic's ports."""
         rule = next((rule for pattern, rule in self._own if pattern.fullmatch(topic)), None)
         return Content(self._section.as_, profile=self.profile) if rule is None else self._content(rule)
 
     def served_by(self, service: str) -> ServiceRule | None:
-        """The rule that makes a service of a YARP program's port, None without one."""
+        """Return the rule that offers a YARP program's port as this service, or None."""
         return next((rule for rule in self.called if rule.service == service), None)
 
     def bottles(self, service: str, type_name: str, type_hash: str) -> CallBottles:
-        """The converter of a service's calls; raises `MessageTypeError`."""
+        """Return the converter of a service's calls; raises `MessageTypeError`."""
         request, reply = self.of_service(service)
         return CallBottles(self._registry, type_name, type_hash, request.fields, reply.fields, self.profile)
 
     def of_service(self, service: str) -> tuple[Content, Content]:
-        """The contents of a service's RPC port: requests, and replies."""
+        """Return the contents of a service's RPC port: of requests, and of replies."""
         rule = self.served_by(service) or next(
             (rule for pattern, rule in self._services if pattern.fullmatch(service)), None
         )
@@ -179,11 +179,11 @@ class Contents:
         return Content(form, tuple(BottleEntry.parse(entry) for entry in fields), self.profile)
 
     def latched(self, topic: str) -> bool:
-        """Whether the last message from YARP is kept for late joiners."""
+        """Return whether the last message from YARP is cached for late joiners."""
         return any(rule.latched for pattern, rule in self._own if pattern.fullmatch(topic))
 
     def codec(self, content: Content, type_name: str, type_hash: str, profile: Profile) -> Codec:
-        """The converter of a type; raises `MessageTypeError`."""
+        """Return the converter of a type; raises `MessageTypeError`."""
         key = (type_name, type_hash, content, profile)
         with self._lock:
             known = self._codecs.get(key)

@@ -52,7 +52,7 @@ _AWAKE = 0.9
 
 
 class YarpEdge(SideEdge):
-    """Joins a YARP network."""
+    """The adapter of a YARP network."""
 
     side: ClassVar[str] = "yarp"
     services: ClassVar[bool] = True
@@ -87,7 +87,7 @@ class YarpEdge(SideEdge):
     # -- lifecycle -----------------------------------------------------------------------------------------------------
 
     def start(self, listener: EdgeListener) -> None:
-        """Join the network as soon as its name server answers."""
+        """Start the name-server thread, which joins the network as soon as the name server answers."""
         self._listener = listener
         self._contents.now_ns = self.clock.now_ns
         self._thread.start()
@@ -185,11 +185,11 @@ class YarpEdge(SideEdge):
         return self._network.identity if self._presence.is_open else None
 
     def is_own_network(self, origin: Origin) -> bool:
-        """See `Edge`."""
+        """Return whether an endpoint's origin is this network."""
         return origin.side == self.side and origin.network == self._network.identity
 
     def settled(self, since: float) -> bool:
-        """See `Edge.settled`: the name server's full list has been read since then."""
+        """Return whether the name server's full list has been read since then."""
         if self._presence.is_open and self._presence.settled(since):
             return True
         self._wake.set()
@@ -216,23 +216,23 @@ class YarpEdge(SideEdge):
     # -- the graph -----------------------------------------------------------------------------------------------------
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """See `Edge`."""
+        """Return the endpoints of other programs on the network."""
         return self._endpoints.all()
 
     def is_heard(self, topic: str) -> bool:
-        """See `Edge.is_heard`; a reader of a topic's port counts, although it is not an endpoint of the graph."""
+        """Return whether a topic has subscribers; readers of its port count, though the graph does not list them."""
         output = self._outputs.get(topic)
         return (output is not None and output.heard) or super().is_heard(topic)
 
     # -- types ---------------------------------------------------------------------------------------------------------
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """No conversion: the adapter itself converts, since the content can differ between ports."""
+        """Return no conversion: the adapter itself converts, since the content can differ between ports."""
         side_type = self._side_type(endpoint.type, endpoint.type_id)
         return Conversion(side_type, side_type, None)
 
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """Only check the message; it is converted to each port's content when it is written."""
+        """Return only a check: each port's content is converted when it is written."""
         side_type = self._side_type(type_name, type_hash)
         return Conversion(side_type, side_type, self._registry.hub_check(type_name, type_hash))
 
@@ -249,25 +249,25 @@ class YarpEdge(SideEdge):
     # -- services ------------------------------------------------------------------------------------------------------
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """Only check calls: the adapter itself converts them, since the content can differ between ports."""
+        """Return only checks: the adapter itself converts calls, since the content can differ between ports."""
         return self._services.conversion(endpoint.type)
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """See `Edge`."""
+        """Return only checks, like `service_to_hub`."""
         return self._services.conversion(type_name, type_hash)
 
     def caller(self, name: str, side_type: SideType) -> PortCaller:
-        """Call the RPC port that a rule names."""
+        """Return a client for the RPC port that a rule names for this service."""
         return self._services.caller(name, side_type)
 
     def serve(self, name: str, side_type: SideType, call: Call) -> OfferedService:
-        """Serve a service through an RPC port, which is opened as soon as the name server registers it."""
+        """Serve a service through an RPC port, which opens as soon as the name server registers it."""
         return self._services.serve(name, side_type, call)
 
     # -- own endpoints -------------------------------------------------------------------------------------------------
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> _Subscription:  # noqa: ARG002
-        """Subscribe to a topic's ports."""
+        """Subscribe to a topic's input ports."""
         subscription = _Subscription(self, topic, side_type, deliver)
         with self._lock:
             self._subscriptions[topic, side_type.name] = subscription
@@ -290,7 +290,7 @@ class YarpEdge(SideEdge):
         self._wake.set()
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> YarpPublisher:
-        """Publish a topic; its ports are opened as soon as the name server registers them."""
+        """Publish a topic; its ports open as soon as the name server registers them."""
         content = self._contents.of(topic)
         wanted = self._wanted(topic, side_type)
         self._contents.codec(content, side_type.name, wanted.type_hash, content.profile)
@@ -301,7 +301,7 @@ class YarpEdge(SideEdge):
                 output = self._outputs[topic] = TopicOutput(topic, side_type, stamped, self._contents)
             elif output.side_type != side_type:
                 raise MessageTypeError(
-                    f"{topic} is {output.side_type.name} on YARP already", "rename one of the topics by a rule"
+                    f"{topic} has the type {output.side_type.name} on YARP", "rename one of the topics by a rule"
                 )
             publisher = output.publisher(qos, self._closed)
         self._wake.set()
@@ -334,5 +334,5 @@ def _owner(file: Path) -> str:
         owner = ""
     if len(owner) != 12 or not owner.isalnum():
         owner = new_id(12)
-        keep(file, owner + "\n", "ports that a killed worker leaves at the name server will stay there for a while")
+        keep(file, owner + "\n", "the ports of a killed worker stay registered at the name server for a while")
     return owner

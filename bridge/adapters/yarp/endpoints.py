@@ -1,4 +1,4 @@
-"""The publishers, subscriptions and servers that the ports of a YARP network stand for."""
+"""The publishers, subscriptions and servers that the ports of a YARP network represent."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bridge.routing.edge import Endpoint, Kind, MadeBy
 
 
 class PortEndpoints:
-    """The endpoints of others on the network."""
+    """The endpoints of other programs on the network."""
 
     def __init__(
         self, context: YarpContext, ports: OwnPorts, services: YarpServices, outputs: Mapping[str, TopicOutput]
@@ -22,15 +22,15 @@ class PortEndpoints:
         self._ports, self._services, self._outputs = ports, services, outputs
 
     def all(self) -> Sequence[Endpoint]:
-        """Ports that rules name, ports of topics that anybody writes to, and ports opened as ``/topic@/node``."""
+        """Return ports in rules, writers to topics' input ports, and ports opened as ``/topic@/node``."""
         return [*self._declared(), *self._foreign(), *self._of_nodes(), *self._of_writers(), *self._called()]
 
     def untyped(self) -> list[NodePort]:
-        """Ports of nodes whose type is not known."""
+        """Return ports of nodes with an unknown type."""
         return [node for node in self._graph.nodes if not self._type_of(node.topic, node.type)]
 
     def _called(self) -> list[Endpoint]:
-        """RPC ports that rules name as services."""
+        """Return the RPC ports that rules offer as services."""
         return [
             self._endpoint(port, Kind.SERVER, service, type_name, port)
             for port, service, type_name in self._services.called()
@@ -85,7 +85,7 @@ class PortEndpoints:
         return Endpoint(name, kind, topic, type_name, qos, made_by, node, type_id)
 
     def _type_of(self, topic: str, named: str) -> str:
-        """The type of a port of a node: its own, else that of the topic as a rule or a route has it."""
+        """Return the type of a node's port: its own, else the topic's from a rule or route."""
         if named:
             return named
         rule = next((rule for rule in self._contents.declared if rule.topic == topic), None)

@@ -1,4 +1,4 @@
-"""Whether a YARP worker has anything to do, and the environment of its process."""
+"""Whether a YARP worker is needed, and the environment of its process."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from yarp_compat.ports.naming import NamingConfigError
 
 
 def available(config: Config) -> str:
-    """Why the worker has nothing to do; "" where YARP is used here."""
+    """Return why the worker is not needed; "" if YARP is used on this machine."""
     if config.yarp.configured:
         return ""
     try:
         known = conf.read(config.yarp.namespace)
     except NamingConfigError as err:
         return str(err)
-    return "" if known is not None else f"YARP is not used here: there is no {conf.file(config.yarp.namespace)}"
+    return "" if known is not None else f"YARP is not used here: {conf.file(config.yarp.namespace)} not found"
 
 
 def enabled(config: Config) -> Enabled:
-    """Off where it is ``auto`` and YARP is not used here, so that no one reads of a side that they do not miss."""
+    """Return the setting; off for ``auto`` without YARP, so that users do not see an unused side."""
     return False if config.yarp.enabled == "auto" and available(config) else config.yarp.enabled
 
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:
-    """The environment for a YARP worker, made from that of its parent."""
-    env = {**environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}  # spares the wheels' second start of Python
+    """Return the environment for a YARP worker, derived from its parent's."""
+    env = {**environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}  # the wheels would start Python a second time
     if config.yarp.namespace is not None:
         env["YARP_NAMESPACE"] = config.yarp.namespace
     return env

@@ -1,4 +1,4 @@
-"""The ports of the YARP network that concern topics, without those that YARP itself has joined to ROS 1."""
+"""The graph of a YARP network: its ports for topics, without those that YARP itself has joined to ROS 1."""
 
 from __future__ import annotations
 
@@ -35,27 +35,27 @@ _log = logging.getLogger(__name__)
 
 _ASK_SECONDS = 1.0
 _PERIOD = 2.0
-"""Seconds between looks at the master; where it does not answer, what was known holds."""
+"""Seconds between queries of the master; if it does not answer, the last result stays valid."""
 
 _YOUNG = 3.0
-"""Seconds after ports came or went for which the master is asked at every look: it learns of them a moment later."""
+"""Seconds after a change of ports in which each update queries the master: it registers them a moment later."""
 
 _CARRIER = "tcpros"
-"""What the ports of programs with YARP's support of ROS offer; others are at the master in name alone."""
+"""A carrier that ports of programs with YARP's ROS support offer; others are only registered at the master."""
 
 _ROSOUT = "/rosout"
-"""A node of every roscore, and no YARP port: a name server that knows where it is has asked the master."""
+"""A node of every roscore, not a YARP port: a name server that finds it has queried the master."""
 
 
 class Ros1Ports:
-    """Finds the ports that YARP 3's own support of ROS has joined to ROS 1 already; one thread calls it.
+    """Detection of the ports that YARP 3's own ROS support has joined to ROS 1; for one thread.
 
-    A ``yarpserver --ros`` registers the ports ``/topic@/node`` of its programs at a ROS 1 master, too, and these speak
-    TCPROS with every node there (``RosNameSpace.cpp``, ``SubscriberOnSql.cpp``, ``Node.cpp`` of 3.9.1). Where our
-    ROS 1 side is on that master, it carries their topics; what crossed by the YARP side as well would come twice.
+    A ``yarpserver --ros`` also registers the ports ``/topic@/node`` of its programs at a ROS 1 master, where they use
+    TCPROS with all nodes (``RosNameSpace.cpp``, ``SubscriberOnSql.cpp``, ``Node.cpp`` of 3.9.1). If
+    Midspan's ROS 1 side is on that master, it bridges their topics; through the YARP side, messages would arrive twice.
 
     Args:
-        config: says whether there is a ROS 1 side here, and which master it is on.
+        config: whether this daemon has a ROS 1 side, and the address of its master.
     """
 
     def __init__(self, config: Config, naming: NameClient) -> None:
@@ -71,15 +71,15 @@ class Ros1Ports:
 
     @cached_property
     def _master(self) -> XmlRpcClient | None:
-        """A client of the master; most networks have no port that asks for it."""
+        """A client of the master, created on demand: most networks do not need it."""
         return _client(self._config)
 
     def among(self, contacts: Mapping[str, PortContact]) -> frozenset[str]:
-        """Those of the registered ports that are ROS 1's; raises `NamingError`."""
+        """Return the registered ports that are joined to ROS 1; raises `NamingError`."""
         nested = {name: parts.node for name in contacts if (parts := NestedName.parse(name)).is_nested and parts.node}
         if not nested or self._master is None:
             return frozenset()
-        from bridge.adapters.ros1_peers import Ros1Error  # and with it all of HTTP, 2 MB
+        from bridge.adapters.ros1_peers import Ros1Error  # imports all of HTTP, 2 MB
 
         now, seen = time.monotonic(), frozenset(contacts[name] for name in nested)
         if seen != self._seen:
@@ -95,22 +95,22 @@ class Ros1Ports:
         there = {name for name in nested if self._joined or name in self._at_master}
         found = frozenset(name for name in there if self._speaks_ros(contacts[name]))
         if found - self._found:
-            text = "%s: carried by the ROS 1 side, as the YARP name server has joined the network to its master"
+            text = "%s: bridged by the ROS 1 side, as the YARP name server has joined the network to its master"
             _log.info(text, ", ".join(sorted(found - self._found)))
         self._found = found
         return found
 
     def close(self) -> None:
-        """End the conversation with the master."""
+        """Close the connection to the master."""
         if "_master" in self.__dict__ and self._master is not None:
             self._master.close()
 
     def _ask(self, master: XmlRpcClient, nested: Mapping[str, str], contacts: Mapping[str, PortContact]) -> None:
-        """Learn which of the nodes the master has at the same number, and whether the name server asks this master."""
+        """Query which nodes the master lists with the same port number, and if the name server uses this master."""
         nodes = sorted(set(nested.values()))
         rosout, *uris = master.calls([("lookupNode", (self._caller, node)) for node in (_ROSOUT, *nodes)])
         numbers = {node: _number(uri) for node, uri in zip(nodes, uris, strict=True)}
-        # Numbers alone: for a loopback address the master is told the machine's name.
+        # Only numbers are compared: for a loopback address the master gets the machine's name.
         own = {node for node in nodes if node in contacts and contacts[node].port == numbers[node]}
         self._at_master = frozenset(name for name, node in nested.items() if node in own)
         if (number := _number(rosout)) and _ROSOUT not in contacts:
@@ -118,7 +118,7 @@ class Ros1Ports:
             self._joined = known is not None and (known.host, known.port) == (urlsplit(rosout).hostname, number)
 
     def _speaks_ros(self, contact: PortContact) -> bool:
-        """Whether a port's program speaks TCPROS; assumed while it has not registered its carriers."""
+        """Return whether a port's program supports TCPROS; assumed until it has registered its carriers."""
         known = self._offers.get(contact)
         if known is None:
             offers = [str(value) for value in self._naming.get_property(contact.name, "offers")]
@@ -129,7 +129,7 @@ class Ros1Ports:
 
 
 def _client(config: Config) -> XmlRpcClient | None:
-    """A client of the master that our ROS 1 side is on, None without such a side."""
+    """Return a client of the ROS 1 side's master, None without a ROS 1 side."""
     if config.ros1.enabled is False or (config.ros1.enabled == "auto" and available(config)):
         return None
     from bridge.adapters.ros1_peers import Ros1Error, XmlRpcClient
@@ -137,11 +137,11 @@ def _client(config: Config) -> XmlRpcClient | None:
     try:
         return XmlRpcClient(master_uri(config, os.environ), _ASK_SECONDS)
     except Ros1Error:
-        return None  # the ROS 1 side tells what is wrong with it
+        return None  # the ROS 1 side reports the error
 
 
 def _number(uri: object) -> int:
-    """The port number of a node's address, 0 if it has none."""
+    """Return the port number of a node's address, 0 if it has none."""
     try:
         return urlsplit(uri).port or 0 if isinstance(uri, str) else 0
     except ValueError:
@@ -149,16 +149,16 @@ def _number(uri: object) -> int:
 
 
 _ANSWER_SECONDS = 2.0
-"""Seconds that a port has to say whether it is latched: a program that does not answer holds up the others so long."""
+"""Seconds for a port to answer whether it is latched; a program that does not answer delays the others."""
 
 _AGAIN = 2.0
-"""Seconds after which a port that did not answer is tried again."""
+"""Seconds before a port that did not answer is queried again."""
 
 _SOON = 0.3
-"""The same the first time: it may have been registered and not listen yet."""
+"""Seconds before the first retry: a registered port may not listen yet."""
 
 _TELLING = 3.0
-"""Seconds after which a new port has made its type known."""
+"""Seconds within which a new port announces its type."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,9 +166,9 @@ class NodePort:
     """A port that a YARP program opened as ``/topic@/node``.
 
     Attributes:
-        type: ROS 2 name of its type, "" where it is not known.
-        publishes: it writes; else it reads.
-        latched: it sends its last message to whoever connects.
+        type: ROS 2 name of its type, "" if unknown.
+        publishes: whether it writes; else it reads.
+        latched: whether it sends its last message to late joiners.
     """
 
     port: str
@@ -181,7 +181,7 @@ class NodePort:
 
 @dataclass(slots=True)
 class KnownPort:
-    """What was learnt of a port that is registered, and since when."""
+    """The known facts about a registered port; ``since`` is when it was first listed."""
 
     contact: PortContact
     since: float
@@ -195,16 +195,16 @@ class KnownPort:
 
 @dataclass(frozen=True, slots=True)
 class YarpContext:
-    """What the parts of the edge share.
+    """The objects that the parts of the adapter share.
 
     Attributes:
-        owner: the id of this worker, by which its ports are marked.
+        owner: the id of this worker, which marks its ports.
         daemon: the daemon's name.
-        names: what our ports are called.
-        refused: called for a message or request that is refused: topic, reason, why.
-        changed: called when a connection, a port or a worker came or went: the clerk looks again.
-        limit: bytes of the longest message.
-        ip: address to listen on, None for the usual one.
+        names: the names of Midspan's ports.
+        refused: called for each refused message or request: topic, reason, explanation.
+        changed: called on changes of connections, ports or workers: wakes up the name-server thread.
+        limit: most bytes of a message.
+        ip: address to listen on, None for the default.
     """
 
     registry: Registry
@@ -221,10 +221,10 @@ class YarpContext:
 
 
 class YarpGraph:
-    """Follows the name server's list; one thread calls `update`, the others read what it left.
+    """The ports in the name server's list; one thread calls `update`, others read the result.
 
     Attributes:
-        known: the ports that were looked at, by name.
+        known: the inspected ports, by name.
     """
 
     def __init__(self, registry: Registry) -> None:
@@ -241,12 +241,12 @@ class YarpGraph:
         self, naming: NameClient, contacts: Iterable[PortContact], peers: Iterable[str],
         ros1: frozenset[str] = frozenset(),
     ) -> None:  # fmt: skip
-        """Update from the name server's list; ``peers`` are connected to ours, ``ros1`` are the ROS 1 side's."""
+        """Update from the name server's list; ``peers`` are connected to Midspan's ports, ``ros1`` joined to ROS 1."""
         self.contacts = {contact.name: contact for contact in contacts}
         self.ros1 = ros1
         peers = frozenset(peers)
         self._strangers = peers - self.contacts.keys()
-        for name, known in list(self.known.items()):  # in place: connections' threads take out of it, too
+        for name, known in list(self.known.items()):  # in place: connection threads remove items, too
             if self.contacts.get(name) != known.contact:
                 self.known.pop(name, None)
         self._revive()
@@ -262,13 +262,13 @@ class YarpGraph:
         self.nodes, self.trouble = nodes, trouble
 
     def forget(self, name: str) -> None:
-        """Forget a port whose connection ended: under the same name another program may come."""
+        """Discard the facts about a port whose connection ended: another program may reuse its name."""
         self.known.pop(name, None)
 
     # -- who made a port -----------------------------------------------------------------------------------------------
 
     def made_by(self, name: str) -> MadeBy:
-        """Who made a port. One that is not registered is native: bridges register theirs."""
+        """Return who created a port. Unregistered ports are native: bridges register theirs."""
         if name.startswith(PRESENCE):
             return MadeBy.MIDSPAN
         if name not in self.contacts:
@@ -277,11 +277,11 @@ class YarpGraph:
         return MadeBy.UNKNOWN if known is None else known.made_by
 
     def is_there(self, name: str) -> bool:
-        """Whether a port is registered and, as far as is known, alive."""
+        """Return whether a port is registered and not known to be unreachable."""
         return name in self.contacts and name not in self._dead
 
     def died(self, name: str) -> None:
-        """A port that is registered cannot be reached."""
+        """Mark a registered port as unreachable."""
         contact = self.contacts.get(name)
         if contact is not None:
             self._dead[name] = contact, time.monotonic() + _SOON
@@ -312,11 +312,11 @@ class YarpGraph:
         return known
 
     def _ask(self, name: str, known: KnownPort) -> None:
-        """Ask a publisher itself whether it is latched, once.
+        """Query a publisher once whether it is latched.
 
-        A port knows that before it listens. At the name server it stands only some time after, as no name server keeps
-        what is set of a name that is not registered yet: a message that came in between would not be kept. A port that
-        does not listen yet counts as not there, so that it is not connected before it was asked.
+        The port has this property before it listens. The name server gets it only later, since it stores no properties
+        of unregistered names; a message received in between would not be cached. A port that does not listen yet is
+        unreachable, so that it is not connected before it is queried.
         """
         if known.asked or NestedName.parse(name).role != PUBLISHER:
             return
@@ -347,7 +347,7 @@ class YarpGraph:
 
     @staticmethod
     def _type_of(naming: NameClient, contact: PortContact) -> str:
-        """A port's type, from the name server or from the port itself."""
+        """Return a port's type, from the name server or from the port itself."""
         named = naming.get_property(contact.name, "type")
         if named:
             return str(named[0])
@@ -359,7 +359,7 @@ class YarpGraph:
 
 
 def _is_true(values: Sequence[Any]) -> bool:
-    """Whether a property's first value is true, as YARP's programs write it."""
+    """Return whether a property's first value is true, as YARP programs write it."""
     return str(next(iter(values), "")).lower() in ("true", "1")
 
 

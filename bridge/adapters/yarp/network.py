@@ -36,7 +36,7 @@ def new_id(length: int = 32) -> str:
 
 @dataclass(frozen=True, slots=True)
 class PortNames:
-    """The configured scheme, with ``{topic}`` for the topic's name; ``daemon`` makes names unique that are taken."""
+    """The configured schemes, with ``{topic}`` for the topic's name; ``daemon`` makes conflicting names unique."""
 
     output_scheme: str
     input_scheme: str
@@ -93,7 +93,7 @@ class _Names(NameClient):
 
 
 class YarpNetwork:
-    """Joins the network of one name server, on one thread; the embedded name server keeps its state in ``state``."""
+    """The network of one name server, for one thread; the embedded name server stores its registry in ``state``."""
 
     def __init__(self, section: YarpSection, state: Path) -> None:
         self._section = section
@@ -144,16 +144,16 @@ class YarpNetwork:
         self.naming.server = NameServer(
             place.host, place.port, namespace=namespace, state=self._state, profile=Profile(self._section.profile)
         ).open()
-        _log.info("this worker is the YARP name server now: %s at %s port %d", namespace, place.host, place.port)
+        _log.info("opened the embedded YARP name server: %s at %s port %d", namespace, place.host, place.port)
         if self._address is None and conf.read(self._section.namespace) is None:
             self._tell(place)
 
     def _tell(self, place: Address) -> None:
-        """Write the name server's address for the programs of this user, as ``yarpserver --write`` does."""
+        """Write the name server's address for this user's programs, as ``yarpserver --write`` does."""
         try:
             _log.info("wrote %s", conf.write(place, self._section.namespace))
         except NamingConfigError as err:
-            _log.warning("YARP programs will not find the name server: %s", err)
+            _log.warning("YARP programs cannot find the name server: %s", err)
             self.naming.use(place)
 
     def _name_network(self) -> None:
@@ -183,7 +183,7 @@ def address_of(section: YarpSection) -> Address | None:
 
 
 def _is_here(place: Address) -> bool:
-    """Whether a name server at this place would be on this machine."""
+    """Return whether this address belongs to this machine."""
     try:
         found = {info[4][0] for info in socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)}
     except OSError:

@@ -17,7 +17,7 @@ from yarp_compat.wire.profile import Profile
 
 @dataclass(frozen=True, slots=True)
 class PlannedLink:
-    """A planned connection; ``carrier`` "" is the default, ``profile`` None the one that the other port announces."""
+    """A planned connection; ``carrier`` "" is the default, ``profile`` None the one that the peer announces."""
 
     carrier: str = ""
     profile: Profile | None = None

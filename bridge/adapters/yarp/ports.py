@@ -1,4 +1,4 @@
-"""The bridge's own ports on a YARP network: opens, connects and closes them as planned."""
+"""The bridge's ports on a YARP network: opened, connected and closed by the plan."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ _log = logging.getLogger(__name__)
 _THREADS = 8
 _CONNECT_SECONDS = 2.0
 _AGAIN = 2.0
-"""Seconds after which a port that could not be opened is tried again."""
+"""Seconds before the next try to open a port."""
 
 _LINK_AGAIN = 0.5
-"""Seconds after which a connection that could not be made is."""
+"""Seconds before the next try to connect a port."""
 
 _STOP_SECONDS = 1.0
 _LEAVE_SECONDS = 0.02
-"""Seconds that each thread has to end, where it has nothing to do any more."""
+"""Seconds for each idle thread to end."""
 
 
 @dataclass(eq=False)
 class OwnPort:
-    """One port that is open."""
+    """An open port."""
 
     plan: PortPlan
     core: PortCore
@@ -57,15 +57,15 @@ class OwnPort:
 
 
 class OwnPorts:
-    """Opens, connects and closes ports; one thread calls it, but for `input_ports` and `peers`.
+    """The open ports; for one thread, except `input_ports` and `peers`.
 
     Args:
-        awake: tells whether another worker of Midspan's is there and not standing still.
-        callers: remembers who calls the RPC ports.
+        awake: returns whether another Midspan worker is present and not stalled.
+        callers: the list of reconnecting clients of the RPC ports.
 
     Attributes:
-        own: the ports that are open, by name.
-        trouble: what is wrong, and when it is tried again, by a port's name or by those of a connection's two ends.
+        own: the open ports, by name.
+        trouble: time of the next try and error, by a port's name or by the names of a connection's two ends.
     """
 
     def __init__(self, context: YarpContext, awake: Callable[[str], bool], callers: Callers) -> None:
@@ -79,14 +79,14 @@ class OwnPorts:
         self.trouble: dict[str, tuple[float, str]] = {}
         self._links, self._ends = WorkerPool(_THREADS, "midspan-yarp-links"), WorkerPool(_THREADS, "midspan-yarp-ends")
 
-    # -- what there is -------------------------------------------------------------------------------------------------
+    # -- state ---------------------------------------------------------------------------------------------------------
 
     def input_ports(self) -> list[InputPort]:
-        """The input ports."""
+        """Return the input ports."""
         return [own.input_port for own in list(self.own.values()) if own.input_port is not None]
 
     def inputs(self) -> list[tuple[PortPlan, list[str]]]:
-        """The topics' own input ports, each with the ports that are connected to it."""
+        """Return the topics' main input ports, each with the ports that write to it."""
         return [
             (own.plan, sorted({route.source for route in own.core.inputs()} | own.input_port.waiting()))
             for own in list(self.own.values())
@@ -94,7 +94,7 @@ class OwnPorts:
         ]
 
     def peers(self) -> set[str]:
-        """All ports that send to ours, and those whose message is held."""
+        """Return all ports that write to Midspan's, and those with a held message."""
         found = set[str]()
         for own in list(self.own.values()):
             if own.input_port is not None:
@@ -103,36 +103,36 @@ class OwnPorts:
         return found
 
     def is_ours(self, name: str) -> bool:
-        """Whether this worker opened a port."""
+        """Return whether this worker opened the port."""
         return name in self._taken
 
     def warnings(self) -> list[str]:
-        """The ports that cannot be opened or connected, with the reasons."""
+        """Return the errors of ports that cannot be opened or connected."""
         return sorted(text for _, text in list(self.trouble.values()))
 
     def shown(self) -> list[dict[str, Any]]:
-        """All ports, for people."""
+        """Return all ports' entries for the status document."""
         owns = sorted(self.own.values(), key=lambda own: own.core.name)
         return [shown(own.plan, own.core) for own in owns]
 
     def look_for_callers(self) -> None:
-        """Abandon the calls of callers that left."""
+        """Abandon the calls of clients that have left."""
         for own in self.own.values():
             if own.served is not None:
                 own.served.look()
 
-    # -- what there should be ------------------------------------------------------------------------------------------
+    # -- opening -------------------------------------------------------------------------------------------------------
 
     def follow(
         self, plan: Mapping[str, PortPlan], outputs: Mapping[str, TopicOutput], services: Mapping[str, OfferedService]
     ) -> None:
-        """Make the ports those of the plan."""
+        """Open and close ports according to the plan."""
         self._services = services
         owned = self.own
         gone = [name for name, own in owned.items() if plan.get(name) != own.plan or self._stale(own, outputs)]
         self._close([owned.pop(name) for name in gone])
         now = time.monotonic()
-        for key in list(self.trouble):  # in place: the threads that connect write to it, too
+        for key in list(self.trouble):  # in place: connecting threads write to it, too
             if key.partition(" ")[0] not in plan:
                 self.trouble.pop(key, None)
         for name, port in plan.items():
@@ -144,7 +144,7 @@ class OwnPorts:
                 self._open(port, outputs.get(port.topic))
 
     def _leave_to_ros1(self, own: OwnPort, links: Mapping[str, PlannedLink]) -> None:
-        """End the connections with ports that turned out to be ROS 1's."""
+        """Close the connections with ports that have been joined to ROS 1."""
         for peer in (own.links.keys() - links.keys()) & self._graph.ros1:
             end = own.core.remove_output if own.plan.writes else own.core.remove_input
             end(peer)
@@ -161,13 +161,13 @@ class OwnPorts:
             own = self._made(port, self._free_name(port.name), output)
             self.own[port.name] = own
             self._taken |= {own.core.name}
-            if output is not None and port.writes:  # before it opens: who connects at once gets what is kept
+            if output is not None and port.writes:  # before it opens, so that every new reader gets the cached messages
                 output.add(OutputPort(own.core, port.content))
             own.core.open()
-            if self._stopped:  # meanwhile, and `stop` found it closed
+            if self._stopped:  # meanwhile, when `stop` could not close it yet
                 self._close([own])
                 return
-            # Before anybody can be asked to connect: what is not marked may be taken for a YARP program's.
+            # Before any connection: an unmarked port looks like a YARP program's.
             self._naming.set_property(own.core.name, OWNER, self._owner)
             if port.rpc:
                 self._callers.watch(own.core)
@@ -180,7 +180,7 @@ class OwnPorts:
         self.trouble.pop(port.name, None)
 
     def _free_name(self, name: str) -> str:
-        """The name for a port; a name is taken over from a dead or stopped worker of ours alone."""
+        """Return the name for a port; only names of dead or stalled Midspan workers are taken over."""
         for wanted in (name, self._context.names.spare(name)):
             known = self._naming.query(wanted)
             if known is None or not connections.responds(known, timeout=_CONNECT_SECONDS):
@@ -188,14 +188,14 @@ class OwnPorts:
             owner = [str(value) for value in self._naming.get_property(wanted, OWNER)]
             if owner and (owner == [self._owner] or not self._awake(owner[0])):
                 return wanted
-        raise NamingError("another program has a port of this name; choose other names with yarp.output and yarp.input")
+        raise NamingError("another program has a port of this name; choose other names by yarp.output and yarp.input")
 
     def _made(self, port: PortPlan, name: str, output: TopicOutput | None) -> OwnPort:
         if port.rpc:
             service = self._services[port.topic]
             served = ServedPort(service.name, service.bottles, service.call, self.made_by, self._context.refused)
             return OwnPort(port, self._core(port, name, served), port.links, served=served, service=service)
-        # tells at once what cannot be said
+        # raises if the type cannot be converted
         codec = self._context.contents.codec(port.content, port.type, port.type_hash, port.content.profile)
         if port.writes:
             return OwnPort(port, self._core(port, name, None), port.links, output=output)
@@ -211,7 +211,7 @@ class OwnPorts:
         return is_linked
 
     def made_by(self, name: str) -> MadeBy:
-        """Who made a port."""
+        """Return who created a port."""
         return MadeBy.MIDSPAN if self.is_ours(name) else self._graph.made_by(name)
 
     def _core(self, port: PortPlan, name: str, hearer: InputPort | ServedPort | None) -> PortCore:
@@ -245,7 +245,7 @@ class OwnPorts:
         self._context.changed()
 
     def leave_taken(self, contacts: Mapping[str, PortContact]) -> None:
-        """Close the ports whose names others have taken: of two that opened at once, the first is forgotten."""
+        """Close ports whose names other programs have registered: of two ports opened at once, the second one stays."""
         owned = self.own
         taken = [
             key
@@ -256,7 +256,7 @@ class OwnPorts:
         self._close([owned.pop(key) for key in taken])
 
     def mark_again(self, contacts: Mapping[str, PortContact], *, returned: bool) -> None:
-        """Register and mark the ports that a name server forgot; mark all where it has just returned."""
+        """Register and mark the ports that the name server has lost; mark all if it has just returned."""
         for own in self.own.values():
             forgotten = own.core.name not in contacts
             if forgotten:
@@ -270,14 +270,14 @@ class OwnPorts:
             if not self._context.names.may_be(name):
                 continue
             owner = [str(value) for value in self._naming.get_property(name, OWNER)]
-            # One without an owner may have been killed before it was marked; a number may have gone to another program.
+            # A worker may have been killed before it marked the port; another program may use the same number now.
             if owner == [self._owner] or (not owner and not connections.responds(contact, timeout=_CONNECT_SECONDS)):
                 self._naming.unregister(name)
 
     # -- connections ---------------------------------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Make the connections that are missing; those that take long are made meanwhile."""
+        """Make missing connections, in the background."""
         now = time.monotonic()
         if (self._asking is None or self._asking.done()) and any(own.served for own in self.own.values()):
             self._asking = self._links.submit(self._callers.turn)
@@ -292,7 +292,7 @@ class OwnPorts:
                 if peer in linked:
                     self.trouble.pop(key, None)
                 elif peer not in self._graph.contacts:
-                    self.trouble[key] = 0.0, f"{peer} is not there; it is connected to {name} when it comes"
+                    self.trouble[key] = 0.0, f"waiting for {peer}, to connect it to {name}"
                 elif peer not in own.making and now >= own.due.get(peer, 0.0):
                     own.due[peer] = now + _LINK_AGAIN
                     own.making[peer] = self._links.submit(partial(self._link, own, peer, link))
@@ -303,9 +303,9 @@ class OwnPorts:
         key, problem = f"{own.core.name} {peer}", ""
         try:
             if self._naming.get_property(peer, OWNER):
-                problem = f"{peer} is a port of Midspan's; what it carries is not taken up again"
-            elif self._naming.is_taken(own.core.name):  # while we stood still: its connection would end by ours
-                problem = f"{own.core.name} is the name of another program's port"
+                problem = f"{peer} is a port of Midspan; its messages are not bridged again"
+            elif self._naming.is_taken(own.core.name):  # during a stall: connecting would close its connection
+                problem = f"another program has the name {own.core.name}"
             elif own.plan.writes:
                 done, why = own.core.add_output(f"{link.carrier}:/{peer}" if link.carrier else peer)
                 problem = "" if done else f"{own.core.name}: {why}"
@@ -323,10 +323,10 @@ class OwnPorts:
         self._context.changed()
         return not problem
 
-    # -- the end -------------------------------------------------------------------------------------------------------
+    # -- closing -------------------------------------------------------------------------------------------------------
 
     def _close(self, owns: list[OwnPort]) -> None:
-        """Close ports in parallel; those that take too long end on their own."""
+        """Close ports in parallel; those that take too long continue in the background."""
         self._taken -= {own.core.name for own in owns}
         for own in owns:
             if own.output is not None:
@@ -341,25 +341,25 @@ class OwnPorts:
         for own, end in zip(owns, ends, strict=True):
             try:
                 end.result(max(0.0, deadline - time.monotonic()))
-            except CancelledError:  # we stop: nobody else does it any more
+            except CancelledError:  # the adapter is stopping, and the pool no longer runs it
                 self._end(own.core)
             except TimeoutError:
-                _log.warning("closing ports takes long; they are left to themselves")
+                _log.warning("closing ports takes long; it continues in the background")
                 return
             except Exception:
-                _log.exception("closing a port failed")
+                _log.exception("cannot close a port")
 
     def _end(self, core: PortCore) -> None:
-        """Close a port; a name that another one took, perhaps while we stood still, stays its own."""
+        """Close a port; a name that another program has taken, perhaps during a stall, stays registered."""
         with contextlib.suppress(NamingError):
             if self._naming.is_taken(core.name):
                 self._naming.leave(core.name)
         core.close()
 
     def stop(self) -> None:
-        """Close everything, and open nothing any more."""
+        """Close all ports permanently."""
         self._stopped = True
-        owned, self.own = self.own, {}  # another thread may go through it
+        owned, self.own = self.own, {}  # another thread may be iterating over it
         self._close(list(owned.values()))
         for pool in (self._links, self._ends):
             pool.close(_LEAVE_SECONDS)

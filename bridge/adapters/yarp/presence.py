@@ -1,7 +1,7 @@
-"""The Midspan workers on one YARP network, and the records that they send each other.
+"""The Midspan workers on one YARP network, and the records that they exchange.
 
-Each has a port ``/midspan/daemon/<id>`` and connects to all others'. Whoever dies is gone with his connections; one
-that stands still keeps them. The same port answers YARP programs: ``definition std_msgs/String``.
+Each worker has a port ``/midspan/daemon/<id>`` and connects it to all others. The connections of a dead worker close;
+those of a stalled one stay open. The same port answers YARP programs: ``definition std_msgs/String``.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _log = logging.getLogger(__name__)
 _MAX_RECORD = 1 << 20
 _AGAIN = 2.0
 _AGAIN_LONGEST = 16.0
-"""Seconds to the next try of a worker that is not to be reached; who died leaves its name behind for ever."""
+"""Most seconds before the next try to connect an unreachable worker; dead workers stay registered forever."""
 
 
 class WorkerPresence:
-    """This worker's port, and the others' last records; ``changed``: one of them came, left or told something."""
+    """This worker's port, and the other workers' last records; ``changed`` is called when they change."""
 
     def __init__(self, context: YarpContext, changed: Callable[[], None]) -> None:
         self._context, self._naming, self._changed = context, context.naming, changed
@@ -51,26 +51,26 @@ class WorkerPresence:
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open."""
+        """Whether this worker is on the network."""
         return self._core.is_open
 
     def open(self) -> None:
-        """Come onto the network; raises `NamingError` or `OSError`."""
+        """Join the network; raises `NamingError` or `OSError`."""
         if self._left:
             return
         self._core.open()
-        if self._left:  # meanwhile, and `close` found it closed
+        if self._left:  # meanwhile, when `close` could not close it yet
             self._core.close()
             return
         self.mark()
 
     def mark(self) -> None:
-        """Mark the port as ours at the name server."""
+        """Mark the port as Midspan's at the name server."""
         self._naming.set_property(self._core.name, OWNER, self._context.owner)
         self._naming.set_property(self._core.name, DAEMON, self._context.daemon)
 
     def look(self, contacts: Mapping[str, PortContact], started: float) -> None:
-        """Find the others in the name server's list, which was asked for at ``started``."""
+        """Connect to the other workers in the name server's list, which was requested at ``started``."""
         others = {name: c for name, c in contacts.items() if name.startswith(PRESENCE) and name != self._core.name}
         out = {route.target for route in self._core.outputs()}
         now = time.monotonic()
@@ -83,28 +83,28 @@ class WorkerPresence:
             self._tried[name] = contact, pauses, now + pauses.pause(0.0)
             if self._core.add_output(name)[0]:
                 self._see(name, None)
-        for name in self._tried.keys() - others.keys():  # in place: connections' threads take out of it, too
+        for name in self._tried.keys() - others.keys():  # in place: connection threads remove items, too
             self._tried.pop(name, None)
         with self._lock:
             self._looked_since = max(self._looked_since, started)
 
     def announce(self, record: bytes) -> None:
-        """Send a record to all others; never waits."""
+        """Send a record to all other workers; never blocks."""
         if self._core.is_open:
             self._core.write(lambda profile: encode([record], profile))
 
     def sightings(self) -> list[Sighting]:
-        """The other workers on the network."""
+        """Return the other workers on the network."""
         with self._lock:
             return list(self._seen.values())
 
     def settled(self, since: float) -> bool:
-        """Whether all that were there at ``since`` are seen."""
+        """Return whether all workers that were present at ``since`` are known."""
         with self._lock:
             return self._looked_since >= since
 
     def close(self) -> None:
-        """Leave, for good."""
+        """Leave the network permanently."""
         self._left = True
         self._core.close()
 
@@ -116,7 +116,7 @@ class WorkerPresence:
             self._see(other, None)
             if event.incoming:
                 self._tried.pop(other, None)
-            self._context.changed()  # to connect the other way too
+            self._context.changed()  # to connect in the other direction, too
             return
         linked = {r.source for r in self._core.inputs()} | {r.target for r in self._core.outputs()}
         self._tried.pop(other, None)
@@ -148,7 +148,7 @@ class WorkerPresence:
         self._changed()
 
     def _answer(self, message: PortMessage) -> list[object]:
-        """The answer to a YARP program."""
+        """Return the answer to a YARP program."""
         words = decode(message.payload, message.peer.profile)
         match words:
             case ["definition", str(name)]:
@@ -157,5 +157,5 @@ class WorkerPresence:
                 except MessageTypeError as err:
                     return [Vocab("fail"), str(err)]
             case ["help"]:
-                return [Vocab("many"), "definition PACKAGE/NAME  # text of a ROS message type and all that it nests"]
-        return [Vocab("fail"), "send help for the commands there are"]
+                return [Vocab("many"), "definition PACKAGE/NAME  # text of a ROS message type and of all nested types"]
+        return [Vocab("fail"), "send help for the list of commands"]

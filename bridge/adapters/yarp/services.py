@@ -1,4 +1,4 @@
-"""Services on the YARP side: RPC ports that serve those of the hub, and RPC ports of programs that rules name."""
+"""Services on the YARP side: RPC ports for the hub's services, and clients of the RPC ports that rules name."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ Refused = Callable[[str, str, str], None]
 
 
 class ServedPort:
-    """Serves one service by an RPC port. A call waits on its connection's own thread; other connections go on.
+    """The server of one service on an RPC port. A call blocks only its own connection.
 
     Args:
-        made_by: tells who made a port.
-        refused: called for a request that is refused: service, reason, why.
+        made_by: returns who created a port.
+        refused: called for each refused request: service, reason, explanation.
     """
 
     def __init__(
@@ -49,10 +49,10 @@ class ServedPort:
         self._closed = False
 
     def on_message(self, message: PortMessage) -> None:
-        """Take a request; on the thread of its connection."""
+        """Handle a request, on its connection's thread."""
         peer = message.peer
         if self._made_by(peer.route.source) is MadeBy.MIDSPAN:
-            self._say(message, CallError("a call of Midspan's own does not come back to it"))
+            self._say(message, CallError("this is a call of Midspan itself, which it does not serve"))
             return
         try:
             request, peer.profile = self._bottles.request_to_hub(message.payload, peer.profile)
@@ -72,11 +72,11 @@ class ServedPort:
         with self._lock:
             if waits := message in self._waiting:
                 self._waiting[message] = abandon
-        if not waits:  # who asked went as the call began, or the service did
+        if not waits:  # meanwhile the client left, or the service closed
             abandon()
 
     def look(self) -> None:
-        """Abandon the calls of callers that left."""
+        """Abandon the calls of clients that have left."""
         with self._lock:
             waiting = list(self._waiting)
         for message in waiting:
@@ -88,7 +88,7 @@ class ServedPort:
                     abandon()
 
     def close(self) -> None:
-        """End all calls with an error."""
+        """End all pending calls with an error."""
         with self._lock:
             self._closed = True
             waiting, self._waiting = self._waiting, {}
@@ -109,23 +109,23 @@ class ServedPort:
         try:
             reply = self._bottles.reply_to_yarp(result, profile)
         except ConversionError as err:
-            _log.warning("%s: the reply cannot be said on YARP: %s", self.service, err)
+            _log.warning("%s: cannot convert the reply for YARP: %s", self.service, err)
             reply = self._bottles.reply_to_yarp(CallError(str(err)), profile)
         message.reply(reply)
 
 
-# -- RPC ports of programs, each call on a connection of its own -------------------------------------------------------
+# -- clients of RPC ports, with one connection for each call -----------------------------------------------------------
 
 MOST = 64
-"""Calls of one port that are under way at most."""
+"""Most concurrent calls of one port."""
 
 _NUMBERS = itertools.count(1)
 _IDLE = 4
-"""Connections that are kept for the next calls."""
+"""Most idle connections, for the next calls."""
 
 
 class PortCaller:
-    """Calls one RPC port (`bridge.routing.edge.EdgeCaller`); ``carrier`` is "" for the usual one."""
+    """A client of one RPC port (`bridge.routing.edge.EdgeCaller`); ``carrier`` is "" for the default."""
 
     def __init__(self, naming: NameClient, port: str, carrier: str, bottles: CallBottles, limit: int) -> None:
         self._naming, self._names, self._port = naming, Unregistered(naming), port
@@ -137,13 +137,13 @@ class PortCaller:
         self._closed = False
 
     def call(self, request: bytes, done: Done) -> Abandon:
-        """Begin a call; see `EdgeCaller.call`."""
+        """Start a call on its own thread; ``done`` gets the reply or an error."""
         with self._lock:
             trouble = ""
             if self._closed:
                 trouble = f"{self._port} is no longer called"
             elif len(self._calls) >= MOST:
-                trouble = f"{self._port} is busy: {MOST} calls are under way"
+                trouble = f"{self._port} is busy with {MOST} calls"
             else:
                 asked = _PortCall(self, request, done)
                 self._calls.add(asked)
@@ -155,7 +155,7 @@ class PortCaller:
         return asked.abandon
 
     def close(self) -> None:
-        """End every call with an error; see `EdgeCaller.close`."""
+        """End all pending calls with an error."""
         with self._lock:
             self._closed = True
             calls, idle = list(self._calls), list(self._idle)
@@ -166,9 +166,9 @@ class PortCaller:
             core.close()
 
     def connection(self) -> PortCore:
-        """A port of ours that is connected to theirs; raises `OSError`."""
+        """Return a new port that is connected to the server; raises `OSError`."""
         if self._naming.get_property(self._port, OWNER):
-            raise ConnectionRefusedError(f"{self._port} is a port of Midspan's; what it serves is not taken up again")
+            raise ConnectionRefusedError(f"{self._port} is a port of Midspan; its service is not bridged again")
         name = f"/midspan/call{next(_NUMBERS)}/{os.getpid()}"
         core = PortCore(name, naming=self._names, rpc=True, is_input=False, limit=self._limit)
         core.open()
@@ -179,20 +179,20 @@ class PortCaller:
         return core
 
     def ask(self, core: PortCore, request: bytes) -> bytes:
-        """One request and its reply, as the hub's bytes.
+        """Send a request and return the reply, both as CDR.
 
         Raises:
-            OSError: the connection broke.
-            WireError: the reply is no Bottle.
-            ConversionError: it is none of this service's.
-            CallError: it tells of a failure.
+            OSError: the connection is lost.
+            WireError: the reply is not a Bottle.
+            ConversionError: the reply does not match the service's type.
+            CallError: the reply reports a failure.
         """
         profile = core.answers_in
         reply = core.request(self._bottles.request_to_yarp(request, profile))
         return self._bottles.reply_to_hub(reply, profile)
 
     def over(self, asked: _PortCall, core: PortCore | None) -> None:
-        """A call ended; its connection may serve the next one."""
+        """Remove a finished call; its connection may be reused by the next one."""
         with self._lock:
             self._calls.discard(asked)
             keep = core is not None and not self._closed and len(self._idle) < _IDLE
@@ -203,7 +203,7 @@ class PortCaller:
 
 
 class _PortCall:
-    """One call, on a thread of its own."""
+    """One call, on its own thread."""
 
     def __init__(self, caller: PortCaller, request: bytes, done: Done) -> None:
         self._caller, self._request = caller, request
@@ -212,7 +212,7 @@ class _PortCall:
         self._core: PortCore | None = None
 
     def run(self, core: PortCore | None) -> None:
-        """Call and hand on the reply. An earlier call's connection may have died: then a new one is made."""
+        """Call and pass on the reply, on an idle connection or, if that is closed, on a new one."""
         result: bytes | CallError
         fresh: PortCore | None = None
         try:
@@ -229,7 +229,7 @@ class _PortCall:
         except CallError as err:
             result = err
         except ConversionError as err:
-            result = CallError(f"the reply is malformed: {err}")
+            result = CallError(f"malformed reply: {err}")
         except (OSError, WireError) as err:
             result = CallError(f"the port left before it answered: {err}")
             if fresh is not None:
@@ -257,12 +257,12 @@ class _PortCall:
             done(result)
 
 
-# -- all of them ------------------------------------------------------------------------------------------------------
+# -- all services -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OfferedService:
-    """A service of the hub that YARP programs may call."""
+    """A service of the hub that YARP programs can call."""
 
     name: str
     side_type: SideType
@@ -271,12 +271,12 @@ class OfferedService:
     drop: Callable[[OfferedService], None]
 
     def close(self) -> None:
-        """Serve no more; the port answers what it was asked with an error. Safe to call twice."""
+        """Stop serving; pending calls end with an error. Safe to call twice."""
         self.drop(self)
 
 
 class YarpServices:
-    """The services that are served and called. Methods may be called from any thread."""
+    """The services that are served and called. All methods are thread-safe."""
 
     def __init__(self, context: YarpContext) -> None:
         self._context, self._contents, self._registry = context, context.contents, context.registry
@@ -284,16 +284,16 @@ class YarpServices:
         self._served: dict[str, OfferedService] = {}
 
     def called(self) -> list[tuple[str, str, str]]:
-        """Port, service and type of each port that a rule names."""
+        """Return port, service and type of each RPC port that a rule names."""
         return [(rule.port, rule.service, rule.type) for rule in self._contents.called if rule.port and rule.type]
 
     def served(self) -> dict[str, OfferedService]:
-        """The services that YARP programs may call, by name."""
+        """Return the services that YARP programs can call, by name."""
         with self._lock:
             return dict(self._served)
 
     def plan(self, served: Mapping[str, OfferedService]) -> dict[str, PortPlan]:
-        """The ports that services need."""
+        """Return the RPC ports for the services."""
         found: dict[str, PortPlan] = {}
         for service in served.values():
             port = self._context.names.rpc(service.name)
@@ -302,13 +302,13 @@ class YarpServices:
         return found
 
     def conversion(self, type_name: str, type_hash: str = "") -> ServiceConversion:
-        """Checks of requests and replies; the ports convert them, each to its own content."""
+        """Return only checks of requests and replies; each port converts them to its content."""
         known = self._registry.service_ros2(type_name, type_hash)
         request, response = self._registry.hub_service_check(type_name, type_hash)
         return ServiceConversion(known, known, request, None, response, None)
 
     def caller(self, name: str, side_type: SideType) -> PortCaller:
-        """Call the port that a rule names; raises `MessageTypeError` without such a rule."""
+        """Return a client of the port that a rule names; raises `MessageTypeError` without such a rule."""
         rule = self._contents.served_by(name)
         if rule is None or rule.port is None:
             raise MessageTypeError(f"no rule of yarp.services names a port for {name}")
@@ -323,7 +323,7 @@ class YarpServices:
         with self._lock:
             if name in self._served:
                 raise MessageTypeError(
-                    f"{name} is {self._served[name].side_type.name} on YARP already",
+                    f"{name} has the type {self._served[name].side_type.name} on YARP",
                     "rename one of the services by a rule",
                 )
             self._served[name] = service
@@ -331,7 +331,7 @@ class YarpServices:
         return service
 
     def drop(self, service: OfferedService) -> None:
-        """A server is closed."""
+        """Remove a closed service."""
         with self._lock:
             if self._served.get(service.name) is service:
                 del self._served[service.name]

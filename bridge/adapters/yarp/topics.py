@@ -1,4 +1,4 @@
-"""The bridge's ports of a topic: inputs from YARP programs, outputs to them, and their envelopes."""
+"""The bridge's ports for a topic: inputs from YARP programs, outputs to them, and their envelopes."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ _DAY_NS = 86_400_000_000_000
 
 
 def envelope(count: int, stamp_ns: int | None) -> str:
-    """The envelope of a message with this time, "" without one."""
+    """Return the envelope of a message with this stamp, "" without one."""
     if stamp_ns is None or stamp_ns <= 0:
         return ""
     return f"{count} {stamp_ns // 1_000_000_000}.{stamp_ns % 1_000_000_000:09d}"
 
 
 def stamp(text: str) -> int | None:
-    """The time in an envelope in nanoseconds, None if it has none."""
+    """Return the stamp of an envelope in nanoseconds, or None."""
     found = _STAMP.fullmatch(text)
     if found is None:
         return None
@@ -46,21 +46,21 @@ def stamp(text: str) -> int | None:
 
 
 def on_system_clock(stamp_ns: int | None) -> int | None:
-    """The time, where it is one of the system's clock and not of a simulation's or a machine's since its start."""
+    """Return the stamp if it is near the system's clock, and not simulated or a machine's uptime; else None."""
     return stamp_ns if stamp_ns is not None and abs(time.time_ns() - stamp_ns) < _DAY_NS else None
 
 
 _log = logging.getLogger(__name__)
 
 HOLD_SECONDS = 2.0
-"""Seconds for which the newest message of a new peer is held until it is known who it is."""
+"""Seconds for which the newest message of a new peer is held, until it is known who created the port."""
 
 MAX_HELD = 64
 
 
 @dataclass(slots=True)
 class _Held:
-    """A message that waits, since when, and whether it is being passed on at this moment."""
+    """A held message, the time it arrived, and whether it is being delivered."""
 
     since: float
     message: PortMessage
@@ -69,13 +69,13 @@ class _Held:
 
 @dataclass(eq=False)
 class InputPort:
-    """An input port: converts messages and delivers them to its topic's route.
+    """An input port, which converts messages and delivers them to its topic's route.
 
     Attributes:
-        only: whether a peer is heard; None: anybody.
-        source: the id of the endpoint that messages count as; None: that of the port which sent them.
-        made_by: tells who made a port.
-        refused: called for a message that is refused: topic, reason, why.
+        only: returns whether messages of a peer are accepted; None: of all peers.
+        source: the id of the endpoint to which messages are attributed; None: the sending port.
+        made_by: returns who created a port.
+        refused: called for each refused message: topic, reason, explanation.
     """
 
     port: str
@@ -91,7 +91,7 @@ class InputPort:
     _changed: threading.Condition = field(default_factory=threading.Condition)
 
     def on_message(self, message: PortMessage) -> None:
-        """Take a message; on the thread of its connection."""
+        """Handle a message, on its connection's thread."""
         LARGE_MESSAGES.passed(len(message.payload))
         peer = message.peer.route.source
         if self.only is not None and not self.only(peer):
@@ -101,25 +101,25 @@ class InputPort:
             return
         deliver = self._deliver
         if deliver is None or made_by is MadeBy.UNKNOWN or peer in self._held:
-            self.release()  # an earlier one goes first
+            self.release()  # an earlier one must be delivered first
             self._hold(peer, message)
-            self.release()  # a route may have come meanwhile
+            self.release()  # a route may have been connected meanwhile
             return
         self._pass_on(message, deliver)
 
     def _hold(self, peer: str, message: PortMessage) -> None:
-        """Hold a message, in place of its peer's earlier one, or behind one that is being delivered."""
+        """Hold a message, in place of its peer's earlier one, or after one that is being delivered."""
         with self._changed:
             self._changed.wait_for(lambda: not ((held := self._held.get(peer)) and held.going))
             if peer in self._held or len(self._held) < MAX_HELD:
                 self._held[peer] = _Held(time.monotonic(), message)
 
     def deliver_to(self, deliver: Deliver | None) -> None:
-        """Give messages to a route from now on; those that wait are its own with the next `release`."""
+        """Deliver messages to this route from now on; the next `release` delivers the held ones to it."""
         self._deliver = deliver
 
     def waiting(self) -> set[str]:
-        """The peers whose messages are held, even if they have left."""
+        """Return the peers with held messages, even if they have left."""
         now = time.monotonic()
         with self._changed:
             for peer, held in list(self._held.items()):
@@ -128,7 +128,7 @@ class InputPort:
             return set(self._held)
 
     def release(self) -> None:
-        """Deliver the held messages whose senders are known by now."""
+        """Deliver the held messages whose senders are now known."""
         while self._held and (found := self._next()) is not None:
             peer, message, deliver = found
             try:
@@ -139,7 +139,7 @@ class InputPort:
                     self._changed.notify_all()
 
     def _next(self) -> tuple[str, PortMessage, Deliver] | None:
-        """A held message that can be passed on; until that is done, the next of its peer waits."""
+        """Return a held message that can be delivered; its peer's next one waits until that is done."""
         now, deliver = time.monotonic(), self._deliver
         if deliver is None:
             return None
@@ -165,7 +165,7 @@ class InputPort:
 
 
 _QUEUE = 10
-"""Depth from which a stream waits for a slow reader; a rule that gives less wants it fresh rather than complete."""
+"""Queue depth from which messages are queued for slow readers; with a smaller depth only the newest is sent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +177,7 @@ class OutputPort:
 
 
 class TopicOutput:
-    """Publishes one topic and type; for any thread. ``stamped``: its messages begin with a header."""
+    """The output of one topic and type; thread-safe. ``stamped``: its messages begin with a header."""
 
     def __init__(self, topic: str, side_type: SideType, stamped: bool, contents: Contents) -> None:
         self.topic, self.side_type = topic, side_type
@@ -188,26 +188,26 @@ class TopicOutput:
         self._lock = threading.RLock()
 
     def publisher(self, qos: Qos, closed: Callable[[YarpPublisher], None]) -> YarpPublisher:
-        """A new publisher."""
+        """Create a publisher."""
         made = YarpPublisher(self, qos, closed)
         with self._lock:
             self._publishers.append(made)
         return made
 
     def remove(self, publisher: YarpPublisher) -> bool:
-        """A publisher is closed; whether it was the last one."""
+        """Remove a closed publisher; return whether it was the last one."""
         with self._lock:
             if publisher in self._publishers:
                 self._publishers.remove(publisher)
             return not self._publishers
 
     def add(self, port: OutputPort) -> None:
-        """Another port for the topic."""
+        """Add an output port."""
         with self._lock:
             self._ports = (*self._ports, port)
 
     def drop(self, core: PortCore) -> None:
-        """A port is closed."""
+        """Remove a closed port."""
         with self._lock:
             self._ports = tuple(port for port in self._ports if port.core is not core)
 
@@ -218,16 +218,16 @@ class TopicOutput:
 
     @property
     def dropped(self) -> int:
-        """Messages that slow readers missed, or that were on their way when one left."""
+        """The number of messages dropped for slow readers, or unsent when one disconnected."""
         return sum(port.core.lost.total() for port in self._ports)
 
     def write(self, cdr: bytes, *, command: bool = False, strict: bool = True) -> None:
-        """Publish on all ports; raises the last `ConversionError` of a content that cannot express it.
+        """Publish on all ports; raises the last `ConversionError` if a content cannot express the message.
 
         Args:
             cdr: the message.
-            command: a reader that is busy with the last one misses this one, so that none waits behind another.
-            strict: a reader that is busy gets it later; else the newest alone.
+            command: busy readers miss it, so that commands are never queued.
+            strict: busy readers get it later; else only the newest.
         """
         LARGE_MESSAGES.passed(len(cdr))
         failure: MessageError | None = None
@@ -242,7 +242,7 @@ class TopicOutput:
             raise failure
 
     def welcome(self, core: PortCore, target: str) -> None:
-        """Send the latched messages to a new reader."""
+        """Send the cached messages to a new reader."""
         with self._lock:
             port = next((port for port in self._ports if port.core is core), None)
             if port is None:
@@ -264,12 +264,12 @@ class TopicOutput:
 
     @property
     def lock(self) -> threading.RLock:
-        """Held while a message is published and kept, so that late joiners get each in order."""
+        """A lock for publishing and caching a message, so that late joiners receive all in order."""
         return self._lock
 
 
 class YarpPublisher:
-    """One publisher of a topic; see `EdgePublisher`."""
+    """One publisher of a topic (`bridge.routing.edge.EdgePublisher`)."""
 
     def __init__(self, output: TopicOutput, qos: Qos, closed: Callable[[YarpPublisher], None]) -> None:
         self.output = output
@@ -280,20 +280,20 @@ class YarpPublisher:
 
     @property
     def heard(self) -> bool:
-        """Whether a reader is connected to the topic's ports."""
+        """Whether a reader is connected to one of the topic's ports."""
         return self.output.heard
 
     @property
     def dropped(self) -> int:
-        """Messages that slow readers of the topic missed."""
+        """The number of messages dropped for slow readers of the topic."""
         return self.output.dropped
 
     def latched(self) -> list[bytes]:
-        """The messages for late joiners."""
+        """Return the cached messages for late joiners."""
         return self._cache.all()
 
     def send(self, payload: bytes, source: str) -> None:
-        """See `EdgePublisher`."""
+        """Publish a message, and cache it if the publisher is latched."""
         if not self._latched:
             self.output.write(payload, command=self._command, strict=self._strict)
             return
@@ -302,12 +302,12 @@ class YarpPublisher:
             self.output.write(payload)
 
     def forget(self, source: str) -> None:
-        """See `EdgePublisher`."""
+        """Remove the cached messages of a source."""
         with self.output.lock:
             self._cache.forget(source)
 
     def close(self) -> None:
-        """Give it back. Safe to call twice."""
+        """Remove the publisher from its output. Safe to call twice."""
         closed, self._closed = self._closed, None
         if closed is not None:
             closed(self)
