@@ -73,7 +73,7 @@ def measure(case: str, value: Portable, rounds: int) -> list[Row]:
     def owned() -> object:
         found = kind.from_bytes(payload, Profile.YARP3)
         if isinstance(found, Image | Vector):
-            found._own()
+            found._writable()
         return found
 
     ways: dict[str, Callable[[], object]] = {

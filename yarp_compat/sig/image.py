@@ -160,7 +160,7 @@ class Raster:
 
     def zero(self) -> None:
         """Set every byte to 0."""
-        self._make_writable()
+        self._writable()
         np.ndarray(self._memory.nbytes, np.uint8, self._memory)[:] = 0
 
     def isPixel(self, x: int, y: int) -> bool:
@@ -177,7 +177,7 @@ class Raster:
     def _place(self, width: int, height: int, row: int, memory: memoryview, *, external: bool = False) -> None:
         self._width, self._height, self._row, self._memory, self._external = width, height, row, memory, external
 
-    def _make_writable(self) -> None:
+    def _writable(self) -> None:
         """Make the memory writable, by a copy if needed."""
         if self._memory.readonly:
             self._memory = memoryview(bytearray(self._memory))
@@ -219,7 +219,7 @@ class Image(Raster, Comparable, Portable):
         kind = PIXELS.get(self._code)
         if kind is None:
             return self.getPixel(x, y)
-        self._make_writable()
+        self._writable()
         return kind.view(self.numpy()[y, x])
 
     access = pixel
@@ -240,7 +240,7 @@ class Image(Raster, Comparable, Portable):
     def setPixel(self, x: int, y: int, value: Any) -> None:
         """Set a pixel to a number, or to one for each channel."""
         self._check(x, y)
-        self._make_writable()
+        self._writable()
         self.numpy()[y, x] = tuple(value) if hasattr(value, "__iter__") else value
 
     def copy(self, other: Image, width: int | None = None, height: int | None = None) -> bool:

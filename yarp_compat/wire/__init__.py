@@ -1,1 +1,1 @@
-"""YARP's wire formats: bytes in, values out. No sockets and no threads here."""
+"""YARP's wire formats: conversion between bytes and values, without sockets and threads."""

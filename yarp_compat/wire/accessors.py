@@ -1,4 +1,4 @@
-"""Methods that YARP has for what Python reads as an attribute: one line each, typed, with its documentation."""
+"""Factories for YARP's getters and setters of attributes: typed and documented methods in one line each."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 
 def getter(attribute: str, kind: Callable[..., T], doc: str) -> Callable[[Any], T]:  # noqa: ARG001 - for the type checker
-    """A method that returns an attribute (``_address.host``: an attribute's attribute) of a kind."""
+    """Return a method that returns an attribute of a type; ``_address.host`` is an attribute's attribute."""
     read = attrgetter(attribute)
 
     def get(self: Any) -> T:
@@ -22,7 +22,7 @@ def getter(attribute: str, kind: Callable[..., T], doc: str) -> Callable[[Any], 
 
 
 def setter(attribute: str, kind: Callable[..., T], doc: str) -> Callable[[Any, T], None]:  # noqa: ARG001 - as above
-    """A method that sets an attribute of a kind."""
+    """Return a method that sets an attribute of a type."""
 
     def set_to(self: Any, value: T) -> None:
         setattr(self, attribute, value)
@@ -32,7 +32,7 @@ def setter(attribute: str, kind: Callable[..., T], doc: str) -> Callable[[Any, T
 
 
 def always(value: T, doc: str) -> Callable[[Any], T]:
-    """A method that always returns this."""
+    """Return a method that always returns ``value``."""
 
     def get(self: Any) -> T:  # noqa: ARG001
         return value

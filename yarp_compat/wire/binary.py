@@ -1,7 +1,7 @@
-"""Encodes Bottles to bytes and decodes them.
+"""Encoding and decoding of Bottles.
 
-A Bottle is ``int32 256 | unit``, ``int32 n``, n elements, little-endian. Where all elements are of one type other than
-a list, ``unit`` is their tag and they have none of their own. (`yarp/os/impl/BottleImpl.cpp`)
+A Bottle is ``int32 256 | unit``, ``int32 n``, n elements, little-endian. If all elements have the same type, other than
+a list, ``unit`` is their tag and the elements have no tags. (`yarp/os/impl/BottleImpl.cpp`)
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ _FAMILIES: dict[type, str] = {
     float: "float64", int: "int", Int64: "int", str: "string", bytes: "blob", bool: "vocab", Vocab: "vocab",
     Vocab64: "vocab", Int8: "int8", Int16: "int16", Float32: "float32", list: "list", tuple: "list", dict: "dict",
 }  # fmt: skip
-"""Types that may be written with one tag. Those of two families in one list surely are not."""
+"""Families of types that may share one tag; a list with two families is always mixed."""
 
 _ARRAY_TAGS = {"i1": tags.INT8, "u1": tags.INT8, "i2": tags.INT16, "u2": tags.INT16, "i4": tags.INT32,
                "u4": tags.INT32, "i8": tags.INT64, "u8": tags.INT64}  # fmt: skip
 
 
 Array = Callable[[Buffer, int, int, str], Any]
-"""Makes an array of numbers: from the data, at an offset, so many, of a format character."""
+"""Returns an array of numbers; arguments: the data, the offset, the count, the format character."""
 
 _READ_WORD = Struct("<i").unpack_from
 _READ_TWO = Struct("<ii").unpack_from
@@ -48,11 +48,11 @@ _DOUBLE = Struct("<d").unpack_from
 
 _INT8 = {value: Int8(value) for value in range(-128, 128)}
 _KEPT: dict[str, Callable[[Any], Any]] = {"b": _INT8.__getitem__, "h": Int16, "q": Int64, "f": Float32}
-"""The classes of numbers whose size is not the one of their plain value."""
+"""The classes of numbers whose size differs from their plain value's."""
 
 
 class Encoder:
-    """Writes the lists of one profile."""
+    """An encoder of lists in one profile."""
 
     def __init__(self, profile: Profile) -> None:
         self._float32 = profile.float32_tag
@@ -74,7 +74,7 @@ class Encoder:
         }
 
     def bottle(self, values: Any, out: list[Buffer], depth: int = 0) -> None:
-        """Append a list's header, as of a top-level Bottle, and its elements; raises `WireError` as `encode`."""
+        """Append a list as a Bottle, with its header; raises `WireError` like `encode`."""
         if depth > tags.MAX_DEPTH:
             raise WireError(f"lists are nested deeper than {tags.MAX_DEPTH}")
         if not isinstance(values, (list, tuple)):
@@ -105,7 +105,7 @@ class Encoder:
         return self._mixed(values, out, depth)
 
     def _blocks(self, values: Sequence[Any], out: list[Buffer], kind: type) -> None:
-        """Strings or blobs only."""
+        """Append a list of only strings or only blobs."""
         out.append(_TWO(tags.LIST | (tags.STRING if kind is str else tags.BLOB), len(values)))
         for value in values:
             block = _utf8(value) if kind is str else value
@@ -113,7 +113,7 @@ class Encoder:
             out.append(block)
 
     def _family(self, values: Sequence[Any], out: list[Buffer]) -> None:
-        """Ints or vocabs whose tags depend on the values."""
+        """Append a list of ints or vocabs, whose tags depend on the values."""
         pairs = [self._tag_and_body(value) for value in values]
         units = {tag for tag, _ in pairs}
         unit = units.pop() if len(units) == 1 else 0
@@ -144,7 +144,7 @@ class Encoder:
         out.append(_WORD(tag) + body)
 
     def _mixed(self, values: Sequence[Any], out: list[Buffer], depth: int) -> None:
-        """Elements each with its tag."""
+        """Append a list in which each element has a tag."""
         add = out.append
         float64 = self._float64
         add(_TWO(tags.LIST, len(values)))
@@ -175,7 +175,7 @@ class Encoder:
         self.bottle(entries_of(value), out, depth + 2)
 
     def _array(self, values: Any, out: list[Buffer], depth: int) -> None:
-        """A numpy array: its numbers as they lie in memory; of more dimensions: lists of lists."""
+        """Append a numpy array: its memory, or lists of lists if it has several dimensions."""
         if not hasattr(values, "dtype"):
             return self.bottle(list(values), out, depth)
         kind = values.dtype.str[1:]
@@ -189,7 +189,7 @@ class Encoder:
 
 
 def block_of(values: Any) -> Buffer:
-    """The little-endian bytes of a numpy array, without a copy where they lie so in memory."""
+    """Return the little-endian bytes of a numpy array, without a copy if possible."""
     if values.dtype.str[0] == ">":
         values = values.astype(values.dtype.newbyteorder("<"))
     if not values.flags.c_contiguous:
@@ -201,11 +201,11 @@ def _utf8(text: str) -> bytes:
     try:
         return text.encode(errors="surrogateescape")
     except UnicodeEncodeError as err:
-        raise WireError(f"{text!r} cannot be written as UTF-8: {err.reason}") from None
+        raise WireError(f"cannot encode {text!r} as UTF-8: {err.reason}") from None
 
 
 class Decoder:
-    """Reads the lists of one profile; ``array`` makes the numbers of a list of one type, by default a plain list."""
+    """A decoder of lists in one profile; ``array`` converts lists of numbers of one type, by default to a list."""
 
     def __init__(self, profile: Profile, array: Array | None = None) -> None:
         self._float32 = profile.float32_tag
@@ -216,19 +216,19 @@ class Decoder:
         self._array = array
 
     def bottle(self, data: Buffer, offset: int) -> tuple[Any, int]:
-        """A Bottle with its header, and its end; raises `WireError`, `Incomplete` where the data ends before."""
+        """Decode a Bottle; return its values and end. Raises `WireError`, or `Incomplete` if the data ends early."""
         return self._bottle(data, offset, 0)
 
     def _bottle(self, data: Buffer, offset: int, depth: int) -> tuple[Any, int]:
         if len(data) - offset < 8:
-            raise Incomplete(f"a list's header at byte {offset} needs 8 bytes; there are {len(data) - offset}")
+            raise Incomplete(f"a list's header at byte {offset} needs 8 bytes, but {len(data) - offset} are left")
         tag, count = _READ_TWO(data, offset)
         if tag & ~tags.UNIT != tags.LIST:
-            raise WireError(f"{tag:#x} at byte {offset} is no list's tag")
+            raise WireError(f"{tag:#x} at byte {offset} is not the tag of a list")
         return self._list(data, offset + 8, tag & tags.UNIT, count, depth)
 
     def _list(self, data: Buffer, offset: int, unit: int, count: int, depth: int) -> tuple[Any, int]:
-        """The elements of a list, of one type where ``unit`` is its tag."""
+        """Decode the elements of a list; ``unit`` is the tag of all, or 0."""
         if depth > tags.MAX_DEPTH:
             raise WireError(f"lists are nested deeper than {tags.MAX_DEPTH} at byte {offset}")
         if count < 0:
@@ -239,7 +239,7 @@ class Decoder:
         if size is None:
             if unit in (tags.STRING, tags.BLOB):
                 return self._blocks(data, offset, unit, count)
-            raise WireError(f"{unit} in a list's tag before byte {offset} is no type's tag")
+            raise WireError(f"unknown type {unit} in a list's tag before byte {offset}")
         end = offset + count * size
         if end > len(data):
             raise Incomplete(f"a list of {count} elements at byte {offset} needs {end - offset} bytes")
@@ -255,7 +255,7 @@ class Decoder:
         return list(map(kept, numbers) if kept else numbers), end
 
     def _blocks(self, data: Buffer, offset: int, unit: int, count: int) -> tuple[list[Any], int]:
-        """Strings or blobs, which have their lengths before them."""
+        """Decode strings or blobs, each after its length."""
         if len(data) - offset < 4 * count:
             raise Incomplete(f"a list of {count} strings or blobs at byte {offset} needs at least {4 * count} bytes")
         values: list[Any] = []
@@ -273,7 +273,7 @@ class Decoder:
         return values, offset
 
     def _mixed(self, data: Buffer, offset: int, count: int, depth: int) -> tuple[list[Any], int]:
-        """Elements each with a tag. All but the smallest have a word after it, which is read with it."""
+        """Decode elements with a tag each, together with the next int32, which all but the smallest types have."""
         whole = len(data)
         if whole - offset < 5 * count:
             raise Incomplete(f"a list of {count} elements at byte {offset} needs at least {5 * count} bytes")
@@ -313,7 +313,7 @@ class Decoder:
         return values, offset
 
     def _rare(self, data: Buffer, offset: int, tag: int, depth: int) -> tuple[Any, int]:
-        """The types that few send."""
+        """Decode an element of a rarely used type."""
         if tag == self._float32:
             return Float32(_FLOAT(data, offset + 4)[0]), offset + 8
         if tag in (tags.INT64, self._vocab64):
@@ -325,28 +325,28 @@ class Decoder:
             return self._small(data, offset)
         if tag & ~tags.UNIT == tags.LIST | tags.DICT:
             return self._dict(data, offset + 4, depth + 2)
-        raise WireError(f"{tag} at byte {offset} is no type's tag")
+        raise WireError(f"unknown tag {tag} at byte {offset}")
 
     def _small(self, data: Buffer, offset: int) -> tuple[int, int]:
-        """An int of one or two bytes, which may be all that is left."""
+        """Decode an int of one or two bytes, which may be at the end of the data."""
         if len(data) - offset < 4:
-            raise Incomplete(f"an element's tag at byte {offset} is cut off")
+            raise Incomplete(f"an element's tag at byte {offset} is incomplete")
         (tag,) = _READ_WORD(data, offset)
         body = data[offset + 4 : offset + 6]
         if tag == tags.INT8 and len(body) >= 1:
             return _INT8[body[0] - 256 if body[0] > 127 else body[0]], offset + 5
         if tag == tags.INT16 and len(body) == 2:
             return Int16(int.from_bytes(body, "little", signed=True)), offset + 6
-        raise Incomplete(f"the element at byte {offset} with the tag {tag} is cut off")
+        raise Incomplete(f"the element at byte {offset} with the tag {tag} is incomplete")
 
     def _dict(self, data: Buffer, offset: int, depth: int) -> tuple[dict[str, Any], int]:
-        """A Bottle of lists, each a key and its values; YARP skips what is no such list."""
+        """Decode a Bottle of lists of a key and its values; other elements are skipped, as in YARP."""
         entries, end = self._bottle(data, offset, depth)
         return dict_of(entries), end
 
 
 def array(data: Buffer, offset: int, count: int, code: str) -> Any:
-    """A numpy array that looks at the numbers where they are."""
+    """Return a numpy array as a view of the numbers."""
     import numpy as np
 
     return np.frombuffer(data, f"<{code}", count, offset) if count else np.empty(0, f"<{code}")
@@ -355,7 +355,7 @@ def array(data: Buffer, offset: int, count: int, code: str) -> Any:
 def _too_long(length: int, begin: int) -> WireError:
     if length < 0:
         return WireError(f"the string or blob at byte {begin} has a length of {length}")
-    return Incomplete(f"the string or blob of {length} bytes at byte {begin} is cut off")
+    return Incomplete(f"the string or blob of {length} bytes at byte {begin} is incomplete")
 
 
 _ENCODER3 = Encoder(Profile.YARP3)
@@ -367,12 +367,12 @@ _ARRAYS4 = Decoder(Profile.YARP4, array)
 
 
 def encode(values: Sequence[Any], profile: Profile) -> bytes:
-    """A whole Bottle of these values (`values` says which there are); raises `WireError` where none can hold one."""
+    """Encode values, of the types in `values`, as a Bottle; raises `WireError` for unsupported values."""
     return b"".join(encode_parts(values, profile))
 
 
 def encode_parts(values: Sequence[Any], profile: Profile) -> list[Buffer]:
-    """The same in pieces, in which large arrays and blobs are not copied."""
+    """Encode values like `encode`, in pieces, without copies of large arrays and blobs."""
     out: list[Buffer] = []
     try:
         (_ENCODER3 if profile is Profile.YARP3 else _ENCODER4).bottle(values, out)
@@ -382,18 +382,18 @@ def encode_parts(values: Sequence[Any], profile: Profile) -> list[Buffer]:
 
 
 def decode(data: Buffer, profile: Profile | None = None) -> list[Any]:
-    """A Bottle's values, in the profile (if None: YARP 3 first) that accounts for all bytes; raises `WireError`."""
+    """Decode a Bottle in a profile (None: the one that fits all bytes, YARP 3 first); raises `WireError`."""
     values: list[Any] = _decoded(data, profile, _DECODER3, _DECODER4)
     return values
 
 
 def decode_arrays(data: Buffer, profile: Profile | None = None) -> Any:
-    """The same with numpy arrays, uncopied views, for lists of numbers of one type, the Bottle's own among them."""
+    """Decode like `decode`, but lists of numbers of one type, also the Bottle itself, become numpy arrays (views)."""
     return _decoded(data, profile, _ARRAYS3, _ARRAYS4)
 
 
 def decode_prefix(data: Buffer, profile: Profile, offset: int = 0) -> tuple[list[Any], int]:
-    """The values of the Bottle at an offset, and its end; raises `WireError`, or `Incomplete` where more may come."""
+    """Decode the Bottle at an offset; return its values and its end. Raises `WireError`, or `Incomplete` if cut."""
     return (_DECODER3 if profile is Profile.YARP3 else _DECODER4).bottle(data, offset)
 
 

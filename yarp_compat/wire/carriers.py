@@ -1,6 +1,6 @@
-"""The carriers, and the opening of a connection: the caller's introduction and the acceptor's answer.
+"""The carriers, and the opening of a connection: the initiator's introduction and the acceptor's answer.
 
-Facts: measured on YARP 3.12.3 and 4.0; ``TcpCarrier``, ``UdpCarrier``, ``TextCarrier`` and others of the YARP sources.
+Sources: measurements on YARP 3.12.3 and 4.0; ``TcpCarrier``, ``UdpCarrier``, ``TextCarrier`` and others in YARP's code.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ _SPECIFIERS = 16
 
 
 class CarrierError(WireError):
-    """A carrier of YARP that is not offered here; the text names it and the offered ones."""
+    """A carrier is not supported; the message names it and the supported ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carrier:
-    """One way of carrying messages; there is one object of each."""
+    """A carrier of messages; each is a singleton."""
 
     name: str  # as in ``tcp://port``
     opening: bytes  # the first 8 bytes that the initiator sends
     ack: bool = False  # each message is acknowledged
-    reply: bool = True  # a message may be answered
+    reply: bool = True  # a message can have a reply
     text: bool = False  # messages are lines of text
-    connectionless: bool = False  # datagrams; the acceptor does not notice when the sender goes
+    connectionless: bool = False  # datagrams; the acceptor cannot detect that the sender has left
 
 
 def frame(value: int) -> bytes:
-    """The 8 bytes ``YA <int32> RP``: they open a connection, answer its opening, begin a message, acknowledge it."""
+    """Return the 8 bytes ``YA <int32> RP``, used in openings, answers, message headers and acknowledgements."""
     return _MAGIC.pack(b"YA", value, b"RP")
 
 
 def framed(data: bytes | bytearray | memoryview, offset: int = 0) -> int | None:
-    """The number in 8 bytes of :func:`frame`, or None where they are something else."""
+    """Return the number in 8 bytes of `frame`, or None for other bytes."""
     head, value, tail = _MAGIC.unpack_from(data, offset)
     return value if head == b"YA" and tail == b"RP" else None
 
@@ -59,7 +59,7 @@ LOCAL = Carrier("local", b"LOCALITY")
 HTTP = Carrier("http", b"GET /", text=True)
 
 CARRIERS = {c.name: c for c in (HTTP, NAME_SER, LOCAL, TCP, FAST_TCP, MCAST, UDP, TEXT, TEXT_ACK)}
-"""By name, in the order in which YARP announces them."""
+"""The carriers by name, in YARP's order of announcement."""
 
 OUTPUTS = (TCP, FAST_TCP, UDP, MCAST, TEXT, TEXT_ACK, LOCAL)  # the carriers of output connections
 
@@ -71,18 +71,18 @@ _OTHERS = frozenset(
 
 
 def parse(text: str) -> tuple[Carrier, str]:
-    """The carrier and qualifiers of ``tcp+recv.portmonitor+type.dll``; raises `CarrierError` for others."""
+    """Parse ``tcp+recv.portmonitor+type.dll`` into carrier and qualifiers; raises `CarrierError` if unsupported."""
     name, _, qualifiers = text.partition("+")
     carrier = CARRIERS.get(name)
     if carrier is None or carrier not in OUTPUTS:
         known = ", ".join(c.name for c in OUTPUTS)
-        what = "a YARP carrier that is not offered here" if name in _OTHERS or carrier else "unknown"
+        what = "not supported" if name in _OTHERS or carrier else "unknown"
         raise CarrierError(f"carrier {name[:60]!r} is {what}; use one of {known}")
     return carrier, qualifiers
 
 
 def recognise(opening: bytes | bytearray | memoryview) -> Carrier:
-    """The carrier that 8 first bytes choose; raises `CarrierError` for one not offered here, `WireError` for else."""
+    """Return the carrier of the first 8 bytes; raises `CarrierError` if unsupported, `WireError` for other bytes."""
     first = bytes(opening[:8])
     value = framed(first)
     if value is not None:
@@ -93,16 +93,16 @@ def recognise(opening: bytes | bytearray | memoryview) -> Carrier:
         if value >= _BASE and specifier in (0, 1):
             return MCAST if specifier else UDP
         other = _UNKNOWN_HERE.get(specifier, f"number {specifier}") if value >= _BASE else f"number {value}"
-        raise CarrierError(f"carrier {other} is not offered here; use one of {', '.join(CARRIERS)}")
+        raise CarrierError(f"carrier {other} is not supported; use one of {', '.join(CARRIERS)}")
     for carrier in (TEXT, TEXT_ACK, NAME_SER, LOCAL):
         if first == carrier.opening:
             return carrier
     if first.startswith(b"GET /") or first == b"POST /fo":
         return HTTP
-    raise WireError(f"no carrier begins with {first!r}; use one of {', '.join(CARRIERS)}")
+    raise WireError(f"unknown carrier {first!r}; use one of {', '.join(CARRIERS)}")
 
 
-LONGEST_NAME = 2048  # bytes of the longest sender name that is taken, its qualifiers among them
+LONGEST_NAME = 2048  # most bytes of a sender's name with its qualifiers
 _LENGTH = struct.Struct("<i")
 _PORT = struct.Struct(">H")
 _GROUP_SIZE = 6
@@ -114,22 +114,22 @@ Group = tuple[str, int]
 class Opening:
     """An initiator's introduction."""
 
-    carrier: Carrier  # chosen by the first 8 bytes
-    sender: str  # the name that the initiator gave
+    carrier: Carrier  # from the first 8 bytes
+    sender: str  # the initiator's name
     qualifiers: str  # what followed the name, such as ``(recv portmonitor) (type dll)``
-    size: int  # bytes of the introduction; what follows is the first message
-    group: Group | None = None  # with mcast the group's IPv4 address and UDP port
+    size: int  # bytes of the introduction; the first message follows
+    group: Group | None = None  # for mcast, the group's IPv4 address and UDP port
 
     @property
     def modifiers(self) -> set[str]:
-        """The keys of the qualifiers: ``recv`` and ``send`` say whose modifier of messages is wanted."""
+        """The keys of the qualifiers: ``recv`` and ``send`` select the end that modifies messages."""
         return {part.strip("() ").partition(" ")[0] for part in self.qualifiers.split(") (") if part}
 
 
 def opening(carrier: Carrier, sender: str, qualifiers: str = "", group: Group | None = None) -> bytes:
-    """The bytes with which a port introduces itself, with mcast with the group.
+    """Return a port's introduction, for mcast with the group.
 
-    ``qualifiers`` as in the carrier's name (``recv.portmonitor+type.dll``) go behind the sender's name.
+    ``qualifiers``, as in the carrier's name (``recv.portmonitor+type.dll``), follow the sender's name.
     """
     name = " ".join([sender, *(f"({key} {value})" for key, _, value in (q.partition(".") for q in _split(qualifiers)))])
     text = name.encode()
@@ -146,8 +146,8 @@ def _split(qualifiers: str) -> list[str]:
 def parse_opening(data: bytes | bytearray) -> Opening | None:
     """Read an initiator's introduction; None while bytes are missing.
 
-    The carriers ``http`` and ``name_ser`` have none beyond their first bytes: all of these belong to the request, and
-    ``size`` is 0. Raises `WireError` for a carrier that is not offered here, a bad length, a name too long or no text.
+    The carriers ``http`` and ``name_ser`` have no introduction: their first bytes belong to the request, and ``size``
+    is 0. Raises `WireError` for an unsupported carrier, an invalid length, or a name that is too long or not text.
     """
     if len(data) < 8:
         return None
@@ -171,7 +171,7 @@ def _binary_opening(carrier: Carrier, data: bytes | bytearray) -> Opening | None
         return None
     (length,) = _LENGTH.unpack_from(data, 8)
     if not 0 < length <= LONGEST_NAME:
-        raise WireError(f"the sender's name is announced with {length} bytes; 1 to {LONGEST_NAME} are possible")
+        raise WireError(f"invalid length {length} of the sender's name; expected 1 to {LONGEST_NAME} bytes")
     size = 12 + length + (_GROUP_SIZE if carrier is MCAST else 0)
     if len(data) < size:
         return None
@@ -180,10 +180,10 @@ def _binary_opening(carrier: Carrier, data: bytes | bytearray) -> Opening | None
 
 
 def _group(said: bytes) -> Group:
-    """The multicast group behind the sender's name: its address and, big-endian, its port (`McastCarrier.cpp`)."""
+    """Parse the multicast group after the sender's name: its address and its port, big-endian (`McastCarrier.cpp`)."""
     address, (port,) = ipaddress.IPv4Address(said[:4]), _PORT.unpack_from(said, 4)
     if not address.is_multicast or port == 0:
-        raise WireError(f"{address} port {port} is no multicast group, which mcast needs")
+        raise WireError(f"{address} port {port} is not a multicast group")
     return str(address), port
 
 
@@ -191,15 +191,15 @@ def _opening(carrier: Carrier, text: bytes, size: int, group: Group | None = Non
     try:
         name = text.decode()
     except UnicodeDecodeError as error:
-        raise WireError(f"the sender's name is no text: {text[:60]!r}") from error
+        raise WireError(f"the sender's name is not text: {text[:60]!r}") from error
     sender, _, qualifiers = name.partition(" (")
     if any(ord(c) < 32 for c in name):
-        raise WireError(f"the sender's name holds control characters: {name[:60]!r}")
+        raise WireError(f"the sender's name contains control characters: {name[:60]!r}")
     return Opening(carrier, sender, f"({qualifiers}" if qualifiers else "", size, group)
 
 
 def answer(opened: Opening, port: int) -> bytes:
-    """The acceptor's answer to an introduction, with its TCP port, with udp that for datagrams; with mcast nothing."""
+    """Return the answer to an introduction, with the TCP port, or for udp the UDP port; empty for mcast."""
     if opened.carrier in (TEXT, TEXT_ACK):
         return f"Welcome {opened.sender}\r\n".encode()
     if opened.carrier in (TCP, FAST_TCP, UDP):

@@ -1,8 +1,7 @@
-"""Messages in datagrams: each begins with its checksum and its number within the message.
+"""Messages in datagrams, each of which begins with a checksum and its number within the message.
 
-``uint32 zlib.crc32(all behind these four bytes and the number)``, ``int32 number`` (0, 1, 2, ... within one message),
-then a piece of the message. A number of -1 carries nothing. (``DgramTwoWayStream.cpp``; measured on udp and mcast of
-4.0)
+``uint32 zlib.crc32(piece)``, ``int32 number`` (0, 1, 2, ... within one message), then a piece of the message. A
+datagram with the number -1 is empty. (``DgramTwoWayStream.cpp``; measured on udp and mcast of 4.0)
 """
 
 from __future__ import annotations
@@ -15,12 +14,12 @@ from yarp_compat.wire import framing
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.framing import Buffer
 
-LARGEST = 65499  # bytes of a message in one datagram at most
+LARGEST = 65499  # most bytes of a message in one datagram
 _HEAD = struct.Struct("<Ii")
 
 
 def split(buffers: Sequence[Buffer]) -> Iterator[bytes]:
-    """The datagrams of a whole message given in pieces."""
+    """Yield the datagrams of a message given in pieces."""
     number = 0
     gathered: list[Buffer] = []
     room = LARGEST
@@ -38,12 +37,12 @@ def split(buffers: Sequence[Buffer]) -> Iterator[bytes]:
 
 
 def datagram(piece: bytes, number: int) -> bytes:
-    """One datagram."""
+    """Return one datagram."""
     return _HEAD.pack(zlib.crc32(piece), number) + piece
 
 
 class Assembler:
-    """Puts messages together from datagrams in order; one lost, late or doubled loses its message.
+    """Reassembly of messages from datagrams in order; a lost, late or duplicate datagram drops its message.
 
     ``spoiled`` counts wrong checksums, ``incomplete`` messages without their beginning or end.
     """
@@ -58,7 +57,7 @@ class Assembler:
         self.incomplete = 0
 
     def add(self, data: Buffer) -> bytes | None:
-        """Take a datagram; the message that it completes, or None. Raises `WireError` for nonsense, or too much."""
+        """Add a datagram; return the message that it completes, or None. Raises `WireError` if invalid or too large."""
         if len(data) < _HEAD.size:
             self.spoiled += 1
             return None
@@ -107,7 +106,7 @@ class Assembler:
         if len(came) < self._size:
             return None
         if len(came) > self._size:
-            raise WireError(f"datagrams of a message of {self._size} bytes hold {len(came)}")
+            raise WireError(f"the datagrams of a message of {self._size} bytes have {len(came)} bytes")
         self._came = bytearray()
         self._next, self._size = 0, 0
         return bytes(came)

@@ -1,6 +1,6 @@
-"""Reads and writes a typed value element by element: the list headers, tags and blocks of YARP's own classes.
+"""Reading and writing of typed values, element by element: list headers, tags and blocks of YARP's classes.
 
-The reader is as liberal as YARP's own, and as bounded as hostile bytes demand. Sources of the rules:
+The reader is as liberal as YARP's, and limits depth and sizes because of hostile input. Sources of the rules:
 `yarp/os/idl/WireReader.cpp`, `WireWriter.cpp`, `yarp/os/Bottle.h`, and captures of YARP 3.9.1, 3.12.3 and 4.0.
 """
 
@@ -22,10 +22,10 @@ _INTEGERS = {
 }  # fmt: skip
 _FLOAT32, _FLOAT64 = struct.Struct("<f"), struct.Struct("<d")
 _SIZES = {profile: sizes(profile) for profile in Profile}
-_TOP = -1  # outside of any list: elements have tags, and there may be any number of them
+_TOP = -1  # outside of any list: elements have tags, and their number is unlimited
 
 
-_REFERENCE = 4096  # blocks from this many bytes on are passed on uncopied
+_REFERENCE = 4096  # blocks of at least this size are not copied
 _TAGGED = {
     INT8: struct.Struct("<ib"), INT16: struct.Struct("<ih"), INT32: struct.Struct("<ii"), INT64: struct.Struct("<iq"),
 }  # fmt: skip
@@ -33,12 +33,11 @@ _TAGGED_FLOAT32, _TAGGED_FLOAT64 = struct.Struct("<if"), struct.Struct("<id")
 
 
 class ElementReader:
-    """A place (``at``) in a payload, whose tags are a profile's.
+    """A position (``at``) in a payload with the tags of a profile.
 
-    Every method takes what comes next, and raises :class:`WireError` where that is something else and
-    :class:`Incomplete` where the bytes end before it does. A call's outcome is read as ``generation`` writes it, by
-    default the profile's newest. ``left`` are the elements left in the list, below 0 outside of any; ``unit`` is the
-    tag of all its elements, 0 where each has its own.
+    Every method reads the next element, and raises `WireError` if that is of another type and `Incomplete` if the bytes
+    end early. A call's outcome is read in the format of ``generation``, by default the profile's newest. ``left`` is
+    the number of elements left in the list, negative outside of any; ``unit`` is the tag of all its elements, or 0.
     """
 
     __slots__ = ("_outer", "at", "data", "generation", "left", "profile", "unit")
@@ -54,20 +53,20 @@ class ElementReader:
 
     @property
     def reader(self) -> ElementReader:
-        """Itself: a connection to read from is one that has a reader."""
+        """This object, so that values can be read from it as from a connection."""
         return self
 
     @property
     def pending(self) -> int:
-        """Bytes left."""
+        """The number of bytes left."""
         return len(self.data) - self.at
 
     def begin(self) -> int:
-        """Open a list, which is also the next element of the one around it; returns how many elements it has."""
+        """Enter a list, which is the next element; return its number of elements."""
         if self.unit:
-            raise WireError(f"a list cannot be in a list of tag {self.unit} at byte {self.at}")
+            raise WireError(f"expected an element of tag {self.unit} at byte {self.at}, not a list")
         if len(self._outer) >= MAX_DEPTH:
-            raise WireError(f"more than {MAX_DEPTH} lists within lists at byte {self.at}")
+            raise WireError(f"lists are nested deeper than {MAX_DEPTH} at byte {self.at}")
         at = self.at
         code, count = self.raw(_TWO_INT32)
         if not code & LIST or code & DICT:
@@ -82,26 +81,26 @@ class ElementReader:
         return int(count)
 
     def end(self) -> None:
-        """Leave the list; raises `WireError` where elements are left in it."""
+        """Leave the list; raises `WireError` if elements are left in it."""
         if self.left:
             raise WireError(f"{self.left} elements too many in the list that ends before byte {self.at}")
         self.unit, self.left = self._outer.pop()
 
     def leave(self) -> None:
-        """Leave the list whatever is left in it."""
+        """Leave the list, even if elements are left in it."""
         self.unit, self.left = self._outer.pop()
 
     def finish(self) -> None:
-        """Check that nothing is left."""
+        """Raise `WireError` if bytes are left."""
         if self.pending:
             raise WireError(f"{self.pending} bytes after the end, at byte {self.at}")
 
     def next_tag(self) -> int:
-        """The tag of what comes next, which is not taken."""
+        """Return the tag of the next element without reading it."""
         return self.unit or int(self._look(_INT32, self.at)[0])
 
     def integer(self) -> int:
-        """An integer of any size, or the number of a vocab."""
+        """Read an integer of any size, or the number of a vocab."""
         tag = self._tag()
         layout = _INTEGERS.get(tag)
         if layout is None:
@@ -109,7 +108,7 @@ class ElementReader:
         return int(self.raw(layout)[0])
 
     def float64(self) -> float:
-        """A number of any type."""
+        """Read a number of any type."""
         tag = self._tag()
         if tag == self.profile.float64_tag:
             return float(self.raw(_FLOAT64)[0])
@@ -121,14 +120,14 @@ class ElementReader:
         return float(self.raw(layout)[0])
 
     def boolean(self) -> bool:
-        """A truth, told by an integer or a vocab: anything but 0 and ``[fail]``."""
+        """Read an integer or vocab as a bool: true except for 0 and ``[fail]``."""
         tag = self._tag()
         if tag not in (INT32, VOCAB32):
-            raise self._wrong("a truth", tag)
+            raise self._wrong("a bool", tag)
         return bytes(self.block(4)) not in (b"\0\0\0\0", b"fail")
 
     def word(self) -> str:
-        """A vocab or a string: whoever types a call by hand writes either."""
+        """Read a vocab or a string: people who type a call use either."""
         tag = self._tag()
         if tag == VOCAB32:
             return bytes(self.block(4)).rstrip(b"\0").decode("latin-1")
@@ -137,7 +136,7 @@ class ElementReader:
         raise self._wrong("a word", tag)
 
     def blob(self) -> memoryview:
-        """Bytes with their count, uncopied."""
+        """Read a blob, without a copy."""
         tag = self._tag()
         if tag != BLOB:
             raise self._wrong("a blob", tag)
@@ -146,23 +145,23 @@ class ElementReader:
     string = word
 
     def element(self) -> int:
-        """Where the next element begins, which is taken apart elsewhere: its end then becomes ``at``."""
+        """Return the position of the next element; the caller decodes it and sets ``at`` to its end."""
         self._count()
         return self.at
 
     def raw(self, layout: struct.Struct) -> tuple[Any, ...]:
-        """Numbers in a fixed layout."""
+        """Read numbers in a fixed layout."""
         found = self._look(layout, self.at)
         self.at += layout.size
         return found
 
     def untagged(self, layout: struct.Struct) -> tuple[Any, ...]:
-        """An element in a fixed layout that has no tag, where it should have one."""
+        """Read an element in a fixed layout without a tag."""
         self._count()
         return self.raw(layout)
 
     def block(self, size: int) -> memoryview:
-        """Bytes as they are, uncopied."""
+        """Read raw bytes, without a copy."""
         at, end = self.at, self.at + size
         if end > len(self.data):
             raise Incomplete(f"{size} bytes expected at byte {at}, but {self.pending} are left")
@@ -170,7 +169,7 @@ class ElementReader:
         return self.data[at:end]
 
     def numbers(self) -> tuple[int, int, memoryview | None]:
-        """Elements' tag, count, and bytes of a list of one type; None, and the list open, where elements have tags."""
+        """Read a list of one type: tag, count and bytes; bytes are None, and the list stays open, if it is mixed."""
         count = self.begin()
         tag = self.unit
         size = _SIZES[self.profile].get(tag)
@@ -213,7 +212,7 @@ class ElementReader:
 
 
 class ElementWriter:
-    """Collects the bytes of a payload; without a generation, outcomes are written as the profile's newest does."""
+    """A buffer for a payload; without a generation, outcomes have the format of the profile's newest."""
 
     __slots__ = ("_done", "_tail", "generation", "profile")
 
@@ -225,86 +224,86 @@ class ElementWriter:
 
     @property
     def writer(self) -> ElementWriter:
-        """Itself: a connection to write to is one that has a writer."""
+        """This object, so that values can be written to it as to a connection."""
         return self
 
     def begin(self, count: int, tag: int = 0) -> None:
-        """Open a list of so many elements, with their tag where all have the same and so do not repeat it."""
+        """Begin a list of ``count`` elements, with their tag if all have the same, which is then not repeated."""
         self._tail += _TWO_INT32.pack(LIST | tag, count)
 
     def integer(self, value: int, tag: int = INT32, *, tagged: bool = True) -> None:
-        """An integer of a tag's size, unsigned ones by bits; raises `WireError` where it is none or does not fit."""
+        """Write an integer of a tag's size, unsigned ones as bits; raises `WireError` if it does not fit."""
         try:
             size = _INTEGERS[tag].size
             if value > 0 and value >> (8 * size - 1) == 1:
                 value -= 1 << 8 * size
             self._tail += _TAGGED[tag].pack(tag, value) if tagged else _INTEGERS[tag].pack(value)
         except (struct.error, TypeError) as error:
-            raise WireError(f"{value!r} is no integer of {8 * _INTEGERS[tag].size} bits") from error
+            raise WireError(f"{value!r} is not an integer of {8 * _INTEGERS[tag].size} bits") from error
 
     def float64(self, value: float, *, tagged: bool = True) -> None:
-        """A float of eight bytes."""
+        """Write a float of eight bytes."""
         try:
             if tagged:
                 self._tail += _TAGGED_FLOAT64.pack(self.profile.float64_tag, value)
             else:
                 self._tail += _FLOAT64.pack(value)
         except (struct.error, OverflowError) as error:
-            raise WireError(f"{value!r} is no number") from error
+            raise WireError(f"{value!r} is not a number") from error
 
     def float32(self, value: float, *, tagged: bool = True) -> None:
-        """A float of four bytes."""
+        """Write a float of four bytes."""
         try:
             if tagged:
                 self._tail += _TAGGED_FLOAT32.pack(self.profile.float32_tag, value)
             else:
                 self._tail += _FLOAT32.pack(value)
         except (struct.error, OverflowError) as error:
-            raise WireError(f"{value!r} is no float of four bytes") from error
+            raise WireError(f"{value!r} is not a float of four bytes") from error
 
     def boolean(self, value: object, *, tagged: bool = True) -> None:
-        """A truth as generated code writes it: ``[ok]`` or ``[fail]``."""
+        """Write a bool as YARP's generated code does: ``[ok]`` or ``[fail]``."""
         self.vocab("ok" if value else "fail", tagged=tagged)
 
     def vocab(self, word: str, *, tagged: bool = True) -> None:
-        """A word of up to four one-byte characters; raises `WireError` for any other."""
+        """Write a word of up to four one-byte characters; raises `WireError` for others."""
         try:
             encoded = word.encode("latin-1")
         except (UnicodeEncodeError, AttributeError):
             encoded = b"none!"
         if len(encoded) > 4:
-            raise WireError(f"{word!r} is no vocab: it has up to four one-byte characters")
+            raise WireError(f"{word!r} is not a vocab of up to four one-byte characters")
         if tagged:
             self._tail += b"\x09\0\0\0"
         self._tail += encoded.ljust(4, b"\0")
 
     def string(self, text: str, *, tagged: bool = True) -> None:
-        """A text in UTF-8; surrogate escapes become the bytes they stand for."""
+        """Write a text as UTF-8; surrogate escapes become their original bytes."""
         try:
             encoded = text.encode("utf-8", "surrogateescape")
         except (UnicodeEncodeError, AttributeError) as error:
-            raise WireError(f"{text!r:.60} is no text that can be written") from error
+            raise WireError(f"cannot encode {text!r:.60} as text") from error
         if tagged:
             self._tail += b"\x04\0\0\0"
         self._tail += _INT32.pack(len(encoded))
         self._tail += encoded
 
     def blob(self, data: Buffer, *, tagged: bool = True) -> None:
-        """Bytes with their count."""
+        """Write a blob."""
         if tagged:
             self._tail += b"\x0c\0\0\0"
         self._tail += _INT32.pack(memoryview(data).nbytes)
         self.block(data)
 
     def raw(self, layout: struct.Struct, *values: Any) -> None:
-        """Numbers in a fixed layout, with the tags that they have; raises `WireError` where one does not fit."""
+        """Write numbers and tags in a fixed layout; raises `WireError` if one does not fit."""
         try:
             self._tail += layout.pack(*values)
         except struct.error as error:
             raise WireError(f"{values} do not fit {layout.format!r}: {error}") from error
 
     def block(self, data: Buffer) -> None:
-        """Bytes as they are; large ones are passed on uncopied, so they must stay as they are until they are sent."""
+        """Write raw bytes; large blocks are not copied, so they must not change until they are sent."""
         if memoryview(data).nbytes < _REFERENCE:
             self._tail += data
             return
@@ -314,9 +313,9 @@ class ElementWriter:
         self._done.append(data)
 
     def buffers(self) -> list[Buffer]:
-        """The written bytes, in pieces."""
+        """Return the written bytes, in pieces."""
         return [*self._done, self._tail] if self._tail or not self._done else list(self._done)
 
     def payload(self) -> bytes:
-        """The written bytes, in one piece."""
+        """Return the written bytes, in one piece."""
         return b"".join((*self._done, self._tail)) if self._done else bytes(self._tail)

@@ -1,15 +1,15 @@
-"""Errors in bytes or texts from the network."""
+"""Errors of the conversion between values and bytes or text."""
 
 from __future__ import annotations
 
 
 class WireError(ValueError):
-    """Bytes that are no YARP message, or values that no YARP message can hold; the text says what and where."""
+    """Bytes are not a valid YARP message, or values cannot be encoded; the message names the value and position."""
 
 
-class Incomplete(WireError):  # noqa: N818 - it need not be an error: more may come
+class Incomplete(WireError):  # noqa: N818 - not necessarily an error: more bytes may arrive
     """The bytes end before the message does."""
 
 
 class TooLargeError(WireError):
-    """A message announces more bytes than are taken."""
+    """A message is larger than the limit."""

@@ -1,11 +1,11 @@
 """The frame of messages on a connection: the index, the command to the port, the payload, the acknowledgement.
 
-A message on tcp is ``YA 10 RP``, the number of blocks to the acceptor and back (1 byte each), 8 bytes of 0xff, an int32
-length for each block (back: 0), then the blocks, which belong together.
+A message on tcp is ``YA 10 RP``, the numbers of blocks to the acceptor and of the reply (1 byte each), 8 bytes of 0xff,
+an int32 length for each block (0 for the reply's), then the blocks, whose concatenation is the content.
 
 Every message begins with a command: data, an administrative message, a request to connect, and so on. In binary: int32
-length of a text (with its NUL), ``~``, the key, 0, 1, and that text where there is one; a text's first character is
-then the key. As text: one line, whose first character is the key.
+length of a text (with its NUL), ``~``, the key, 0, 1, and the text, if any, whose first character is then the key. As
+text: one line, whose first character is the key.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from yarp_compat.wire.errors import TooLargeError, WireError
 
 _HEAD = struct.Struct("<isBBB")
 
-LONGEST_TEXT = 4096  # bytes of the longest envelope or command
+LONGEST_TEXT = 4096  # most bytes of an envelope or command
 
 
 @dataclass(frozen=True, slots=True)
 class PortCommand:
-    """One word to a port: its first character, the key, tells what it is (``d``, ``D``: data, ``a``, ``q``, ``*``...).
+    """A command to a port: its first character, the key, is its type (``d``, ``D``: data, ``a``, ``q``, ``*``...).
 
-    ``text`` is all of it, where it is longer than its key.
+    ``text`` is the whole command, if it is longer than its key.
     """
 
     key: str
@@ -34,12 +34,12 @@ class PortCommand:
 
     @property
     def envelope(self) -> str:
-        """The envelope of a message of data."""
+        """The envelope of a data message."""
         return self.text[2:]
 
 
 def command_bytes(key: str, text: str = "") -> bytes:
-    """A command's bytes; ``text`` must begin with the key (``D 12 1795143618.02``)."""
+    """Encode a command; ``text`` must begin with the key (``D 12 1795143618.02``)."""
     if not text:
         return _HEAD.pack(0, b"~", ord(key), 0, 1)
     told = text.encode()
@@ -47,18 +47,18 @@ def command_bytes(key: str, text: str = "") -> bytes:
 
 
 def with_envelope(key: str, envelope: str) -> bytes:
-    """A command for data with an envelope; without one where that is empty."""
+    """Encode a data command with an envelope, which may be empty."""
     return command_bytes(key, f"{key} {envelope}") if envelope else command_bytes(key)
 
 
 def parse_command(data: Buffer, offset: int = 0, end: int | None = None) -> tuple[PortCommand, int]:
-    """A command in binary, and where the data behind it begin; raises `WireError` where it is none, or too long."""
+    """Decode a binary command; return it and the start of the data. Raises `WireError` if invalid or too long."""
     end = len(data) if end is None else end
     if end - offset < _HEAD.size:
-        raise WireError(f"a port command takes 8 bytes and {end - offset} came")
+        raise WireError(f"a port command needs 8 bytes, not {end - offset}")
     length, mark, key, _, _ = _HEAD.unpack_from(data, offset)
     if mark != b"~":
-        raise WireError(f"no port command: {bytes(data[offset : offset + 8])!r}")
+        raise WireError(f"invalid port command: {bytes(data[offset : offset + 8])!r}")
     offset += _HEAD.size
     if key:
         return PortCommand(chr(key)), offset
@@ -66,14 +66,14 @@ def parse_command(data: Buffer, offset: int = 0, end: int | None = None) -> tupl
     stop = told.find(b"\0")
     if stop < 0:
         raise WireError(
-            f"a port command's text of {length} bytes has no end in its message, or in {LONGEST_TEXT} bytes"
+            f"a port command's text of {length} bytes is not terminated in its message, or in {LONGEST_TEXT} bytes"
         )
     text = _text(told[:stop])
     return PortCommand(text[:1], text), offset + stop + 1
 
 
 def parse_command_line(line: bytes) -> PortCommand:
-    """Read a command in text."""
+    """Decode a text command."""
     text = _text(line)
     return PortCommand(text[:1], text)
 
@@ -82,7 +82,7 @@ def _text(data: bytes) -> str:
     try:
         return data.decode()
     except UnicodeDecodeError as error:
-        raise WireError(f"a port command is no text: {data[:60]!r}") from error
+        raise WireError(f"a port command is not text: {data[:60]!r}") from error
 
 
 HELP = (
@@ -105,7 +105,7 @@ Buffer = bytes | bytearray | memoryview
 
 INDEX = frame(10)
 ACK = frame(0)
-DEFAULT_LIMIT = 64 << 20  # bytes of the largest message that is taken unless another limit is given
+DEFAULT_LIMIT = 64 << 20  # most bytes of a message by default
 
 _FILL = b"\xff" * 8
 _START = INDEX + b"\x02\x01" + _FILL
@@ -113,20 +113,20 @@ HEAD_SIZE = 18
 _TWO_BLOCKS = struct.Struct("<18sIIi")
 _QUIT = command_bytes("", "q")
 QUIT = INDEX + b"\x01\x01" + _FILL + struct.pack("<ii", len(_QUIT), 0) + _QUIT
-"""The message that ends a connection politely."""
+"""The message that closes a connection."""
 
-JOINED = 1 << 14  # bytes up to which buffers are put together: cheaper than to hand the system several
+JOINED = 1 << 14  # buffers up to this size are joined, which is cheaper than sending several
 
 _DATA = {key: command_bytes(key) for key in "dDa"}
 
 
 def acknowledgement(slack: int) -> bytes:
-    """An acknowledgement with so many bytes behind it, which it tells its reader to pass over."""
+    """Return an acknowledgement followed by ``slack`` bytes, which it asks its reader to skip."""
     return frame(slack) + bytes(slack)
 
 
 def size(payload: Buffer | Sequence[Buffer]) -> int:
-    """Bytes of a payload in one or several buffers."""
+    """Return the size in bytes of a payload in one or several buffers."""
     if isinstance(payload, (bytes, bytearray)):
         return len(payload)
     if isinstance(payload, memoryview):
@@ -135,43 +135,43 @@ def size(payload: Buffer | Sequence[Buffer]) -> int:
 
 
 def prefix(length: int, key: str = "D", envelope: str = "") -> bytes:
-    """All that comes before a payload of ``length`` bytes."""
+    """Return the index and command for a payload of ``length`` bytes."""
     word = with_envelope(key, envelope) if envelope else _DATA.get(key) or command_bytes(key)
     return _TWO_BLOCKS.pack(_START, len(word), length, 0) + word
 
 
 def words(text: str) -> bytes:
-    """A message that is only a command, such as ``q`` or ``/reader``."""
+    """Return a message with only a command, such as ``q`` or ``/reader``."""
     word = command_bytes("", text)
     return INDEX + b"\x01\x01" + _FILL + struct.pack("<ii", len(word), 0) + word
 
 
 def index_size(head: Buffer, offset: int = 0) -> int:
-    """The size of the index whose first 18 bytes stand at ``offset``; raises `WireError` where none stands there."""
+    """Return the size of the index, given its first 18 bytes at ``offset``; raises `WireError` if invalid."""
     value = framed(head, offset)
     if value != 10:
-        raise WireError(f"no message begins with {bytes(head[offset : offset + 8])!r}")
+        raise WireError(f"invalid message header {bytes(head[offset : offset + 8])!r}")
     return HEAD_SIZE + 4 * (head[offset + 8] + head[offset + 9])
 
 
 def body_size(index: Buffer, offset: int = 0, limit: int = DEFAULT_LIMIT) -> int:
-    """The bytes behind a whole index; raises `WireError` for a negative length, or more than ``limit``."""
+    """Return the number of bytes after an index; raises `WireError` for a negative length, or beyond ``limit``."""
     blocks = index[offset + 8]
     lengths = struct.unpack_from(f"<{blocks}i", index, offset + HEAD_SIZE)
     total: int = sum(lengths)
     if lengths and min(lengths) < 0:
         raise WireError(f"a message announces a block of {min(lengths)} bytes")
     if total > limit:
-        raise TooLargeError(f"a message announces {total} bytes; at most {limit} are taken")
+        raise TooLargeError(f"a message announces {total} bytes; the limit is {limit}")
     return total
 
 
 def parse(data: Buffer, limit: int = DEFAULT_LIMIT) -> tuple[PortCommand, Buffer]:
-    """Read exactly one whole message: its command and its payload; raises `WireError` for anything else."""
+    """Decode exactly one message into command and payload; raises `WireError` for anything else."""
     if len(data) < HEAD_SIZE or len(data) < (start := index_size(data)):
-        raise WireError(f"{len(data)} bytes hold no whole index")
+        raise WireError(f"incomplete index in {len(data)} bytes")
     total = body_size(data, 0, limit)
     if len(data) != start + total:
-        raise WireError(f"a message announces {start + total} bytes and {len(data)} came")
+        raise WireError(f"a message announces {start + total} bytes, not {len(data)}")
     word, body = parse_command(data, start, start + total)
     return word, data[body:]

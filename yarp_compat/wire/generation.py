@@ -126,7 +126,7 @@ class Findings:
     def __init__(self) -> None:
         self._known: dict[tuple[str, PeerAddress], tuple[str, ReleaseFinding]] = {}  # with the port that disclosed it
         self._trials: dict[str, Trial] = {}
-        self._processes: dict[str, str] = {}  # of devices
+        self._processes: dict[str, str] = {}  # by device
         self._lock = threading.Lock()
 
     def get(self, peer: str, link: PeerAddress = _NOWHERE) -> ReleaseFinding | None:
@@ -172,7 +172,7 @@ class Findings:
             self._trials.pop(device, None)
 
     def drop(self, peer: str, link: PeerAddress = _NOWHERE) -> None:
-        """Forget what came of this port; what other ports of the device disclosed stays."""
+        """Discard this port's finding; findings from other ports of the device stay."""
         key = _key(peer, link)
         with self._lock:
             if key in self._known and self._known[key][0] == peer:
@@ -186,11 +186,11 @@ def _key(peer: str, link: PeerAddress) -> tuple[str, PeerAddress]:
 
 
 class Generations:
-    """Decides for each connection, and remembers what its client disclosed."""
+    """The decisions for all connections, with the facts that their clients disclosed."""
 
     def __init__(
         self,
-        default: Generation | None = None,  # of all clients on this name server, if a setting gives it
+        default: Generation | None = None,  # for all clients on this name server, if configured
         # patterns of port names (``/cer/*``) with their generations; the first match counts
         rules: Sequence[tuple[str, Generation]] = (),
         *,
@@ -212,7 +212,7 @@ class Generations:
         self._hinted = set()
 
     def introduced(self, peer: str, profile: Profile | None = None, link: PeerAddress = _NOWHERE) -> None:
-        """Note that the client asked for the protocol's version, as clients of 4.0 do, and some of 3.12."""
+        """Record that the client asked for the protocol's version, as clients of 4.0 do, and some of 3.12."""
         asked = "it asked for the protocol's version"
         if profile is Profile.YARP3:
             reason = f"{asked}, and is of YARP 3, of which only 3.12 does"
@@ -221,7 +221,7 @@ class Generations:
             self._remember(link, GenerationDecision(peer, Generation.YARP_4, f"{asked}, as clients of 4.0 do"))
 
     def recognised(self, peer: str, profile: Profile, link: PeerAddress = _NOWHERE) -> None:
-        """Note that the client wrote bytes of this profile only; that overrides even an introduction.
+        """Record that the client wrote bytes of this profile only; that overrides even an introduction.
 
         (Clients of custom services may introduce themselves in 3.12 too.)
         """
@@ -229,7 +229,7 @@ class Generations:
             self._remember(link, self._by_bytes(peer, profile))
 
     def called(self, peer: str, method: str, since: Generation, link: PeerAddress = _NOWHERE) -> None:
-        """Note that the client, of YARP 3, called a method that releases before ``since`` lack."""
+        """Record that the client, of YARP 3, called a method that releases before ``since`` lack."""
         if not self.of(peer, link=link).sure:
             self._remember(link, GenerationDecision(peer, since, f"it called {method}, which came with {since.value}"))
 
@@ -271,7 +271,7 @@ class Generations:
         return GenerationDecision(peer, generation, reason, self._cure.format(peer=peer))
 
     def connected(self, peer: str, carrier: str, link: PeerAddress = _NOWHERE) -> None:
-        """Note a new connection: forget the client of an earlier one, and use the carrier as a hint.
+        """Record a new connection: discard an earlier client's facts, and use the carrier as a hint.
 
         ``map2D_nwc_yarp`` connects by tcp by default up to 3.9, later by fast_tcp (``map2D_nwc_yarp_params.md``).
         """
@@ -290,7 +290,7 @@ class Generations:
         return is_new
 
     def forget(self, peer: str, link: PeerAddress = _NOWHERE) -> None:
-        """Forget a client whose connection began or ended; the next one may have another release."""
+        """Discard the facts about a client whose connection began or ended; the next may have another release."""
         with self._lock:
             self._disclosed.pop((peer, link), None)
             self._inspected.discard((peer, link))

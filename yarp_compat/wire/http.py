@@ -1,4 +1,4 @@
-"""The part of HTTP that a port speaks with browsers and curl."""
+"""The subset of HTTP that ports use with browsers and curl."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _ALWAYS = "Connection: close\r\nX-Content-Type-Options: nosniff\r\n"
 class PageRequest:
     """A browser's request.
 
-    ``target`` is the address as written, ``path`` that without slash and query; a form's fields join the query's; a
-    body of ``length`` bytes follows; ``foreign``: a page of another site asks, in a user's name.
+    ``target`` is the address as sent, ``path`` without slash and query; a form's fields are added to the query; a body
+    of ``length`` bytes follows; ``foreign``: the request comes from another site's page.
     """
 
     target: str
@@ -33,24 +33,24 @@ class PageRequest:
     foreign: bool
 
     def with_form(self, body: bytes) -> PageRequest:
-        """The same with the fields of a form."""
+        """Return the request with the fields of a form."""
         fields = {**self.query, **_fields(body.decode(errors="replace"))}
         return PageRequest(self.target, self.path, fields, 0, self.foreign)
 
 
 def parse(head: bytes) -> PageRequest:
-    r"""Read a request: all up to its empty line; raises `WireError` where it cannot be understood."""
+    r"""Parse a request up to its empty line; raises `WireError` if invalid."""
     lines = head.decode("latin-1").replace("\r\n", "\n").split("\n")
     words = lines[0].split(" ")
     if len(words) < 2 or words[0] not in ("GET", "POST") or not words[1].startswith("/"):
-        raise WireError(f"no request for a page: {lines[0][:60]!r}")
+        raise WireError(f"invalid request: {lines[0][:60]!r}")
     headers = {}
     for line in lines[1:]:
         name, _, value = line.partition(":")
         headers[name.strip().lower()] = value.strip()
     told = headers.get("content-length", "0")
     if not told.isascii() or not told.isdigit() or int(told[:10]) > LONGEST_BODY:
-        raise WireError(f"a form of {told[:20]!r} bytes; at most {LONGEST_BODY} are taken")
+        raise WireError(f"a form of {told[:20]!r} bytes; the limit is {LONGEST_BODY}")
     origin = headers.get("origin", "")
     foreign = bool(origin) and not origin.endswith("//" + headers.get("host", ""))
     foreign = foreign or headers.get("sec-fetch-site") == "cross-site"
@@ -62,11 +62,11 @@ def _split(target: str) -> tuple[str, dict[str, str]]:
     try:
         parts = urlsplit("http://port" + target)
     except ValueError as error:
-        raise WireError(f"no address of a page: {target[:60]!r}") from error
+        raise WireError(f"invalid address: {target[:60]!r}") from error
     path = parts.path[1:]
     query = _fields(parts.query)
     key, found, value = path.partition("=")
-    if found and key in ("data", "req", "admin"):  # YARP's own pages link to /data=list
+    if found and key in ("data", "req", "admin"):  # YARP's pages link to /data=list
         return "", {**query, key: unquote_plus(value)}
     return unquote_plus(path), query
 
@@ -75,19 +75,19 @@ def _fields(text: str) -> dict[str, str]:
     try:
         return dict(parse_qsl(text, keep_blank_values=True, max_num_fields=_MOST_FIELDS))
     except ValueError as error:
-        raise WireError(f"a form of more than {_MOST_FIELDS} fields, or none that can be read") from error
+        raise WireError(f"the form is invalid, or has more than {_MOST_FIELDS} fields") from error
 
 
 _MARKS = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "'": "&#x27;"})
 
 
 def _escaped(text: str) -> str:
-    """Text as it stands in HTML, also in quotes; Python's own ``html`` brings a table of 2,000 names along."""
+    """Escape text for HTML, also in quotes; Python's ``html`` would import a table of 2,000 names."""
     return text.translate(_MARKS)
 
 
 def response(body: bytes, mime: str = "text/html; charset=utf-8", status: str = "200 OK") -> bytes:
-    """A whole answer."""
+    """Return a complete response."""
     kind = "".join(c for c in mime if c.isprintable())
     head = f"HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\n{_ALWAYS}\r\n"
     return head.encode("latin-1", errors="replace") + body
@@ -97,7 +97,7 @@ STREAM_HEAD = (
     b"HTTP/1.1 200 OK\r\nContent-Type: text/plain; charset=utf-8\r\nTransfer-Encoding: chunked\r\n"
     b"Cache-Control: no-store\r\n\r\n"
 )
-"""Before the chunks of what a port writes."""
+"""The response header before the chunks with a port's messages."""
 STREAM_END = b"0\r\n\r\n"
 
 
@@ -105,7 +105,7 @@ _LINKS = (("/", "connections"), ("/data=help", "help"), ("/r", "read"))
 
 
 def page(name: str, lines: Sequence[str], names: PortContact | None = None) -> bytes:
-    """A page about a port: links, a form for a message, and lines, in which places of ports become links."""
+    """Return a page about a port: links, a form for a message, and lines, in which ports' addresses become links."""
     body = "\n".join(_linked(line) for line in lines)
     told = _escaped(name)
     known = [(f"http://{names.host}:{names.port}/data=list", "All ports")] if names else []
@@ -130,7 +130,7 @@ def _linked(line: str) -> str:
 
 
 def as_json(values: Sequence[Any], outer: str = "auto") -> bytes:
-    """A Bottle as JSON, by YARP's rules: lists of (key value), perhaps behind a word, are objects, others arrays."""
+    """Convert a Bottle to JSON by YARP's rules: lists of (key value), optionally after a word, become objects."""
     return json.dumps(_plain(values, outer), default=str).encode()
 
 
@@ -147,7 +147,7 @@ def _plain(value: Any, outer: str = "auto") -> Any:
 
 
 def _struct(values: Sequence[Any], outer: str) -> Any:
-    """A list: an object where it says ``dict`` first or looks like one, else an array."""
+    """Convert a list to an object if it begins with ``dict`` or looks like one, else to an array."""
     first = values[0] if values and isinstance(values[0], str) else ""
     if first in ("list", "dict"):
         outer, values, first = first, values[1:], ""

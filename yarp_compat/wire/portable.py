@@ -1,4 +1,4 @@
-"""The base of every typed value: bytes in either profile, text, and YARP's own read and write."""
+"""The base of all typed values: conversion to bytes in either profile and to text, and YARP's read and write."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class ReaderHolder(Protocol):
 
     @property
     def reader(self) -> ElementReader:
-        """Where the value begins."""
+        """The reader at the start of the value."""
 
 
 class WriterHolder(Protocol):
@@ -26,64 +26,64 @@ class WriterHolder(Protocol):
 
     @property
     def writer(self) -> ElementWriter:
-        """Where the value goes."""
+        """The writer to append the value to."""
 
 
 class PortReader:
-    """Derive from it to take messages as they come: ``port.setReader(reader)``."""
+    """The base class of message callbacks: ``port.setReader(reader)``."""
 
     def read(self, connection: Any) -> bool:
-        """Take one message; it may answer by ``connection.getWriter()``. False where it could not use the message.
+        """Handle a message, and reply with ``connection.getWriter()`` if wanted; return False if it is not usable.
 
-        ``connection`` is a `ConnectionReader`; an invalid one (``connection.isValid()``) means the end.
+        ``connection`` is a `ConnectionReader`; an invalid one (``connection.isValid()``) means that the port closes.
         """
         raise NotImplementedError(f"{type(self).__name__} has no read")
 
     def getReadType(self) -> Type:
-        """The kind of data that it reads."""
+        """Return the type of data that it reads."""
         return Type()
 
 
 class PortWriter:
-    """What can be written to a connection."""
+    """The base class of objects that can be written to a connection."""
 
     def write(self, connection: Any) -> bool:
-        """Put it on a connection, a `ConnectionWriter`; False where it cannot be written."""
+        """Write this to a connection, a `ConnectionWriter`; return False if it cannot be written."""
         raise NotImplementedError(f"{type(self).__name__} has no write")
 
     def getWriteType(self) -> Type:
-        """The kind of data that it writes."""
+        """Return the type of data that it writes."""
         return Type()
 
     def onCommencement(self) -> None:
-        """Nothing to do: called by YARP before it is written."""
+        """Do nothing; YARP calls it before writing."""
 
     def onCompletion(self) -> None:
-        """Nothing to do: called by YARP when it was written."""
+        """Do nothing; YARP calls it after writing."""
 
 
 class Portable(PortReader, PortWriter):
-    """A value that crosses ports."""
+    """The base class of values that ports send and receive."""
 
-    TYPE: ClassVar[str] = ""  # the name under which YARP's ports announce it; empty where YARP has none
+    TYPE: ClassVar[str] = ""  # the type name that YARP's ports announce; empty if there is none
 
     def _write(self, out: ElementWriter) -> None:
-        """Put the value's elements on the wire."""
+        """Write the value's elements."""
         raise NotImplementedError(f"{type(self).__name__} has no elements")
 
     def _read(self, source: ElementReader) -> None:
-        """Become what comes next; raises `WireError` where it is something else, and stays what it was."""
+        """Read the value's elements; raises `WireError`, and leaves the value unchanged, for other types."""
         raise NotImplementedError(f"{type(self).__name__} has no elements")
 
     def getReadType(self) -> Type:
-        """The kind of data that it is."""
+        """Return the type of the value."""
         return Type(self.TYPE)
 
     getWriteType = getType = getReadType
 
     @staticmethod
     def copyPortable(writer: Portable, reader: Portable) -> bool:
-        """Have one value become another by what it is on the wire; False where it cannot."""
+        """Copy a value into another through its bytes; return False if the types do not match."""
         try:
             reader.from_wire(writer.to_bytes())
         except WireError:
@@ -91,21 +91,21 @@ class Portable(PortReader, PortWriter):
         return True
 
     def to_wire(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> list[Buffer]:
-        """The value's bytes in pieces, large arrays uncopied: they must stay unchanged until they are sent."""
+        """Encode the value in pieces, without copies of large arrays, which must not change until they are sent."""
         out = ElementWriter(profile, generation)
         self._write(out)
         return out.buffers()
 
     def to_bytes(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> bytes:
-        """The value's bytes in one piece; raises `WireError` where it does not fit YARP's type."""
+        """Encode the value; raises `WireError` if it does not fit YARP's type."""
         out = ElementWriter(profile, generation)
         self._write(out)
         return out.payload()
 
     def from_wire(self, data: Buffer, profile: Profile | None = None) -> None:
-        """Become what a whole payload holds; arrays stay views into it. Without a profile YARP 3 is tried, then 4.
+        """Decode a whole payload into this value; arrays are views of it. Without a profile, tries YARP 3, then 4.
 
-        Raises `WireError` where it is something else; the value stays what it was.
+        Raises `WireError` for other types, and leaves the value unchanged.
         """
         if profile is not None:
             self._whole(data, profile)
@@ -120,29 +120,29 @@ class Portable(PortReader, PortWriter):
 
     @classmethod
     def from_bytes(cls, payload: Buffer, profile: Profile | None = None) -> Self:
-        """A value from a whole payload, see :meth:`from_wire`."""
+        """Decode a whole payload into a new value, like `from_wire`."""
         value = cls()
         value.from_wire(payload, profile)
         return value
 
     def to_values(self) -> list[Any]:
-        """The value as a Bottle's content."""
+        """Return the value as a Bottle's content."""
         return binary.decode(self.to_bytes(Profile.YARP4), Profile.YARP4)
 
     def from_values(self, values: list[Any]) -> None:
-        """Become what a Bottle of this content holds; raises `WireError` as `from_wire`."""
+        """Decode a Bottle's content into this value; raises `WireError` like `from_wire`."""
         self.from_wire(binary.encode(values, Profile.YARP4), Profile.YARP4)
 
     def to_text(self) -> str:
-        """The value as a line of a text carrier."""
+        """Return the value as a line for text carriers."""
         return text.to_text(self.to_values())
 
     def from_text(self, line: str) -> None:
-        """Become what a line of a text carrier says; raises `WireError` as `from_wire`."""
+        """Decode a line of a text carrier into this value; raises `WireError` like `from_wire`."""
         self.from_values(text.from_text(line))
 
     def write(self, connection: WriterHolder) -> bool:
-        """Put the value on a connection; False where it cannot be written."""
+        """Write the value to a connection; return False if it cannot be encoded."""
         try:
             self._write(connection.writer)
         except WireError:
@@ -150,7 +150,7 @@ class Portable(PortReader, PortWriter):
         return True
 
     def read(self, connection: ReaderHolder) -> bool:
-        """Become what a connection holds next; False where that is something else."""
+        """Read the value from a connection; return False, and change nothing, for other types."""
         try:
             self._read(connection.reader)
         except WireError:
@@ -165,10 +165,10 @@ class Portable(PortReader, PortWriter):
         self._become(value)
 
     def _become(self, other: Self) -> None:
-        """Take over another value's content."""
+        """Replace the content by another value's."""
         self.__dict__.update(other.__dict__)
 
 
 def _newer(data: Buffer) -> bool:
-    """Whether the first tag of a payload is one that only YARP 4 writes."""
+    """Return whether a payload begins with a tag that only YARP 4 writes."""
     return bytes(memoryview(data)[:2]) in (b"\x14\x01", b"\x12\x01")

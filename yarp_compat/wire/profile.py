@@ -1,7 +1,7 @@
-"""The two dialects of YARP's bytes.
+"""The two dialects of YARP's wire format.
 
-YARP 4.0 numbered the floating-point types of a Bottle anew and added the 64-bit vocab; everything else stayed. A reader
-of the wrong dialect fails or, worse, silently reads other numbers. Measured on YARP 3.9.1, 3.12.3 and 4.0
+YARP 4.0 renumbered the floating-point types of Bottles and added the 64-bit vocab; the rest is unchanged. A reader of
+the wrong dialect fails or, worse, silently reads other numbers. Measured on YARP 3.9.1, 3.12.3 and 4.0
 (`yarp/os/Bottle.h`).
 """
 
@@ -28,5 +28,5 @@ class Profile(Enum):
 
     @property
     def vocab64_tag(self) -> int | None:
-        """The tag of an 8-byte vocab, which YARP 3 does not have."""
+        """The tag of an 8-byte vocab; None for YARP 3, which lacks it."""
         return None if self is Profile.YARP3 else 18

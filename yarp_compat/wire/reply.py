@@ -1,6 +1,6 @@
-"""Finds where a Bottle ends in bytes that come in pieces. Replies have no length, so their structure must tell.
+"""Detection of a Bottle's end in bytes that arrive in pieces: replies have no length, so their structure is parsed.
 
-Each byte is looked at once, however many pieces it comes in; strings and runs of numbers are skipped, not read.
+Each byte is parsed only once, independent of the number of pieces; strings and runs of numbers are skipped.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from yarp_compat.wire.errors import Incomplete, WireError
 from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.profile import Profile
 
-LIMIT = 64 << 20  # bytes of the largest reply, unless told otherwise
-ACKNOWLEDGED = 8  # bytes of what follows a reply on tcp: ``YA``, a number, ``RP``
+LIMIT = 64 << 20  # most bytes of a reply by default
+ACKNOWLEDGED = 8  # bytes of the acknowledgement after a reply on tcp: ``YA``, a number, ``RP``
 
 _WORD = Struct("<i").unpack_from
 _TWO = Struct("<ii").unpack_from
@@ -26,9 +26,9 @@ _SAME_SIZES = {tag: size for tag, size in _SIZES3.items() if _SIZES4.get(tag) ==
 
 
 class ReplyReader:
-    """Finds the end of one reply of up to ``limit`` bytes, and its profile, if unknown, where the bytes tell.
+    """A parser that finds the end of one reply of up to ``limit`` bytes, and if possible its profile.
 
-    ``acked``: an acknowledgement follows it, which helps with that.
+    ``acked``: an acknowledgement follows, which helps to detect the profile.
     """
 
     def __init__(self, profile: Profile | None = None, *, acked: bool = True, limit: int = LIMIT) -> None:
@@ -37,7 +37,7 @@ class ReplyReader:
         self._walks = {one: _Walk(one, limit) for one in ([profile] if profile is not None else Profile)}
 
     def end(self, data: Buffer) -> int:
-        """The end of the reply in all that came; raises `WireError` where it is none or too long, else `Incomplete`."""
+        """Return the end of the reply in ``data``; raises `WireError` if invalid or too long, else `Incomplete`."""
         ends: dict[Profile, int] = {}
         missing: Incomplete | None = None
         wrong: WireError | None = None
@@ -50,13 +50,13 @@ class ReplyReader:
                 wrong = err
                 del self._walks[profile]
         if not self._walks:
-            raise wrong or WireError("no profile is left")
+            raise wrong or WireError("the bytes fit no profile")
         if len(self._walks) == 1 and ends:
             return self._decided(*ends.items())
         return self._between(ends, missing, data)
 
     def _between(self, ends: dict[Profile, int], missing: Incomplete | None, data: Buffer) -> int:
-        """The end where the bytes may be those of both profiles."""
+        """Return the end if the bytes fit both profiles."""
         if len(set(ends.values())) == 1 and missing is None:
             return next(iter(ends.values()))
         if not self._acked and Profile.YARP3 in ends:
@@ -67,8 +67,8 @@ class ReplyReader:
                     return self._decided((profile, end))
                 del self._walks[profile]
         if not self._walks:
-            raise WireError("no acknowledgement follows the reply, in whichever profile it is read")
-        raise missing or Incomplete("the acknowledgement is missing, which tells where the reply ends")
+            raise WireError("no acknowledgement follows the reply in either profile")
+        raise missing or Incomplete("the acknowledgement after the reply is missing")
 
     def _decided(self, found: tuple[Profile, int]) -> int:
         self.profile, end = found
@@ -76,7 +76,7 @@ class ReplyReader:
 
 
 def plain_end(data: Buffer, profile: Profile | None) -> int:
-    """The end of a Bottle of numbers of one type, at a glance; 0 for another one, or one of unclear profile."""
+    """Return the end of a Bottle of numbers of one type, from its header; 0 for others, or an unclear profile."""
     if len(data) < 8:
         return 0
     tag, count = _TWO(data, 0)
@@ -86,7 +86,7 @@ def plain_end(data: Buffer, profile: Profile | None) -> int:
 
 
 def recognise(data: Buffer) -> Profile | None:
-    """The profile that alone accounts for all of a Bottle's bytes; None if both do. Raises `WireError` if none."""
+    """Return the only profile that fits all bytes of a Bottle; None if both do. Raises `WireError` if none does."""
     fits: list[Profile] = []
     wrong: WireError | None = None
     for profile in Profile:
@@ -98,19 +98,19 @@ def recognise(data: Buffer) -> Profile | None:
         if end == len(data):
             fits.append(profile)
     if not fits:
-        raise wrong or WireError(f"the Bottle ends before its {len(data)} bytes do")
+        raise wrong or WireError(f"the Bottle is shorter than its {len(data)} bytes")
     return fits[0] if len(fits) == 1 else None
 
 
 class _Walk:
-    """Goes through one Bottle of one profile, and on where it stopped when more of it has come."""
+    """An incremental parser of one Bottle in one profile."""
 
     def __init__(self, profile: Profile, limit: int) -> None:
         self._sizes = _SIZES[profile]
         self._limit = limit
         self._at = 0
         self._begun = False
-        self._left = 0  # elements left in the list at hand
+        self._left = 0  # elements left in the current list
         self._unit = 0
         self._outer: list[tuple[int, int]] = []
 
@@ -132,7 +132,7 @@ class _Walk:
                 self._block(data, self._at)
 
     def _element(self, data: Buffer) -> None:
-        """Pass one element with its tag, or enter it where it is a list."""
+        """Skip one element with its tag, or enter it if it is a list."""
         at = self._at
         (tag,) = _WORD(data, self._there(data, at, 4))
         size = self._sizes.get(tag)
@@ -146,10 +146,10 @@ class _Walk:
         elif tag & ~tags.UNIT == tags.LIST | tags.DICT:
             self._enter(data, at + 4)
         else:
-            raise WireError(f"{tag} at byte {at} is no type's tag")
+            raise WireError(f"unknown tag {tag} at byte {at}")
 
     def _block(self, data: Buffer, at: int) -> None:
-        """Pass a string or blob whose length is at this place."""
+        """Skip a string or blob, with its length at ``at``."""
         (length,) = _WORD(data, self._there(data, at, 4))
         if length < 0:
             raise WireError(f"the string or blob at byte {at + 4} has a length of {length}")
@@ -157,13 +157,13 @@ class _Walk:
         self._skip(at + 4 + length)
 
     def _enter(self, data: Buffer, at: int) -> None:
-        """Pass a list's header; its elements come next, or behind them where they are numbers."""
+        """Enter a list after its header; skip its elements if they are numbers."""
         tag, count = _TWO(data, self._there(data, at, 8))
         unit = tag & tags.UNIT
         if tag & ~tags.UNIT != tags.LIST:
-            raise WireError(f"{tag:#x} at byte {at} is no list's tag")
+            raise WireError(f"{tag:#x} at byte {at} is not the tag of a list")
         if unit and unit not in (tags.STRING, tags.BLOB) and unit not in self._sizes:
-            raise WireError(f"{unit} in a list's tag at byte {at} is no type's tag")
+            raise WireError(f"unknown type {unit} in a list's tag at byte {at}")
         if len(self._outer) >= tags.MAX_DEPTH:
             raise WireError(f"lists are nested deeper than {tags.MAX_DEPTH} at byte {at}")
         if count < 0:
@@ -193,12 +193,12 @@ def _is_acknowledgement(data: Buffer, at: int) -> bool:
 
 
 ReplyEnd = Callable[[Buffer], int]
-"""Finds the end of the reply that begins these bytes; raises Incomplete when more must come."""
+"""Returns the end of the reply at the start of the bytes; raises Incomplete if it is not complete."""
 _LONG = 1 << 16
 
 
 class ReplyWatch:
-    """Looks for a reply's end: by ``parse``, or a Bottle's or text line's; ``profile`` is the peer's, once known."""
+    """The search for a reply's end: by ``parse``, or of a Bottle or line; ``profile`` is the peer's, once known."""
 
     __slots__ = ("_carrier", "_limit", "_next_look", "_parse", "_reader", "profile")
 
@@ -211,7 +211,7 @@ class ReplyWatch:
         self._next_look = 1
 
     def end(self, came: Buffer) -> int:
-        """The end of the reply, 0 where more must come; raises `WireError` where it is none."""
+        """Return the end of the reply, 0 if it is incomplete; raises `WireError` if it is invalid."""
         if len(came) < self._next_look:
             return 0
         try:
@@ -226,18 +226,18 @@ class ReplyWatch:
             end = reader.end(came)
             self.profile = reader.profile
         except Incomplete:
-            # a caller's parser begins anew each time: a long reply is looked at again when it has grown by half
+            # a caller's parser restarts each time: a long reply is parsed again only when it has grown by half
             self._next_look = len(came) + len(came) // 2 if self._parse is not None and len(came) > _LONG else 1
             return 0
         return end
 
     def pause(self) -> None:
-        """Nothing came for a while: perhaps it is all there."""
+        """Parse again at the next call: no bytes arrived for a while, so the reply may be complete."""
         self._next_look = 1
 
 
 def _line_end(came: Buffer) -> int:
     found = bytes(came).find(b"\n")
     if found < 0:
-        raise Incomplete("a line ends early")
+        raise Incomplete("the line is incomplete")
     return found + 1

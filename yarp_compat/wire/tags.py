@@ -1,7 +1,7 @@
-"""The numbers that tell a Bottle's elements apart, for each profile.
+"""The tags of a Bottle's elements, for each profile.
 
-An element's tag says its type; a list's tag says, in its lower byte, the type of all its elements where they are of one
-(`yarp/os/Bottle.h`, `yarp/os/impl/Storable.h`). Sizes are those of what follows the tag.
+An element's tag is its type; the lower byte of a list's tag is the type of all its elements, if they share one
+(`yarp/os/Bottle.h`, `yarp/os/impl/Storable.h`). Sizes do not include the tag.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ BLOB = 12
 LIST = 256
 DICT = 512
 
-UNIT = 255  # the part of a list's tag that is the tag of its elements
-MAX_DEPTH = 128  # the deepest nesting of lists; a dict counts twice. Real messages stay below ten
+UNIT = 255  # mask for the tag of the elements in a list's tag
+MAX_DEPTH = 128  # most levels of nested lists; a dict counts twice. Real messages have fewer than ten
 
 _SIZES = {INT8: 1, INT16: 2, INT32: 4, INT64: 8, VOCAB32: 4}
 _FORMATS = {INT8: "b", INT16: "h", INT32: "i", INT64: "q"}
 
 
 def sizes(profile: Profile) -> dict[int, int]:
-    """Bytes of each type of fixed size."""
+    """Return the size in bytes of each type of fixed size."""
     found = {**_SIZES, profile.float32_tag: 4, profile.float64_tag: 8}
     if profile.vocab64_tag is not None:
         found[profile.vocab64_tag] = 8
@@ -35,5 +35,5 @@ def sizes(profile: Profile) -> dict[int, int]:
 
 
 def formats(profile: Profile) -> dict[int, str]:
-    """The format character (of `struct` and of numpy's types) of each type of number."""
+    """Return the format character (of `struct` and numpy) of each type of number."""
     return {**_FORMATS, profile.float32_tag: "f", profile.float64_tag: "d"}

@@ -1,9 +1,9 @@
-r"""The text form of Bottles, which people type, text carriers carry and envelopes and name servers use.
+r"""The text form of Bottles, for people, text carriers, envelopes and name servers.
 
 Separators are space, tab, newline, carriage return and comma. ``(...)`` is a list, ``{1 2 255}`` a blob, ``[word]`` a
-vocab, ``"..."`` a string with the escapes ``\\ \" \n \r \0``; what else stands alone is a number, ``true``, ``false``,
-``null`` or a string (`yarp/os/impl/BottleImpl.cpp` and `Storable.cpp`; measured on YARP 4.0). YARP refuses no text:
-what is not closed at its end is lost, and so it is here.
+vocab, ``"..."`` a string with the escapes ``\\ \" \n \r \0``; other words are numbers, ``true``, ``false``, ``null`` or
+strings (`yarp/os/impl/BottleImpl.cpp` and `Storable.cpp`; measured on YARP 4.0). YARP accepts any text: parts that are
+not closed at its end are dropped, here too.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.tags import MAX_DEPTH
 from yarp_compat.wire.values import DictKey, Float32, Vocab, Vocab64, entries_of, merge, plain, vocab32, vocab64
 
-LARGEST_WORK = 4 << 20  # characters looked at, beyond its own, in a text that is not well formed
+LARGEST_WORK = 4 << 20  # most characters parsed repeatedly in a text that is not well-formed
 
 _NEXT = re.compile(
     r"""[ \t\n\r,]*+ (?: (\() | (?:
@@ -27,7 +27,7 @@ _NEXT = re.compile(
     ) (?=[ \t\n\r,)]|\Z) )""",
     re.DOTALL | re.VERBOSE,
 )
-"""The next word of a well formed text: a list begins (1) or ends (2), or there is another word (3)."""
+"""The next token of a well-formed text: a list begins (1) or ends (2), or another word follows (3)."""
 _SPECIAL = re.compile(r'[\\"(){}]')
 _WORDS = re.compile(r"[^ \t\n\r,]+")
 _MARK = re.compile(r'\\.|[ \t\n\r,"(){}]', re.DOTALL)
@@ -57,7 +57,7 @@ _LARGEST = 2**63 - 1
 
 
 def from_text(text: str) -> list[Any]:
-    """The values of a Bottle's text; raises `WireError` where lists are nested too deep, or it would take too long."""
+    """Parse a Bottle's text; raises `WireError` if lists are nested too deep, or parsing would take too long."""
     if _SPECIAL.search(text) is None:
         return [_value(word) for word in _WORDS.findall(text)]
     at = 0
@@ -85,22 +85,22 @@ def from_text(text: str) -> list[Any]:
 
 
 def is_complete(text: str) -> bool:
-    """Whether brackets and quotes are closed: else a text carrier's text goes on in the next line."""
+    """Return whether brackets and quotes are closed; if not, the text continues in the next line."""
     return split_words(text)[1]
 
 
 def to_text(values: Iterable[Any]) -> str:
-    """The text of a Bottle of these values; raises `WireError` where no Bottle can hold one."""
+    """Return the text of a Bottle with these values; raises `WireError` for unsupported values."""
     return _joined(values, 0)
 
 
 def value_text(value: Any) -> str:
-    """The text of one value as it stands in a Bottle: strings quoted where they must be, lists in brackets."""
+    """Return the text of one value inside a Bottle: strings quoted if needed, lists in brackets."""
     return _printed(value, 0)
 
 
 def plain_text(value: Any) -> str:
-    """The text of one value alone: strings, vocabs, blobs and lists without what marks them in a Bottle."""
+    """Return the text of one value without its marks: quotes of strings, brackets of vocabs, blobs and lists."""
     if isinstance(value, str) and not isinstance(value, Vocab):
         return value
     text = value_text(value)
@@ -108,7 +108,7 @@ def plain_text(value: Any) -> str:
 
 
 def dict_of(entries: list[Any]) -> dict[str, Any]:
-    """The dict of lists of a key and its values; the last of several for a key counts, other elements do not."""
+    """Return a dict from lists of a key and its values; the last list of a key counts, other elements are ignored."""
     found: dict[str, Any] = {}
     for entry in entries:
         if isinstance(entry, list):
@@ -120,16 +120,16 @@ def dict_of(entries: list[Any]) -> dict[str, Any]:
 
 
 class TextReader:
-    """Reads any text as YARP does: each list's text is what stands between its word's first and last character.
+    """A parser of any text, as in YARP: a list's text is between the first and last character of its word.
 
-    It looks at a text once more for each level of nesting, so well formed texts are read without it.
+    It parses a text once more for each level of nesting, so it is not used for well-formed texts.
     """
 
     def __init__(self, text: str) -> None:
         self._left = LARGEST_WORK + len(text)
 
     def values(self, text: str, depth: int) -> list[Any]:
-        """The values of a list's text without its brackets."""
+        """Parse a list's text without its brackets."""
         self._left -= len(text)
         if depth > MAX_DEPTH or self._left < 0:
             raise WireError(f"lists in a text are nested deeper than {MAX_DEPTH}, or too deep for its length")
@@ -144,7 +144,7 @@ class TextReader:
 
 
 def _value(word: str) -> Any:
-    """The value of a word, which is neither a list nor a blob that holds more than numbers."""
+    """Parse a word, except lists and blobs with more than numbers."""
     if word in _NAMES:
         return _NAMES[word]
     first = word[0]
@@ -170,7 +170,7 @@ def _blob(text: str) -> bytes:
 
 
 def split_words(text: str) -> tuple[list[str], bool]:
-    """The words of a text at its outermost level, and whether all that was opened in it is closed."""
+    """Split the outermost level of a text into words; return also whether all brackets and quotes are closed."""
     words: list[str] = []
     begun = -1
     quoted = False
@@ -203,7 +203,7 @@ def _read_vocab(letters: str) -> Vocab | bool:
 
 
 def _low_byte(value: Any) -> int:
-    """The byte of a blob that one of its words says."""
+    """Return the byte for a value in a blob."""
     if value is True:
         return 0x31
     if isinstance(value, Vocab):
@@ -253,7 +253,7 @@ def _print_float(value: float) -> str:
 
 
 def rounded(value: float) -> float:
-    """A float as four bytes hold it; raises `WireError` where it is too large for them."""
+    """Round a float to four bytes; raises `WireError` if it is too large."""
     try:
         return float(struct.unpack("<f", struct.pack("<f", value))[0])
     except OverflowError:
@@ -261,10 +261,10 @@ def rounded(value: float) -> float:
 
 
 def number(word: str) -> int | float | None:
-    """The number that a word is to YARP; None where it is a string.
+    """Parse a word as YARP's number; return None if it is a string.
 
-    Ints saturate at 64 bits. What looks like an int but is none counts as far as it is one: ``-`` is 0, ``1-2`` is 1,
-    ``010`` is 8 (octal). What looks like a float but is none is 0.0: ``1.5-2`` (since YARP 3.6).
+    Ints saturate at 64 bits. Of malformed ints, the valid beginning counts: ``-`` is 0, ``1-2`` is 1, ``010`` is 8
+    (octal). Malformed floats are 0.0: ``1.5-2`` (since YARP 3.6).
     """
     if _INT.fullmatch(word):
         return int(word)
@@ -284,7 +284,7 @@ def number(word: str) -> int | float | None:
 
 
 def _c_int(word: str) -> int:
-    """The int that `strtoll` with base 0 finds at the beginning of a word."""
+    """Parse the int at the beginning of a word like `strtoll` with base 0."""
     found = _C_INT.match(word)
     if found is None:
         return 0
@@ -298,7 +298,7 @@ def _c_int(word: str) -> int:
 
 
 def _c_float(word: str) -> float:
-    """The float that `strtod` finds, where it takes the whole word."""
+    """Parse a whole word like `strtod`; 0.0 if it is malformed."""
     if _C_HEX_FLOAT.fullmatch(word):
         return float.fromhex(word)
     return float(word) if _C_FLOAT.fullmatch(word) else 0.0

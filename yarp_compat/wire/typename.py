@@ -1,4 +1,4 @@
-"""The name of what crosses a port, as YARP's ports announce it (`yarp/os/Type.h`)."""
+"""The type names of messages, as YARP's ports announce them (`yarp/os/Type.h`)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from yarp_compat.wire.accessors import getter
 
 
 class Type:
-    """A kind of data: ``yarp/image``; ``properties`` tell more of it. Without a name it is any kind."""
+    """A type of data, such as ``yarp/image``, with ``properties``. Without a name it is any type."""
 
     def __init__(self, name: str = "", name_on_wire: str = "") -> None:
         self._name = name
@@ -17,35 +17,35 @@ class Type:
 
     @classmethod
     def byName(cls, name: str, name_on_wire: str = "") -> Type:
-        """The kind of a name, and of the name that other software has for it."""
+        """Return the type with a name, and with the name in other software."""
         return cls(name, name_on_wire)
 
     @classmethod
     def byNameOnWire(cls, name_on_wire: str) -> Type:
-        """The kind of which only other software's name is known."""
+        """Return the type with only a name in other software."""
         return cls("", name_on_wire)
 
     @classmethod
     def anon(cls) -> Type:
-        """Any kind."""
+        """Return the type without a name."""
         return cls()
 
-    getName = getter("_name", str, "YARP's name of it.")
-    getNameOnWire = getter("_on_wire", str, "Other software's name of it.")
+    getName = getter("_name", str, "The name in YARP.")
+    getNameOnWire = getter("_on_wire", str, "The name in other software.")
 
     def hasName(self) -> bool:
-        """Whether it has a name."""
+        """Return whether the type has a name."""
         return bool(self._name)
 
     isValid = hasName
 
     def addProperty(self, key: str, value: Any) -> Type:
-        """Tell more of it."""
+        """Set a property, and return this type."""
         self.properties[key] = value
         return self
 
     def toString(self) -> str:
-        """Both names; ``null`` for any kind."""
+        """Return both names; ``null`` without a name."""
         return f"{self._name}:{self._on_wire}" if self._on_wire else self._name or "null"
 
     toString_c = toString

@@ -15,13 +15,13 @@ Int8, Int16, Int64  INT8, INT16, INT64              ``5``
 Float32             FLOAT32                         ``1.5``
 ==================  ==============================  ===========================================
 
-The subclasses only remember how a value is written; they compare and compute as what they are. numpy arrays of numbers
-are lists, written by their own type (unsigned ones with the tag of the signed type of their size, as YARP's vectors
-are). Bytes of a string that are no UTF-8 become surrogate escapes, and the same bytes again.
+The subclasses only store the wire type of a value; they compare and compute like their base classes. numpy arrays of
+numbers are lists with their element type (unsigned ones with the tag of the signed type, like YARP's vectors). Bytes of
+a string that are not UTF-8 become surrogate escapes, which are encoded as the same bytes.
 
-A dict's entry is a list on the wire, the key before the values. One value stands for itself, any other number of them
-for a tuple: ``{"n": 1, "GROUP": (["a", 1], ["b", 2])}`` is ``((GROUP (a 1) (b 2)) (n 1))``. So is, to be written only,
-``{"n": 1, "GROUP": Group(a=1, b=2)}``.
+A dict's entry is a list on the wire, the key before the values. A single value is stored directly, any other number as
+a tuple: ``{"n": 1, "GROUP": (["a", 1], ["b", 2])}`` is ``((GROUP (a 1) (b 2)) (n 1))``. For writing,
+``{"n": 1, "GROUP": Group(a=1, b=2)}`` is the same.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ class Int16(int):
 
 
 class Int64(int):
-    """An int written in eight bytes, also where four would do."""
+    """An int written in eight bytes, even if it fits into four."""
 
     __slots__ = ()
 
 
 class Float32(float):
-    """A float written in four bytes; it may hold more digits than are written."""
+    """A float written in four bytes; the object may be more precise."""
 
     __slots__ = ()
 
@@ -60,16 +60,16 @@ class Float32(float):
 class Vocab(str):
     """A word of up to eight one-byte characters, written as a number: four bytes, beyond four characters eight.
 
-    YARP 3 has no eight-byte vocab: there the first four characters are written, which is what its programs do.
+    YARP 3 has no eight-byte vocab: only the first four characters are written, as its programs do.
     """
 
     __slots__ = ()
 
 
 class DictKey(str):
-    """A dict's key that is not a string on the wire, where it is ``value``; it compares as its text.
+    """A dict's key that is ``value``, not a string, on the wire; it compares as its text.
 
-    The value of the key of an empty list, ``()``, is None: such an entry has neither a key nor values.
+    ``value`` is None for an empty list, ``()``: such an entry has neither a key nor values.
     """
 
     __slots__ = ("value",)
@@ -77,25 +77,25 @@ class DictKey(str):
 
     @classmethod
     def of(cls, value: Any, text: str) -> DictKey:
-        """The key for a value whose text this is."""
+        """Return the key for a value and its text."""
         made = cls(text)
         made.value = value
         return made
 
 
 class Group(dict[str, Any]):
-    """A dict whose entries are the values after its key in the dict around it."""
+    """A dict whose entries are the values of its key in the outer dict."""
 
 
 class Vocab64(Vocab):
-    """A vocab written in eight bytes, also where four would do (YARP 4)."""
+    """A vocab written in eight bytes, even if it fits into four (YARP 4)."""
 
     __slots__ = ()
 
 
 @lru_cache(1024)
 def vocab32(number: int) -> Vocab | bool:
-    """The vocab, or truth value, that this number stands for."""
+    """Return the vocab or bool of a number."""
     if number in (0, 0x31):
         return number != 0
     return Vocab(_letters(number.to_bytes(4, "little", signed=True)))
@@ -103,7 +103,7 @@ def vocab32(number: int) -> Vocab | bool:
 
 @lru_cache(1024)
 def vocab64(number: int) -> Vocab64:
-    """The vocab that this number stands for."""
+    """Return the vocab of a number."""
     return Vocab64(_letters(number.to_bytes(8, "little", signed=True)))
 
 
@@ -112,36 +112,36 @@ def _letters(data: bytes) -> str:
 
 
 def entries_of(value: dict[Any, Any]) -> list[list[Any]]:
-    """The lists that a dict is on the wire, in the order of their keys."""
+    """Return a dict's entries as lists, as on the wire, sorted by key."""
     wrong = [key for key in value if not isinstance(key, str)]
     if wrong:
-        raise WireError(f"the key {wrong[0]!r} of a dict is no str")
+        raise WireError(f"the key {wrong[0]!r} of a dict is not a str")
     return [[*_key_of(key), *entry_values(value[key])] for key in sorted(value)]
 
 
 def _key_of(key: str) -> tuple[Any, ...]:
-    """What stands for a key on the wire; nothing for that of an empty list."""
+    """Return a key as on the wire; empty for that of an empty list."""
     if type(key) is not DictKey:
         return (key,)
     return () if key.value is None else (key.value,)
 
 
 def merge(into: dict[str, Any], entries: Mapping[str, Any]) -> None:
-    """Put entries into a dict. An equal key is replaced with its value: the older one may be of another type."""
+    """Update a dict. Equal keys are replaced with their values, since the older key may be of another type."""
     for key in entries:
         into.pop(key, None)
     into.update(entries)
 
 
 def entry_values(entry: Any) -> Sequence[Any]:
-    """The values after the key of a dict's entry."""
+    """Return the values of a dict's entry."""
     if isinstance(entry, Group):
         return entries_of(entry)
     return entry if isinstance(entry, tuple) else [entry]
 
 
 def plain(value: Any) -> Any:
-    """The plain value that an instance of a subclass or a numpy scalar stands for; raises `WireError` where none is."""
+    """Convert an instance of a subclass, or a numpy scalar, to a plain value; raises `WireError` if unsupported."""
     if isinstance(value, bool):
         return value
     if hasattr(value, "dtype"):
@@ -154,7 +154,7 @@ def plain(value: Any) -> Any:
         return bytes(value)
     if isinstance(value, Sequence) or hasattr(value, "tolist"):
         return list(value)
-    raise WireError(f"a Bottle cannot hold {value!r}, which is a {type(value).__name__}")
+    raise WireError(f"a Bottle cannot contain {value!r}, which is a {type(value).__name__}")
 
 
 def _scalar(value: Any) -> Any:
@@ -164,7 +164,7 @@ def _scalar(value: Any) -> Any:
 
 
 def begun_by_vocab(values: Sequence[Any]) -> Sequence[Any]:
-    """Values of an answer whose first, where it is a text in brackets (``[many]``, ``[ok]``), becomes that vocab."""
+    """Convert the first value of an answer to a vocab if it is a text in brackets (``[many]``, ``[ok]``)."""
     match values:
         case [str(word), *rest] if word.startswith("[") and word.endswith("]"):
             return [Vocab(word[1:-1]), *rest]
