@@ -178,7 +178,7 @@ def test_several_daemons_loop_nothing_and_bring_nothing_twice(place: Place, hubs
         try:
             from_far = exchange(program, out, heard, far, named_apart)
             if hubs == "one hub":  # whoever stands by takes over
-                states = [bridge.crossing.health().state for bridge in (first, second)]
+                states = [bridge.bridge.health().state for bridge in (first, second)]
                 assert sorted(states) == ["running", "standby"]
                 (first, second)[states.index("running")].stop()
                 until_all_receive(program, out, heard, [(far[0], from_far[0], far[0].subscribe("/both", STRING))])

@@ -238,7 +238,7 @@ def test_what_cannot_be_connected(
     assert not done
     assert said.startswith(told)
     if target.startswith(("shmem", "http")):
-        assert "not offered here; use one of tcp, fast_tcp" in caplog.text
+        assert "not supported; use one of tcp, fast_tcp" in caplog.text
 
 
 @pytest.mark.parametrize(

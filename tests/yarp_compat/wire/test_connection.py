@@ -71,9 +71,9 @@ def test_answers() -> None:
 @pytest.mark.parametrize(
     ("name", "told"),
     [
-        ("shmem", "not offered"),
-        ("http", "not offered"),
-        ("name_ser", "not offered"),
+        ("shmem", "not supported"),
+        ("http", "not supported"),
+        ("name_ser", "not supported"),
         ("x", "unknown"),
     ],
 )

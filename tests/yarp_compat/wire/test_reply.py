@@ -109,16 +109,16 @@ def test_each_byte_is_looked_at_once() -> None:
 @pytest.mark.parametrize(
     ("wire", "reason"),
     [
-        (struct.pack("<ii", 1, 0), "no list's tag"),
+        (struct.pack("<ii", 1, 0), "not the tag of a list"),
         (struct.pack("<ii", 256, -1), "has -1 elements"),
         (struct.pack("<ii", 256, 2**31 - 1), "beyond the limit"),
         (struct.pack("<ii", 257, 300), "beyond the limit"),
-        (struct.pack("<ii", 261, 3), "no type's tag"),
+        (struct.pack("<ii", 261, 3), "unknown type"),
         (struct.pack("<iiii", 256, 1, 4, 2000), "longer than the limit"),
         (struct.pack("<iiii", 256, 1, 4, -5), "length of -5"),
         (struct.pack("<iii", 260, 1, -5), "length of -5"),
         (struct.pack("<iiii", 256, 1, 77, 0), "77 at byte 8"),
-        (struct.pack("<iiiii", 256, 1, 0x300, 1, 0), "no list's tag"),
+        (struct.pack("<iiiii", 256, 1, 0x300, 1, 0), "not the tag of a list"),
         (struct.pack("<ii", 256, 1) * 130, "nested deeper"),
     ],
 )

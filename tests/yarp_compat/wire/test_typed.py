@@ -15,7 +15,7 @@ from yarp_compat.wire.tags import INT8, INT16, INT64, MAX_DEPTH
 
 @pytest.mark.parametrize("word", ["abcde", "ö" * 5, "日本", 5])
 def test_what_is_no_vocab_is_refused(word: str) -> None:
-    with pytest.raises(WireError, match="no vocab"):
+    with pytest.raises(WireError, match="not a vocab"):
         ElementWriter(Profile.YARP3).vocab(word)
 
 
