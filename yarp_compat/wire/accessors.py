@@ -14,8 +14,8 @@ def getter(attribute: str, kind: Callable[..., T], doc: str) -> Callable[[Any], 
     read = attrgetter(attribute)
 
     def get(self: Any) -> T:
-        found: T = read(self)
-        return found
+        value: T = read(self)
+        return value
 
     get.__doc__ = doc
     return get

@@ -251,8 +251,8 @@ class Decoder:
         if self._array is not None:
             return self._array(data, offset, count, code), end
         numbers = unpack_from(f"<{count}{code}", data, offset)
-        kept = _KEPT.get(code)
-        return list(map(kept, numbers) if kept else numbers), end
+        convert = _KEPT.get(code)
+        return list(map(convert, numbers) if convert else numbers), end
 
     def _blocks(self, data: Buffer, offset: int, unit: int, count: int) -> tuple[list[Any], int]:
         """Decode strings or blobs, each after its length."""
@@ -285,27 +285,27 @@ class Decoder:
                 value, offset = self._small(data, offset)
                 add(value)
                 continue
-            tag, word = _READ_TWO(data, offset)
+            tag, operand = _READ_TWO(data, offset)
             if tag == float64:
                 if whole - offset < 12:
                     raise Incomplete(f"a number at byte {offset} needs 12 bytes")
                 add(_DOUBLE(data, offset + 4)[0])
                 offset += 12
             elif tag == tags.INT32:
-                add(word)
+                add(operand)
                 offset += 8
             elif tag in (tags.STRING, tags.BLOB):
                 begin = offset + 8
-                offset = begin + word
-                if word < 0 or offset > whole:
-                    raise _too_long(word, begin)
+                offset = begin + operand
+                if operand < 0 or offset > whole:
+                    raise _too_long(operand, begin)
                 block = data[begin:offset]
                 add(str(block, "utf-8", "surrogateescape") if tag == tags.STRING else bytes(block))
             elif tag & ~tags.UNIT == tags.LIST:
-                value, offset = self._list(data, offset + 8, tag & tags.UNIT, word, depth + 1)
+                value, offset = self._list(data, offset + 8, tag & tags.UNIT, operand, depth + 1)
                 add(value)
             elif tag == tags.VOCAB32:
-                add(vocab32(word))
+                add(vocab32(operand))
                 offset += 8
             else:
                 value, offset = self._rare(data, offset, tag, depth)

@@ -76,8 +76,8 @@ def parse(text: str) -> tuple[Carrier, str]:
     carrier = CARRIERS.get(name)
     if carrier is None or carrier not in OUTPUTS:
         known = ", ".join(c.name for c in OUTPUTS)
-        what = "not supported" if name in _OTHERS or carrier else "unknown"
-        raise CarrierError(f"carrier {name[:60]!r} is {what}; use one of {known}")
+        problem = "not supported" if name in _OTHERS or carrier else "unknown"
+        raise CarrierError(f"carrier {name[:60]!r} is {problem}; use one of {known}")
     return carrier, qualifiers
 
 
@@ -179,9 +179,9 @@ def _binary_opening(carrier: Carrier, data: bytes | bytearray) -> Opening | None
     return _opening(carrier, bytes(data[12 : 12 + length]).rstrip(b"\0"), size, group)
 
 
-def _group(said: bytes) -> Group:
+def _group(data: bytes) -> Group:
     """Parse the multicast group after the sender's name: its address and its port, big-endian (`McastCarrier.cpp`)."""
-    address, (port,) = ipaddress.IPv4Address(said[:4]), _PORT.unpack_from(said, 4)
+    address, (port,) = ipaddress.IPv4Address(data[:4]), _PORT.unpack_from(data, 4)
     if not address.is_multicast or port == 0:
         raise WireError(f"{address} port {port} is not a multicast group")
     return str(address), port

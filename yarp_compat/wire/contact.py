@@ -57,20 +57,20 @@ class PortContact:
     @classmethod
     def parse(cls, text: str) -> PortContact:
         """Parse any text form except the registration line; missing parts stay empty."""
-        carrier, rest = "", text
+        carrier, address = "", text
         at = text.find(":/")
         if at >= 0:
-            carrier, rest = text[:at], text[at + 1 :]
-            if rest.startswith("//"):
-                rest = rest[1:]
-        found = _ADDRESS.match(rest)
-        if not found:
-            return cls(name="" if rest == "/" else rest, carrier=carrier)
-        tail = rest[found.end() :]
-        number = int(found["port"][:6])
+            carrier, address = text[:at], text[at + 1 :]
+            if address.startswith("//"):
+                address = address[1:]
+        match = _ADDRESS.match(address)
+        if not match:
+            return cls(name="" if address == "/" else address, carrier=carrier)
+        tail = address[match.end() :]
+        number = int(match["port"][:6])
         return cls(
             name="" if tail == "/" else tail,
-            host=found["host"],
+            host=match["host"],
             port=number if number <= 0xFFFF else -1,
             carrier=carrier or "tcp",
         )
@@ -78,12 +78,12 @@ class PortContact:
     @classmethod
     def from_registration(cls, line: str) -> PortContact | None:
         """Parse the name server's line; return None for other text."""
-        words = [word for word in line.replace('"', "").strip("\r\n").split(" ") if word]
-        if len(words) < 9 or words[0] != "registration":
+        parts = [part for part in line.replace('"', "").strip("\r\n").split(" ") if part]
+        if len(parts) < 9 or parts[0] != "registration":
             return None
-        if not words[6].isdigit() or int(words[6]) > 0xFFFF:
+        if not parts[6].isdigit() or int(parts[6]) > 0xFFFF:
             return None
-        return cls(name=words[2], carrier=words[8], host=words[4], port=int(words[6]))
+        return cls(name=parts[2], carrier=parts[8], host=parts[4], port=int(parts[6]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,7 +49,7 @@ class Assembler:
 
     def __init__(self, limit: int = framing.DEFAULT_LIMIT) -> None:
         self._limit = limit
-        self._came = bytearray()
+        self._received = bytearray()
         self._next = 0
         self._size = 0
         self._lost = False
@@ -74,39 +74,39 @@ class Assembler:
             self._lose()
             return None
         self._next = number + 1
-        self._came += piece
+        self._received += piece
         try:
             return self._whole()
         except WireError:
-            self._came = bytearray()
+            self._received = bytearray()
             self._next, self._lost = 0, True
             raise
 
     def _begin(self) -> None:
         if self._next and not self._lost:
             self.incomplete += 1
-        self._came = bytearray()
+        self._received = bytearray()
         self._next, self._size, self._lost = 0, 0, False
 
     def _lose(self) -> None:
         if not self._lost:
             self.incomplete += 1
-        self._came = bytearray()
+        self._received = bytearray()
         self._lost = True
 
     def _whole(self) -> bytes | None:
-        came = self._came
+        received = self._received
         if not self._size:
-            if len(came) < framing.HEAD_SIZE:
+            if len(received) < framing.HEAD_SIZE:
                 return None
-            index = framing.index_size(came)
-            if len(came) < index:
+            index = framing.index_size(received)
+            if len(received) < index:
                 return None
-            self._size = index + framing.body_size(came, 0, self._limit)
-        if len(came) < self._size:
+            self._size = index + framing.body_size(received, 0, self._limit)
+        if len(received) < self._size:
             return None
-        if len(came) > self._size:
-            raise WireError(f"the datagrams of a message of {self._size} bytes have {len(came)} bytes")
-        self._came = bytearray()
+        if len(received) > self._size:
+            raise WireError(f"the datagrams of a message of {self._size} bytes have {len(received)} bytes")
+        self._received = bytearray()
         self._next, self._size = 0, 0
-        return bytes(came)
+        return bytes(received)

@@ -151,9 +151,9 @@ class ElementReader:
 
     def raw(self, layout: struct.Struct) -> tuple[Any, ...]:
         """Read numbers in a fixed layout."""
-        found = self._look(layout, self.at)
+        values = self._look(layout, self.at)
         self.at += layout.size
-        return found
+        return values
 
     def untagged(self, layout: struct.Struct) -> tuple[Any, ...]:
         """Read an element in a fixed layout without a tag."""

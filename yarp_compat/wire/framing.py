@@ -42,8 +42,8 @@ def command_bytes(key: str, text: str = "") -> bytes:
     """Encode a command; ``text`` must begin with the key (``D 12 1795143618.02``)."""
     if not text:
         return _HEAD.pack(0, b"~", ord(key), 0, 1)
-    told = text.encode()
-    return _HEAD.pack(len(told) + 1, b"~", 0, 0, 1) + told + b"\0"
+    encoded = text.encode()
+    return _HEAD.pack(len(encoded) + 1, b"~", 0, 0, 1) + encoded + b"\0"
 
 
 def with_envelope(key: str, envelope: str) -> bytes:
@@ -62,13 +62,13 @@ def parse_command(data: Buffer, offset: int = 0, end: int | None = None) -> tupl
     offset += _HEAD.size
     if key:
         return PortCommand(chr(key)), offset
-    told = bytes(data[offset : min(end, offset + LONGEST_TEXT)])
-    stop = told.find(b"\0")
+    encoded = bytes(data[offset : min(end, offset + LONGEST_TEXT)])
+    stop = encoded.find(b"\0")
     if stop < 0:
         raise WireError(
             f"a port command's text of {length} bytes is not terminated in its message, or in {LONGEST_TEXT} bytes"
         )
-    text = _text(told[:stop])
+    text = _text(encoded[:stop])
     return PortCommand(text[:1], text), offset + stop + 1
 
 
@@ -136,14 +136,14 @@ def size(payload: Buffer | Sequence[Buffer]) -> int:
 
 def prefix(length: int, key: str = "D", envelope: str = "") -> bytes:
     """Return the index and command for a payload of ``length`` bytes."""
-    word = with_envelope(key, envelope) if envelope else _DATA.get(key) or command_bytes(key)
-    return _TWO_BLOCKS.pack(_START, len(word), length, 0) + word
+    command = with_envelope(key, envelope) if envelope else _DATA.get(key) or command_bytes(key)
+    return _TWO_BLOCKS.pack(_START, len(command), length, 0) + command
 
 
 def words(text: str) -> bytes:
     """Return a message with only a command, such as ``q`` or ``/reader``."""
-    word = command_bytes("", text)
-    return INDEX + b"\x01\x01" + _FILL + struct.pack("<ii", len(word), 0) + word
+    command = command_bytes("", text)
+    return INDEX + b"\x01\x01" + _FILL + struct.pack("<ii", len(command), 0) + command
 
 
 def index_size(head: Buffer, offset: int = 0) -> int:
@@ -173,5 +173,5 @@ def parse(data: Buffer, limit: int = DEFAULT_LIMIT) -> tuple[PortCommand, Buffer
     total = body_size(data, 0, limit)
     if len(data) != start + total:
         raise WireError(f"a message announces {start + total} bytes, not {len(data)}")
-    word, body = parse_command(data, start, start + total)
-    return word, data[body:]
+    command, body = parse_command(data, start, start + total)
+    return command, data[body:]

@@ -137,9 +137,9 @@ class Findings:
                 return known[1]
             process = self._processes.get(device_of(peer))
             for device, other in self._processes.items() if process is not None else ():
-                _, found = self._known.get((device, _NOWHERE), ("", None))
-                if other == process and found is not None and found.sure:
-                    return replace(found, reason=f"its process also has {device}, and {found.reason}")
+                _, finding = self._known.get((device, _NOWHERE), ("", None))
+                if other == process and finding is not None and finding.sure:
+                    return replace(finding, reason=f"its process also has {device}, and {finding.reason}")
             return None if known is None else known[1]
 
     def join(self, peer: str, process: str) -> None:
@@ -213,12 +213,12 @@ class Generations:
 
     def introduced(self, peer: str, profile: Profile | None = None, link: PeerAddress = _NOWHERE) -> None:
         """Record that the client asked for the protocol's version, as clients of 4.0 do, and some of 3.12."""
-        asked = "it asked for the protocol's version"
+        request = "it asked for the protocol's version"
         if profile is Profile.YARP3:
-            reason = f"{asked}, and is of YARP 3, of which only 3.12 does"
+            reason = f"{request}, and is of YARP 3, of which only 3.12 does"
             self._remember(link, GenerationDecision(peer, Generation.YARP_3_12, reason))
         else:
-            self._remember(link, GenerationDecision(peer, Generation.YARP_4, f"{asked}, as clients of 4.0 do"))
+            self._remember(link, GenerationDecision(peer, Generation.YARP_4, f"{request}, as clients of 4.0 do"))
 
     def recognised(self, peer: str, profile: Profile, link: PeerAddress = _NOWHERE) -> None:
         """Record that the client wrote bytes of this profile only; that overrides even an introduction.

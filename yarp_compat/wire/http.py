@@ -41,21 +41,21 @@ class PageRequest:
 def parse(head: bytes) -> PageRequest:
     r"""Parse a request up to its empty line; raises `WireError` if invalid."""
     lines = head.decode("latin-1").replace("\r\n", "\n").split("\n")
-    words = lines[0].split(" ")
-    if len(words) < 2 or words[0] not in ("GET", "POST") or not words[1].startswith("/"):
+    method, target, *_ = *lines[0].split(" "), ""
+    if method not in ("GET", "POST") or not target.startswith("/"):
         raise WireError(f"invalid request: {lines[0][:60]!r}")
     headers = {}
     for line in lines[1:]:
         name, _, value = line.partition(":")
         headers[name.strip().lower()] = value.strip()
-    told = headers.get("content-length", "0")
-    if not told.isascii() or not told.isdigit() or int(told[:10]) > LONGEST_BODY:
-        raise WireError(f"a form of {told[:20]!r} bytes; the limit is {LONGEST_BODY}")
+    length = headers.get("content-length", "0")
+    if not length.isascii() or not length.isdigit() or int(length[:10]) > LONGEST_BODY:
+        raise WireError(f"a form of {length[:20]!r} bytes; the limit is {LONGEST_BODY}")
     origin = headers.get("origin", "")
     foreign = bool(origin) and not origin.endswith("//" + headers.get("host", ""))
     foreign = foreign or headers.get("sec-fetch-site") == "cross-site"
-    path, query = _split(words[1])
-    return PageRequest(words[1], path, query, int(told) if words[0] == "POST" else 0, foreign)
+    path, query = _split(target)
+    return PageRequest(target, path, query, int(length) if method == "POST" else 0, foreign)
 
 
 def _split(target: str) -> tuple[str, dict[str, str]]:
@@ -65,8 +65,8 @@ def _split(target: str) -> tuple[str, dict[str, str]]:
         raise WireError(f"invalid address: {target[:60]!r}") from error
     path = parts.path[1:]
     query = _fields(parts.query)
-    key, found, value = path.partition("=")
-    if found and key in ("data", "req", "admin"):  # YARP's pages link to /data=list
+    key, equals, value = path.partition("=")
+    if equals and key in ("data", "req", "admin"):  # YARP's pages link to /data=list
         return "", {**query, key: unquote_plus(value)}
     return unquote_plus(path), query
 
@@ -107,11 +107,11 @@ _LINKS = (("/", "connections"), ("/data=help", "help"), ("/r", "read"))
 def page(name: str, lines: Sequence[str], names: PortContact | None = None) -> bytes:
     """Return a page about a port: links, a form for a message, and lines, in which ports' addresses become links."""
     body = "\n".join(_linked(line) for line in lines)
-    told = _escaped(name)
+    title = _escaped(name)
     known = [(f"http://{names.host}:{names.port}/data=list", "All ports")] if names else []
-    links = "&nbsp;&nbsp;".join(f'(<a href="{_escaped(to)}">{what}</a>)' for to, what in (*known, *_LINKS))
+    links = "&nbsp;&nbsp;".join(f'(<a href="{_escaped(to)}">{label}</a>)' for to, label in (*known, *_LINKS))
     return (
-        f"<!DOCTYPE html><html><head><title>{told}</title></head><body bgcolor='#ffffcc'><h1>yarp port {told}</h1>\n"
+        f"<!DOCTYPE html><html><head><title>{title}</title></head><body bgcolor='#ffffcc'><h1>yarp port {title}</h1>\n"
         f"<p>{links}</p>\n"
         '<form method="post" action="/form"><input type=text name=data><input type=submit value="send data"></form>\n'
         f"<pre>\n{body}\n</pre></body></html>\n"
@@ -157,5 +157,5 @@ def _struct(values: Sequence[Any], outer: str) -> Any:
         outer = "dict" if paired and len(values) > 1 else "list"
     if outer == "list":
         return [_plain(v) for v in values]
-    made = {"type": str(first)} if first else {}
-    return {**made, **{str(v[0]): _plain(v[1]) for v in pairs if isinstance(v, (list, tuple)) and len(v) > 1}}
+    document = {"type": str(first)} if first else {}
+    return {**document, **{str(v[0]): _plain(v[1]) for v in pairs if isinstance(v, (list, tuple)) and len(v) > 1}}

@@ -34,7 +34,7 @@ class ReplyReader:
     def __init__(self, profile: Profile | None = None, *, acked: bool = True, limit: int = LIMIT) -> None:
         self.profile = profile
         self._acked = acked
-        self._walks = {one: _Walk(one, limit) for one in ([profile] if profile is not None else Profile)}
+        self._walks = {known: _Walk(known, limit) for known in ([profile] if profile is not None else Profile)}
 
     def end(self, data: Buffer) -> int:
         """Return the end of the reply in ``data``; raises `WireError` if invalid or too long, else `Incomplete`."""
@@ -200,7 +200,7 @@ _LONG = 1 << 16
 class ReplyWatch:
     """The search for a reply's end: by ``parse``, or of a Bottle or line; ``profile`` is the peer's, once known."""
 
-    __slots__ = ("_carrier", "_limit", "_next_look", "_parse", "_reader", "profile")
+    __slots__ = ("_carrier", "_limit", "_next_parse", "_parse", "_reader", "profile")
 
     def __init__(self, parse: ReplyEnd | None, carrier: Carrier, profile: Profile | None, limit: int) -> None:
         self.profile = profile
@@ -208,36 +208,36 @@ class ReplyWatch:
         self._limit = limit
         self._parse = parse or (_line_end if carrier.text else None)
         self._reader: ReplyReader | None = None
-        self._next_look = 1
+        self._next_parse = 1
 
-    def end(self, came: Buffer) -> int:
+    def end(self, data: Buffer) -> int:
         """Return the end of the reply, 0 if it is incomplete; raises `WireError` if it is invalid."""
-        if len(came) < self._next_look:
+        if len(data) < self._next_parse:
             return 0
         try:
             if self._parse is not None:
-                return self._parse(came)
-            end = plain_end(came, self.profile)
-            if 0 < end <= len(came):
+                return self._parse(data)
+            end = plain_end(data, self.profile)
+            if 0 < end <= len(data):
                 return end
             reader = self._reader
             if reader is None:
                 reader = self._reader = ReplyReader(self.profile, acked=self._carrier.ack, limit=self._limit)
-            end = reader.end(came)
+            end = reader.end(data)
             self.profile = reader.profile
         except Incomplete:
             # a caller's parser restarts each time: a long reply is parsed again only when it has grown by half
-            self._next_look = len(came) + len(came) // 2 if self._parse is not None and len(came) > _LONG else 1
+            self._next_parse = len(data) + len(data) // 2 if self._parse is not None and len(data) > _LONG else 1
             return 0
         return end
 
     def pause(self) -> None:
         """Parse again at the next call: no bytes arrived for a while, so the reply may be complete."""
-        self._next_look = 1
+        self._next_parse = 1
 
 
-def _line_end(came: Buffer) -> int:
-    found = bytes(came).find(b"\n")
-    if found < 0:
+def _line_end(data: Buffer) -> int:
+    end = bytes(data).find(b"\n")
+    if end < 0:
         raise Incomplete("the line is incomplete")
-    return found + 1
+    return end + 1

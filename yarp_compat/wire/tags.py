@@ -28,10 +28,10 @@ _FORMATS = {INT8: "b", INT16: "h", INT32: "i", INT64: "q"}
 
 def sizes(profile: Profile) -> dict[int, int]:
     """Return the size in bytes of each type of fixed size."""
-    found = {**_SIZES, profile.float32_tag: 4, profile.float64_tag: 8}
+    types = {**_SIZES, profile.float32_tag: 4, profile.float64_tag: 8}
     if profile.vocab64_tag is not None:
-        found[profile.vocab64_tag] = 8
-    return found
+        types[profile.vocab64_tag] = 8
+    return types
 
 
 def formats(profile: Profile) -> dict[int, str]:

@@ -59,15 +59,15 @@ _LARGEST = 2**63 - 1
 def from_text(text: str) -> list[Any]:
     """Parse a Bottle's text; raises `WireError` if lists are nested too deep, or parsing would take too long."""
     if _SPECIAL.search(text) is None:
-        return [_value(word) for word in _WORDS.findall(text)]
+        return [_value(token) for token in _WORDS.findall(text)]
     at = 0
     values: list[Any] = []
     outer: list[list[Any]] = []
-    while found := _NEXT.match(text, at):
-        at = found.end()
-        kind = found.lastindex
+    while token := _NEXT.match(text, at):
+        at = token.end()
+        kind = token.lastindex
         if kind == 3:
-            values.append(_value(found[3]))
+            values.append(_value(token[3]))
         elif kind == 1:
             if len(outer) == MAX_DEPTH:
                 raise WireError(f"lists in a text are nested deeper than {MAX_DEPTH} at character {at}")
@@ -109,14 +109,14 @@ def plain_text(value: Any) -> str:
 
 def dict_of(entries: list[Any]) -> dict[str, Any]:
     """Return a dict from lists of a key and its values; the last list of a key counts, other elements are ignored."""
-    found: dict[str, Any] = {}
+    entries_by_key: dict[str, Any] = {}
     for entry in entries:
         if isinstance(entry, list):
             key, *values = entry or [None]
             if type(key) is not str:
                 key = DictKey.of(key, "" if key is None else plain_text(key))
-            merge(found, {key: values[0] if len(values) == 1 else tuple(values)})
-    return found
+            merge(entries_by_key, {key: values[0] if len(values) == 1 else tuple(values)})
+    return entries_by_key
 
 
 class TextReader:
@@ -133,7 +133,7 @@ class TextReader:
         self._left -= len(text)
         if depth > MAX_DEPTH or self._left < 0:
             raise WireError(f"lists in a text are nested deeper than {MAX_DEPTH}, or too deep for its length")
-        return [self._value(word, depth + 1) for word in split_words(text)[0]]
+        return [self._value(token, depth + 1) for token in split_words(text)[0]]
 
     def _value(self, word: str, depth: int) -> Any:
         if word[0] == "(":
@@ -148,8 +148,8 @@ def _value(word: str) -> Any:
     if word in _NAMES:
         return _NAMES[word]
     first = word[0]
-    if first in _NUMERIC and (found := number(word)) is not None:
-        return found
+    if first in _NUMERIC and (value := number(word)) is not None:
+        return value
     if first == "[":
         return _read_vocab(word[1:-1])
     if first == "{":
@@ -171,7 +171,7 @@ def _blob(text: str) -> bytes:
 
 def split_words(text: str) -> tuple[list[str], bool]:
     """Split the outermost level of a text into words; return also whether all brackets and quotes are closed."""
-    words: list[str] = []
+    tokens: list[str] = []
     begun = -1
     quoted = False
     lists = blobs = done = 0
@@ -182,7 +182,7 @@ def split_words(text: str) -> tuple[list[str], bool]:
         done = mark.end()
         if char in _SEPARATORS:
             if begun >= 0 and not (quoted or lists or blobs):
-                words.append(text[begun:at])
+                tokens.append(text[begun:at])
                 begun = -1
             continue
         if begun < 0:
@@ -192,7 +192,7 @@ def split_words(text: str) -> tuple[list[str], bool]:
         elif not quoted:
             lists += _LISTS.get(char, 0)
             blobs += _BLOBS.get(char, 0)
-    return words, not (quoted or lists or blobs)
+    return tokens, not (quoted or lists or blobs)
 
 
 def _read_vocab(letters: str) -> Vocab | bool:
@@ -243,8 +243,8 @@ def _printed(value: Any, depth: int) -> str:
         return _print_float(rounded(value))
     if isinstance(value, int):
         return int.__repr__(value)
-    made = plain(value)
-    return f"({_joined(made, depth + 1)})" if hasattr(made, "dtype") else _printed(made, depth)
+    converted = plain(value)
+    return f"({_joined(converted, depth + 1)})" if hasattr(converted, "dtype") else _printed(converted, depth)
 
 
 def _print_float(value: float) -> str:
@@ -285,10 +285,10 @@ def number(word: str) -> int | float | None:
 
 def _c_int(word: str) -> int:
     """Parse the int at the beginning of a word like `strtoll` with base 0."""
-    found = _C_INT.match(word)
-    if found is None:
+    match = _C_INT.match(word)
+    if match is None:
         return 0
-    sign, hexadecimal, octal, decimal = found.groups()
+    sign, hexadecimal, octal, decimal = match.groups()
     digits, base = (hexadecimal, 16) if hexadecimal else (octal, 8) if octal else (decimal, 10)
     digits = digits.lstrip("0") or "0"
     value = int(digits, base) if len(digits) <= 22 else math.inf

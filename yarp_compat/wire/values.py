@@ -78,9 +78,9 @@ class DictKey(str):
     @classmethod
     def of(cls, value: Any, text: str) -> DictKey:
         """Return the key for a value and its text."""
-        made = cls(text)
-        made.value = value
-        return made
+        key = cls(text)
+        key.value = value
+        return key
 
 
 class Group(dict[str, Any]):
@@ -159,8 +159,8 @@ def plain(value: Any) -> Any:
 
 def _scalar(value: Any) -> Any:
     kind = value.dtype.str[1:]
-    made = {"i1": Int8, "u1": Int8, "i2": Int16, "u2": Int16, "i8": Int64, "u8": Int64, "f2": Float32, "f4": Float32}
-    return plain(made.get(kind, lambda item: item)(value.item()))
+    types = {"i1": Int8, "u1": Int8, "i2": Int16, "u2": Int16, "i8": Int64, "u8": Int64, "f2": Float32, "f4": Float32}
+    return plain(types.get(kind, lambda item: item)(value.item()))
 
 
 def begun_by_vocab(values: Sequence[Any]) -> Sequence[Any]:
