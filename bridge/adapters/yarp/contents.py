@@ -48,22 +48,22 @@ class CallBottles:
         reply: Sequence[BottleEntry], profile: Profile,
     ) -> None:  # fmt: skip
         schemas = registry.service_schemas(type_name, type_hash)
-        ways = registry.service_hub_to_ros1(type_name, type_hash)
-        texts = ways.side.definition.partition("\n---\n")[::2]
-        converts = ((ways.request_to_side, ways.request_to_hub), (ways.response_to_side, ways.response_to_hub))
-        made: list[dict[Profile, Codec]] = []
-        for schema, entries, text, (there, back), part in zip(
+        calls = registry.service_hub_to_ros1(type_name, type_hash)
+        texts = calls.side.definition.partition("\n---\n")[::2]
+        converts = ((calls.request_to_side, calls.request_to_hub), (calls.response_to_side, calls.response_to_hub))
+        codecs: list[dict[Profile, Codec]] = []
+        for schema, entries, text, (to_side, to_hub), part in zip(
             schemas, (request, reply), texts, converts, ("Request", "Response"), strict=True
         ):
-            made.append({})
+            codecs.append({})
             for known in Profile:
                 if entries:
-                    made[-1][known] = FieldsCodec(schema, entries, known)
+                    codecs[-1][known] = FieldsCodec(schema, entries, known)
                 else:
-                    assert there is not None
-                    assert back is not None
-                    made[-1][known] = RosBottle(ros1_schema(f"{ways.side.name}{part}", text), there, back, known)
-        self._request, self._reply = made
+                    assert to_side is not None
+                    assert to_hub is not None
+                    codecs[-1][known] = RosBottle(ros1_schema(f"{calls.side.name}{part}", text), to_side, to_hub, known)
+        self._request, self._reply = codecs
         self._profile = profile
         self._silent = not schemas[1].root.fields and not reply
 
@@ -97,8 +97,8 @@ class CallBottles:
         except WireError:
             values = []
         if values and values[0] == FAIL and isinstance(values[0], Vocab):
-            words = " ".join(str(value) for value in values[1:])
-            raise CallError(words or "the port replied [fail]")
+            reason = " ".join(str(value) for value in values[1:])
+            raise CallError(reason or "the port replied [fail]")
         if self._silent:
             payload = binary.encode([], profile or self._profile)
         return self._reply[profile or self._profile].to_hub(payload, profile, None)
@@ -152,7 +152,7 @@ class Contents:
             Missing(rule.frame, rule.child_frame, rule.joints),
         )
 
-    def of(self, topic: str) -> Content:
+    def of_topic(self, topic: str) -> Content:
         """Return the content of a topic's ports."""
         rule = next((rule for pattern, rule in self._own if pattern.fullmatch(topic)), None)
         return Content(self._section.as_, profile=self.profile) if rule is None else self._content(rule)

@@ -122,24 +122,24 @@ class YarpEdge(SideEdge):
     def _update(self) -> None:
         """Read the name server's list, and adapt graph, ports and connections to it."""
         started, peers = time.monotonic(), self.ports.peers()  # read before the list, which then includes them all
-        contacts = self._network.look()
+        contacts = self._network.list_ports()
         if contacts is None:
             self._disconnected = True
             return
         by_name = {contact.name: contact for contact in contacts}
         if not self._presence.is_open:
-            self.ports.bury(by_name)
+            self.ports.unregister_dead(by_name)
             self._presence.open()
-        self.ports.leave_taken(by_name)
+        self.ports.close_replaced(by_name)
         returned = self._disconnected or started < self._mark_until
         if self._disconnected:
             self._disconnected, self._mark_until = False, started + _MARK_AGAIN
         if returned:
             self._presence.mark()
-        self.ports.mark_again(by_name, returned=returned)
-        ros1 = frozenset[str]() if self._network.is_own else self._ros1.among(by_name)
+        self.ports.restore_marks(by_name, returned=returned)
+        ros1 = frozenset[str]() if self._network.is_own else self._ros1.select(by_name)
         self._graph.update(self._network.naming, contacts, peers, ros1)
-        self._presence.look(self._graph.contacts, started)
+        self._presence.connect(self._graph.contacts, started)
         self._update_ports()
         previous, self._last_graph = self._last_graph, (self.network(), *self.endpoints())
         if previous != self._last_graph:
@@ -157,8 +157,8 @@ class YarpEdge(SideEdge):
             self._names,
             self._graph,
         )
-        self.ports.follow(plan | self._services.plan(served), outputs, served)
-        self.ports.look_for_callers()
+        self.ports.apply(plan | self._services.plan(served), outputs, served)
+        self.ports.abandon_calls()
         for input_port in self.ports.input_ports():
             self._connect_subscription(input_port)
         self.ports.connect()
@@ -211,7 +211,7 @@ class YarpEdge(SideEdge):
 
     def details(self) -> dict[str, Any]:
         """Return the ports, with their content and their peers."""
-        return {"ports": self.ports.shown()}
+        return {"ports": self.ports.status()}
 
     # -- the graph -----------------------------------------------------------------------------------------------------
 
@@ -222,7 +222,7 @@ class YarpEdge(SideEdge):
     def is_heard(self, topic: str) -> bool:
         """Return whether a topic has subscribers; readers of its port count, though the graph does not list them."""
         output = self._outputs.get(topic)
-        return (output is not None and output.heard) or super().is_heard(topic)
+        return (output is not None and output.has_readers) or super().is_heard(topic)
 
     # -- types ---------------------------------------------------------------------------------------------------------
 
@@ -291,7 +291,7 @@ class YarpEdge(SideEdge):
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> YarpPublisher:
         """Publish a topic; its ports open as soon as the name server registers them."""
-        content = self._contents.of(topic)
+        content = self._contents.of_topic(topic)
         wanted = self._wanted(topic, side_type)
         self._contents.codec(content, side_type.name, wanted.type_hash, content.profile)
         with self._lock:

@@ -34,7 +34,7 @@ class PortEndpoints:
         return [
             self._endpoint(port, Kind.SERVER, service, type_name, port)
             for port, service, type_name in self._services.called()
-            if self._graph.is_there(port)
+            if self._graph.is_present(port)
         ]
 
     def _declared(self) -> list[Endpoint]:
@@ -49,7 +49,7 @@ class PortEndpoints:
         return [
             self._endpoint(port.port, kind, port.topic, port.type, port.port, latched=port.latched)
             for kind, port in ports
-            if self._graph.is_there(port.port)
+            if self._graph.is_present(port.port)
         ]
 
     def _of_nodes(self) -> list[Endpoint]:
@@ -63,19 +63,19 @@ class PortEndpoints:
                 latched=node.latched,
             )
             for node in self._graph.nodes
-            if self._graph.is_there(node.port) and (type_name := self._type_of(node.topic, node.type))
+            if self._graph.is_present(node.port) and (type_name := self._type_of(node.topic, node.type))
         ]
 
     def _of_writers(self) -> list[Endpoint]:
-        found = []
+        endpoints = []
         for plan, peers in self._ports.inputs():
             if plan.source is None:
-                found += [
+                endpoints += [
                     self._endpoint(peer, Kind.PUBLISHER, plan.topic, plan.type, peer, made_by, type_id=plan.type_hash)
                     for peer in peers
                     if (made_by := self._ports.made_by(peer)) is not MadeBy.MIDSPAN
                 ]
-        return found
+        return endpoints
 
     def _endpoint(
         self, name: str, kind: Kind, topic: str, type_name: str, node: str, made_by: MadeBy = MadeBy.NATIVE, *,

@@ -67,14 +67,14 @@ class Ros1Ports:
         self._offers: dict[PortContact, bool] = {}
         self._seen: frozenset[PortContact] = frozenset()
         self._due = self._young_until = 0.0
-        self._found: frozenset[str] = frozenset()
+        self._ports: frozenset[str] = frozenset()
 
     @cached_property
     def _master(self) -> XmlRpcClient | None:
         """A client of the master, created on demand: most networks do not need it."""
         return _client(self._config)
 
-    def among(self, contacts: Mapping[str, PortContact]) -> frozenset[str]:
+    def select(self, contacts: Mapping[str, PortContact]) -> frozenset[str]:
         """Return the registered ports that are joined to ROS 1; raises `NamingError`."""
         nested = {name: parts.node for name in contacts if (parts := NestedName.parse(name)).is_nested and parts.node}
         if not nested or self._master is None:
@@ -87,37 +87,37 @@ class Ros1Ports:
             self._offers = {contact: named for contact, named in self._offers.items() if contact in seen}
         if now >= self._due:
             try:
-                self._ask(self._master, nested, contacts)
+                self._query(self._master, nested, contacts)
                 self._due = 0.0 if now < self._young_until else now + _PERIOD
             except Ros1Error as err:
                 _log.debug("ports of ROS 1 nodes on the YARP network: %s", err)
                 self._due = now + _PERIOD
-        there = {name for name in nested if self._joined or name in self._at_master}
-        found = frozenset(name for name in there if self._speaks_ros(contacts[name]))
-        if found - self._found:
+        candidates = {name for name in nested if self._joined or name in self._at_master}
+        joined = frozenset(name for name in candidates if self._supports_tcpros(contacts[name]))
+        if joined - self._ports:
             text = "%s: bridged by the ROS 1 side, as the YARP name server has joined the network to its master"
-            _log.info(text, ", ".join(sorted(found - self._found)))
-        self._found = found
-        return found
+            _log.info(text, ", ".join(sorted(joined - self._ports)))
+        self._ports = joined
+        return joined
 
     def close(self) -> None:
         """Close the connection to the master."""
         if "_master" in self.__dict__ and self._master is not None:
             self._master.close()
 
-    def _ask(self, master: XmlRpcClient, nested: Mapping[str, str], contacts: Mapping[str, PortContact]) -> None:
+    def _query(self, master: XmlRpcClient, nested: Mapping[str, str], contacts: Mapping[str, PortContact]) -> None:
         """Query which nodes the master lists with the same port number, and if the name server uses this master."""
         nodes = sorted(set(nested.values()))
         rosout, *uris = master.calls([("lookupNode", (self._caller, node)) for node in (_ROSOUT, *nodes)])
         numbers = {node: _number(uri) for node, uri in zip(nodes, uris, strict=True)}
         # Only numbers are compared: for a loopback address the master gets the machine's name.
-        own = {node for node in nodes if node in contacts and contacts[node].port == numbers[node]}
-        self._at_master = frozenset(name for name, node in nested.items() if node in own)
+        same = {node for node in nodes if node in contacts and contacts[node].port == numbers[node]}
+        self._at_master = frozenset(name for name, node in nested.items() if node in same)
         if (number := _number(rosout)) and _ROSOUT not in contacts:
             known = self._naming.query(_ROSOUT)
             self._joined = known is not None and (known.host, known.port) == (urlsplit(rosout).hostname, number)
 
-    def _speaks_ros(self, contact: PortContact) -> bool:
+    def _supports_tcpros(self, contact: PortContact) -> bool:
         """Return whether a port's program supports TCPROS; assumed until it has registered its carriers."""
         known = self._offers.get(contact)
         if known is None:
@@ -151,13 +151,13 @@ def _number(uri: object) -> int:
 _ANSWER_SECONDS = 2.0
 """Seconds for a port to answer whether it is latched; a program that does not answer delays the others."""
 
-_AGAIN = 2.0
+_RETRY = 2.0
 """Seconds before a port that did not answer is queried again."""
 
-_SOON = 0.3
+_FIRST_RETRY = 0.3
 """Seconds before the first retry: a registered port may not listen yet."""
 
-_TELLING = 3.0
+_ANNOUNCE_SECONDS = 3.0
 """Seconds within which a new port announces its type."""
 
 
@@ -188,8 +188,8 @@ class KnownPort:
     made_by: MadeBy = MadeBy.UNKNOWN
     type: str = ""
     latched: bool = False
-    asked: bool = False
-    says_latched: bool = False
+    queried: bool = False
+    announces_latched: bool = False
     read: bool = False
 
 
@@ -230,7 +230,7 @@ class YarpGraph:
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
         self.known: dict[str, KnownPort] = {}
-        self._dead: dict[str, tuple[PortContact, float]] = {}
+        self._unreachable: dict[str, tuple[PortContact, float]] = {}
         self._strangers: frozenset[str] = frozenset()
         self.contacts: Mapping[str, PortContact] = {}
         self.nodes: Sequence[NodePort] = ()
@@ -249,16 +249,16 @@ class YarpGraph:
         for name, known in list(self.known.items()):  # in place: connection threads remove items, too
             if self.contacts.get(name) != known.contact:
                 self.known.pop(name, None)
-        self._revive()
+        self._check_unreachable()
         nodes, trouble = [], dict[str, str]()
         for name in [*self.contacts, *peers]:
             nested = NestedName.parse(name) if "@" in name and name not in ros1 else None
             if nested is not None and nested.is_topic and name in self.contacts:
-                known = self._look_at(naming, name)
+                known = self._inspect(naming, name)
                 if known.made_by is MadeBy.NATIVE:
                     nodes.append(self._node(name, nested, known, trouble))
             elif name in peers and name in self.contacts:
-                self._look_at(naming, name)
+                self._inspect(naming, name)
         self.nodes, self.trouble = nodes, trouble
 
     def forget(self, name: str) -> None:
@@ -276,57 +276,57 @@ class YarpGraph:
         known = self.known.get(name)
         return MadeBy.UNKNOWN if known is None else known.made_by
 
-    def is_there(self, name: str) -> bool:
+    def is_present(self, name: str) -> bool:
         """Return whether a port is registered and not known to be unreachable."""
-        return name in self.contacts and name not in self._dead
+        return name in self.contacts and name not in self._unreachable
 
-    def died(self, name: str) -> None:
+    def mark_unreachable(self, name: str) -> None:
         """Mark a registered port as unreachable."""
         contact = self.contacts.get(name)
         if contact is not None:
-            self._dead[name] = contact, time.monotonic() + _SOON
+            self._unreachable[name] = contact, time.monotonic() + _FIRST_RETRY
 
-    def _revive(self) -> None:
+    def _check_unreachable(self) -> None:
         now = time.monotonic()
-        for name, (contact, again) in list(self._dead.items()):
+        for name, (contact, again) in list(self._unreachable.items()):
             if self.contacts.get(name) != contact:
-                del self._dead[name]
+                del self._unreachable[name]
             elif now >= again:
                 if connections.responds(contact, timeout=_ASK_SECONDS):
-                    del self._dead[name]
+                    del self._unreachable[name]
                 else:
-                    self._dead[name] = contact, time.monotonic() + _AGAIN
+                    self._unreachable[name] = contact, time.monotonic() + _RETRY
 
-    def _look_at(self, naming: NameClient, name: str) -> KnownPort:
+    def _inspect(self, naming: NameClient, name: str) -> KnownPort:
         known = self.known.get(name)
         if known is None:
             known = self.known[name] = KnownPort(self.contacts[name], time.monotonic())
         if known.made_by is MadeBy.UNKNOWN:
             known.made_by = MadeBy.MIDSPAN if naming.get_property(name, OWNER) else MadeBy.NATIVE
-        young = time.monotonic() - known.since < _TELLING
+        young = time.monotonic() - known.since < _ANNOUNCE_SECONDS
         if "@" in name and known.made_by is MadeBy.NATIVE and (young or not known.read):
             known.read = True
-            self._ask(name, known)
+            self._query_latched(name, known)
             known.type = known.type or self._type_of(naming, known.contact)
-            known.latched = known.says_latched or _is_true(naming.get_property(name, LATCHED))
+            known.latched = known.announces_latched or _is_true(naming.get_property(name, LATCHED))
         return known
 
-    def _ask(self, name: str, known: KnownPort) -> None:
+    def _query_latched(self, name: str, known: KnownPort) -> None:
         """Query a publisher once whether it is latched.
 
         The port has this property before it listens. The name server gets it only later, since it stores no properties
         of unregistered names; a message received in between would not be cached. A port that does not listen yet is
         unreachable, so that it is not connected before it is queried.
         """
-        if known.asked or NestedName.parse(name).role != PUBLISHER:
+        if known.queried or NestedName.parse(name).role != PUBLISHER:
             return
         if not connections.responds(known.contact, timeout=_ASK_SECONDS):
-            self.died(name)
+            self.mark_unreachable(name)
             return
-        known.asked = True
+        known.queried = True
         with contextlib.suppress(PortError):
             answer = text_client.admin(known.contact, [Vocab("prop"), Vocab("get"), LATCHED], _ANSWER_SECONDS)
-            known.says_latched = _is_true(answer)
+            known.announces_latched = _is_true(answer)
 
     # -- topics --------------------------------------------------------------------------------------------------------
 

@@ -105,7 +105,7 @@ class YarpNetwork:
         self.identity: str | None = None
         self.trouble = ""
 
-    def look(self) -> list[PortContact] | None:
+    def list_ports(self) -> list[PortContact] | None:
         """Return all registered ports, None if no name server answers; the embedded one is read only after changes."""
         server = self.naming.server
         changes = None if server is None else server.changes
@@ -114,15 +114,15 @@ class YarpNetwork:
         try:
             if self._section.nameserver == "embedded" and server is None:
                 self._embed()
-            found = self.naming.list()
+            ports = self.naming.list()
             self._name_network()
         except NamingError as err:
             self.trouble = str(err)
             self._after_silence()
             return None
         self._silent_since, self.trouble = None, ""
-        self._listed = None if changes is None else (changes, found)
-        return found
+        self._listed = None if changes is None else (changes, ports)
+        return ports
 
     def _after_silence(self) -> None:
         now = time.monotonic()
@@ -146,9 +146,9 @@ class YarpNetwork:
         ).open()
         _log.info("opened the embedded YARP name server: %s at %s port %d", namespace, place.host, place.port)
         if self._address is None and conf.read(self._section.namespace) is None:
-            self._tell(place)
+            self._write_address(place)
 
-    def _tell(self, place: Address) -> None:
+    def _write_address(self, place: Address) -> None:
         """Write the name server's address for this user's programs, as ``yarpserver --write`` does."""
         try:
             _log.info("wrote %s", conf.write(place, self._section.namespace))
@@ -185,10 +185,10 @@ def address_of(section: YarpSection) -> Address | None:
 def _is_here(place: Address) -> bool:
     """Return whether this address belongs to this machine."""
     try:
-        found = {info[4][0] for info in socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)}
+        addresses = {info[4][0] for info in socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)}
     except OSError:
         return False
-    return all(ipaddress.ip_address(str(ip).partition("%")[0]).is_loopback or _is_own(str(ip)) for ip in found)
+    return all(ipaddress.ip_address(str(ip).partition("%")[0]).is_loopback or _is_own(str(ip)) for ip in addresses)
 
 
 def _is_own(ip: str) -> bool:

@@ -77,7 +77,7 @@ def make_plan(
 
 
 def _outputs(wanted: Wanted, contents: Contents, names: PortNames, graph: YarpGraph) -> Iterable[PortPlan]:
-    topic, own = wanted.topic, contents.of(wanted.topic)
+    topic, content = wanted.topic, contents.of_topic(wanted.topic)
     links: dict[str, PlannedLink] = {}
     nodes = {
         node.port: PlannedLink()
@@ -88,15 +88,15 @@ def _outputs(wanted: Wanted, contents: Contents, names: PortNames, graph: YarpGr
         if port.topic != topic or port.type not in ("", wanted.type):
             continue
         link = PlannedLink(port.carrier, port.profile)
-        if _same(port.content, own):
+        if _same(port.content, content):
             links[port.port] = link
         else:
             yield _output(wanted, names.output(f"{topic}/to{port.port}"), port.content, {port.port: link}, own=False)
-    if _same(own, BOTTLE):
+    if _same(content, BOTTLE):
         links |= nodes
     elif nodes:
         yield _output(wanted, names.output(f"{topic}/nodes"), BOTTLE, nodes, own=False)
-    yield _output(wanted, names.output(topic), own, links)
+    yield _output(wanted, names.output(topic), content, links)
 
 
 def _output(
@@ -106,7 +106,7 @@ def _output(
 
 
 def _input(wanted: Wanted, contents: Contents, names: PortNames, source: str | None) -> PortPlan:
-    content = contents.of(wanted.topic)
+    content = contents.of_topic(wanted.topic)
     name = names.input(wanted.topic)
     return PortPlan(name, False, wanted.topic, wanted.type, wanted.type_hash, content, source=source)
 
@@ -116,14 +116,14 @@ def _inputs(wanted: Wanted, contents: Contents, names: PortNames, graph: YarpGra
     declared = any(rule.topic == topic and rule.type == wanted.type for rule in contents.declared)
     yield _input(wanted, contents, names, names.input(topic) if declared else None)
     for port in contents.incoming:
-        if port.topic == topic and port.type == wanted.type and graph.is_there(port.port):
+        if port.topic == topic and port.type == wanted.type and graph.is_present(port.port):
             name = names.input(f"{topic}/from{port.port}")
             links = {port.port: PlannedLink(port.carrier, port.profile)}
             yield PortPlan(name, False, topic, wanted.type, wanted.type_hash, port.content, False, port.port, links)
     nodes = {
         node.port: PlannedLink()
         for node in graph.nodes
-        if node.publishes and node.topic == topic and node.type in ("", wanted.type) and graph.is_there(node.port)
+        if node.publishes and node.topic == topic and node.type in ("", wanted.type) and graph.is_present(node.port)
     }
     if nodes:
         name = names.input(f"{topic}/nodes")
@@ -166,9 +166,9 @@ def _dropped(counted: Counter[str]) -> dict[str, Any]:
 def _peer(name: str, carrier: str, announced: Profile | None, plan: PortPlan) -> dict[str, str]:
     link = plan.links.get(name)
     if link is not None and link.profile is not None:
-        profile, why = link.profile, "set by its rule"
+        profile, reason = link.profile, "set by its rule"
     elif announced is not None:
-        profile, why = announced, "announced by the peer"
+        profile, reason = announced, "announced by the peer"
     else:
-        profile, why = plan.content.profile, "set by yarp.profile; messages in the other profile are detected"
-    return {"port": name, "carrier": carrier, "profile": profile.value, "profile_why": why}
+        profile, reason = plan.content.profile, "set by yarp.profile; messages in the other profile are detected"
+    return {"port": name, "carrier": carrier, "profile": profile.value, "profile_why": reason}

@@ -30,10 +30,10 @@ _log = logging.getLogger(__name__)
 
 _THREADS = 8
 _CONNECT_SECONDS = 2.0
-_AGAIN = 2.0
+_RETRY = 2.0
 """Seconds before the next try to open a port."""
 
-_LINK_AGAIN = 0.5
+_LINK_RETRY = 0.5
 """Seconds before the next try to connect a port."""
 
 _STOP_SECONDS = 1.0
@@ -53,7 +53,7 @@ class OwnPort:
     served: ServedPort | None = None
     service: OfferedService | None = None
     due: dict[str, float] = field(default_factory=dict)
-    making: dict[str, Future[bool]] = field(default_factory=dict)
+    pending: dict[str, Future[bool]] = field(default_factory=dict)
 
 
 class OwnPorts:
@@ -83,24 +83,24 @@ class OwnPorts:
 
     def input_ports(self) -> list[InputPort]:
         """Return the input ports."""
-        return [own.input_port for own in list(self.own.values()) if own.input_port is not None]
+        return [port.input_port for port in list(self.own.values()) if port.input_port is not None]
 
     def inputs(self) -> list[tuple[PortPlan, list[str]]]:
         """Return the topics' main input ports, each with the ports that write to it."""
         return [
-            (own.plan, sorted({route.source for route in own.core.inputs()} | own.input_port.waiting()))
-            for own in list(self.own.values())
-            if own.input_port is not None and own.plan.own
+            (port.plan, sorted({route.source for route in port.core.inputs()} | port.input_port.waiting()))
+            for port in list(self.own.values())
+            if port.input_port is not None and port.plan.own
         ]
 
     def peers(self) -> set[str]:
         """Return all ports that write to Midspan's, and those with a held message."""
-        found = set[str]()
-        for own in list(self.own.values()):
-            if own.input_port is not None:
-                found |= own.input_port.waiting()
-                found.update(route.source for route in own.core.inputs())
-        return found
+        peers = set[str]()
+        for port in list(self.own.values()):
+            if port.input_port is not None:
+                peers |= port.input_port.waiting()
+                peers.update(route.source for route in port.core.inputs())
+        return peers
 
     def is_ours(self, name: str) -> bool:
         """Return whether this worker opened the port."""
@@ -110,69 +110,69 @@ class OwnPorts:
         """Return the errors of ports that cannot be opened or connected."""
         return sorted(text for _, text in list(self.trouble.values()))
 
-    def shown(self) -> list[dict[str, Any]]:
+    def status(self) -> list[dict[str, Any]]:
         """Return all ports' entries for the status document."""
-        owns = sorted(self.own.values(), key=lambda own: own.core.name)
-        return [shown(own.plan, own.core) for own in owns]
+        ports = sorted(self.own.values(), key=lambda port: port.core.name)
+        return [shown(port.plan, port.core) for port in ports]
 
-    def look_for_callers(self) -> None:
+    def abandon_calls(self) -> None:
         """Abandon the calls of clients that have left."""
-        for own in self.own.values():
-            if own.served is not None:
-                own.served.look()
+        for port in self.own.values():
+            if port.served is not None:
+                port.served.abandon_calls()
 
     # -- opening -------------------------------------------------------------------------------------------------------
 
-    def follow(
+    def apply(
         self, plan: Mapping[str, PortPlan], outputs: Mapping[str, TopicOutput], services: Mapping[str, OfferedService]
     ) -> None:
         """Open and close ports according to the plan."""
         self._services = services
         owned = self.own
-        gone = [name for name, own in owned.items() if plan.get(name) != own.plan or self._stale(own, outputs)]
-        self._close([owned.pop(name) for name in gone])
+        stale = [name for name, port in owned.items() if plan.get(name) != port.plan or self._stale(port, outputs)]
+        self._close([owned.pop(name) for name in stale])
         now = time.monotonic()
         for key in list(self.trouble):  # in place: connecting threads write to it, too
             if key.partition(" ")[0] not in plan:
                 self.trouble.pop(key, None)
-        for name, port in plan.items():
-            own = self.own.get(name)
-            if own is not None:
-                self._leave_to_ros1(own, port.links)
-                own.links = port.links
+        for name, planned in plan.items():
+            port = self.own.get(name)
+            if port is not None:
+                self._leave_to_ros1(port, planned.links)
+                port.links = planned.links
             elif now >= self.trouble.get(name, (0.0, ""))[0]:
-                self._open(port, outputs.get(port.topic))
+                self._open(planned, outputs.get(planned.topic))
 
-    def _leave_to_ros1(self, own: OwnPort, links: Mapping[str, PlannedLink]) -> None:
+    def _leave_to_ros1(self, port: OwnPort, links: Mapping[str, PlannedLink]) -> None:
         """Close the connections with ports that have been joined to ROS 1."""
-        for peer in (own.links.keys() - links.keys()) & self._graph.ros1:
-            end = own.core.remove_output if own.plan.writes else own.core.remove_input
+        for peer in (port.links.keys() - links.keys()) & self._graph.ros1:
+            end = port.core.remove_output if port.plan.writes else port.core.remove_input
             end(peer)
 
-    def _stale(self, own: OwnPort, outputs: Mapping[str, TopicOutput]) -> bool:
-        if own.service is not None:
-            return self._services.get(own.plan.topic) is not own.service
-        return own.output is not None and outputs.get(own.plan.topic) is not own.output
+    def _stale(self, port: OwnPort, outputs: Mapping[str, TopicOutput]) -> bool:
+        if port.service is not None:
+            return self._services.get(port.plan.topic) is not port.service
+        return port.output is not None and outputs.get(port.plan.topic) is not port.output
 
     def _open(self, port: PortPlan, output: TopicOutput | None) -> None:
         if self._stopped or (port.writes and output is None):
             return
         try:
-            own = self._made(port, self._free_name(port.name), output)
-            self.own[port.name] = own
-            self._taken |= {own.core.name}
+            opened = self._create(port, self._free_name(port.name), output)
+            self.own[port.name] = opened
+            self._taken |= {opened.core.name}
             if output is not None and port.writes:  # before it opens, so that every new reader gets the cached messages
-                output.add(OutputPort(own.core, port.content))
-            own.core.open()
+                output.add(OutputPort(opened.core, port.content))
+            opened.core.open()
             if self._stopped:  # meanwhile, when `stop` could not close it yet
-                self._close([own])
+                self._close([opened])
                 return
             # Before any connection: an unmarked port looks like a YARP program's.
-            self._naming.set_property(own.core.name, OWNER, self._owner)
+            self._naming.set_property(opened.core.name, OWNER, self._owner)
             if port.rpc:
-                self._callers.watch(own.core)
+                self._callers.watch(opened.core)
         except (OSError, MessageTypeError) as err:
-            self.trouble[port.name] = time.monotonic() + _AGAIN, f"{port.name}: {err}"
+            self.trouble[port.name] = time.monotonic() + _RETRY, f"{port.name}: {err}"
             failed = self.own.pop(port.name, None)
             if failed is not None:
                 self._close([failed])
@@ -190,7 +190,7 @@ class OwnPorts:
                 return wanted
         raise NamingError("another program has a port of this name; choose other names by yarp.output and yarp.input")
 
-    def _made(self, port: PortPlan, name: str, output: TopicOutput | None) -> OwnPort:
+    def _create(self, port: PortPlan, name: str, output: TopicOutput | None) -> OwnPort:
         if port.rpc:
             service = self._services[port.topic]
             served = ServedPort(service.name, service.bottles, service.call, self.made_by, self._context.refused)
@@ -205,8 +205,8 @@ class OwnPorts:
 
     def _linked(self, name: str) -> Callable[[str], bool]:
         def is_linked(peer: str) -> bool:
-            own = self.own.get(name)
-            return own is not None and peer in own.links
+            port = self.own.get(name)
+            return port is not None and peer in port.links
 
         return is_linked
 
@@ -214,10 +214,10 @@ class OwnPorts:
         """Return who created a port."""
         return MadeBy.MIDSPAN if self.is_ours(name) else self._graph.made_by(name)
 
-    def _core(self, port: PortPlan, name: str, hearer: InputPort | ServedPort | None) -> PortCore:
+    def _core(self, port: PortPlan, name: str, receiver: InputPort | ServedPort | None) -> PortCore:
         core = PortCore(
             name,
-            on_message=hearer.on_message if hearer is not None else None,
+            on_message=receiver.on_message if receiver is not None else None,
             rpc=port.rpc,
             naming=self._naming,
             type_name="",
@@ -231,40 +231,40 @@ class OwnPorts:
         return core
 
     def _on_event(self, name: str, core: PortCore, event: ConnectionEvent) -> None:
-        own, peer = self.own.get(name), event.route.source if event.incoming else event.route.target
+        port, peer = self.own.get(name), event.route.source if event.incoming else event.route.target
         if not event.up:
             self._graph.forget(peer)
-        elif own is not None:
-            link = own.links.get(peer)
+        elif port is not None:
+            link = port.links.get(peer)
             if link is not None and link.profile is not None:
-                for one in core.connections.inputs if event.incoming else core.connections.outputs:
-                    if peer == (one.route.source if event.incoming else one.route.target):
-                        one.profile = link.profile
-            if own.output is not None and not event.incoming:
-                own.output.welcome(core, peer)
+                for connection in core.connections.inputs if event.incoming else core.connections.outputs:
+                    if peer == (connection.route.source if event.incoming else connection.route.target):
+                        connection.profile = link.profile
+            if port.output is not None and not event.incoming:
+                port.output.send_latched(core, peer)
         self._context.changed()
 
-    def leave_taken(self, contacts: Mapping[str, PortContact]) -> None:
+    def close_replaced(self, contacts: Mapping[str, PortContact]) -> None:
         """Close ports whose names other programs have registered: of two ports opened at once, the second one stays."""
         owned = self.own
-        taken = [
+        replaced = [
             key
-            for key, own in owned.items()
-            if (found := contacts.get(own.core.name)) is not None
-            and (found.host, found.port) != (own.core.contact.host, own.core.contact.port)
+            for key, port in owned.items()
+            if (contact := contacts.get(port.core.name)) is not None
+            and (contact.host, contact.port) != (port.core.contact.host, port.core.contact.port)
         ]
-        self._close([owned.pop(key) for key in taken])
+        self._close([owned.pop(key) for key in replaced])
 
-    def mark_again(self, contacts: Mapping[str, PortContact], *, returned: bool) -> None:
+    def restore_marks(self, contacts: Mapping[str, PortContact], *, returned: bool) -> None:
         """Register and mark the ports that the name server has lost; mark all if it has just returned."""
-        for own in self.own.values():
-            forgotten = own.core.name not in contacts
-            if forgotten:
-                self._naming.restore(own.core.name)
-            if forgotten or returned:
-                self._naming.set_property(own.core.name, OWNER, self._owner)
+        for port in self.own.values():
+            lost = port.core.name not in contacts
+            if lost:
+                self._naming.restore(port.core.name)
+            if lost or returned:
+                self._naming.set_property(port.core.name, OWNER, self._owner)
 
-    def bury(self, contacts: Mapping[str, PortContact]) -> None:
+    def unregister_dead(self, contacts: Mapping[str, PortContact]) -> None:
         """Unregister the ports of a dead predecessor of this worker."""
         for name, contact in contacts.items():
             if not self._context.names.may_be(name):
@@ -279,43 +279,43 @@ class OwnPorts:
     def connect(self) -> None:
         """Make missing connections, in the background."""
         now = time.monotonic()
-        if (self._asking is None or self._asking.done()) and any(own.served for own in self.own.values()):
+        if (self._asking is None or self._asking.done()) and any(port.served for port in self.own.values()):
             self._asking = self._links.submit(self._callers.turn)
-        for name, own in self.own.items():
-            if not own.links:
+        for name, port in self.own.items():
+            if not port.links:
                 continue
             linked = (
-                {r.target for r in own.core.outputs()} if own.plan.writes else {r.source for r in own.core.inputs()}
+                {r.target for r in port.core.outputs()} if port.plan.writes else {r.source for r in port.core.inputs()}
             )
-            for peer, link in own.links.items():
+            for peer, link in port.links.items():
                 key = f"{name} {peer}"
                 if peer in linked:
                     self.trouble.pop(key, None)
                 elif peer not in self._graph.contacts:
                     self.trouble[key] = 0.0, f"waiting for {peer}, to connect it to {name}"
-                elif peer not in own.making and now >= own.due.get(peer, 0.0):
-                    own.due[peer] = now + _LINK_AGAIN
-                    own.making[peer] = self._links.submit(partial(self._link, own, peer, link))
-            for peer in [peer for peer, future in own.making.items() if future.done()]:
-                del own.making[peer]
+                elif peer not in port.pending and now >= port.due.get(peer, 0.0):
+                    port.due[peer] = now + _LINK_RETRY
+                    port.pending[peer] = self._links.submit(partial(self._link, port, peer, link))
+            for peer in [peer for peer, future in port.pending.items() if future.done()]:
+                del port.pending[peer]
 
-    def _link(self, own: OwnPort, peer: str, link: PlannedLink) -> bool:
-        key, problem = f"{own.core.name} {peer}", ""
+    def _link(self, port: OwnPort, peer: str, link: PlannedLink) -> bool:
+        key, problem = f"{port.core.name} {peer}", ""
         try:
             if self._naming.get_property(peer, OWNER):
                 problem = f"{peer} is a port of Midspan; its messages are not bridged again"
-            elif self._naming.is_taken(own.core.name):  # during a stall: connecting would close its connection
-                problem = f"another program has the name {own.core.name}"
-            elif own.plan.writes:
-                done, why = own.core.add_output(f"{link.carrier}:/{peer}" if link.carrier else peer)
-                problem = "" if done else f"{own.core.name}: {why}"
+            elif self._naming.is_taken(port.core.name):  # during a stall: connecting would close its connection
+                problem = f"another program has the name {port.core.name}"
+            elif port.plan.writes:
+                done, reason = port.core.add_output(f"{link.carrier}:/{peer}" if link.carrier else peer)
+                problem = "" if done else f"{port.core.name}: {reason}"
             else:
-                connections.connect(self._naming, peer, own.core.name, link.carrier, timeout=_CONNECT_SECONDS)
+                connections.connect(self._naming, peer, port.core.name, link.carrier, timeout=_CONNECT_SECONDS)
             if not problem and "@" in peer:
                 self._naming.set_property(peer, DAEMON, self._context.daemon)
         except OSError as err:
             problem = str(err)
-            self._graph.died(peer)
+            self._graph.mark_unreachable(peer)
         if problem:
             self.trouble[key] = 0.0, problem
         else:
@@ -325,24 +325,24 @@ class OwnPorts:
 
     # -- closing -------------------------------------------------------------------------------------------------------
 
-    def _close(self, owns: list[OwnPort]) -> None:
+    def _close(self, ports: list[OwnPort]) -> None:
         """Close ports in parallel; those that take too long continue in the background."""
-        self._taken -= {own.core.name for own in owns}
-        for own in owns:
-            if own.output is not None:
-                own.output.drop(own.core)
-            if own.input_port is not None:
-                own.input_port.deliver_to(None)
-            if own.served is not None:
-                self._callers.leave(own.core)
-                own.served.close()
-        ends = [self._ends.submit(partial(self._end, own.core)) for own in owns]
+        self._taken -= {port.core.name for port in ports}
+        for port in ports:
+            if port.output is not None:
+                port.output.drop(port.core)
+            if port.input_port is not None:
+                port.input_port.deliver_to(None)
+            if port.served is not None:
+                self._callers.leave(port.core)
+                port.served.close()
+        ends = [self._ends.submit(partial(self._end, port.core)) for port in ports]
         deadline = time.monotonic() + _STOP_SECONDS
-        for own, end in zip(owns, ends, strict=True):
+        for port, end in zip(ports, ends, strict=True):
             try:
                 end.result(max(0.0, deadline - time.monotonic()))
             except CancelledError:  # the adapter is stopping, and the pool no longer runs it
-                self._end(own.core)
+                self._end(port.core)
             except TimeoutError:
                 _log.warning("closing ports takes long; it continues in the background")
                 return

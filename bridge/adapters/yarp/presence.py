@@ -29,8 +29,8 @@ from yarp_compat.wire.values import Vocab
 _log = logging.getLogger(__name__)
 
 _MAX_RECORD = 1 << 20
-_AGAIN = 2.0
-_AGAIN_LONGEST = 16.0
+_RETRY = 2.0
+_LONGEST_RETRY = 16.0
 """Most seconds before the next try to connect an unreachable worker; dead workers stay registered forever."""
 
 
@@ -42,7 +42,7 @@ class WorkerPresence:
         self._lock = threading.Lock()
         self._seen: dict[str, Sighting] = {}
         self._tried: dict[str, tuple[PortContact, Backoff, float]] = {}
-        self._looked_since = 0.0
+        self._listed_since = 0.0
         self._left = False
         self._core = PortCore(
             PRESENCE + context.owner, naming=context.naming, on_message=self._on_message, on_event=self._on_event,
@@ -69,7 +69,7 @@ class WorkerPresence:
         self._naming.set_property(self._core.name, OWNER, self._context.owner)
         self._naming.set_property(self._core.name, DAEMON, self._context.daemon)
 
-    def look(self, contacts: Mapping[str, PortContact], started: float) -> None:
+    def connect(self, contacts: Mapping[str, PortContact], started: float) -> None:
         """Connect to the other workers in the name server's list, which was requested at ``started``."""
         others = {name: c for name, c in contacts.items() if name.startswith(PRESENCE) and name != self._core.name}
         out = {route.target for route in self._core.outputs()}
@@ -79,14 +79,14 @@ class WorkerPresence:
             if name in out or (known == contact and now < again):
                 continue
             if pauses is None or known != contact:
-                pauses = Backoff(_AGAIN, _AGAIN_LONGEST)
+                pauses = Backoff(_RETRY, _LONGEST_RETRY)
             self._tried[name] = contact, pauses, now + pauses.pause(0.0)
             if self._core.add_output(name)[0]:
-                self._see(name, None)
+                self._record(name, None)
         for name in self._tried.keys() - others.keys():  # in place: connection threads remove items, too
             self._tried.pop(name, None)
         with self._lock:
-            self._looked_since = max(self._looked_since, started)
+            self._listed_since = max(self._listed_since, started)
 
     def announce(self, record: bytes) -> None:
         """Send a record to all other workers; never blocks."""
@@ -101,7 +101,7 @@ class WorkerPresence:
     def settled(self, since: float) -> bool:
         """Return whether all workers that were present at ``since`` are known."""
         with self._lock:
-            return self._looked_since >= since
+            return self._listed_since >= since
 
     def close(self) -> None:
         """Leave the network permanently."""
@@ -113,7 +113,7 @@ class WorkerPresence:
         if not other.startswith(PRESENCE):
             return
         if event.up:
-            self._see(other, None)
+            self._record(other, None)
             if event.incoming:
                 self._tried.pop(other, None)
             self._context.changed()  # to connect in the other direction, too
@@ -121,8 +121,8 @@ class WorkerPresence:
         linked = {r.source for r in self._core.inputs()} | {r.target for r in self._core.outputs()}
         self._tried.pop(other, None)
         with self._lock:
-            gone = other not in linked and self._seen.pop(other, None) is not None
-        if gone:
+            removed = other not in linked and self._seen.pop(other, None) is not None
+        if removed:
             self._changed()
 
     def _on_message(self, message: PortMessage) -> None:
@@ -137,9 +137,9 @@ class WorkerPresence:
             return
         match values:
             case [bytes(record)] if source.startswith(PRESENCE) and len(record) <= _MAX_RECORD:
-                self._see(source, record)
+                self._record(source, record)
 
-    def _see(self, name: str, record: bytes | None) -> None:
+    def _record(self, name: str, record: bytes | None) -> None:
         with self._lock:
             known = self._seen.get(name)
             if known is not None and record is None:
@@ -149,8 +149,8 @@ class WorkerPresence:
 
     def _answer(self, message: PortMessage) -> list[object]:
         """Return the answer to a YARP program."""
-        words = decode(message.payload, message.peer.profile)
-        match words:
+        request = decode(message.payload, message.peer.profile)
+        match request:
             case ["definition", str(name)]:
                 try:
                     return [Vocab("ok"), self._context.registry.ros1(name).definition]

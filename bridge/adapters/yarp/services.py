@@ -52,13 +52,13 @@ class ServedPort:
         """Handle a request, on its connection's thread."""
         peer = message.peer
         if self._made_by(peer.route.source) is MadeBy.MIDSPAN:
-            self._say(message, CallError("this is a call of Midspan itself, which it does not serve"))
+            self._reply(message, CallError("this is a call of Midspan itself, which it does not serve"))
             return
         try:
             request, peer.profile = self._bottles.request_to_hub(message.payload, peer.profile)
         except ConversionError as err:
             self._refused(self.service, "bad", f"from {peer.route.source}: {err}")
-            self._say(message, CallError(str(err)))
+            self._reply(message, CallError(str(err)))
             return
         message.later()
         with self._lock:
@@ -66,7 +66,7 @@ class ServedPort:
             if not closed:
                 self._waiting[message] = nothing
         if closed:
-            self._say(message, CallError(f"{self.service} is no longer served"))
+            self._reply(message, CallError(f"{self.service} is no longer served"))
             return
         abandon = self._call(request, partial(self._answer, message))
         with self._lock:
@@ -75,14 +75,14 @@ class ServedPort:
         if not waits:  # meanwhile the client left, or the service closed
             abandon()
 
-    def look(self) -> None:
+    def abandon_calls(self) -> None:
         """Abandon the calls of clients that have left."""
         with self._lock:
             waiting = list(self._waiting)
         for message in waiting:
             peer = message.peer
             if isinstance(peer, Input) and peer.is_gone:
-                abandon = self._forget(message)
+                abandon = self._remove(message)
                 message.give_up()
                 if abandon is not None:
                     abandon()
@@ -94,17 +94,17 @@ class ServedPort:
             waiting, self._waiting = self._waiting, {}
         for message, abandon in waiting.items():
             abandon()
-            self._say(message, CallError(f"{self.service} is no longer served"))
+            self._reply(message, CallError(f"{self.service} is no longer served"))
 
     def _answer(self, message: PortMessage, result: bytes | CallError) -> None:
-        if self._forget(message) is not None:
-            self._say(message, result)
+        if self._remove(message) is not None:
+            self._reply(message, result)
 
-    def _forget(self, message: PortMessage) -> Abandon | None:
+    def _remove(self, message: PortMessage) -> Abandon | None:
         with self._lock:
             return self._waiting.pop(message, None)
 
-    def _say(self, message: PortMessage, result: bytes | CallError) -> None:
+    def _reply(self, message: PortMessage, result: bytes | CallError) -> None:
         profile = message.peer.profile
         try:
             reply = self._bottles.reply_to_yarp(result, profile)
@@ -145,14 +145,14 @@ class PortCaller:
             elif len(self._calls) >= MOST:
                 trouble = f"{self._port} is busy with {MOST} calls"
             else:
-                asked = _PortCall(self, request, done)
-                self._calls.add(asked)
+                call = _PortCall(self, request, done)
+                self._calls.add(call)
                 core = self._idle.popleft() if self._idle else None
         if trouble:
             done(CallError(trouble))
             return nothing
-        threading.Thread(target=asked.run, args=(core,), name=f"midspan-yarp-call {self._port}", daemon=True).start()
-        return asked.abandon
+        threading.Thread(target=call.run, args=(core,), name=f"midspan-yarp-call {self._port}", daemon=True).start()
+        return call.abandon
 
     def close(self) -> None:
         """End all pending calls with an error."""
@@ -160,8 +160,8 @@ class PortCaller:
             self._closed = True
             calls, idle = list(self._calls), list(self._idle)
             self._idle.clear()
-        for asked in calls:
-            asked.end(CallError(f"{self._port} is no longer called"))
+        for call in calls:
+            call.end(CallError(f"{self._port} is no longer called"))
         for core in idle:
             core.close()
 
@@ -191,10 +191,10 @@ class PortCaller:
         reply = core.request(self._bottles.request_to_yarp(request, profile))
         return self._bottles.reply_to_hub(reply, profile)
 
-    def over(self, asked: _PortCall, core: PortCore | None) -> None:
+    def finish(self, call: _PortCall, core: PortCore | None) -> None:
         """Remove a finished call; its connection may be reused by the next one."""
         with self._lock:
-            self._calls.discard(asked)
+            self._calls.discard(call)
             keep = core is not None and not self._closed and len(self._idle) < _IDLE
             if keep and core is not None:
                 self._idle.append(core)
@@ -223,7 +223,7 @@ class _PortCall:
             with self._lock:
                 self._core = fresh if self._done is not None else None
             if self._core is None:
-                self._caller.over(self, fresh)
+                self._caller.finish(self, fresh)
                 return
             result = self._caller.ask(fresh, self._request)
         except CallError as err:
@@ -238,7 +238,7 @@ class _PortCall:
         with self._lock:
             self._core = None
         self.end(result)
-        self._caller.over(self, fresh)
+        self._caller.finish(self, fresh)
 
     def abandon(self) -> None:
         with self._lock:
@@ -294,12 +294,12 @@ class YarpServices:
 
     def plan(self, served: Mapping[str, OfferedService]) -> dict[str, PortPlan]:
         """Return the RPC ports for the services."""
-        found: dict[str, PortPlan] = {}
+        plan: dict[str, PortPlan] = {}
         for service in served.values():
             port = self._context.names.rpc(service.name)
             request, reply = self._contents.of_service(service.name)
-            found[port] = PortPlan(port, False, service.name, service.side_type.name, "", request, reply=reply)
-        return found
+            plan[port] = PortPlan(port, False, service.name, service.side_type.name, "", request, reply=reply)
+        return plan
 
     def conversion(self, type_name: str, type_hash: str = "") -> ServiceConversion:
         """Return only checks of requests and replies; each port converts them to its content."""

@@ -38,10 +38,10 @@ def envelope(count: int, stamp_ns: int | None) -> str:
 
 def stamp(text: str) -> int | None:
     """Return the stamp of an envelope in nanoseconds, or None."""
-    found = _STAMP.fullmatch(text)
-    if found is None:
+    match = _STAMP.fullmatch(text)
+    if match is None:
         return None
-    time_ns = int(Decimal(found[1]).scaleb(9).to_integral_value())
+    time_ns = int(Decimal(match[1]).scaleb(9).to_integral_value())
     return time_ns if 0 < time_ns < 1 << 62 else None
 
 
@@ -64,7 +64,7 @@ class _Held:
 
     since: float
     message: PortMessage
-    going: bool = False
+    delivering: bool = False
 
 
 @dataclass(eq=False)
@@ -110,7 +110,7 @@ class InputPort:
     def _hold(self, peer: str, message: PortMessage) -> None:
         """Hold a message, in place of its peer's earlier one, or after one that is being delivered."""
         with self._changed:
-            self._changed.wait_for(lambda: not ((held := self._held.get(peer)) and held.going))
+            self._changed.wait_for(lambda: not ((held := self._held.get(peer)) and held.delivering))
             if peer in self._held or len(self._held) < MAX_HELD:
                 self._held[peer] = _Held(time.monotonic(), message)
 
@@ -123,14 +123,14 @@ class InputPort:
         now = time.monotonic()
         with self._changed:
             for peer, held in list(self._held.items()):
-                if now - held.since > HOLD_SECONDS and not held.going:
+                if now - held.since > HOLD_SECONDS and not held.delivering:
                     del self._held[peer]
             return set(self._held)
 
     def release(self) -> None:
         """Deliver the held messages whose senders are now known."""
-        while self._held and (found := self._next()) is not None:
-            peer, message, deliver = found
+        while self._held and (held := self._next()) is not None:
+            peer, message, deliver = held
             try:
                 self._pass_on(message, deliver)
             finally:
@@ -144,10 +144,10 @@ class InputPort:
         if deliver is None:
             return None
         with self._changed:
-            for peer, held in [(peer, held) for peer, held in self._held.items() if not held.going]:
+            for peer, held in [(peer, held) for peer, held in self._held.items() if not held.delivering]:
                 made_by = self.made_by(peer)
                 if made_by is MadeBy.NATIVE and now - held.since <= HOLD_SECONDS:
-                    held.going = True
+                    held.delivering = True
                     return peer, held.message, deliver
                 if made_by is not MadeBy.UNKNOWN or now - held.since > HOLD_SECONDS:
                     del self._held[peer]
@@ -189,10 +189,10 @@ class TopicOutput:
 
     def publisher(self, qos: Qos, closed: Callable[[YarpPublisher], None]) -> YarpPublisher:
         """Create a publisher."""
-        made = YarpPublisher(self, qos, closed)
+        publisher = YarpPublisher(self, qos, closed)
         with self._lock:
-            self._publishers.append(made)
-        return made
+            self._publishers.append(publisher)
+        return publisher
 
     def remove(self, publisher: YarpPublisher) -> bool:
         """Remove a closed publisher; return whether it was the last one."""
@@ -212,7 +212,7 @@ class TopicOutput:
             self._ports = tuple(port for port in self._ports if port.core is not core)
 
     @property
-    def heard(self) -> bool:
+    def has_readers(self) -> bool:
         """Whether a reader is connected to one of the ports."""
         return any(port.core.connections.outputs for port in self._ports)
 
@@ -241,7 +241,7 @@ class TopicOutput:
         if failure is not None:
             raise failure
 
-    def welcome(self, core: PortCore, target: str) -> None:
+    def send_latched(self, core: PortCore, target: str) -> None:
         """Send the cached messages to a new reader."""
         with self._lock:
             port = next((port for port in self._ports if port.core is core), None)
@@ -281,7 +281,7 @@ class YarpPublisher:
     @property
     def heard(self) -> bool:
         """Whether a reader is connected to one of the topic's ports."""
-        return self.output.heard
+        return self.output.has_readers
 
     @property
     def dropped(self) -> int:

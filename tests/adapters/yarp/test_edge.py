@@ -87,13 +87,13 @@ def test_a_subscriber_added_during_an_update_receives_every_message_from_then_on
 ) -> None:
     """The update works with the subscriptions that existed when it began."""
     writer, received = YarpPort(names, "/writer"), list[bytes]()
-    look_for_callers, connect, subscribed = OwnPorts.look_for_callers, OwnPorts.connect, threading.Event()
+    abandon_calls, connect, subscribed = OwnPorts.abandon_calls, OwnPorts.connect, threading.Event()
 
-    def subscribe_then_look(ports: OwnPorts) -> None:
+    def subscribe_then_abandon(ports: OwnPorts) -> None:
         if not subscribed.is_set() and ports.made_by("/writer") is MadeBy.NATIVE:
             subscribed.set()
             edge.subscribe("/talk", STRING, Qos(), lambda cdr, *_: received.append(cdr))
-        look_for_callers(ports)
+        abandon_calls(ports)
 
     def write_then_connect(ports: OwnPorts) -> None:
         if subscribed.is_set() and not received:
@@ -102,7 +102,7 @@ def test_a_subscriber_added_during_an_update_receives_every_message_from_then_on
         connect(ports)
 
     monkeypatch.setattr(OwnPorts, "connect", write_then_connect)
-    monkeypatch.setattr(OwnPorts, "look_for_callers", subscribe_then_look)
+    monkeypatch.setattr(OwnPorts, "abandon_calls", subscribe_then_abandon)
     edge.advertise("/talk", STRING, Qos())
     edge.start(LISTENER)
     writer.write_to("/midspan/talk:i")
@@ -128,8 +128,8 @@ def test_a_delayed_update_does_not_disconnect_the_new_owner_of_the_name(
         others.append(YarpPort(names, port, naming=NameClient(names.address)))
         others[0].write_to(reader.name)
         connect(ports)
-        (making,) = own.making.values()
-        assert not making.result(20)
+        (pending,) = own.pending.values()
+        assert not pending.result(20)
         others[0].write(["still connected"])
 
     monkeypatch.setattr(OwnPorts, "connect", connect_late)
@@ -146,15 +146,15 @@ def test_a_port_opened_by_a_delayed_update_is_closed(
 ) -> None:
     """The name-server thread hangs for longer than `stop` waits for it, and then opens a port."""
     monkeypatch.setattr(edge_module, "_STOP_TIMEOUT", 0.05)
-    follow, reached, resume = OwnPorts.follow, threading.Event(), threading.Event()
+    apply, reached, resume = OwnPorts.apply, threading.Event(), threading.Event()
 
-    def follow_slowly(ports: OwnPorts, plan: dict[str, PortPlan], *more: Any) -> None:
+    def apply_slowly(ports: OwnPorts, plan: dict[str, PortPlan], *more: Any) -> None:
         if plan:
             reached.set()
             assert resume.wait(20)
-        follow(ports, plan, *more)
+        apply(ports, plan, *more)
 
-    monkeypatch.setattr(OwnPorts, "follow", follow_slowly)
+    monkeypatch.setattr(OwnPorts, "apply", apply_slowly)
     edge.advertise("/talk", STRING, Qos())
     edge.start(LISTENER)
     assert reached.wait(20)
@@ -174,7 +174,7 @@ def test_a_delayed_update_does_not_join_the_network(
         reached.set()
         assert resume.wait(20)
 
-    monkeypatch.setattr(OwnPorts, "bury", bury_slowly)
+    monkeypatch.setattr(OwnPorts, "unregister_dead", bury_slowly)
     edge.start(LISTENER)
     assert reached.wait(20)
     edge.stop()
@@ -199,7 +199,7 @@ class Failing(dict[str, PortPlan]):
 def test_a_connection_that_fails_while_ports_are_planned_is_a_warning(edge: YarpEdge) -> None:
     ports = edge.ports
     ports.trouble = {"/gone /peer": (0.0, "port not registered")}
-    ports.follow(Failing(ports.trouble), {}, {})
+    ports.apply(Failing(ports.trouble), {}, {})
     assert ports.warnings() == ["connection refused"]
 
 

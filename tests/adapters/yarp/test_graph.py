@@ -64,14 +64,14 @@ def test_a_publisher_that_is_registered_and_does_not_listen_yet_is_not_there(nam
         number = taken.getsockname()[1]
     names.client.register(PORT, "127.0.0.1", number)
     look(graph, names)
-    assert not graph.is_there(PORT)
+    assert not graph.is_present(PORT)
     port = PortCore(PORT, naming=names.client, type_name="std_msgs/String", host="127.0.0.1", number=number)
     port.properties[LATCHED] = 1
     port.open()
 
     def there() -> bool:
         found = look(graph, names)
-        return graph.is_there(PORT) and found.latched
+        return graph.is_present(PORT) and found.latched
 
     until(there, "it is there, and known for latched", 20)
     port.close()

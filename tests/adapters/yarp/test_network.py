@@ -65,17 +65,17 @@ def test_our_own_name_server_is_asked_only_where_it_changed(tmp_path: Path, monk
     ask = network.naming.list
     monkeypatch.setattr(network.naming, "list", lambda: asked.append("list") or ask())
     try:
-        while network.look() is None or len(asked) < 2:
+        while network.list_ports() is None or len(asked) < 2:
             pass  # the first looks open it and give the network its name
-        network.look()
-        known, before = network.look(), len(asked)
-        assert network.look() is known
+        network.list_ports()
+        known, before = network.list_ports(), len(asked)
+        assert network.list_ports() is known
         assert len(asked) == before
         NameClient(Address("127.0.0.1", number)).register("/late", "127.0.0.1", 5)
-        assert "/late" in {contact.name for contact in network.look() or []}
+        assert "/late" in {contact.name for contact in network.list_ports() or []}
         assert network.naming.query("/late") == NameClient(Address("127.0.0.1", number)).query("/late")
         NameClient(Address("127.0.0.1", number)).unregister("/late")
-        assert "/late" not in {contact.name for contact in network.look() or []}
+        assert "/late" not in {contact.name for contact in network.list_ports() or []}
         assert network.naming.query("/late") is None
     finally:
         network.close()

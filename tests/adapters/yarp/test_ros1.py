@@ -158,7 +158,7 @@ def test_the_yarp_side_reads_nothing_from_the_port_of_a_ros1_node(site: Place, m
 def test_an_existing_connection_to_a_ros1_node_is_closed(site: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     """The master can start after the program."""
     known = frozenset[str]()
-    monkeypatch.setattr(Ros1Ports, "among", lambda *_: known)
+    monkeypatch.setattr(Ros1Ports, "select", lambda *_: known)
     listener = native(site, "/chatter-@/listener")
     site.bridge()
     publish_until(site, lambda: listener.received, "the port receives the topic")

@@ -191,4 +191,4 @@ def test_memory_of_datagrams_is_bounded() -> None:
         assembler.add(datagram(head, 0))
     for number in range(1, 50):
         assert assembler.add(datagram(bytes(60000), number)) is None
-    assert len(assembler._came) == 0
+    assert len(assembler._received) == 0
