@@ -1,4 +1,4 @@
-"""A hub, a YARP network beside it, and programs on both."""
+"""A hub, a YARP network, and programs on both."""
 
 from __future__ import annotations
 
@@ -29,30 +29,30 @@ DEFINITIONS = Definitions(())
 
 
 class YarpPort:
-    """A port of a YARP program without any ROS."""
+    """A port of a YARP program without ROS."""
 
     def __init__(
         self, names: Names, name: str, profile: Profile = Profile.YARP3, naming: NameClient | None = None
     ) -> None:
         self.name, self.names, self.profile = name, names, profile
-        self._subscriptions: list[PortMessage] = []
+        self._messages: list[PortMessage] = []
         self._changed = threading.Condition()
-        self.core = PortCore(name, naming=naming or names.client, on_message=self._hear, profile=profile)
+        self.core = PortCore(name, naming=naming or names.client, on_message=self._on_message, profile=profile)
         self.core.open()
 
-    def _hear(self, message: PortMessage) -> None:
+    def _on_message(self, message: PortMessage) -> None:
         with self._changed:
-            self._subscriptions.append(message)
+            self._messages.append(message)
             self._changed.notify_all()
 
     def messages(self, count: int = 1, seconds: float = 10.0) -> list[PortMessage]:
-        """All that came, once so many have or the time is over."""
+        """Wait for ``count`` messages, at most ``seconds``, and return all received ones."""
         with self._changed:
-            self._changed.wait_for(lambda: len(self._subscriptions) >= count, seconds)
-            return list(self._subscriptions)
+            self._changed.wait_for(lambda: len(self._messages) >= count, seconds)
+            return list(self._messages)
 
     def bottles(self, count: int = 1, seconds: float = 10.0) -> list[Any]:
-        """The same as values."""
+        """Return the values of the received Bottles, like `messages`."""
         return [binary.decode(bytes(m.payload), self.profile) for m in self.messages(count, seconds)]
 
     def write(self, values: list[Any] | bytes, envelope: str = "") -> None:
@@ -61,12 +61,12 @@ class YarpPort:
         self.core.write(payload, envelope, strict=True)
 
     def listen_to(self, port: str) -> None:
-        """Have another port write to this one, once it is there."""
-        until(lambda: _connected(self.names, port, self.name), f"{port} is there")
+        """Connect another port to this one, as soon as that is open."""
+        until(lambda: _connected(self.names, port, self.name), f"{port} is open")
 
     def write_to(self, port: str) -> None:
-        """Write to another port from now on, once it is there."""
-        until(lambda: self.core.add_output(port)[0], f"{port} is there")
+        """Connect this port to another, as soon as that is open."""
+        until(lambda: self.core.add_output(port)[0], f"{port} is open")
 
     def stop(self) -> None:
         self.core.close()
@@ -75,13 +75,13 @@ class YarpPort:
 def _connected(names: Names, source: str, target: str) -> bool:
     try:
         connections.connect(names.client, source, target)
-    except NamingError:  # registered, and not listening yet
+    except NamingError:  # registered, but not listening yet
         return False
     return True
 
 
 class Place:
-    """One test's networks and what was started on them."""
+    """The networks of one test, and the programs on them."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -91,33 +91,33 @@ class Place:
         self._far: HubSide | None = None
 
     def config(self, name: str = "here", *, yarp: dict[str, Any] | None = None, **sections: Any) -> Config:
-        """A configuration for this YARP network."""
-        own = {"nameserver": "site", "address": self.names.endpoint, "poll": 0.1, **(yarp or {})}
+        """Return a configuration for this YARP network."""
+        section = {"nameserver": "site", "address": self.names.endpoint, "poll": 0.1, **(yarp or {})}
         hub = {"listen": self.hubs.endpoint}
-        return Config.model_validate({"name": name, "state": self.folder, "hub": hub, "yarp": own, **sections})
+        return Config.model_validate({"name": name, "state": self.folder, "hub": hub, "yarp": section, **sections})
 
     def bridge(self, *topics: dict[str, Any], name: str = "here", **sections: Any) -> YarpBridge:
-        """The adapter with these rules of topics."""
+        """Start an adapter with these topic rules."""
         yarp = {"topics": list(topics), **sections.pop("yarp", {})}
         return self.keep(YarpBridge(self.config(name, yarp=yarp, **sections)))
 
     @property
     def far(self) -> HubSide:
-        """A native program of the hub."""
+        """A native program on the hub."""
         if self._far is None:
             self._far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
         return self._far
 
     def port(self, name: str, profile: Profile = Profile.YARP3) -> YarpPort:
-        """A port of a YARP program."""
+        """Open a port of a YARP program."""
         return self.keep(YarpPort(self.names, name, profile))
 
     def program(self, node: str) -> YarpProgram:
-        """A YARP program that names its ports ``/topic@/node``."""
+        """Start a YARP program with ports named ``/topic@/node``."""
         return self.keep(YarpProgram(self.names, node, DEFINITIONS))
 
     def keep(self, thing: Any) -> Any:
-        """End it with the test."""
+        """Stop an object at the end of the test."""
         self._open.append(thing)
         return thing
 
@@ -132,8 +132,8 @@ class Place:
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    made = Place(tmp_path)
+    place = Place(tmp_path)
     try:
-        yield made
+        yield place
     finally:
-        made.close()
+        place.close()

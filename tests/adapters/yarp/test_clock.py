@@ -1,4 +1,4 @@
-"""Clocks: ``/clock`` is YARP's network clock, both ways, and what is stamped on arrival is stamped by it."""
+"""Clocks: ``/clock`` is YARP's network clock in both directions, and messages without a stamp get its time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.support.wait import until
 CLOCK = "rosgraph_msgs/Clock"
 
 
-def test_a_yarp_program_runs_on_a_simulation(place: Place, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_yarp_program_uses_the_simulated_time(place: Place, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     monkeypatch.delenv("YARP_NAMESPACE", raising=False)
     monkeypatch.setenv("YARP_CLOCK", "/midspan/clock:o")
@@ -26,16 +26,19 @@ def test_a_yarp_program_runs_on_a_simulation(place: Place, monkeypatch: pytest.M
         until(lambda: (place.far.publish(out, time), yarp.now())[1] == 41.25, "the program has the simulation's time")
 
 
-def test_a_yarp_simulators_clock_stamps_what_comes_without_a_time(place: Place) -> None:
+def test_messages_without_a_stamp_get_the_time_of_a_yarp_simulator(place: Place) -> None:
     rules = [
         {"port": "/clock", "topic": "/clock", "type": "rosgraph_msgs/msg/Clock", "direction": "in"},
         {"topic": "/place", "type": "geometry_msgs/msg/TwistStamped", "as": "natural"},
     ]
     place.bridge(*rules, clock={"source": "sim"})
     clock, robot = place.port("/clock"), place.port("/robot:o")
-    heard, at_far = place.far.subscribe("/clock", CLOCK), place.far.subscribe("/place", "geometry_msgs/TwistStamped")
-    until(lambda: (clock.write([1000, 5]), place.far.wait(heard, 1, 0.2))[1], "the hub has the time")
-    assert place.far.wait(heard, 1)[-1] == {"clock": {"sec": 1000, "nanosec": 5}}
+    times, velocities = (
+        place.far.subscribe("/clock", CLOCK),
+        place.far.subscribe("/place", "geometry_msgs/TwistStamped"),
+    )
+    until(lambda: (clock.write([1000, 5]), place.far.wait(times, 1, 0.2))[1], "the hub receives the time")
+    assert place.far.wait(times, 1)[-1] == {"clock": {"sec": 1000, "nanosec": 5}}
     robot.write_to("/midspan/place:i")
-    until(lambda: (robot.write([0.5, 0.0, 10.0]), place.far.wait(at_far, 1, 0.2))[1], "a velocity crosses")
-    assert place.far.wait(at_far, 1)[-1]["header"]["stamp"] == {"sec": 1000, "nanosec": 5}
+    until(lambda: (robot.write([0.5, 0.0, 10.0]), place.far.wait(velocities, 1, 0.2))[1], "a velocity is bridged")
+    assert place.far.wait(velocities, 1)[-1]["header"]["stamp"] == {"sec": 1000, "nanosec": 5}

@@ -64,7 +64,7 @@ def edge(names: Names, tmp_path: Path) -> Iterator[YarpEdge]:
     edge.stop()
 
 
-def test_a_reader_that_connects_while_a_port_opens_receives_the_latched_message(
+def test_reader_that_connects_while_the_port_opens_receives_the_latched_message(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reader = YarpPort(names, "/late")
@@ -82,7 +82,7 @@ def test_a_reader_that_connects_while_a_port_opens_receives_the_latched_message(
     reader.stop()
 
 
-def test_a_subscriber_added_during_an_update_receives_every_message_from_then_on(
+def test_subscription_added_during_an_update_receives_every_later_message(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The update works with the subscriptions that existed when it began."""
@@ -111,7 +111,7 @@ def test_a_subscriber_added_during_an_update_receives_every_message_from_then_on
     writer.stop()
 
 
-def test_a_delayed_update_does_not_disconnect_the_new_owner_of_the_name(
+def test_delayed_update_does_not_disconnect_the_new_owner_of_the_name(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The worker hung after it had read the name server's list, and another worker registered the port meanwhile."""
@@ -121,14 +121,14 @@ def test_a_delayed_update_does_not_disconnect_the_new_owner_of_the_name(
     connect, port, others = OwnPorts.connect, "/midspan/talk:o", list[YarpPort]()
 
     def connect_late(ports: OwnPorts) -> None:
-        own = ports.own.get(port)
-        if own is None or reader.name not in own.links or others:
+        opened = ports.own.get(port)
+        if opened is None or reader.name not in opened.links or others:
             connect(ports)
             return
         others.append(YarpPort(names, port, naming=NameClient(names.address)))
         others[0].write_to(reader.name)
         connect(ports)
-        (pending,) = own.pending.values()
+        (pending,) = opened.pending.values()
         assert not pending.result(20)
         others[0].write(["still connected"])
 
@@ -141,7 +141,7 @@ def test_a_delayed_update_does_not_disconnect_the_new_owner_of_the_name(
         program.stop()
 
 
-def test_a_port_opened_by_a_delayed_update_is_closed(
+def test_port_opened_by_a_delayed_update_is_closed(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The name-server thread hangs for longer than `stop` waits for it, and then opens a port."""
@@ -164,17 +164,17 @@ def test_a_port_opened_by_a_delayed_update_is_closed(
     assert names.client.list("/midspan") == []
 
 
-def test_a_delayed_update_does_not_join_the_network(
+def test_delayed_update_does_not_join_the_network(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(edge_module, "_STOP_TIMEOUT", 0.05)
     reached, resume = threading.Event(), threading.Event()
 
-    def bury_slowly(*_: object) -> None:
+    def unregister_slowly(*_: object) -> None:
         reached.set()
         assert resume.wait(20)
 
-    monkeypatch.setattr(OwnPorts, "unregister_dead", bury_slowly)
+    monkeypatch.setattr(OwnPorts, "unregister_dead", unregister_slowly)
     edge.start(LISTENER)
     assert reached.wait(20)
     edge.stop()
@@ -196,14 +196,14 @@ class Failing(dict[str, PortPlan]):
         return name == "/here"
 
 
-def test_a_connection_that_fails_while_ports_are_planned_is_a_warning(edge: YarpEdge) -> None:
+def test_connection_that_fails_during_planning_is_a_warning(edge: YarpEdge) -> None:
     ports = edge.ports
     ports.trouble = {"/gone /peer": (0.0, "port not registered")}
     ports.apply(Failing(ports.trouble), {}, {})
     assert ports.warnings() == ["connection refused"]
 
 
-def test_a_service_can_close_while_ports_are_planned(
+def test_service_can_close_during_planning(
     edge: YarpEdge, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     plan, connect = YarpServices.plan, OwnPorts.connect
@@ -228,7 +228,7 @@ def test_a_service_can_close_while_ports_are_planned(
     assert "cannot update the ports and connections" not in caplog.text
 
 
-def test_the_worker_id_never_parses_as_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_worker_id_never_parses_as_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A name server parses an unquoted id such as 715758e2 as a number."""
     monkeypatch.setattr(uuid, "uuid4", lambda: SimpleNamespace(hex="123456789e12" + 20 * "0"))
     yarp = {"nameserver": "site", "address": "127.0.0.1:10000"}

@@ -1,4 +1,4 @@
-"""What the bridge knows of the ports of topics."""
+"""The graph of a YARP network: latching and presence of topic ports."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def names() -> Iterator[Names]:
     names.stop()
 
 
-def look(graph: YarpGraph, names: Names) -> NodePort:
-    """The port, as the graph has it after one more look."""
+def update(graph: YarpGraph, names: Names) -> NodePort:
+    """Update the graph and return its only port."""
     graph.update(names.client, names.client.list(), ())
-    (found,) = graph.nodes
-    return found
+    (port,) = graph.nodes
+    return port
 
 
 @pytest.fixture
@@ -40,45 +40,47 @@ def port(names: Names) -> Iterator[PortCore]:
     core.close()
 
 
-@pytest.mark.parametrize(("own", "latched"), [(1, True), ("true", True), (0, False), ("no", False), (None, False)])
-def test_a_publisher_itself_tells_at_the_first_look_whether_it_is_latched(
-    names: Names, port: PortCore, own: Any, latched: bool
+@pytest.mark.parametrize(
+    ("announced", "latched"), [(1, True), ("true", True), (0, False), ("no", False), (None, False)]
+)
+def test_publisher_announces_latching_at_the_first_update(
+    names: Names, port: PortCore, announced: Any, latched: bool
 ) -> None:
-    if own is not None:
-        port.properties[LATCHED] = own
+    if announced is not None:
+        port.properties[LATCHED] = announced
     port.open()
-    assert look(YarpGraph(Registry()), names).latched is latched
+    assert update(YarpGraph(Registry()), names).latched is latched
 
 
-def test_what_the_name_server_is_told_later_counts_too(names: Names, port: PortCore) -> None:
+def test_latching_can_be_set_at_the_name_server_later(names: Names, port: PortCore) -> None:
     port.open()
     graph = YarpGraph(Registry())
-    assert not look(graph, names).latched
+    assert not update(graph, names).latched
     names.client.set_property(PORT, LATCHED, "true")
-    assert look(graph, names).latched
+    assert update(graph, names).latched
 
 
-def test_a_publisher_that_is_registered_and_does_not_listen_yet_is_not_there(names: Names) -> None:
+def test_registered_publisher_that_does_not_listen_yet_is_not_present(names: Names) -> None:
     graph = YarpGraph(Registry())
     with socket.create_server(("127.0.0.1", 0)) as taken:
         number = taken.getsockname()[1]
     names.client.register(PORT, "127.0.0.1", number)
-    look(graph, names)
+    update(graph, names)
     assert not graph.is_present(PORT)
     port = PortCore(PORT, naming=names.client, type_name="std_msgs/String", host="127.0.0.1", number=number)
     port.properties[LATCHED] = 1
     port.open()
 
-    def there() -> bool:
-        found = look(graph, names)
-        return graph.is_present(PORT) and found.latched
+    def present() -> bool:
+        node = update(graph, names)
+        return graph.is_present(PORT) and node.latched
 
-    until(there, "it is there, and known for latched", 20)
+    until(present, "the port is present and latched", 20)
     port.close()
 
 
-class Forgetting:
-    """A contact whose port is forgotten as it is looked at."""
+class Discarding:
+    """A contact that discards its port when it is compared."""
 
     def __init__(self, graph: YarpGraph, name: str) -> None:
         self._graph, self._name = graph, name
@@ -90,11 +92,11 @@ class Forgetting:
         return True
 
 
-def test_a_port_whose_connection_ends_as_the_list_is_taken_up_is_forgotten(names: Names) -> None:
+def test_port_whose_connection_ends_during_an_update_is_discarded(names: Names) -> None:
     graph = YarpGraph(Registry())
     for name in ("/a", "/b", "/c"):
         graph.known[name] = KnownPort(PortContact(name, "127.0.0.1", 10002), 0.0)
-    graph.known["/a"].contact = Forgetting(graph, "/a")  # type: ignore[assignment]
-    graph.known["/b"].contact = Forgetting(graph, "/c")  # type: ignore[assignment]
+    graph.known["/a"].contact = Discarding(graph, "/a")  # type: ignore[assignment]
+    graph.known["/b"].contact = Discarding(graph, "/c")  # type: ignore[assignment]
     graph.update(names.client, [PortContact(name, "127.0.0.1", 10002) for name in ("/a", "/b", "/c")], ())
     assert graph.known.keys() == {"/b"}

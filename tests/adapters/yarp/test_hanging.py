@@ -1,4 +1,4 @@
-"""A name server or a port that takes connections and never answers holds up nobody's end."""
+"""A name server or port that accepts connections and never answers does not delay the worker's exit."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ pytestmark = pytest.mark.alone
 STRING = "std_msgs/String"
 TOPICS = 20
 STOP_SECONDS = 2.0
-"""What `bridge.worker.Worker.stop` promises."""
+"""The guarantee of `bridge.worker.Worker.stop`."""
 
 
 @contextmanager
 def hanging(address: Address) -> Iterator[socket.socket]:
-    """Something that listens there, and does nothing else."""
+    """Listen at an address without answering."""
     with socket.create_server((address.host, address.port), backlog=1000) as server:
         server.settimeout(20)
         yield server
 
 
-def test_a_hanging_name_server_does_not_hold_up_a_workers_end(place: Place) -> None:
+def test_hanging_name_server_does_not_delay_the_workers_exit(place: Place) -> None:
     for number in range(TOPICS):
         place.far.advertise(f"/topic_{number}", STRING)
     worker = WorkerProcess("yarp", place.config(), dict(os.environ))
@@ -40,18 +40,18 @@ def test_a_hanging_name_server_does_not_hold_up_a_workers_end(place: Place) -> N
         until(lambda: len(place.names.client.list("/midspan")) > 2 * TOPICS, "its ports are registered", 20)
         place.names.stop()
         with hanging(place.names.address) as server:
-            waiting = server.accept()[0]  # it asks, and gets no answer
+            waiting = server.accept()[0]  # the worker sends a query and gets no answer
             began = time.monotonic()
             worker.stop()
             took = time.monotonic() - began
             waiting.close()
-        print(f"ended after {took:.2f} s")
+        print(f"exited after {took:.2f} s")
         assert took <= STOP_SECONDS
     finally:
         worker.process.stop()
 
 
-def test_hanging_ports_do_not_hold_up_a_workers_end(place: Place) -> None:
+def test_hanging_ports_do_not_delay_the_workers_exit(place: Place) -> None:
     address = Address("127.0.0.1", free_port())
     rules = []
     for number in range(TOPICS):
@@ -62,7 +62,7 @@ def test_hanging_ports_do_not_hold_up_a_workers_end(place: Place) -> None:
     with hanging(address) as server:
         worker = WorkerProcess("yarp", place.config(yarp={"topics": rules}), dict(os.environ))
         try:
-            waiting = [server.accept()[0] for _ in range(8)]  # as many as the worker asks at once to connect
+            waiting = [server.accept()[0] for _ in range(8)]  # the worker's concurrent connection requests
             began = time.monotonic()
             worker.stop()
             took = time.monotonic() - began
@@ -70,6 +70,6 @@ def test_hanging_ports_do_not_hold_up_a_workers_end(place: Place) -> None:
                 connection.close()
         finally:
             worker.process.stop()
-    print(f"ended after {took:.2f} s")
+    print(f"exited after {took:.2f} s")
     assert took <= STOP_SECONDS
     assert [c.name for c in place.names.client.list("/midspan")] == []

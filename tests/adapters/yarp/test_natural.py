@@ -1,4 +1,4 @@
-"""Topic to port and port to topic, for each natural type, both profiles, with stamps, through a live adapter."""
+"""Each natural type from topic to port and back, in both profiles, with stamps, through a running adapter."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ CASES: dict[str, tuple[dict[str, Any], Any]] = {
     "nav_msgs/OccupancyGrid": (
         {"header": HEADER, "info": {"map_load_time": STAMP, "resolution": 0.5, "width": 2, "height": 1, "origin": POSE},
          "data": [100, -1]},
-        # the same corner, as YARP says it of a turned map
+        # the same corner, in YARP's form of a rotated map
         [2, 1, 2.0, -1.0, -90.0, 0.5, "map", 0, bytes([100, 255]), bytes([4, 5])],
     ),
     "std_msgs/String": ({"data": "two words"}, ["two words"]),
@@ -55,16 +55,16 @@ CASES: dict[str, tuple[dict[str, Any], Any]] = {
 }  # fmt: skip
 
 
-def near(one: Any, other: Any) -> bool:
-    """Whether two values are the same but for the last digits of floats."""
-    if isinstance(one, dict):
-        return one.keys() >= other.keys() and all(near(one[name], other[name]) for name in other)
-    if isinstance(one, list):
-        return len(one) == len(other) and all(map(near, one, other))
-    return bool(one == (pytest.approx(other, rel=1e-6, abs=1e-6) if isinstance(other, float) else other))
+def near(value: Any, other: Any) -> bool:
+    """Return whether two values are equal apart from rounding."""
+    if isinstance(value, dict):
+        return value.keys() >= other.keys() and all(near(value[name], other[name]) for name in other)
+    if isinstance(value, list):
+        return len(value) == len(other) and all(map(near, value, other))
+    return bool(value == (pytest.approx(other, rel=1e-6, abs=1e-6) if isinstance(other, float) else other))
 
 
-def test_each_type_both_ways(place: Place) -> None:
+def test_each_type_in_both_directions(place: Place) -> None:
     rules = []
     for number, name in enumerate(CASES):
         type_ = name.replace("/", "/msg/")
@@ -83,14 +83,14 @@ def test_each_type_both_ways(place: Place) -> None:
         reader.listen_to(f"/midspan/out{number}:o")
         place.far.hub_publish_until(out, message, lambda r=reader: r.messages(1, 0.2))
         assert near(reader.bottles()[0], bottle), name
-        heard = place.far.subscribe(f"/in{number}", name)
+        subscription = place.far.subscribe(f"/in{number}", name)
         writer.write_to(f"/midspan/in{number}:i")
         writer.write(bottle if isinstance(bottle[-1], bytes) else _payload(bottle, profile), _envelope(number))
-        got = place.far.wait(heard, 1)
-        assert got, f"{name} crosses"
-        assert near(got[0], message), name
+        received = place.far.wait(subscription, 1)
+        assert received, f"{name} is bridged"
+        assert near(received[0], message), name
         if "header" in message:
-            assert got[0]["header"] == HEADER
+            assert received[0]["header"] == HEADER
             assert stamp(reader.messages()[0].envelope) == STAMP_NS
 
 
@@ -105,10 +105,10 @@ def _payload(bottle: list[Any], profile: Profile) -> bytes:
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_yarps_own_classes_read_and_write(place: Place, profile: Profile) -> None:
-    """Scans, odometry, pictures, clouds and vectors as the classes of YARP's programs have them.
+def test_yarps_classes_read_and_write_natural_topics(place: Place, profile: Profile) -> None:
+    """Scans, odometry, images, clouds and vectors in the classes of YARP programs.
 
-    The configuration does not say which YARP that is: the programs' ports do.
+    The configuration does not set the YARP release: the programs' ports announce it.
     """
     types = {"scan": "sensor_msgs/LaserScan", "odom": "nav_msgs/Odometry", "picture": "sensor_msgs/Image",
              "cloud": "sensor_msgs/PointCloud2", "numbers": "std_msgs/Float64MultiArray"}  # fmt: skip
@@ -132,24 +132,24 @@ def test_yarps_own_classes_read_and_write(place: Place, profile: Profile) -> Non
         "cloud": PointCloudXYZ,
         "numbers": Vector,
     }
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for name, message in messages.items():
         reader, writer = place.port(f"/{name}/reader", profile), place.port(f"/{name}/writer", profile)
         out = place.far.advertise(f"/{name}_out", types[name])
         reader.listen_to(f"/midspan/{name}_out:o")
         place.far.hub_publish_until(out, message, lambda r=reader: r.messages(1, 0.2))
-        value = found[name] = classes[name].from_bytes(bytes(reader.messages()[0].payload), profile)
-        heard = place.far.subscribe(f"/{name}_in", types[name])
+        value = values[name] = classes[name].from_bytes(bytes(reader.messages()[0].payload), profile)
+        subscription = place.far.subscribe(f"/{name}_in", types[name])
         writer.write_to(f"/midspan/{name}_in:i")
         writer.write(value.to_bytes(profile), _envelope(1))
-        back = until(lambda h=heard: place.far.wait(h, 1, 0.2), f"{name} crosses")[0]
+        back = until(lambda s=subscription: place.far.wait(s, 1, 0.2), f"{name} is bridged")[0]
         known = {k: v for k, v in message.items() if k not in ("header", "angle_increment", "data")}
         assert near(back, known), name
         if name != "numbers":
             assert back["header"]["stamp"] == STAMP
             assert stamp(reader.messages()[0].envelope) == STAMP_NS
-    assert list(found["scan"].scans) == [1.0, math.inf]
-    assert (found["scan"].angle_max, found["odom"].odom_theta) == pytest.approx((180.0, 90.0), rel=1e-6)
-    assert found["picture"].numpy().tobytes() == pixels
-    assert [p.tolist()[:3] for p in found["cloud"].numpy()] == [(0.0, 1.0, 2.0), (1.0, 2.0, 3.0), (2.0, 3.0, 4.0)]
-    assert list(found["numbers"]) == [1.5, 2.5]
+    assert list(values["scan"].scans) == [1.0, math.inf]
+    assert (values["scan"].angle_max, values["odom"].odom_theta) == pytest.approx((180.0, 90.0), rel=1e-6)
+    assert values["picture"].numpy().tobytes() == pixels
+    assert [p.tolist()[:3] for p in values["cloud"].numpy()] == [(0.0, 1.0, 2.0), (1.0, 2.0, 3.0), (2.0, 3.0, 4.0)]
+    assert list(values["numbers"]) == [1.5, 2.5]

@@ -1,4 +1,4 @@
-"""The name server, ours and the site's, killed and started again; several daemons; what a killed one leaves behind."""
+"""Embedded and external name servers, their restarts, several daemons, and the ports of a killed daemon."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def no_yarp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_our_own_name_server_where_no_other_answers(place: Place, no_yarp: Path) -> None:
+def test_embedded_name_server_opens_if_no_other_answers(place: Place, no_yarp: Path) -> None:
     number = free_port()
     bridge = place.bridge(yarp={"nameserver": "auto", "address": f"127.0.0.1:{number}"})
     client = NameClient(Address("127.0.0.1", number))
@@ -50,27 +50,29 @@ def test_our_own_name_server_where_no_other_answers(place: Place, no_yarp: Path)
     assert not no_yarp.exists()
 
 
-def test_yarp_conf_says_where_our_name_server_is(place: Place, no_yarp: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_address_of_the_embedded_name_server_is_written_to_yarp_conf(
+    place: Place, no_yarp: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(conf, "DEFAULT_PORT", free_port())
     place.bridge(yarp={"nameserver": "embedded", "address": None})
     assert (no_yarp / "yarp.conf").read_text() == f"127.0.0.1 {conf.DEFAULT_PORT} yarp\n"
     assert NameClient().list("/midspan/daemon")
 
 
-def test_our_own_name_server_is_asked_only_where_it_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_embedded_name_server_is_read_only_after_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     number = free_port()
     section = Config.model_validate({"yarp": {"nameserver": "embedded", "address": f"127.0.0.1:{number}"}}).yarp
     network = YarpNetwork(section, tmp_path)
-    asked: list[str] = []
-    ask = network.naming.list
-    monkeypatch.setattr(network.naming, "list", lambda: asked.append("list") or ask())
+    queries: list[str] = []
+    query = network.naming.list
+    monkeypatch.setattr(network.naming, "list", lambda: queries.append("list") or query())
     try:
-        while network.list_ports() is None or len(asked) < 2:
-            pass  # the first looks open it and give the network its name
+        while network.list_ports() is None or len(queries) < 2:
+            pass  # the first calls open it and assign the network's id
         network.list_ports()
-        known, before = network.list_ports(), len(asked)
+        known, before = network.list_ports(), len(queries)
         assert network.list_ports() is known
-        assert len(asked) == before
+        assert len(queries) == before
         NameClient(Address("127.0.0.1", number)).register("/late", "127.0.0.1", 5)
         assert "/late" in {contact.name for contact in network.list_ports() or []}
         assert network.naming.query("/late") == NameClient(Address("127.0.0.1", number)).query("/late")
@@ -81,50 +83,50 @@ def test_our_own_name_server_is_asked_only_where_it_changed(tmp_path: Path, monk
         network.close()
 
 
-def test_the_sites_name_server_is_waited_for(place: Place) -> None:
+def test_worker_waits_for_an_external_name_server(place: Place) -> None:
     place.names.stop()
     config, registry = place.config(), Registry()
     edge = make_edges("yarp", config, registry, place.folder)["yarp"]
-    crossing = place.keep(NetworkBridge("yarp", edge, config, registry, print, diagnostics=False))
-    assert crossing.health().state == "waiting"
+    bridge = place.keep(NetworkBridge("yarp", edge, config, registry, print, diagnostics=False))
+    assert bridge.health().state == "waiting"
     place.names.start()
-    until(lambda: crossing.health().state == "running", "it is joined", 10)
+    until(lambda: bridge.health().state == "running", "the network is joined", 10)
 
 
-def test_a_name_server_that_returns_without_memory_costs_no_connection(place: Place) -> None:
+def test_connections_survive_a_name_server_that_restarts_empty(place: Place) -> None:
     place.bridge()
     out = place.far.advertise("/kept", STRING)
-    heard = place.far.subscribe("/back", STRING)
+    subscription = place.far.subscribe("/back", STRING)
     reader = place.port("/reader")
     reader.listen_to("/midspan/kept:o")
     program = place.program("/talker")
     back = program.advertise("/back", STRING)
     place.far.hub_publish_until(out, {"data": "before"}, lambda: reader.messages(1, 0.2))
-    place.far.publish_until(program, back, {"data": "before"}, lambda: place.far.wait(heard, 1, 0.2))
+    place.far.publish_until(program, back, {"data": "before"}, lambda: place.far.wait(subscription, 1, 0.2))
     place.names.stop()
     place.far.publish(out, {"data": "meanwhile"})
     until(lambda: ["meanwhile"] in reader.bottles(2, 0.2), "data flow without a name server")
     place.names.start()
-    until(lambda: place.names.client.query("/midspan/kept:o"), "our ports are registered again", 10)
+    until(lambda: place.names.client.query("/midspan/kept:o"), "Midspan's ports are registered again", 10)
     until(lambda: place.names.client.get_property("/midspan/kept:o", OWNER), "and marked", 10)
     place.far.publish(out, {"data": "after"})
     until(lambda: ["after"] in reader.bottles(3, 0.2), "over the same connection")
     assert sum(values == ["after"] for values in reader.bottles()) == 1
 
 
-def test_killed_and_started_again_leaves_no_ghosts(place: Place) -> None:
+def test_restart_after_a_kill_removes_stale_ports(place: Place) -> None:
     config = place.config()
     out = [place.far.advertise(topic, STRING) for topic in ("/one", "/two")]
     env = dict(os.environ)
     first = WorkerProcess("yarp", config, env)
     for topic in ("/one", "/two"):
-        until(lambda t=topic: place.names.client.query(f"/midspan{t}:o"), "its ports", 15)
+        until(lambda t=topic: place.names.client.query(f"/midspan{t}:o"), "the ports are registered", 15)
     first.kill()
     assert place.names.client.query("/midspan/one:o")
     place.far.drop(out[0])
     second = WorkerProcess("yarp", config, env)
     try:
-        until(lambda: not place.names.client.query("/midspan/one:o"), "what is left is removed", 15)
+        until(lambda: not place.names.client.query("/midspan/one:o"), "the stale port is removed", 15)
         reader = place.port("/reader")
         reader.listen_to("/midspan/two:o")
         place.far.hub_publish_until(out[1], {"data": "again"}, lambda: reader.messages(1, 0.2))
@@ -133,7 +135,7 @@ def test_killed_and_started_again_leaves_no_ghosts(place: Place) -> None:
     assert [c.name for c in place.names.client.list("/midspan")] == []
 
 
-def test_a_yarp_program_learns_definitions_from_the_daemon(place: Place) -> None:
+def test_yarp_program_gets_definitions_from_the_daemon(place: Place) -> None:
     place.bridge(name="robot")
     contact = place.names.client.list(PRESENCE.rstrip("/"))[0]
     assert list(place.names.client.get_property(contact.name, DAEMON)) == ["robot"]
@@ -143,27 +145,29 @@ def test_a_yarp_program_learns_definitions_from_the_daemon(place: Place) -> None
     assert text_client.ask(contact, ["definition", "no_msgs/Thing"])[0].startswith("[fail]")
 
 
-def test_a_port_name_that_is_taken_is_told(place: Place) -> None:
+def test_port_name_of_another_program_is_a_warning(place: Place) -> None:
     other = place.port("/midspan/taken:o")
     place.port("/midspan/here/taken:o")
     bridge = place.bridge()
     out = place.far.advertise("/taken", STRING)
-    told = until(lambda: [w for w in place.far.status()["warnings"] if "another program" in w], "a warning", every=0.1)
-    assert told[0].startswith("/midspan/taken:o: another program has a port of this name")
+    warnings = until(
+        lambda: [w for w in place.far.status()["warnings"] if "another program" in w], "a warning", every=0.1
+    )
+    assert warnings[0].startswith("/midspan/taken:o: another program has a port of this name")
     other.stop()
-    until(lambda: place.names.client.query("/midspan/taken:o"), "it is opened when the name is free", 10)
+    until(lambda: place.names.client.query("/midspan/taken:o"), "the port opens when the name is free", 10)
     place.far.drop(out)
     bridge.stop()
 
 
 @pytest.mark.parametrize("hubs", ["one hub", "two hubs"])
-def test_several_daemons_loop_nothing_and_bring_nothing_twice(place: Place, hubs: str) -> None:
+def test_several_daemons_cause_no_loops_and_no_duplicates(place: Place, hubs: str) -> None:
     program = place.program("/program")
-    heard, out = program.subscribe("/both", STRING), program.advertise("/both", STRING)
+    subscription, out = program.subscribe("/both", STRING), program.advertise("/both", STRING)
     far = [place.far]
 
-    def named_apart() -> bool:
-        """Whether both have ports of their own: of two that take one name at once, one opens them anew."""
+    def have_distinct_names() -> bool:
+        """Return whether each daemon has its own ports: after a conflict, one daemon reopens them."""
         names = [contact.name for contact in place.names.client.list("/midspan")]
         ends = ("/both:o", "/both:i", "/both/nodes:i")
         return hubs == "one hub" or all(sum(name.endswith(end) for name in names) == 2 for end in ends)
@@ -176,12 +180,12 @@ def test_several_daemons_loop_nothing_and_bring_nothing_twice(place: Place, hubs
         if hubs == "two hubs":
             far.append(HubSide(Hub.open(other.settings("far")), Registry()))
         try:
-            from_far = exchange(program, out, heard, far, named_apart)
-            if hubs == "one hub":  # whoever stands by takes over
+            from_far = exchange(program, out, subscription, far, have_distinct_names)
+            if hubs == "one hub":  # the standby takes over
                 states = [bridge.bridge.health().state for bridge in (first, second)]
                 assert sorted(states) == ["running", "standby"]
                 (first, second)[states.index("running")].stop()
-                until_all_receive(program, out, heard, [(far[0], from_far[0], far[0].subscribe("/both", STRING))])
+                until_all_receive(program, out, subscription, [(far[0], from_far[0], far[0].subscribe("/both", STRING))])
             else:
                 names = {c.name for c in place.names.client.list("/midspan")}
                 assert {"/midspan/both:o"} < {n for n in names if n.endswith("/both:o")}

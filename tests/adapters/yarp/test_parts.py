@@ -1,4 +1,4 @@
-"""Parts of the YARP side that need no network."""
+"""Parts of the YARP side, without a network."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bridge.daemon.workers import worker_kinds
 
 
 @given(st.integers(1, 1 << 61), st.integers(0, 10**9))
-def test_stamps_there_and_back(stamp_ns: int, count: int) -> None:
+def test_stamps_survive_the_envelope(stamp_ns: int, count: int) -> None:
     assert stamp(envelope(count, stamp_ns)) == stamp_ns
 
 
@@ -36,23 +36,23 @@ def test_stamps_there_and_back(stamp_ns: int, count: int) -> None:
         ("(1 2) 3", None),
     ],
 )
-def test_envelopes_of_others(text: str, stamp_ns: int | None) -> None:
+def test_envelopes_of_other_programs(text: str, stamp_ns: int | None) -> None:
     assert stamp(text) == stamp_ns
 
 
 @given(st.text(max_size=40))
-def test_any_envelope_is_read(text: str) -> None:
-    found = stamp(text)
-    assert found is None or 0 < found < 1 << 62
+def test_any_envelope_is_accepted(text: str) -> None:
+    stamp_ns = stamp(text)
+    assert stamp_ns is None or 0 < stamp_ns < 1 << 62
 
 
-def test_times_of_a_simulation_are_no_system_time() -> None:
+def test_simulated_times_are_not_on_the_system_clock() -> None:
     assert on_system_clock(12_000_000_000) is None
     assert on_system_clock(now := time.time_ns()) == now
     assert envelope(1, None) == envelope(1, 0) == ""
 
 
-def test_names_of_ports() -> None:
+def test_port_names_follow_the_schemes() -> None:
     names = PortNames("/midspan{topic}:o", "/robot/in{topic}", "/midspan{topic}/rpc", "r1")
     assert names.output("/camera/image") == "/midspan/camera/image:o"
     assert names.input("/scan/from/laser:o") == "/robot/in/scan/from/laser:o"
@@ -62,16 +62,16 @@ def test_names_of_ports() -> None:
     assert not names.may_be("/other/scan:o")
 
 
-def test_the_worker_runs_where_yarp_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_worker_runs_if_yarp_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     monkeypatch.delenv("YARP_NAMESPACE", raising=False)
     kind = worker_kinds({})["yarp"]
-    unused, said = Config(), Config.model_validate({"yarp": {"poll": 1}})
+    unused, configured = Config(), Config.model_validate({"yarp": {"poll": 1}})
     assert "YARP is not used here" in environment.available(unused)
     assert kind.enabled(unused) is False
     assert kind.enabled(Config.model_validate({"yarp": {"enabled": True}})) is True
-    assert kind.enabled(said) == "auto"
-    assert environment.available(said) == ""
+    assert kind.enabled(configured) == "auto"
+    assert environment.available(configured) == ""
     (tmp_path / "yarp.conf").write_text("127.0.0.1 10000 yarp\n")
     assert kind.enabled(unused) == "auto"
     named = Config.model_validate({"yarp": {"namespace": "/lab"}})

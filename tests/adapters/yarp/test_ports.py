@@ -1,4 +1,4 @@
-"""Ports and topics: rules, connections that come again, contents, loops, commands, late joiners."""
+"""Ports and topics: rules, reconnection, contents, loops, commands, late joiners."""
 
 from __future__ import annotations
 
@@ -23,31 +23,34 @@ def velocity(x: float) -> dict[str, Any]:
     return {"linear": {"x": x, "y": 0.5, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.25}}
 
 
-def test_a_port_of_a_rule_is_a_topic_and_again_when_it_returns(place: Place) -> None:
+def test_port_in_a_rule_is_a_topic_again_when_it_returns(place: Place) -> None:
     rule = {"port": "/joystick:o", "topic": "/joy", "type": "geometry_msgs/msg/Twist", "direction": "in",
             "fields": SHORT, "carrier": "fast_tcp"}  # fmt: skip
     bridge = place.bridge(rule)
-    heard = place.far.subscribe("/joy", TWIST)
+    subscription = place.far.subscribe("/joy", TWIST)
     assert "/joystick:o" not in str(place.far.publishers("/joy"))
     for count in (1, 2):
         port = place.port("/joystick:o")
-        until(lambda p=port: p.core.outputs(), "the bridge connects it", 10)
+        until(lambda p=port: p.core.outputs(), "the bridge connects the port", 10)
         assert port.core.outputs()[0].carrier == "fast_tcp"
-        until(lambda p=port, c=count: p.write([c, 0.5, 0.25]) or place.far.wait(heard, c, 0.2)[c - 1 :], "it crosses")
-        assert place.far.wait(heard, count)[-1] == velocity(float(count))
+        until(
+            lambda p=port, c=count: p.write([c, 0.5, 0.25]) or place.far.wait(subscription, c, 0.2)[c - 1 :],
+            "a message",
+        )
+        assert place.far.wait(subscription, count)[-1] == velocity(float(count))
         port.stop()
         place.far.until_unpublished("/joy")
     bridge.stop()
 
 
-def test_a_topic_goes_to_the_port_of_a_rule_and_again_when_it_returns(place: Place) -> None:
+def test_topic_is_written_to_the_port_in_a_rule_again_when_it_returns(place: Place) -> None:
     rule = {"port": "/base/control:i", "topic": "/cmd_vel", "direction": "out", "profile": "yarp4",
             "fields": [3, "linear.x", "linear.y", "deg(angular.z)", 100.0]}  # fmt: skip
     place.bridge(rule)
     out = place.far.advertise("/cmd_vel", TWIST)
     for _ in range(2):
         port = place.port("/base/control:i", Profile.YARP4)
-        until(lambda p=port: p.core.inputs(), "the bridge connects to it", 10)
+        until(lambda p=port: p.core.inputs(), "the bridge connects to the port", 10)
         place.far.publish(out, velocity(1.0))
         place.far.hub_publish_until(out, velocity(2.0), lambda p=port: p.bottles(1, 0.2))
         assert port.bottles()[-1][:3] in ([3, 1.0, 0.5], [3, 2.0, 0.5])
@@ -56,82 +59,84 @@ def test_a_topic_goes_to_the_port_of_a_rule_and_again_when_it_returns(place: Pla
 
 
 def test_one_topic_in_two_contents_and_two_profiles(place: Place) -> None:
-    """The topic's own port has the converter's layout, the rule's port the fields, in its own profile."""
+    """The topic's main port has the converter's layout, the rule's port its fields and profile."""
     place.bridge({"port": "/short", "topic": "/cmd_vel", "direction": "out", "fields": SHORT, "profile": "yarp4"})
     short, long = place.port("/short", Profile.YARP4), place.port("/long")
     out = place.far.advertise("/cmd_vel", TWIST)
     long.listen_to("/midspan/cmd_vel:o")
-    until(lambda: short.core.inputs(), "the rule's connection is there")
+    until(lambda: short.core.inputs(), "the rule's port is connected")
     place.far.hub_publish_until(out, velocity(1.0), lambda: short.messages(1, 0.1) and long.messages(1, 0.1))
     assert short.bottles()[0] == [1.0, 0.5, 0.25]
     assert long.bottles()[0] == [[1.0, 0.5, 0.0], [0.0, 0.0, 0.25]]
 
 
-def test_whoever_writes_to_a_topics_port_is_a_publisher(place: Place) -> None:
+def test_port_that_writes_to_a_topics_port_is_a_publisher(place: Place) -> None:
     place.bridge()
     out = place.far.advertise("/chat", "std_msgs/String")
-    heard = place.far.subscribe("/chat", "std_msgs/String")
+    subscription = place.far.subscribe("/chat", "std_msgs/String")
     writer = place.port("/talker")
     writer.write_to("/midspan/chat:i")
-    until(lambda: writer.write(["hello"]) or {"data": "hello"} in place.far.wait(heard, 1, 0.2), "it crosses", 10)
+    until(lambda: writer.write(["hello"]) or {"data": "hello"} in place.far.wait(subscription, 1, 0.2), "a message", 10)
     assert place.far.explain("/chat")
     writer.stop()
     place.far.drop(out)
 
 
-def test_who_writes_one_line_and_leaves_is_heard(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
-    """``echo hello | yarp write ... /midspan/once:i`` registers, writes and is gone before anybody asks who it was."""
-    monkeypatch.setattr(topics, "HOLD_SECONDS", 20.0)  # a turn of the clerk may take long on a slow machine
+def test_message_of_a_writer_that_leaves_at_once_is_bridged(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """``echo hello | yarp write ... /midspan/once:i`` registers, writes and leaves before the graph is updated."""
+    monkeypatch.setattr(topics, "HOLD_SECONDS", 20.0)  # an update of the graph may take long on a slow machine
     place.bridge({"topic": "/once", "type": "std_msgs/msg/String"})
-    there = place.far.advertise("/dynamic", "std_msgs/String")
+    out = place.far.advertise("/dynamic", "std_msgs/String")
     until(lambda: place.names.client.query("/midspan/dynamic:i"), "the input port")
     place.far.until_published("/once")
     for number, topic in enumerate(("/once", "/dynamic")):
-        heard = place.far.subscribe(topic, "std_msgs/String")
+        subscription = place.far.subscribe(topic, "std_msgs/String")
         writer = place.port(f"/quick{number}")
         writer.write_to(f"/midspan{topic}:i")
         writer.write(["only"])
         writer.stop()
-        assert place.far.wait(heard, 1, 20) == [{"data": "only"}]
-    place.far.drop(there)
+        assert place.far.wait(subscription, 1, 20) == [{"data": "only"}]
+    place.far.drop(out)
 
 
-def test_a_port_of_a_node_without_a_type_has_that_of_the_rule(place: Place) -> None:
-    """Real YARP's tools open ``/talk@/talker`` and know of no types."""
+def test_untyped_port_of_a_node_has_the_rules_type(place: Place) -> None:
+    """C++ YARP's tools open ``/talk@/talker`` without a type."""
     place.bridge({"topic": "/talk", "type": "std_msgs/msg/String"})
-    heard = place.far.subscribe("/talk", "std_msgs/String")
+    subscription = place.far.subscribe("/talk", "std_msgs/String")
     talker = place.port("/talk+@/talker")
-    until(lambda: talker.core.outputs(), "the bridge connects it")
-    until(lambda: talker.write(["hello"]) or place.far.wait(heard, 1, 0.2), "it crosses")
+    until(lambda: talker.core.outputs(), "the bridge connects the port")
+    until(lambda: talker.write(["hello"]) or place.far.wait(subscription, 1, 0.2), "a message is bridged")
     out = place.far.advertise("/orders", "std_msgs/String")
     listener = place.port("/orders-@/listener")
     place.far.hub_publish_until(out, {"data": "go"}, lambda: listener.messages(1, 0.2))
     assert listener.bottles()[0] == ["go"]
 
 
-def test_a_line_of_text_drives(place: Place) -> None:
-    """A text carrier is a socket and two lines."""
+def test_line_of_text_is_a_command(place: Place) -> None:
+    """The text carrier needs only a socket and two lines."""
     place.bridge({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "fields": SHORT})
-    heard = place.far.subscribe("/cmd_vel", TWIST)
+    subscription = place.far.subscribe("/cmd_vel", TWIST)
     place.far.until_published("/cmd_vel")
     query = place.names.client.query
     contact = until(
         lambda: (c := query("/midspan/cmd_vel:i")) and connections.responds(c) and c, "the input port listens"
     )
     until(
-        lambda: text_client.raw(contact, "someone", "d\r\n1.5 0.5 0.25\r\n", 2.0) and place.far.wait(heard, 1, 0.3),
-        "it drives",
+        lambda: (
+            text_client.raw(contact, "someone", "d\r\n1.5 0.5 0.25\r\n", 2.0) and place.far.wait(subscription, 1, 0.3)
+        ),
+        "the command is bridged",
     )
-    assert place.far.wait(heard, 1)[0] == velocity(1.5)
+    assert place.far.wait(subscription, 1)[0] == velocity(1.5)
 
 
-def test_what_is_no_message_is_counted_with_its_reason(place: Place) -> None:
+def test_invalid_messages_are_counted_with_the_reason(place: Place) -> None:
     place.bridge({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "fields": SHORT})
-    heard = place.far.subscribe("/cmd_vel", TWIST)
+    subscription = place.far.subscribe("/cmd_vel", TWIST)
     place.far.until_published("/cmd_vel")
     writer = place.port("/writer")
     writer.write_to("/midspan/cmd_vel:i")
-    until(lambda: writer.write([1, 0.5, 0.25]) or place.far.wait(heard, 1, 0.2), "a good one crosses")
+    until(lambda: writer.write([1, 0.5, 0.25]) or place.far.wait(subscription, 1, 0.2), "a valid message is bridged")
     for bad in ([1.0, 2.0], [1.0, "fast", 2.0], ["", [], {}], b"\xff" * 40):
         writer.write(bad)
     route = until(
@@ -143,21 +148,21 @@ def test_what_is_no_message_is_counted_with_its_reason(place: Place) -> None:
     assert "no Bottle" in route["error"]
     assert "/writer" in route["error"]
     writer.write([9, 0.5, 0.25])
-    until(lambda: velocity(9.0) in place.far.wait(heard, 2, 0.2), "the next good one crosses")
+    until(lambda: velocity(9.0) in place.far.wait(subscription, 2, 0.2), "the next valid message is bridged")
 
 
-def test_our_own_output_is_never_taken_up_again(place: Place) -> None:
+def test_output_connected_to_an_input_causes_no_loop(place: Place) -> None:
     place.bridge()
     out = place.far.advertise("/loop", "std_msgs/String")
-    heard = place.far.subscribe("/loop", "std_msgs/String")
+    subscription = place.far.subscribe("/loop", "std_msgs/String")
     reader = place.port("/reader")
     reader.listen_to("/midspan/loop:o")
     until(lambda: place.names.client.query("/midspan/loop:i"), "the input port")
     until(lambda: _connect(place, "/midspan/loop:o", "/midspan/loop:i"), "they are connected")
     for number in range(5):
         place.far.publish(out, {"data": str(number)})
-    until(lambda: ["4"] in reader.bottles(5, 0.2), "all are heard on YARP")
-    assert len(place.far.wait(heard, 6, 0.5)) <= 5  # what the far end hears of itself
+    until(lambda: ["4"] in reader.bottles(5, 0.2), "all arrive on YARP")
+    assert len(place.far.wait(subscription, 6, 0.5)) <= 5  # the far end's own messages
 
 
 def _connect(place: Place, source: str, target: str) -> bool:
@@ -168,7 +173,7 @@ def _connect(place: Place, source: str, target: str) -> bool:
     return True
 
 
-def test_late_joiners_get_what_is_kept(place: Place) -> None:
+def test_late_joiner_on_yarp_receives_the_latched_message(place: Place) -> None:
     place.bridge()
     out = place.far.advertise("/map_name", "std_msgs/String", latched=True, depth=1)
     place.far.publish(out, {"data": "kitchen"})
@@ -179,7 +184,7 @@ def test_late_joiners_get_what_is_kept(place: Place) -> None:
     place.far.drop(out)
 
 
-def test_a_latched_port_of_a_rule_is_kept_on_the_hub(place: Place) -> None:
+def test_late_joiner_on_the_hub_receives_a_latched_rules_message(place: Place) -> None:
     place.bridge({"topic": "/mode", "type": "std_msgs/msg/String", "latched": True})
     writer = place.port("/writer")
     place.far.until_published("/mode")
@@ -187,15 +192,15 @@ def test_a_latched_port_of_a_rule_is_kept_on_the_hub(place: Place) -> None:
     writer.write(["manual"])
 
     def late() -> list[dict[str, Any]]:
-        heard = place.far.subscribe("/mode", "std_msgs/String", latched=True)
-        got = place.far.wait(heard, 1, 0.3)
-        place.far.drop(heard)
-        return got
+        subscription = place.far.subscribe("/mode", "std_msgs/String", latched=True)
+        messages = place.far.wait(subscription, 1, 0.3)
+        place.far.drop(subscription)
+        return messages
 
-    assert until(late, "it is kept") == [{"data": "manual"}]
+    assert until(late, "the latched message") == [{"data": "manual"}]
 
 
-def test_commands_are_neither_kept_nor_delivered_late(place: Place) -> None:
+def test_commands_are_neither_latched_nor_delivered_late(place: Place) -> None:
     place.bridge({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"})
     out = place.far.advertise("/cmd_vel", TWIST, latched=True, depth=1)
     early = place.port("/early")
@@ -204,19 +209,20 @@ def test_commands_are_neither_kept_nor_delivered_late(place: Place) -> None:
     late = place.port("/late")
     late.listen_to("/midspan/cmd_vel:o")
     assert late.messages(1, 1.0) == []
-    heard = place.far.subscribe("/cmd_vel", TWIST)
+    subscription = place.far.subscribe("/cmd_vel", TWIST)
     writer = place.port("/writer")
     writer.write_to("/midspan/cmd_vel:i")
     now = time.time()
     until(
-        lambda: writer.write([[1, 0, 0], [0, 0, 0]], f"1 {time.time()}") or place.far.wait(heard, 1, 0.2), "it crosses"
+        lambda: writer.write([[1, 0, 0], [0, 0, 0]], f"1 {time.time()}") or place.far.wait(subscription, 1, 0.2),
+        "a command is bridged",
     )
     writer.write([[7, 0, 0], [0, 0, 0]], f"2 {now - 5}")
     until(lambda: (place.far.route("/cmd_vel", "in") or {"drops": {}})["drops"].get("stale"), "it is stale", every=0.1)
-    assert all(m["linear"]["x"] != 7.0 for m in place.far.wait(heard, 2, 0.2))
+    assert all(m["linear"]["x"] != 7.0 for m in place.far.wait(subscription, 2, 0.2))
 
 
-def test_a_reader_that_stands_still_delays_nobody(place: Place) -> None:
+def test_stalled_reader_does_not_delay_others(place: Place) -> None:
     place.bridge()
     out = place.far.advertise("/stream", "std_msgs/String")
     stuck, quick = place.port("/stuck"), place.port("/quick")
@@ -227,11 +233,11 @@ def test_a_reader_that_stands_still_delays_nobody(place: Place) -> None:
     place.far.hub_publish_until(out, {"data": "probe"}, lambda: quick.messages(1, 0.2))
     for number in range(100):
         place.far.publish(out, {"data": str(number)})
-    until(lambda: ["99"] in quick.bottles(100, 0.2), "the quick one heard the last", 10)
+    until(lambda: ["99"] in quick.bottles(100, 0.2), "the quick reader gets the last message", 10)
     release.append(True)
 
 
-def test_a_type_that_yarp_cannot_say_is_explained(place: Place) -> None:
+def test_rule_that_does_not_fit_the_type_is_explained(place: Place) -> None:
     place.bridge({"topic": "/wide", "fields": ["nothing"]})
     out = place.far.hub.publisher(
         "/wide", "std_msgs/msg/String", place.far.registry.ros2("std_msgs/msg/String").type_id, Qos()
@@ -242,8 +248,8 @@ def test_a_type_that_yarp_cannot_say_is_explained(place: Place) -> None:
     out.close()
 
 
-def test_a_reader_by_text_of_what_has_no_text_harms_no_other(place: Place) -> None:
-    """A point cloud is no Bottle: who reads by a text carrier gets nothing, and the rest everything."""
+def test_text_reader_of_a_type_without_text_does_not_affect_others(place: Place) -> None:
+    """A point cloud is not a Bottle: readers by a text carrier receive nothing, others everything."""
     place.bridge(yarp={"as": "natural"})
     cloud = {"width": 1, "height": 1, "point_step": 16, "row_step": 16, "data": [0] * 16, "fields": [
         {"name": a, "offset": 4 * n, "datatype": 7, "count": 1} for n, a in enumerate("xyz")]}  # fmt: skip

@@ -1,4 +1,4 @@
-"""How one worker looks for the others of its YARP network."""
+"""The search of a worker for the others on its YARP network."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from yarp_compat.ports.connections import ConnectionEvent
 from yarp_compat.wire.contact import ConnectionRoute, PortContact
 
 
-def test_a_name_that_a_dead_worker_left_is_tried_less_and_less(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tries_to_connect_a_dead_worker_become_rarer(monkeypatch: pytest.MonkeyPatch) -> None:
     now, tried = 100.0, []
     monkeypatch.setattr(presence, "time", SimpleNamespace(monotonic=lambda: now))
     naming = NameClient(Address("127.0.0.1", 1), namespace="/root")
@@ -35,11 +35,11 @@ def test_a_name_that_a_dead_worker_left_is_tried_less_and_less(monkeypatch: pyte
     here._core = core  # type: ignore[assignment]
     contacts = {name: PortContact(name, "127.0.0.1", 10002)}
     for _ in range(60):
-        here.look(contacts, now)
+        here.connect(contacts, now)
         now += 1.0
     assert tried == [0.0, 2.0, 6.0, 14.0, 30.0, 46.0]
     here._on_event(
         ConnectionEvent(ConnectionRoute(name, core.name, "tcp"), up=True, incoming=True)
-    )  # it is there after all
-    here.look(contacts, now)
+    )  # it is alive after all
+    here.connect(contacts, now)
     assert tried[-1] == 60.0

@@ -110,7 +110,7 @@ def publish_until(site: Place, condition: Callable[[], object], description: str
     until(publish_and_check, description, every=0.1)
 
 
-def test_the_yarp_side_writes_nothing_to_the_port_of_a_ros1_node(site: Place, master: RosMaster) -> None:
+def test_yarp_side_does_not_write_to_the_port_of_a_ros1_node(site: Place, master: RosMaster) -> None:
     """34 of 62 messages arrived twice: over TCPROS from the ROS 1 side, and from a port of the YARP side."""
     listener = native(site, "/chatter-@/listener")
     site.bridge(ros1={"enabled": True, "master": master.uri})
@@ -130,14 +130,14 @@ def connect_plain(site: Place) -> bool:
 
 
 @pytest.mark.parametrize("ros1_side", ["no ROS 1 side", "another master"])
-def test_without_a_ros1_side_on_that_master_the_yarp_side_writes_to_the_port(site: Place, ros1_side: str) -> None:
+def test_yarp_side_writes_to_the_port_without_a_ros1_side_on_that_master(site: Place, ros1_side: str) -> None:
     listener = native(site, "/chatter-@/listener")
     other = f"http://127.0.0.1:{free_port()}/"
     site.bridge(ros1={"enabled": False} if ros1_side == "no ROS 1 side" else {"enabled": True, "master": other})
     publish_until(site, lambda: listener.received, "the port receives the topic")
 
 
-def test_the_yarp_side_reads_nothing_from_the_port_of_a_ros1_node(site: Place, master: RosMaster) -> None:
+def test_yarp_side_does_not_read_the_port_of_a_ros1_node(site: Place, master: RosMaster) -> None:
     """A program of `yarp_compat` is read over YARP: the master lists its name, but it has no TCPROS server."""
     talker, ours = native(site, "/chatter+@/talker"), native(site, "/chatter+@/ours", NameClient)
     site.bridge(ros1={"enabled": True, "master": master.uri})
@@ -155,7 +155,7 @@ def test_the_yarp_side_reads_nothing_from_the_port_of_a_ros1_node(site: Place, m
     assert not talker.port.outputs()
 
 
-def test_an_existing_connection_to_a_ros1_node_is_closed(site: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_existing_connection_to_a_ros1_node_is_closed(site: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     """The master can start after the program."""
     known = frozenset[str]()
     monkeypatch.setattr(Ros1Ports, "select", lambda *_: known)

@@ -1,4 +1,4 @@
-"""A script for YARP speaks with ROS topics: another program, without any ROS, its types told by the daemon."""
+"""A YARP script uses ROS topics: a separate program without ROS, which gets message types from the daemon."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from tests.support.wait import until
 from tests.support.yarp_script import output_lines, start
 
 
-def test_a_script_publishes_and_subscribes(place: Place) -> None:
+def test_yarp_script_publishes_and_subscribes(place: Place) -> None:
     place.bridge()
-    heard = place.far.subscribe("/velocity", "geometry_msgs/Twist")
+    subscription = place.far.subscribe("/velocity", "geometry_msgs/Twist")
     goal = place.far.advertise("/goal", "geometry_msgs/PoseStamped")
     (place.folder / "yarp.conf").write_text(f"{place.names.address.host} {place.names.address.port} yarp\n")
     script = start("ros_topics", place.folder)
     try:
-        velocity = place.far.wait(heard, 1, 20)[0]
+        velocity = place.far.wait(subscription, 1, 20)[0]
         assert (velocity["linear"]["x"], velocity["angular"]["z"]) == (0.25, -1.5)
         pose = {
             "header": {"stamp": {"sec": 7, "nanosec": 5}, "frame_id": "map"},

@@ -1,4 +1,4 @@
-"""Services and RPC ports: the hub's services for YARP programs, and ports of rules as services."""
+"""Services and RPC ports: the hub's services for YARP programs, and ports in rules as services."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ BOOL, PLAN, EMPTY = "std_srvs/srv/SetBool", "nav_msgs/srv/GetPlan", "std_srvs/sr
 
 
 class Robot:
-    """A node of the hub."""
+    """A node on the hub."""
 
     def __init__(self, place: Place) -> None:
         self.loop = EventLoop("robot")
@@ -47,7 +47,7 @@ class Robot:
 
     def call(self, client: Any, request: dict[str, Any]) -> list[Any]:
         replies: list[Any] = []
-        until(lambda: client.ready, "there is a server", 20)
+        until(lambda: client.ready, "the server is available", 20)
         client.call(request, replies.append)
         return replies
 
@@ -62,7 +62,7 @@ def robot(place: Place) -> Iterator[Robot]:
     return place.keep(Robot(place))
 
 
-def asking(place: Place, port: str, profile: Profile = Profile.YARP3, name: str = "/asks") -> Client:
+def connect_client(place: Place, port: str, profile: Profile = Profile.YARP3, name: str = "/asks") -> Client:
     client = Client(port, name, naming=place.names.client, profile=profile)
 
     def opened() -> bool:  # a port is registered before it listens
@@ -72,7 +72,7 @@ def asking(place: Place, port: str, profile: Profile = Profile.YARP3, name: str 
             return False
         return True
 
-    until(opened, f"{port} is there", 20)
+    until(opened, f"{port} is open", 20)
     return place.keep(_Closing(client)).end
 
 
@@ -85,14 +85,14 @@ class _Closing:
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_a_service_of_the_hub_is_an_rpc_port(place: Place, robot: Robot, profile: Profile) -> None:
+def test_hub_service_is_an_rpc_port(place: Place, robot: Robot, profile: Profile) -> None:
     robot.node.server("/lamp", BOOL, robot.switch)
     robot.node.server("/plan", PLAN, lambda request, answer: answer({"plan": {"header": request["start"]["header"]}}))
     place.bridge(yarp={"profile": profile.value})
-    client = asking(place, "/midspan/lamp/rpc", profile)
+    client = connect_client(place, "/midspan/lamp/rpc", profile)
     assert client.ask([True], timeout=20) == [1, "is on"]
     assert client.ask(["on"], timeout=20)[0] == Vocab("fail")
-    with asking(place, "/midspan/plan/rpc", profile, "/plans") as plans:
+    with connect_client(place, "/midspan/plan/rpc", profile, "/plans") as plans:
         pose = [[0, [12, 5], "map"], [[1.5, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]]
         assert plans.ask([pose, pose, 0.5], timeout=20)[0][0][1:] == [[12, 5], "map"]
 
@@ -103,22 +103,22 @@ def test_chosen_fields_and_an_empty_reply(place: Place, robot: Robot) -> None:
     robot.node.server("/clear", EMPTY, lambda request, answer: (cleared.append(request), answer({})))
     rule = {"service": "/lamp", "request": ["'set'", "data"], "reply": ["message"]}
     place.bridge(yarp={"services": [rule]})
-    client = asking(place, "/midspan/lamp/rpc")
+    client = connect_client(place, "/midspan/lamp/rpc")
     assert client.ask(["set", 1], timeout=20) == ["is on"]
-    (port,) = [found for found in place.far.status()["ports"] if found["port"] == "/midspan/lamp/rpc"]
+    (port,) = [entry for entry in place.far.status()["ports"] if entry["port"] == "/midspan/lamp/rpc"]
     assert (port["direction"], port["carries"], port["replies"]) == ("rpc", "fields 'set' data", "fields message")
     failed = client.ask(["get", 1], timeout=20)
     assert failed[0] == Vocab("fail")
     assert "'set'" in failed[1]
-    with asking(place, "/midspan/clear/rpc", name="/clears") as other:
+    with connect_client(place, "/midspan/clear/rpc", name="/clears") as other:
         assert other.ask([], timeout=20) == [Vocab("ok")]
     assert cleared
 
 
-def test_a_slow_call_blocks_no_other_and_a_caller_that_leaves_is_noticed(place: Place, robot: Robot) -> None:
+def test_slow_call_blocks_no_other_and_is_abandoned_when_its_client_leaves(place: Place, robot: Robot) -> None:
     server = robot.node.server("/lamp", BOOL, robot.switch)
     place.bridge()
-    slow = asking(place, "/midspan/lamp/rpc")
+    slow = connect_client(place, "/midspan/lamp/rpc")
 
     def ask() -> None:
         with pytest.raises(ConnectionError):
@@ -126,54 +126,54 @@ def test_a_slow_call_blocks_no_other_and_a_caller_that_leaves_is_noticed(place: 
 
     thread = threading.Thread(target=ask)
     thread.start()
-    until(lambda: robot.held, "the slow one waits")
+    until(lambda: robot.held, "the slow call is pending")
     with Client("/midspan/lamp/rpc", naming=place.names.client) as quick:
         assert quick.ask([True], timeout=20)[1] == "is on"
     slow.close()
     thread.join()
-    until(lambda: server.waiting == 0, "the call is given up", 20)
+    until(lambda: server.waiting == 0, "the call is abandoned", 20)
 
 
-def test_a_server_that_leaves_answers_with_an_error(place: Place, robot: Robot) -> None:
+def test_pending_call_fails_when_the_server_leaves(place: Place, robot: Robot) -> None:
     robot.node.server("/lamp", BOOL, robot.switch)
     place.bridge()
-    client = asking(place, "/midspan/lamp/rpc")
+    client = connect_client(place, "/midspan/lamp/rpc")
     answers: list[Any] = []
     thread = threading.Thread(target=lambda: answers.append(client.ask([False])))
     thread.start()
-    until(lambda: robot.held, "the call waits")
+    until(lambda: robot.held, "the call is pending")
     robot.node.close()
     thread.join(20)
     assert answers[0][0] == Vocab("fail")
-    until(lambda: place.names.client.query("/midspan/lamp/rpc") is None, "the port is gone", 20)
+    until(lambda: place.names.client.query("/midspan/lamp/rpc") is None, "the port is closed", 20)
 
 
-def test_a_native_client_is_served_again_when_the_server_returns(place: Place, robot: Robot) -> None:
-    """As of a service of the modules, whose worker was killed: the port goes and returns with it."""
+def test_native_client_is_served_again_when_the_server_returns(place: Place, robot: Robot) -> None:
+    """For example a module's service whose worker was killed: the port closes and returns with it."""
     robot.node.server("/lamp", BOOL, robot.switch)
     place.bridge()
     client = NativeClient("/native/rpc", place.names.client)
     place.keep(_Closing(client))
     on = binary.encode([1], Profile.YARP3)
-    until(lambda: client.connect("/midspan/lamp/rpc"), "the port is there", 20)
+    until(lambda: client.connect("/midspan/lamp/rpc"), "the port is open", 20)
     answer = client.call(on)
     assert answer
     assert b"is on" in answer
     robot.node.close()
-    until(lambda: place.names.client.query("/midspan/lamp/rpc") is None, "the port is gone", 20)
+    until(lambda: place.names.client.query("/midspan/lamp/rpc") is None, "the port is closed", 20)
     assert client.call(on) is None
     place.keep(Robot(place)).node.server("/lamp", BOOL, robot.switch)
-    until(lambda: client.call(on) == answer, "it is served again", 20)
+    until(lambda: client.call(on) == answer, "the client is served again", 20)
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_a_port_of_a_rule_is_a_service(place: Place, robot: Robot, profile: Profile) -> None:
+def test_port_in_a_rule_is_a_service(place: Place, robot: Robot, profile: Profile) -> None:
     rule = {"service": "/lamp", "port": "/lamp/rpc:i", "type": BOOL, "request": ["'set'", "data"], "reply": ["message"]}
     place.bridge(yarp={"services": [rule]})
-    asked: list[Any] = []
+    requests: list[Any] = []
 
     def respond(values: list[Any]) -> list[Any]:
-        asked.append(values)
+        requests.append(values)
         return ["is on"] if values[1] else [Vocab("fail"), "no current"]
 
     port = Server("/lamp/rpc:i", respond, naming=place.names.client, profile=profile)
@@ -181,12 +181,12 @@ def test_a_port_of_a_rule_is_a_service(place: Place, robot: Robot, profile: Prof
     client = robot.node.client("/lamp", BOOL)
     replies = robot.call(client, {"data": True})
     assert until(lambda: replies, "a reply", 20)[0]["message"] == "is on"
-    assert asked[0] == ["set", 1]
+    assert requests[0] == ["set", 1]
     errors = robot.call(client, {"data": False})
     assert str(until(lambda: errors, "an error", 20)[0]) == "no current"
 
 
-def test_a_port_that_dies_in_a_call_ends_it_and_serves_again_when_it_returns(place: Place, robot: Robot) -> None:
+def test_calls_end_when_the_port_closes_and_work_again_when_it_returns(place: Place, robot: Robot) -> None:
     rule = {"service": "/lamp", "port": "/lamp/rpc:i", "type": BOOL}
     place.bridge(yarp={"services": [rule]})
     gate = threading.Event()
@@ -208,15 +208,15 @@ def test_a_port_that_dies_in_a_call_ends_it_and_serves_again_when_it_returns(pla
         waiting = [robot.call(client, {"data": False}) for _ in range(3)]
         assert begun.wait(20)
         quick = robot.call(client, {"data": True})
-        assert until(lambda q=quick: q, "the slow ones block no other", 20)[0]["message"] == text
+        assert until(lambda q=quick: q, "slow calls block no other", 20)[0]["message"] == text
         threading.Timer(0.2, gate.set).start()
         port.close()
-        ends = [until(lambda w=one: w, "it ends", 20)[0] for one in waiting]
+        ends = [until(lambda r=replies: r, "the call ends", 20)[0] for replies in waiting]
         assert all(isinstance(end, CallError) or end["message"] == text for end in ends)
-        until(lambda: not client.ready, "the service is gone", 20)
+        until(lambda: not client.ready, "the service is withdrawn", 20)
 
 
-def test_a_reply_that_is_none_is_an_error(place: Place, robot: Robot) -> None:
+def test_malformed_reply_is_an_error(place: Place, robot: Robot) -> None:
     rule = {"service": "/lamp", "port": "/lamp/rpc:i", "type": BOOL}
     place.bridge(yarp={"services": [rule]})
     place.keep(_Closing(Server("/lamp/rpc:i", lambda _values: ["maybe"], naming=place.names.client).open()))
@@ -224,8 +224,8 @@ def test_a_reply_that_is_none_is_an_error(place: Place, robot: Robot) -> None:
     assert "malformed reply" in str(until(lambda: errors, "an error", 20)[0])
 
 
-def test_a_port_of_midspans_is_not_called(place: Place, robot: Robot) -> None:
-    """Nothing goes round: the hub's service is a port, and a rule takes that port for another service."""
+def test_port_of_midspan_is_not_called(place: Place, robot: Robot) -> None:
+    """A rule that offers the port of a hub service as another service would cause a loop."""
     robot.node.server("/lamp", BOOL, robot.switch)
     rule = {"service": "/again", "port": "/midspan/lamp/rpc", "type": BOOL}
     place.bridge(yarp={"services": [rule]})
@@ -233,7 +233,7 @@ def test_a_port_of_midspans_is_not_called(place: Place, robot: Robot) -> None:
     assert "a port of Midspan" in str(until(lambda: errors, "an error", 20)[0])
 
 
-def test_a_call_that_begins_as_its_service_goes_is_abandoned() -> None:
+def test_call_that_begins_while_its_service_closes_is_abandoned() -> None:
     ended: list[str] = []
     bottles: Any = SimpleNamespace(
         request_to_hub=lambda payload, profile: (payload, profile), reply_to_yarp=lambda *_: b"no more"

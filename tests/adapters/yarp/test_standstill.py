@@ -1,4 +1,4 @@
-"""Two daemons on one YARP network, of which one stands still for a while, as a machine does that is short of memory."""
+"""Two daemons on one YARP network, one of which stalls for a while, like a machine that is short of memory."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ OLD = 9.0
 
 
 @contextmanager
-def standing_still(worker: WorkerProcess, seconds: float) -> Iterator[None]:
-    """A worker stands still for so long, or as long as the body takes."""
+def stalled(worker: WorkerProcess, seconds: float) -> Iterator[None]:
+    """Stall a worker for ``seconds``, or as long as the body takes."""
     began = time.monotonic()
     worker.process.signal(signal.SIGSTOP)
-    until(lambda: is_stopped(worker.process.pid), "it stands still")
+    until(lambda: is_stopped(worker.process.pid), "the worker is stalled")
     yield
-    time.sleep(max(0.0, began + seconds - time.monotonic()))  # this is the case: that long it does nothing
+    time.sleep(max(0.0, began + seconds - time.monotonic()))  # the duration is the test case
     worker.process.signal(signal.SIGCONT)
 
 
 class Pair:
-    """Two workers, each on a hub; hubs may be one."""
+    """Two workers, on one hub or two."""
 
     def __init__(self, place: Place, stack: ExitStack, *, joined: bool) -> None:
         self.far = [place.far]
@@ -52,10 +52,10 @@ class Pair:
             stack.callback(hub.close)
             self.far.append(HubSide(hub, Registry()))
         self.workers: dict[str, WorkerProcess] = {}
-        for name, one in zip(("one", "two"), hubs, strict=True):
+        for name, quick_hub in zip(("one", "two"), hubs, strict=True):
             state = place.folder / name
             config = place.config(name).model_copy(update={"state": state})
-            config = config.model_copy(update={"hub": config.hub.model_copy(update={"listen": one.endpoint})})
+            config = config.model_copy(update={"hub": config.hub.model_copy(update={"listen": quick_hub.endpoint})})
             worker = WorkerProcess("yarp", config, dict(os.environ), ("running", "standby"))
             stack.callback(self._end, worker)
             self.workers[name] = worker
@@ -67,28 +67,28 @@ class Pair:
         worker.stop()
 
     def states(self) -> dict[str, str]:
-        """What each worker that answers says of itself."""
+        """Return the state of each worker that answers."""
         answers = [a for far in self.far for a in far.hub.ask("status", {}, timeout=0.5)]
         return {a.daemon: a.value["state"] for a in answers if isinstance(a.value, dict) and a.worker == "yarp"}
 
     def active(self) -> str:
-        """The one that carries; with two hubs the first."""
+        """Return the active worker; with two hubs the first."""
 
-        def found() -> list[str]:
+        def running() -> list[str]:
             return sorted(name for name, state in self.states().items() if state == "running")
 
-        return until(found, "a worker carries", 20)[0]
+        return until(running, "a worker is active", 20)[0]
 
 
 @pytest.fixture
 def stack() -> Iterator[ExitStack]:
-    """Ends what the test began."""
-    with ExitStack() as made:
-        yield made
+    """Stop the test's objects."""
+    with ExitStack() as stack:
+        yield stack
 
 
 class Talk:
-    """Numbered lines between a YARP program and programs of the hubs, each of which must come once."""
+    """Numbered messages between a YARP program and programs on the hubs, each of which must arrive once."""
 
     def __init__(self, pair: Pair) -> None:
         self._states = pair.states
@@ -101,7 +101,7 @@ class Talk:
         return [m["data"] for m in self._ends[end].wait(self._subscriptions[end], 0)]
 
     def until_open(self) -> None:
-        """Until a probe of the YARP program reaches every hub, and one of each hub the YARP program."""
+        """Wait until probes of the YARP program reach every hub, and probes of each hub the YARP program."""
 
         def through() -> bool:
             self._probes += 1
@@ -115,26 +115,26 @@ class Talk:
             )
 
         mark = self._probes
-        until(through, "probes cross", 30, every=0.1)
+        until(through, "probes are bridged", 30, every=0.1)
 
-    def say(self, what: str) -> None:
-        """Say some lines at all ends; each arrives at the other side."""
+    def exchange(self, label: str) -> None:
+        """Publish messages at all ends; each must arrive at the other side."""
         for number in range(COUNT):
             for end in range(len(self._ends)):
-                self._ends[end].publish(self._out[end], {"data": f"{what} {end} {number}"})
+                self._ends[end].publish(self._out[end], {"data": f"{label} {end} {number}"})
         hubs = range(1, len(self._ends))
-        wanted = {0: {f"{what} {hub} {n}" for hub in hubs for n in range(COUNT)}}
-        wanted |= {hub: {f"{what} 0 {n}" for n in range(COUNT)} for hub in hubs}
+        wanted = {0: {f"{label} {hub} {n}" for hub in hubs for n in range(COUNT)}}
+        wanted |= {hub: {f"{label} 0 {n}" for n in range(COUNT)} for hub in hubs}
 
         def missing() -> dict[int, list[str]]:
-            return {end: found for end, lines in wanted.items() if (found := sorted(lines - set(self._texts(end))))}
+            return {end: lost for end, lines in wanted.items() if (lost := sorted(lines - set(self._texts(end))))}
 
-        with contextlib.suppress(AssertionError):  # the next one tells what
-            until(lambda: not missing(), f"{what} is heard", 30)
+        with contextlib.suppress(AssertionError):  # the next assertion shows which
+            until(lambda: not missing(), f"{label} arrives", 30)
         assert not missing(), self._states()
 
-    def twice(self) -> dict[str, int]:
-        """What any end heard more than once, once nothing more comes."""
+    def duplicates(self) -> dict[str, int]:
+        """Return the messages that an end received more than once, after all have arrived."""
         before: list[int] = []
 
         def quiet() -> bool:
@@ -143,91 +143,93 @@ class Talk:
             same, before = now == before, now
             return same
 
-        until(quiet, "nothing more comes", 20, every=0.5)
+        until(quiet, "all messages have arrived", 20, every=0.5)
         counts = [Counter(self._texts(end)) for end in range(len(self._ends))]
         return {text: count for counted in counts for text, count in counted.items() if count > 1}
 
 
 class Commands:
-    """Speeds from a hub to the YARP program and the other way."""
+    """Velocity commands from a hub to the YARP program and in the other direction."""
 
     def __init__(self, pair: Pair) -> None:
         far, program = pair.far[0], pair.program
-        ways = ((far, program, "/base/cmd_vel"), (program, far, "/joy/cmd_vel"))
-        self._ways = [(a, a.advertise(topic, TWIST), b, b.subscribe(topic, TWIST)) for a, b, topic in ways]
+        routes = ((far, program, "/base/cmd_vel"), (program, far, "/joy/cmd_vel"))
+        self._routes = [(a, a.advertise(topic, TWIST), b, b.subscribe(topic, TWIST)) for a, b, topic in routes]
 
     def send(self, speed: float) -> None:
-        """Command ten times, both ways."""
+        """Send ten commands in both directions."""
         none = {"x": 0.0, "y": 0.0, "z": 0.0}
-        for source, out, _, _ in self._ways:
+        for source, out, _, _ in self._routes:
             for _ in range(10):
                 source.publish(out, {"linear": {**none, "x": speed}, "angular": none})
 
     def until_open(self, speed: float) -> None:
-        """Command until it arrives, both ways."""
+        """Send commands until one arrives, in both directions."""
 
         def through() -> bool:
             self.send(speed)
-            return all(speed in self._speeds(sink, heard) for _, _, sink, heard in self._ways)
+            return all(speed in self._speeds(sink, id_) for _, _, sink, id_ in self._routes)
 
-        until(through, f"commands of {speed} cross", 30, every=0.1)
+        until(through, f"commands of {speed} are bridged", 30, every=0.1)
 
-    def heard(self) -> set[float]:
-        """All speeds that came."""
-        return {speed for _, _, sink, heard in self._ways for speed in self._speeds(sink, heard)}
+    def received(self) -> set[float]:
+        """Return all received speeds."""
+        return {speed for _, _, sink, id_ in self._routes for speed in self._speeds(sink, id_)}
 
     @staticmethod
-    def _speeds(sink: Any, heard: int) -> list[float]:
-        return [m["linear"]["x"] for m in sink.wait(heard, 0)]
+    def _speeds(sink: Any, subscription: int) -> list[float]:
+        return [m["linear"]["x"] for m in sink.wait(subscription, 0)]
 
 
-def test_two_seconds_on_one_hub_hold_back_no_command_and_bring_nothing_twice(place: Place, stack: ExitStack) -> None:
+def test_two_second_stall_on_one_hub_delays_no_commands_and_causes_no_duplicates(
+    place: Place, stack: ExitStack
+) -> None:
     pair = Pair(place, stack, joined=True)
     talk, commands = Talk(pair), Commands(pair)
     talk.until_open()
     commands.until_open(0.1)
-    talk.say("before")
-    with standing_still(pair.workers[pair.active()], 2.0):
+    talk.exchange("before")
+    with stalled(pair.workers[pair.active()], 2.0):
         commands.send(OLD)
     talk.until_open()
     commands.until_open(0.2)
-    talk.say("after")
+    talk.exchange("after")
     until(lambda: len(pair.states()) == 2, "both answer", 20)
     commands.until_open(0.3)
-    assert not talk.twice()
-    assert OLD not in commands.heard()
+    assert not talk.duplicates()
+    assert OLD not in commands.received()
 
 
-def test_two_seconds_on_hubs_of_their_own_bring_nothing_twice(place: Place, stack: ExitStack) -> None:
+def test_two_second_stall_on_two_hubs_causes_no_duplicates(place: Place, stack: ExitStack) -> None:
     pair = Pair(place, stack, joined=False)
     talk = Talk(pair)
     talk.until_open()
-    talk.say("before")
-    with standing_still(pair.workers["one"], 2.0):
+    talk.exchange("before")
+    with stalled(pair.workers["one"], 2.0):
         pass
     talk.until_open()
-    talk.say("after")
-    assert not talk.twice()
+    talk.exchange("after")
+    assert not talk.duplicates()
 
 
-def test_after_ten_seconds_another_carries_and_nothing_comes_twice(place: Place, stack: ExitStack) -> None:
+def test_another_daemon_takes_over_after_a_ten_second_stall_without_duplicates(place: Place, stack: ExitStack) -> None:
     pair = Pair(place, stack, joined=True)
     talk = Talk(pair)
     talk.until_open()
-    talk.say("before")
+    talk.exchange("before")
     first = pair.active()
     (second,) = set(pair.workers) - {first}
-    with standing_still(pair.workers[first], 10.0):
+    with stalled(pair.workers[first], 10.0):
         until(lambda: pair.states().get(second) == "running", "the other takes over", 9)
         talk.until_open()
-        talk.say("meanwhile")
-    until(lambda: pair.states() == {first: "standby", second: "running"}, "who stood still stands by", 20)
+        talk.exchange("meanwhile")
+    until(lambda: pair.states() == {first: "standby", second: "running"}, "the stalled worker is on standby", 20)
     talk.until_open()
-    talk.say("after")
-    assert not talk.twice()
+    talk.exchange("after")
+    assert not talk.duplicates()
 
 
-def test_who_is_connected_by_hand_stays_connected(place: Place, stack: ExitStack) -> None:
+def test_manual_connection_survives_a_stall(place: Place, stack: ExitStack) -> None:
     rule = {"topic": "/said", "type": "std_msgs/msg/String", "as": "natural", "direction": "out"}
     config = place.config("one", yarp={"topics": [rule]})
     worker = WorkerProcess("yarp", config, dict(os.environ), ("running",))
@@ -235,6 +237,6 @@ def test_who_is_connected_by_hand_stays_connected(place: Place, stack: ExitStack
     out, reader = place.far.advertise("/said", STRING), place.port("/reader")
     reader.listen_to("/midspan/said:o")
     place.far.hub_publish_until(out, {"data": "before"}, lambda: reader.messages(1, 0.2))
-    with standing_still(worker, 2.5):
+    with stalled(worker, 2.5):
         pass
     place.far.hub_publish_until(out, {"data": "after"}, lambda: ["after"] in reader.bottles(1, 0.2))

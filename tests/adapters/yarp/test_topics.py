@@ -1,4 +1,4 @@
-"""An input port of ours: what waits until it is known who sent it, and its order."""
+"""An input port: messages held until their sender is known, and their order."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bridge.routing.edge import MadeBy
 
 
 class Maker:
-    """Who made the peer."""
+    """The answer to who created the peer."""
 
     def __init__(self, made_by: MadeBy) -> None:
         self.made_by = made_by
@@ -21,8 +21,8 @@ class Maker:
         return self.made_by
 
 
-class Asked(dict[str, Any]):
-    """What is held, with something that happens as it is first looked for."""
+class HeldMessages(dict[str, Any]):
+    """The held messages, with a callback for the first lookup."""
 
     def __init__(self, then: Callable[[], None]) -> None:
         super().__init__()
@@ -34,58 +34,58 @@ class Asked(dict[str, Any]):
         return super().__contains__(key)
 
 
-def made(made_by: Callable[[str], MadeBy]) -> InputPort:
-    """One whose messages are what came."""
+def make_port(made_by: Callable[[str], MadeBy]) -> InputPort:
+    """Return an input port that delivers payloads unchanged."""
     codec: Any = SimpleNamespace(to_hub=lambda payload, _profile, _stamp: payload)
     return InputPort("/in", "/t", "T", codec, None, None, made_by, lambda *_: None)
 
 
 def message(payload: bytes) -> Any:
-    """What one peer says."""
+    """Return a message from a peer."""
     peer = SimpleNamespace(route=SimpleNamespace(source="/w"), profile=None)
     return SimpleNamespace(peer=peer, payload=payload, envelope="")
 
 
-def test_what_comes_while_the_one_before_is_passed_on_comes_behind_it() -> None:
-    """An old command is never the last one."""
-    maker, got = Maker(MadeBy.UNKNOWN), list[bytes]()
-    input_port = made(maker)
+def test_message_that_arrives_during_a_delivery_is_delivered_after_it() -> None:
+    """An older command must not be the last one."""
+    maker, delivered = Maker(MadeBy.UNKNOWN), list[bytes]()
+    input_port = make_port(maker)
     second = threading.Thread(target=lambda: input_port.on_message(message(b"2")))
 
     def deliver(cdr: bytes, *_: object) -> None:
         if cdr == b"1":
             second.start()
-            second.join(0.3)  # it waits
-        got.append(cdr)
+            second.join(0.3)  # it is waiting
+        delivered.append(cdr)
 
     input_port.deliver_to(deliver)
     input_port.on_message(message(b"1"))
     maker.made_by = MadeBy.NATIVE
     input_port.release()
     second.join(20)
-    assert got == [b"1", b"2"]
+    assert delivered == [b"1", b"2"]
     assert input_port.waiting() == set()
 
 
-def test_what_waits_is_passed_on_before_what_comes() -> None:
-    maker, got = Maker(MadeBy.UNKNOWN), list[bytes]()
-    input_port = made(maker)
-    input_port.deliver_to(lambda cdr, *_: got.append(cdr))
+def test_held_message_is_delivered_before_a_new_one() -> None:
+    maker, delivered = Maker(MadeBy.UNKNOWN), list[bytes]()
+    input_port = make_port(maker)
+    input_port.deliver_to(lambda cdr, *_: delivered.append(cdr))
     input_port.on_message(message(b"1"))
-    assert got == []
+    assert delivered == []
     maker.made_by = MadeBy.NATIVE
     input_port.on_message(message(b"2"))
-    assert got == [b"1", b"2"]
+    assert delivered == [b"1", b"2"]
 
 
-def test_a_route_that_comes_with_a_message_hears_it() -> None:
-    """Who looked for a route before it came has the message passed on at once, not when the clerk looks again."""
-    input_port, got = made(Maker(MadeBy.NATIVE)), list[bytes]()
+def test_route_connected_during_a_message_receives_it() -> None:
+    """The message is delivered at once, not with the next update, though no route existed when it arrived."""
+    input_port, delivered = make_port(Maker(MadeBy.NATIVE)), list[bytes]()
 
-    def hear() -> None:
-        input_port.deliver_to(lambda cdr, *_: got.append(cdr))
+    def connect_route() -> None:
+        input_port.deliver_to(lambda cdr, *_: delivered.append(cdr))
         input_port.release()
 
-    input_port._held = Asked(hear)
+    input_port._held = HeldMessages(connect_route)
     input_port.on_message(message(b"x"))
-    assert got == [b"x"]
+    assert delivered == [b"x"]
