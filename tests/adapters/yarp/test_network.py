@@ -185,7 +185,9 @@ def test_several_daemons_cause_no_loops_and_no_duplicates(place: Place, hubs: st
                 states = [bridge.bridge.health().state for bridge in (first, second)]
                 assert sorted(states) == ["running", "standby"]
                 (first, second)[states.index("running")].stop()
-                until_all_receive(program, out, subscription, [(far[0], from_far[0], far[0].subscribe("/both", STRING))])
+                until_all_receive(
+                    program, out, subscription, [(far[0], from_far[0], far[0].subscribe("/both", STRING))]
+                )
             else:
                 names = {c.name for c in place.names.client.list("/midspan")}
                 assert {"/midspan/both:o"} < {n for n in names if n.endswith("/both:o")}

@@ -24,7 +24,7 @@ def test_tries_to_connect_a_dead_worker_become_rarer(monkeypatch: pytest.MonkeyP
     context: Any = SimpleNamespace(
         owner="me", daemon="d", naming=naming, registry=Registry(), changed=lambda: None, ip="127.0.0.1"
     )
-    here = WorkerPresence(context, lambda: None)
+    workers = WorkerPresence(context, lambda: None)
     name = f"{PRESENCE}dead"
     core = SimpleNamespace(
         name=f"{PRESENCE}me",
@@ -32,14 +32,14 @@ def test_tries_to_connect_a_dead_worker_become_rarer(monkeypatch: pytest.MonkeyP
         inputs=list,
         add_output=lambda _name: (tried.append(now - 100.0), (False, ""))[1],
     )
-    here._core = core  # type: ignore[assignment]
+    workers._core = core  # type: ignore[assignment]
     contacts = {name: PortContact(name, "127.0.0.1", 10002)}
     for _ in range(60):
-        here.connect(contacts, now)
+        workers.connect(contacts, now)
         now += 1.0
     assert tried == [0.0, 2.0, 6.0, 14.0, 30.0, 46.0]
-    here._on_event(
+    workers._on_event(
         ConnectionEvent(ConnectionRoute(name, core.name, "tcp"), up=True, incoming=True)
     )  # it is alive after all
-    here.connect(contacts, now)
+    workers.connect(contacts, now)
     assert tried[-1] == 60.0
