@@ -67,8 +67,8 @@ class Namesakes:
 def namesake_warning(others: str, daemon: str) -> str:
     """Return the text on other daemons with a daemon's name."""
     return (
-        f"{others} on this hub also has a daemon named {daemon!r}: commands for one reach both; set another 'name' in"
-        " one of the configurations"
+        f"another daemon on this hub is named {daemon!r}, too ({others}): commands for one reach both; set another"
+        " 'name' in one of the configurations"
     )
 
 

@@ -76,7 +76,7 @@ def test_a_second_machine_of_the_name_is_reported_and_kept_apart(
     first, second = joined(stack, "robot1", "robot1")
     for machine in (first, second):
         warning = until(machine.warning, "the router warns")
-        assert "also has a daemon named 'robot1'" in warning
+        assert "another daemon on this hub is named 'robot1'" in warning
         assert "set another 'name'" in warning
         machine.warning()
     lines = [record for record in caplog.records if record.name == "bridge.hub.namesakes"]
@@ -156,7 +156,7 @@ def test_a_second_daemon_of_the_name_at_the_same_router(
         second = Daemon(inner, endpoint, tmp_path / "b", 2)
         for daemon, other in ((first, second), (second, first)):
             text = until(lambda d=daemon: "named 'robot1'" in d.warning() and d.warning(), "the router warns")
-            assert "also has a daemon named 'robot1'" in text
+            assert "another daemon on this hub is named 'robot1'" in text
             assert "set another 'name'" in text
             assert daemon is second or other.identity.place in text
             numbers = until(lambda d=daemon: len(d.numbers()) == 2 and d.numbers(), "both workers answer")
@@ -176,7 +176,7 @@ def test_daemons_of_two_names_and_one_daemons_router_are_not_reported(stack: Exi
     second = Daemon(stack, endpoint, tmp_path / "a", 2, name="robot2")
     for daemon, number in ((first, 1), (second, 2)):
         until(lambda d=daemon: len(d.numbers()) == 2, "both workers answer")
-        assert "also has" not in daemon.warning()
+        assert "another daemon" not in daemon.warning()
         assert daemon.numbers()[daemon.config.name] == number
 
 
