@@ -108,18 +108,18 @@ class Ros2Edge(SideEdge):
             return graph.snapshot.participants
 
         self._origins = Origins(self._prefix, self._state / "ros2", seen, listener.graph_changed, later)
-        self._greet(self._origins.predecessors)
+        self._refresh_discovery(self._origins.predecessors)
         self._clean_ports(self._origins.past)
         graph.start()
         string = self._types.message_class(TYPE, self._registry.ros2(TYPE).type_id)
         past, changed = self._origins.past, listener.presence_changed
         self._presence = PresenceTopic(participant, loop, string, seen, past, changed)
 
-    def _greet(self, dead: Sequence[bytes]) -> None:
+    def _refresh_discovery(self, dead: Sequence[bytes]) -> None:
         """Dispose this daemon's dead predecessors, and prompt all participants to announce themselves."""
-        number, caller = domain(self._config, os.environ), new_prefix(rcl.host_prefix())
-        call = [spdp.hello(caller, number, participant_number(self._prefix)), spdp.farewell(caller)]
-        spdp.say([*map(spdp.farewell, dead), *call], number, localhost_only=self._localhost_only)
+        number, pseudo = domain(self._config, os.environ), new_prefix(rcl.host_prefix())
+        prompt = [spdp.announcement(pseudo, number, participant_number(self._prefix)), spdp.disposal(pseudo)]
+        spdp.send_all([*map(spdp.disposal, dead), *prompt], number, localhost_only=self._localhost_only)
 
     @property
     def _localhost_only(self) -> bool:
@@ -155,11 +155,11 @@ class Ros2Edge(SideEdge):
         names = dict.fromkeys(rule.node for rule in rules if rule.owner == "ros1")
         nodes = [participant.make_node(name) for name in names]
 
-        def leave() -> None:
+        def destroy_nodes() -> None:
             while nodes:
                 participant.destroy(nodes.pop())
 
-        return leave
+        return destroy_nodes
 
     def settled(self, since: float) -> bool:
         """Return whether all participants that existed at ``since`` are discovered."""
@@ -167,7 +167,7 @@ class Ros2Edge(SideEdge):
         return presence is not None and presence.settled(since)
 
     def _leave_shared_memory(self) -> None:
-        neighbours.note(self._state / "ros2")
+        neighbours.prefer_udp(self._state / "ros2")
         if self._listener is not None:
             self._listener.edge_failed(
                 "shared memory cannot reach ROS 2 nodes of another user or container: restarting with UDP only"
@@ -209,7 +209,7 @@ class Ros2Edge(SideEdge):
     def is_heard(self, topic: str) -> bool:
         """Return whether a topic has subscribers; True for hidden topics and before the start."""
         context = self._context
-        return context is None or is_hidden(topic) or topic in context.graph.snapshot.heard
+        return context is None or is_hidden(topic) or topic in context.graph.snapshot.subscribed
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
         """Subscribe; ``qos`` is an upper bound, reduced for each publisher to its offer."""
@@ -230,8 +230,8 @@ class Ros2Edge(SideEdge):
     def _check_one_type(self, topic: str, type_name: str) -> None:
         """Reject a second type for a topic: a DDS participant has only one, and Fast DDS's error omits the reason."""
         with self._lock:
-            here = [end for end in self._ends if isinstance(end, Ros2Subscription | Ros2Publisher)]
-        other = next((e.type_name for e in here if e.topic == topic and e.type_name != type_name), None)
+            topic_ends = [end for end in self._ends if isinstance(end, Ros2Subscription | Ros2Publisher)]
+        other = next((e.type_name for e in topic_ends if e.topic == topic and e.type_name != type_name), None)
         if other is not None:
             raise MessageTypeError(
                 f"{topic} is already bridged to ROS 2 as {other}, it cannot also be {type_name}",
@@ -289,9 +289,9 @@ class Ros2Edge(SideEdge):
 
     def went_on(self, seconds: float) -> None:
         """Restart after a long suspension: others that dropped this participant never rediscover it."""
-        why = f"suspended for {seconds:.0f} s, ROS 2 nodes may have dropped this participant: restarting"
+        reason = f"suspended for {seconds:.0f} s, ROS 2 nodes may have dropped this participant: restarting"
         if seconds > _FORGOTTEN and self._listener is not None:
-            self._listener.edge_failed(why)
+            self._listener.edge_failed(reason)
 
     def details(self) -> dict[str, Any]:
         """Return the nodes on Cyclone DDS, for `bridge.doctor.checks.cyclone`."""
@@ -306,14 +306,14 @@ class Ros2Edge(SideEdge):
                 if isinstance(end, Ros2Publisher):
                     offers.setdefault(end.topic, set()).add(end.qos)
         cyclone = vendors.report(self.endpoints())
-        found = [vendors.warning(cyclone)] if cyclone else []
-        found += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
+        warnings = [vendors.warning(cyclone)] if cyclone else []
+        warnings += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
         for endpoint in self.endpoints():
             if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:
                 reasons = {mismatch(qos, endpoint.qos) for qos in offers.get(endpoint.topic, ())} - {""}
                 node = endpoint.node or "a node"
-                found += [f"{endpoint.topic}: {node} does not receive it: {why}" for why in sorted(reasons)]
-        return found
+                warnings += [f"{endpoint.topic}: {node} does not receive it: {reason}" for reason in sorted(reasons)]
+        return warnings
 
 
 _STATUS = 4

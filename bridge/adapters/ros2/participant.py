@@ -57,13 +57,13 @@ class Participant:
 
     def writers(self, topic: str, *, dds: bool = False) -> Sequence[Mapping[str, Any]]:
         """Return the publishers of a ROS topic, or the writers of a DDS topic, as rclpy's dictionaries."""
-        found: list[Mapping[str, Any]] = _rclpy.rclpy_get_publishers_info_by_topic(self._node, topic, dds)
-        return found
+        infos: list[Mapping[str, Any]] = _rclpy.rclpy_get_publishers_info_by_topic(self._node, topic, dds)
+        return infos
 
     def readers(self, topic: str, *, dds: bool = False) -> Sequence[Mapping[str, Any]]:
         """Return the subscriptions of a ROS topic, or the readers of a DDS topic, as rclpy's dictionaries."""
-        found: list[Mapping[str, Any]] = _rclpy.rclpy_get_subscriptions_info_by_topic(self._node, topic, dds)
-        return found
+        infos: list[Mapping[str, Any]] = _rclpy.rclpy_get_subscriptions_info_by_topic(self._node, topic, dds)
+        return infos
 
     def participants(self) -> list[bytes]:
         """Return the GID of one endpoint of each ROS participant, including this one."""

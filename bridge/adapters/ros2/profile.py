@@ -25,7 +25,7 @@ from xml.etree import ElementTree as ET
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.environment import SWITCHES, UNSET
 from bridge.adapters.ros2.graph import neighbours
-from bridge.adapters.ros2.graph.origins import kept_prefixes, new_prefix, participant_number
+from bridge.adapters.ros2.graph.origins import new_prefix, participant_number, stored_prefixes
 from bridge.adapters.ros2.graph.spdp import MULTICAST, PARTICIPANTS
 from bridge.config.model import Config
 from bridge.hub.shared_memory import FOLDER
@@ -129,10 +129,10 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
     """Write the Fast DDS profile for this process, which reads it once: a later edge keeps the first."""
     if _used:
         return _used[0]
-    prefix = new_prefix(rcl.host_prefix(), kept_prefixes(state / "ros2"))
+    prefix = new_prefix(rcl.host_prefix(), stored_prefixes(state / "ros2"))
     profile = FastDdsProfile(prefix, _segment(config, state), config.ros2.localhost_only)
-    own = config.ros2.profile
-    text = profile.xml() if own is None else stamped(own, profile.prefix)
+    custom = config.ros2.profile
+    text = profile.xml() if custom is None else stamped(custom, profile.prefix)
     path = state / "ros2" / "fastdds.xml"
     if not keep(path, text, "Fast DDS reads its profile from memory"):
         file = os.memfd_create("midspan-fastdds")  # in memory, until this process exits
@@ -151,7 +151,9 @@ _used: list[FastDdsProfile] = []
 
 def _segment(config: Config, state: Path) -> int:
     transport = config.ros2.transport
-    if transport == "udp" or (transport == "auto" and (neighbours.other_users() or neighbours.noted(state / "ros2"))):
+    if transport == "udp" or (
+        transport == "auto" and (neighbours.has_other_users() or neighbours.prefers_udp(state / "ros2"))
+    ):
         return 0
     size = neighbours.segment_size()
     if not size and config.ros2.profile is None:

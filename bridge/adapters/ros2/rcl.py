@@ -350,7 +350,7 @@ def send_response(service: int, request: RequestId, payload: bytes) -> bool:
 
 def has_server(node: int, client: int) -> bool:
     """Return whether ``rcl_client_t *`` and a server have discovered each other."""
-    there = c_bool()
-    code = _rcl.rcl_service_server_is_available(node, client, byref(there))
+    available = c_bool()
+    code = _rcl.rcl_service_server_is_available(node, client, byref(available))
     _check("rcl_service_server_is_available", code)
-    return there.value
+    return available.value

@@ -120,8 +120,8 @@ class TypeName(NamedTuple):
 class TypeStructures:
     """One type's structures, by implementation; they must outlive all endpoints of the type."""
 
-    def __init__(self, of: TypeName) -> None:
-        self._hash = TypeHash(1, (c_uint8 * 32)(*of.digest))
+    def __init__(self, name: TypeName) -> None:
+        self._hash = TypeHash(1, (c_uint8 * 32)(*name.digest))
         self._find = FindSupport(self._by_identifier)
         self._get_hash = GetHash(lambda _handle: addressof(self._hash))
         self._handles: dict[bytes, Any] = {}
@@ -134,8 +134,8 @@ class TypeStructures:
         return handle
 
     def _by_identifier(self, _handle: int, identifier: bytes) -> int | None:
-        found = self._handles.get(identifier)
-        return None if found is None else addressof(found)
+        handle = self._handles.get(identifier)
+        return None if handle is None else addressof(handle)
 
     @property
     def pointer(self) -> int:
@@ -150,18 +150,18 @@ class TypeStructures:
 class MessageStructures(TypeStructures):
     """The structures of a message type."""
 
-    def __init__(self, lender: Lender, of: TypeName, serializers: Callbacks | None = None) -> None:
-        super().__init__(of)
+    def __init__(self, lender: Lender, type_name: TypeName, serializers: Callbacks | None = None) -> None:
+        super().__init__(type_name)
         self._callbacks = _FastDdsCallbacks.from_buffer_copy(lender.callbacks)
-        self._callbacks.namespace = f"{of.package}::{of.folder}".encode()
-        self._callbacks.name = of.name.encode()
+        self._callbacks.namespace = f"{type_name.package}::{type_name.folder}".encode()
+        self._callbacks.name = type_name.name.encode()
         if serializers is not None:
             self._callbacks.serialize = serializers.serialize
             self._callbacks.deserialize = serializers.deserialize
             self._callbacks.serialized_size = serializers.size
         self._members = _Members.from_buffer_copy(lender.members)
-        self._members.namespace = f"{of.package}__{of.folder}".encode()
-        self._members.name = of.name.encode()
+        self._members.namespace = f"{type_name.package}__{type_name.folder}".encode()
+        self._members.name = type_name.name.encode()
         self._handles = {
             DISPATCH: self._copy(lender.dispatch, None),
             FAST_DDS: self._copy(lender.fast_dds, self._callbacks),
@@ -201,21 +201,26 @@ class ServiceStructures(TypeStructures):
     """The structures of a service type."""
 
     def __init__(
-        self, lender: Lender, lent: _ServiceSupport, callbacks: Callbacks, of: TypeName, part_hashes: Hashes
+        self, lender: Lender, lent: _ServiceSupport, callbacks: Callbacks, type_name: TypeName, part_hashes: Hashes
     ) -> None:
-        super().__init__(of)
+        super().__init__(type_name)
         self._request, self._response = (
-            MessageStructures(lender, TypeName.parse(f"{of}_{part}", part_hash), callbacks)
+            MessageStructures(lender, TypeName.parse(f"{type_name}_{part}", part_hash), callbacks)
             for part, part_hash in zip(("Request", "Response"), part_hashes, strict=True)
         )
-        self._members = {FAST_DDS: self._made(of, "::", FAST_DDS), INTROSPECTION: self._made(of, "__", INTROSPECTION)}
+        self._members = {
+            FAST_DDS: self._make_members(type_name, "::", FAST_DDS),
+            INTROSPECTION: self._make_members(type_name, "__", INTROSPECTION),
+        }
         self._handles = {name: self._handle(lent, name) for name in (DISPATCH, FAST_DDS, INTROSPECTION)}
 
-    def _made(self, of: TypeName, joint: str, implementation: bytes) -> _ServiceMembers:
+    def _make_members(self, type_name: TypeName, joint: str, implementation: bytes) -> _ServiceMembers:
         parts = [support.handle(implementation) for support in (self._request, self._response)]
         if implementation is INTROSPECTION:
             parts = [support.members for support in (self._request, self._response)]
-        return _ServiceMembers(f"{of.package}{joint}{of.folder}".encode(), of.name.encode(), *parts, None)
+        return _ServiceMembers(
+            f"{type_name.package}{joint}{type_name.folder}".encode(), type_name.name.encode(), *parts, None
+        )
 
     def _handle(self, lent: _ServiceSupport, identifier: bytes) -> _ServiceSupport:
         handle = self._copy(lent, self._members.get(identifier))
@@ -239,15 +244,15 @@ class TypeSupports:
     def message_class(self, type_name: str, type_hash: str) -> Any:
         """Return a class for publishers and raw subscriptions; raises `MessageTypeError`."""
         with self._lock:
-            found = self._classes.get((type_name, type_hash))
-            if found is None:
+            raw_class = self._classes.get((type_name, type_hash))
+            if raw_class is None:
                 name = TypeName.parse(type_name, type_hash)
                 # rclpy reads these from the metaclass; the four functions convert message objects, which raw use never
                 # has.
                 converters = ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE")
                 structures = MessageStructures(self._lender, name)
-                found = self._make(name, type_hash, structures, **dict.fromkeys(converters, True))
-            return found
+                raw_class = self._make(name, type_hash, structures, **dict.fromkeys(converters, True))
+            return raw_class
 
     def prepare_services(self) -> None:
         """Load the structures that all services share; raises `MessageTypeError` if services cannot cross."""
@@ -264,13 +269,13 @@ class TypeSupports:
         """
         self.prepare_services()
         with self._lock:
-            found = self._classes.get((type_name, type_hash))
-            if found is None:
+            raw_class = self._classes.get((type_name, type_hash))
+            if raw_class is None:
                 name = TypeName.parse(type_name, type_hash)
                 assert self._for_services is not None
                 structures = ServiceStructures(self._lender, *self._for_services, name, part_hashes)
-                found = self._make(name, type_hash, structures)
-            return found
+                raw_class = self._make(name, type_hash, structures)
+            return raw_class
 
     @cached_property
     def _lender(self) -> Lender:
@@ -279,5 +284,5 @@ class TypeSupports:
     def _make(self, name: TypeName, type_hash: str, structures: TypeStructures, **more: bool) -> Any:
         self._structures.append(structures)
         meta = type("RawType", (type,), {"_TYPE_SUPPORT": make_capsule(structures.pointer), **more})
-        made = self._classes[str(name), type_hash] = meta(name.name, (), {"__slots__": (), "type_name": str(name)})
-        return made
+        raw_class = self._classes[str(name), type_hash] = meta(name.name, (), {"__slots__": (), "type_name": str(name)})
+        return raw_class

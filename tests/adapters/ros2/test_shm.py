@@ -51,12 +51,12 @@ def test_ports_of_our_own_dead_are_removed_unless_somebody_uses_them(folder: Pat
 def test_other_users_count_only_while_they_live(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: mine + 1)
-    assert not neighbours.other_users(folder)
+    assert not neighbours.has_other_users(folder)
     with (folder / f"{HELD}_el").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        assert neighbours.other_users(folder)
+        assert neighbours.has_other_users(folder)
         monkeypatch.setattr(os, "getuid", lambda: mine)
-        assert not neighbours.other_users(folder)
+        assert not neighbours.has_other_users(folder)
 
 
 @pytest.mark.parametrize(("free_mb", "segment_mb"), [(100_000, 32), (512, 32), (256, 32), (64, 8), (63, 0), (0, 0)])
@@ -71,4 +71,4 @@ def test_segment_is_an_eighth_of_what_is_free(monkeypatch: pytest.MonkeyPatch, f
 def test_no_folder_is_no_room(tmp_path: Path) -> None:
     assert neighbours.segment_size(tmp_path / "none") == 0
     assert neighbours.clean(tmp_path / "none") == 0
-    assert not neighbours.other_users(tmp_path / "none")
+    assert not neighbours.has_other_users(tmp_path / "none")

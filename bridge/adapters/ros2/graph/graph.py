@@ -35,7 +35,7 @@ _POLL, _LONGEST_POLL = 5.0, 60.0
 _SHARE = 1000
 """The interval of reads without a change, in multiples of the last one's CPU time: 0.1 % of a core."""
 
-_REST = 10
+_PAUSE = 10
 
 _log = logging.getLogger(__name__)
 
@@ -54,7 +54,7 @@ class GraphSnapshot:
     publishers: Mapping[str, Mapping[bytes, Endpoint]] = field(default_factory=dict)
     servers: Mapping[str, frozenset[bytes]] = field(default_factory=dict)
     participants: frozenset[bytes] = frozenset()
-    heard: frozenset[str] = frozenset()
+    subscribed: frozenset[str] = frozenset()
     obstacles: Mapping[str, Obstacle] = field(default_factory=dict)
 
 
@@ -71,7 +71,7 @@ class Ros2Graph:
 
     def start(self) -> None:
         """Read the graph once, then follow it."""
-        self.snapshot = self.look()
+        self.snapshot = self.read()
         self._thread.start()
 
     def stop(self) -> None:
@@ -88,36 +88,38 @@ class Ros2Graph:
 
     def find(self, topic: str, gid: bytes) -> Endpoint | None:
         """Return one publisher; the graph is queried if the last snapshot lacks it."""
-        found = self.publishers(topic).get(gid)
-        if found is None:
-            found = next((e for g, e in self._endpoints_of(topic, Kind.PUBLISHER) if g == gid), None)
-        return found
+        publisher = self.publishers(topic).get(gid)
+        if publisher is None:
+            publisher = next((e for g, e in self._endpoints_of(topic, Kind.PUBLISHER) if g == gid), None)
+        return publisher
 
-    def look(self) -> GraphSnapshot:
+    def read(self) -> GraphSnapshot:
         """Read the whole graph."""
         endpoints: list[Endpoint] = []
         publishers: dict[str, dict[bytes, Endpoint]] = {}
         for topic in self._participant.topics():
             if is_hidden(topic):
                 continue
-            found = self._endpoints_of(topic, Kind.PUBLISHER)
-            if found:
-                publishers[topic] = dict(found)
-            endpoints += [e for _, e in found]
+            topic_publishers = self._endpoints_of(topic, Kind.PUBLISHER)
+            if topic_publishers:
+                publishers[topic] = dict(topic_publishers)
+            endpoints += [e for _, e in topic_publishers]
             endpoints += [e for _, e in self._endpoints_of(topic, Kind.SUBSCRIPTION)]
         servers: dict[str, frozenset[bytes]] = {}
         obstacles: dict[str, Obstacle] = {}
         for service, requests in self._participant.service_topics():
-            found = self._servers(service, requests)
-            servers[service] = frozenset(gid for gid, server in found if server.made_by is MadeBy.NATIVE)
-            obstacle = vendors.of_servers(service, (e for _, e in found))
+            service_servers = self._servers(service, requests)
+            servers[service] = frozenset(gid for gid, server in service_servers if server.made_by is MadeBy.NATIVE)
+            obstacle = vendors.of_servers(service, (e for _, e in service_servers))
             if obstacle is not None:
                 obstacles[service] = obstacle
-            endpoints += [replace(e, obstacle=obstacle) for _, e in found]
+            endpoints += [replace(e, obstacle=obstacle) for _, e in service_servers]
             endpoints += self._clients(service, requests)
         prefixes = {gid[:PREFIX_BYTES] for gid in self._participant.participants()}
-        heard = frozenset(e.topic for e in endpoints if e.kind is Kind.SUBSCRIPTION)
-        return GraphSnapshot(tuple(endpoints), publishers, servers, frozenset(prefixes - {self._own}), heard, obstacles)
+        subscribed = frozenset(e.topic for e in endpoints if e.kind is Kind.SUBSCRIPTION)
+        return GraphSnapshot(
+            tuple(endpoints), publishers, servers, frozenset(prefixes - {self._own}), subscribed, obstacles
+        )
 
     def obstacle(self, service: str) -> Obstacle | None:
         """Return why a service's current servers cannot be called, None if they can; reads the graph."""
@@ -140,8 +142,8 @@ class Ros2Graph:
         return [replace(e, obstacle=obstacle) if vendors.is_cyclone(bytes.fromhex(e.id)) else e for e in clients]
 
     def _endpoints_of(self, topic: str, kind: Kind) -> list[tuple[bytes, Endpoint]]:
-        look = self._participant.writers if kind is Kind.PUBLISHER else self._participant.readers
-        return self._others(topic, kind, look(topic))
+        query = self._participant.writers if kind is Kind.PUBLISHER else self._participant.readers
+        return self._others(topic, kind, query(topic))
 
     def _others(self, name: str, kind: Kind, infos: Sequence[Mapping[str, Any]]) -> list[tuple[bytes, Endpoint]]:
         gids = [(bytes(info["endpoint_gid"]), info) for info in infos]
@@ -157,7 +159,7 @@ class Ros2Graph:
                 except Exception:
                     _log.exception("reading the ROS 2 graph failed")
                 took = time.thread_time() - started
-                self._stopping.wait(max(_SETTLE, _REST * took))
+                self._stopping.wait(max(_SETTLE, _PAUSE * took))
                 if self._stopping.is_set():
                     break
                 wait_set.clear_entities()
@@ -167,7 +169,7 @@ class Ros2Graph:
                 self._stopping.wait(_SETTLE)
 
     def _update(self) -> None:
-        snapshot = self.look()
+        snapshot = self.read()
         if snapshot != self.snapshot:
             self.snapshot = snapshot
             self._changed(snapshot)
@@ -206,7 +208,7 @@ SECONDS = 4.0
 only by its next periodic announcement, up to 3 s later (observed with Fast DDS 2.14.5)."""
 
 
-def look(config: Config, state: Path, seconds: float) -> dict[str, Any]:
+def read_graph(config: Config, state: Path, seconds: float) -> dict[str, Any]:
     """Return the other ``participants`` (GUID prefixes in hex), and the ``nodes`` with visible endpoints."""
     from bridge.adapters.ros2.environment import domain
     from bridge.adapters.ros2.participant import Participant
@@ -219,7 +221,7 @@ def look(config: Config, state: Path, seconds: float) -> dict[str, Any]:
         graph = Ros2Graph(participant, profile.prefix, lambda _snapshot: None)
         stack.callback(graph.stop)
         time.sleep(seconds)
-        snapshot = graph.look()
+        snapshot = graph.read()
     return {
         "participants": sorted(prefix.hex() for prefix in snapshot.participants),
         "nodes": sorted({endpoint.node for endpoint in snapshot.endpoints}),
@@ -228,5 +230,5 @@ def look(config: Config, state: Path, seconds: float) -> dict[str, Any]:
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory(prefix="midspan-look-") as folder:
-        found = look(Config.model_validate_json(sys.stdin.read()), Path(folder), SECONDS)
-    print(json.dumps(found))  # noqa: T201  the result
+        document = read_graph(Config.model_validate_json(sys.stdin.read()), Path(folder), SECONDS)
+    print(json.dumps(document))  # noqa: T201  the result

@@ -59,16 +59,16 @@ class MemoryNeighbours:
             self._ours &= self._present
             if not self._done and not self._confirming and self._suspects():
                 self._since = time.monotonic()
-                self._look_again()
+                self._confirm_later()
 
-    def _look_again(self) -> None:
+    def _confirm_later(self) -> None:
         self._confirming = True
         self._later.after(CONFIRM_SECONDS, self._confirm)
 
     def _suspects(self) -> list[bytes]:
         suspects = []
         for prefix in self._present - self._ours:
-            processes = with_low_half(self._proc, int.from_bytes(prefix[_PID], "little"))
+            processes = candidate_processes(self._proc, int.from_bytes(prefix[_PID], "little"))
             if prefix[_HOST] != self._own[_HOST] or is_marked(prefix) or any(map(shares_memory, processes)):
                 self._ours.add(prefix)
             else:
@@ -80,16 +80,16 @@ class MemoryNeighbours:
             self._confirming = False
             if self._done or not self._suspects():
                 return
-            if self._somebody_died() and time.monotonic() < self._since + LEASE_SECONDS:
-                self._look_again()
+            if self._has_dead_participant() and time.monotonic() < self._since + LEASE_SECONDS:
+                self._confirm_later()
                 return
             self._done = True
         self._stranger()
 
-    def _somebody_died(self) -> bool:
-        here = {prefix for prefix in self._present if prefix[_HOST] == self._own[_HOST]} | {self._own}
+    def _has_dead_participant(self) -> bool:
+        on_host = {prefix for prefix in self._present if prefix[_HOST] == self._own[_HOST]} | {self._own}
         bound = bound_ports(self._proc)
-        return bound is not None and len(bound.intersection(discovery_ports(self._domain))) < len(here)
+        return bound is not None and len(bound.intersection(discovery_ports(self._domain))) < len(on_host)
 
     def close(self) -> None:
         """Stop watching."""
@@ -97,7 +97,7 @@ class MemoryNeighbours:
             self._done = True
 
 
-def with_low_half(proc: Path, low: int) -> list[Path]:
+def candidate_processes(proc: Path, low: int) -> list[Path]:
     """Return the candidate paths in the process table for ids with this low half."""
     try:
         largest = int((proc / "sys/kernel/pid_max").read_text())
@@ -129,13 +129,13 @@ def bound_ports(proc: Path) -> set[int] | None:
         return None
 
 
-def note(folder: Path) -> None:
+def prefer_udp(folder: Path) -> None:
     """Make later starts use only UDP, until the machine reboots."""
     keep(folder / _NOTE, _boot(), "the next start tries shared memory again")
 
 
-def noted(folder: Path) -> bool:
-    """Return whether `note` was called since the machine booted."""
+def prefers_udp(folder: Path) -> bool:
+    """Return whether `prefer_udp` was called since the machine booted."""
     try:
         return (folder / _NOTE).read_text() == _boot()
     except OSError:
@@ -163,7 +163,7 @@ class ProcessWatch:
         self._own, self._proc = own, proc
         self._processes: dict[bytes, dict[Path, str]] = {}
 
-    def is_gone(self, prefix: bytes) -> bool:
+    def has_ended(self, prefix: bytes) -> bool:
         """Return whether a participant's process ran here at the first call for it, and has ended since."""
         known = self._processes.get(prefix)
         if known is None:
@@ -175,9 +175,9 @@ class ProcessWatch:
     def _find(self, prefix: bytes) -> dict[Path, str]:
         if prefix[_HOST] != self._own[_HOST] or is_marked(prefix):
             return {}
-        candidates = with_low_half(self._proc, int.from_bytes(prefix[_PID], "little"))
-        found = {process: _start(process) for process in candidates if shares_memory(process)}
-        return {process: start for process, start in found.items() if start}
+        candidates = candidate_processes(self._proc, int.from_bytes(prefix[_PID], "little"))
+        starts = {process: _start(process) for process in candidates if shares_memory(process)}
+        return {process: start for process, start in starts.items() if start}
 
 
 def _start(process: Path) -> str:
@@ -211,7 +211,7 @@ def segment_size(folder: Path = FOLDER) -> int:
     return size if size >= SMALLEST_SEGMENT else 0
 
 
-def other_users(folder: Path = FOLDER) -> bool:
+def has_other_users(folder: Path = FOLDER) -> bool:
     """Return whether live Fast DDS participants of other users share the folder."""
     mine = os.getuid()
     for lock in _locks(folder):

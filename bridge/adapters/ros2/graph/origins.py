@@ -67,22 +67,22 @@ class Origins:
         return now - first < DISCOVERY_SECONDS
 
 
-def kept_prefixes(folder: Path) -> list[bytes]:
+def stored_prefixes(folder: Path) -> list[bytes]:
     """Return the stored prefixes of this daemon's past participants, the newest last."""
-    found = []
+    prefixes = []
     try:
         lines = (folder / _FILE).read_text(errors="replace").split()
     except OSError:
         return []
     for line in lines:
         with contextlib.suppress(ValueError):
-            found.append(bytes.fromhex(line))
-    return [prefix for prefix in found if len(prefix) == PREFIX_BYTES]
+            prefixes.append(bytes.fromhex(line))
+    return [prefix for prefix in prefixes if len(prefix) == PREFIX_BYTES]
 
 
 def _remember(own: bytes, folder: Path) -> list[bytes]:
     """Store this participant's prefix, and return all stored ones, the new one last."""
-    prefixes = [*(p for p in kept_prefixes(folder) if p != own), own][-_KEPT:]
+    prefixes = [*(p for p in stored_prefixes(folder) if p != own), own][-_KEPT:]
     text = "".join(f"{prefix.hex()}\n" for prefix in prefixes)
     keep(folder / _FILE, text, "for some seconds after a crash, its own topics may loop back")
     return prefixes
@@ -100,7 +100,7 @@ _MARK = b"MSPN"
 _FIRST_NUMBER, _NUMBERS = 32, 30
 """Above the numbers of participants that count up from 0. The last one's ports are below 65536 even in domain 232, the
 highest; Fast DDS ends the process if they are not."""
-_LATELY = 8
+_RECENT = 8
 
 
 def new_prefix(host: bytes, past: Sequence[bytes] = ()) -> bytes:
@@ -110,7 +110,7 @@ def new_prefix(host: bytes, past: Sequence[bytes] = ()) -> bytes:
     into the dead one's shared memory: their first messages would be lost until their heartbeats, up to 3 s later. So
     the numbers of the newest ``past`` participants are excluded.
     """
-    taken = {participant_number(prefix) for prefix in past[-_LATELY:]}
+    taken = {participant_number(prefix) for prefix in past[-_RECENT:]}
     while participant_number(prefix := host + os.urandom(4) + _MARK) in taken:
         pass
     return prefix

@@ -46,14 +46,14 @@ _LEASE = struct.pack("<iI", 1, 0)
 _PL_CDR_LE = b"\x00\x03\x00\x00"
 
 
-def farewell(prefix: bytes) -> bytes:
+def disposal(prefix: bytes) -> bytes:
     """Return the RTPS message that disposes the participant with this GUID prefix (12 bytes)."""
     guid = prefix + _PARTICIPANT
     qos = _parameters((_PID_KEY_HASH, guid), (_PID_STATUS_INFO, _DISPOSED_AND_UNREGISTERED))
     return _message(prefix, _INLINE_QOS | _KEY, _LAST, qos + _PL_CDR_LE + _parameters((_PID_GUID, guid)))
 
 
-def hello(prefix: bytes, domain: int, number: int) -> bytes:
+def announcement(prefix: bytes, domain: int, number: int) -> bytes:
     """Return the RTPS message that announces ``prefix``, without endpoints, at participant ``number``'s address."""
     payload = _PL_CDR_LE + _parameters(
         (_PID_VERSION, _VERSION + bytes(2)),
@@ -67,7 +67,7 @@ def hello(prefix: bytes, domain: int, number: int) -> bytes:
     return _message(prefix, _PAYLOAD, 1, payload)
 
 
-def say(messages: Sequence[bytes], domain: int, *, localhost_only: bool) -> None:
+def send_all(messages: Sequence[bytes], domain: int, *, localhost_only: bool) -> None:
     """Send messages to all reachable participants, on loopback only or on all interfaces."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for interface, name in socket.if_nameindex():

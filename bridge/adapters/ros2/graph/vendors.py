@@ -76,8 +76,8 @@ def report(endpoints: Iterable[Endpoint]) -> dict[str, list[str]]:
     cyclone = [endpoint for endpoint in endpoints if _is_cyclone_endpoint(endpoint)]
 
     def names(kind: Kind) -> list[str]:
-        own = (e for e in cyclone if e.kind is kind and not e.type.startswith(_OF_EACH_NODE))
-        return sorted({split(e.topic)[0] or e.topic for e in own})
+        relevant = (e for e in cyclone if e.kind is kind and not e.type.startswith(_OF_EACH_NODE))
+        return sorted({split(e.topic)[0] or e.topic for e in relevant})
 
     if not cyclone:
         return {}
@@ -85,12 +85,12 @@ def report(endpoints: Iterable[Endpoint]) -> dict[str, list[str]]:
     return {"nodes": nodes, "served": names(Kind.SERVER), "called": names(Kind.CLIENT)}
 
 
-def warning(found: dict[str, Any]) -> str:
+def warning(cyclone: dict[str, Any]) -> str:
     """Return a one-line warning for the result of `report`."""
-    served = f" ({', '.join(found['served'])})" if found["served"] else ""
+    served = f" ({', '.join(cyclone['served'])})" if cyclone["served"] else ""
     return (
-        f"{', '.join(found['nodes'])} on Cyclone DDS: topics cross; services, actions and parameters{served} cannot be"
-        " called, and calls by these nodes are not answered"
+        f"{', '.join(cyclone['nodes'])} on Cyclone DDS: topics cross; services, actions and parameters{served} cannot"
+        " be called, and calls by these nodes are not answered"
     )
 
 

@@ -50,9 +50,9 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._requests = SentRequests()
         self._matches = MatchCounter(self.pointer)
         self._verified: int | None = None
-        self._gone: set[bytes] = set()
+        self._ended: set[bytes] = set()
         self._matched = self._due = False
-        self._find_gone()
+        self._update_ended()
         self._loop.add(self)
 
     def call(self, request: bytes, done: Done) -> Abandon:
@@ -89,17 +89,17 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             return known
         matched = self._matches.total()
         if matched is None or matched != self._verified:
-            found = self._graph.obstacle(self.name)
-            if found is not None:
-                return found
+            obstacle = self._graph.obstacle(self.name)
+            if obstacle is not None:
+                return obstacle
             self._verified = matched
         return None
 
     def _servers(self) -> frozenset[bytes]:
         """Return the GIDs of the native servers whose processes are alive."""
         servers = self._graph.snapshot.servers.get(self.name, frozenset())
-        if self._gone:
-            servers = frozenset(gid for gid in servers if gid[:PREFIX_BYTES] not in self._gone)
+        if self._ended:
+            servers = frozenset(gid for gid in servers if gid[:PREFIX_BYTES] not in self._ended)
         return servers
 
     def _advance(self) -> None:
@@ -111,9 +111,9 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
                 self._due = True
                 self._later.after(wait, self._advance_later)
             if self._sent:
-                self._look_soon()
-        for calling, why in failed:
-            _end(calling, why)
+                self._check_soon()
+        for calling, error in failed:
+            _end(calling, error)
 
     def _advance_later(self) -> None:
         with self._lock:
@@ -152,8 +152,8 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             self._requests.sent(number)
         return 0.0
 
-    def _fail_waiting(self, failed: list[tuple[_PendingCall, CallError]], why: CallError) -> None:
-        failed += [(calling, why) for calling in self._waiting]
+    def _fail_waiting(self, failed: list[tuple[_PendingCall, CallError]], error: CallError) -> None:
+        failed += [(calling, error) for calling in self._waiting]
         self._waiting.clear()
 
     def drain(self, _taker: rcl.Taker, limit: int) -> None:
@@ -174,7 +174,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
 
     def refit(self) -> None:
         """End the calls whose servers have left the graph."""
-        self._find_gone()
+        self._update_ended()
         with self._lock:
             servers = self._servers()
             self._matched = False
@@ -184,20 +184,20 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             _end(calling, CallError(f"the server of {self.name} on ROS 2 left before it answered"))
         self._advance()
 
-    def _look(self) -> None:
+    def _check_processes(self) -> None:
         """Check for servers whose processes have ended while a call is pending."""
         with self._lock:
-            self._looking = False
+            self._checking = False
             if self._sent and not self._closed:
-                self._look_soon()
-        before = self._gone
-        if self._find_gone() - before:
+                self._check_soon()
+        before = self._ended
+        if self._update_ended() - before:
             self.refit()
 
-    def _find_gone(self) -> set[bytes]:
+    def _update_ended(self) -> set[bytes]:
         """Update and return the set of servers whose processes have ended; a new one is recorded as alive."""
-        self._gone = self._ended_among(self._graph.snapshot.servers.get(self.name, frozenset()))
-        return self._gone
+        self._ended = self._ended_among(self._graph.snapshot.servers.get(self.name, frozenset()))
+        return self._ended
 
     def _abandon(self, calling: _PendingCall) -> None:
         with self._lock:

@@ -16,7 +16,7 @@ from bridge.adapters.ros2.loop import EndpointReader, ReadLoop
 from bridge.adapters.ros2.participant import Participant
 from bridge.concurrency import DelayedCalls
 
-_LOOK_SECONDS = 0.5
+_CHECK_SECONDS = 0.5
 """Seconds between two checks whether a peer's process has ended: DDS notices that only when its lease expires."""
 
 
@@ -46,7 +46,7 @@ class ServiceEndpoint(EndpointReader):
         self._later, self._processes = context.later, context.processes
         self._taker = rcl.CallTaker()
         self._lock = threading.Lock()
-        self._looking = self._closed = False
+        self._checking = self._closed = False
 
     def destroy(self) -> None:
         """Free the buffer, and destroy rclpy's object."""
@@ -55,14 +55,14 @@ class ServiceEndpoint(EndpointReader):
 
     def _ended_among(self, gids: Collection[bytes]) -> set[bytes]:
         """Return the GUID prefixes of participants whose processes ran on this host and have ended."""
-        return {prefix for prefix in {gid[:PREFIX_BYTES] for gid in gids} if self._processes.is_gone(prefix)}
+        return {prefix for prefix in {gid[:PREFIX_BYTES] for gid in gids} if self._processes.has_ended(prefix)}
 
-    def _look_soon(self) -> None:
+    def _check_soon(self) -> None:
         """Schedule one call of `_check_processes`; the lock is held."""
-        if not self._looking:
-            self._looking = True
-            self._later.after(_LOOK_SECONDS, self._look)
+        if not self._checking:
+            self._checking = True
+            self._later.after(_CHECK_SECONDS, self._check_processes)
 
     @abstractmethod
-    def _look(self) -> None:
+    def _check_processes(self) -> None:
         """Check whether processes have ended; resets ``_checking`` first."""

@@ -57,7 +57,7 @@ class SentRequests:
 _REPLY_SECONDS = 0.001
 """Time for a client to take one of many replies; rclpy's clients need some 0.15 ms."""
 
-_TRY_SECONDS, _SELDOM = 0.1, 1.0
+_TRY_SECONDS, _SLOWEST_SECONDS = 0.1, 1.0
 _PATIENCE = 20.0
 """Seconds until a reply to an undiscovered client is dropped: on a busy machine, discovery may have to wait for the
 client's heartbeats, every 3 s. rmw itself gives up after 0.1 s."""
@@ -83,7 +83,7 @@ class ClientReplies:
         """Whether calls of the client are pending."""
         return bool(self._asked or self._outbox)
 
-    def asked(self, backlog: int) -> None:
+    def requested(self, backlog: int) -> None:
         """Record a request; ``backlog`` requests are still to be taken."""
         with self._lock:
             self._asked += 1
@@ -104,11 +104,11 @@ class ClientReplies:
                 return
             self._sending = True
             if not self._reached:
-                self._later.after(0.0, self._go_on)
+                self._later.after(0.0, self._send_outbox)
                 return
-        self._go_on()
+        self._send_outbox()
 
-    def _go_on(self) -> None:
+    def _send_outbox(self) -> None:
         """Send waiting replies as far as allowed; one thread at a time."""
         while True:
             with self._lock:
@@ -117,7 +117,7 @@ class ClientReplies:
                     return
                 wait = self._wait()
                 if wait:
-                    self._later.after(wait, self._go_on)
+                    self._later.after(wait, self._send_outbox)
                     return
                 request, payload = self._outbox.popleft()
             if self._write(request, payload):
@@ -144,7 +144,7 @@ class ClientReplies:
             missed = now - self._missed
             if missed < _PATIENCE:
                 self._outbox.appendleft((request, payload))
-                self._later.after(min(max(missed / 4, _TRY_SECONDS), _SELDOM), self._go_on)
+                self._later.after(min(max(missed / 4, _TRY_SECONDS), _SLOWEST_SECONDS), self._send_outbox)
                 return True
         _log.warning("a reply is dropped: its ROS 2 client is unreachable")
         return False
@@ -152,7 +152,7 @@ class ClientReplies:
     def flush(self) -> None:
         """Send all waiting replies at once."""
         with self._lock:
-            rest, self._outbox = list(self._outbox), deque()
-        for request, payload in rest:
+            replies, self._outbox = list(self._outbox), deque()
+        for request, payload in replies:
             if not self._write(request, payload):
                 self._later.after(_TRY_SECONDS, partial(self._write, request, payload))

@@ -55,9 +55,9 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         super().__init__(name, service_class, context.participant.make_server(service_class, name, SERVICE), context)
         self._call, self._refusal, self._on_closed = call, refusal, closed
         self._warned = context.warned
-        self._asked: dict[RequestId, _PendingRequest] = {}
+        self._pending: dict[RequestId, _PendingRequest] = {}
         self._clients: dict[bytes, ClientReplies] = {}
-        self._complained = self._spoke = float("-inf")
+        self._logged = self._replied = float("-inf")
         self._alive = threading.Lock()
         self._destroyed = False
         self._loop.add(self)
@@ -85,56 +85,56 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         _log.warning("%s; %s", obstacle.reason, obstacle.cure)
 
     def _begin(self, request: RequestId, payload: bytes, backlog: int) -> None:
-        asked = _PendingRequest(request)
+        pending = _PendingRequest(request)
         with self._lock:
             if self._closed:
                 return
-            self._asked[request] = asked
-            self._client(request.gid).asked(backlog)
-            self._look_soon()
+            self._pending[request] = pending
+            self._client(request.gid).requested(backlog)
+            self._check_soon()
         try:
-            abandon = self._call(payload, partial(self._answer, asked))
+            abandon = self._call(payload, partial(self._answer, pending))
         except Exception:
             _log.exception("%s: beginning a call failed", self.name)
-            self._answer(asked, CallError("the bridge failed"))
+            self._answer(pending, CallError("the bridge failed"))
             return
         with self._lock:
-            asked.abandon, left = abandon, asked.left
+            pending.abandon, left = abandon, pending.left
         if left:
             abandon()
 
-    def _answer(self, asked: _PendingRequest, result: bytes | CallError) -> None:
+    def _answer(self, pending: _PendingRequest, result: bytes | CallError) -> None:
         with self._lock:
-            if self._asked.pop(asked.id, None) is None:
+            if self._pending.pop(pending.id, None) is None:
                 return
-            client = self._client(asked.id.gid)
+            client = self._client(pending.id.gid)
         if isinstance(result, CallError) or result[: len(ENCAPSULATION)] != ENCAPSULATION:
-            why = str(result) if isinstance(result, CallError) else "the reply is not little-endian CDR"
-            refusal = self._refuse(why)
+            reason = str(result) if isinstance(result, CallError) else "the reply is not little-endian CDR"
+            refusal = self._refuse(reason)
             if refusal is None:
                 client.unanswered()
                 return
             result = refusal
-        self._spoke = time.monotonic()
-        client.send(asked.id, result)
+        self._replied = time.monotonic()
+        client.send(pending.id, result)
 
     def _client(self, gid: bytes) -> ClientReplies:
-        found = self._clients.get(gid)
-        if found is None:
+        client = self._clients.get(gid)
+        if client is None:
             if len(self._clients) >= _MOST_CLIENTS:
-                self._clients = {gid: client for gid, client in self._clients.items() if client.busy}
-            found = self._clients[gid] = ClientReplies(self._write, self._later)
-            self._later.after(0.0, partial(self._processes.is_gone, gid[:PREFIX_BYTES]))
-        return found
+                self._clients = {gid: entry for gid, entry in self._clients.items() if entry.busy}
+            client = self._clients[gid] = ClientReplies(self._write, self._later)
+            self._later.after(0.0, partial(self._processes.has_ended, gid[:PREFIX_BYTES]))
+        return client
 
-    def _refuse(self, why: str) -> bytes | None:
-        told = self._refusal() if self._refusal is not None else None
-        if time.monotonic() - self._complained > _LOG_SECONDS:
-            self._complained = time.monotonic()
+    def _refuse(self, reason: str) -> bytes | None:
+        response = self._refusal() if self._refusal is not None else None
+        if time.monotonic() - self._logged > _LOG_SECONDS:
+            self._logged = time.monotonic()
             nothing = "ROS 2 has no error replies, so its client keeps waiting"
-            how = nothing if told is None else "its client received a rejection"
-            _log.warning("a call of %s failed: %s; %s", self.name, why, how)
-        return told
+            outcome = nothing if response is None else "its client received a rejection"
+            _log.warning("a call of %s failed: %s; %s", self.name, reason, outcome)
+        return response
 
     def _write(self, request: RequestId, payload: bytes) -> bool:
         """Send a reply; return False if its client is unreachable."""
@@ -150,33 +150,33 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
     def refit(self) -> None:
         """Abandon the calls whose clients have left the graph."""
         with self._lock:
-            waiting = list(self._asked.values())
+            waiting = list(self._pending.values())
         if not waiting:
             return
-        there = self._graph.clients(self.name)
-        gone = self._ended_among(there)
-        for asked in waiting:
-            if asked.id.gid in there and asked.id.gid[:PREFIX_BYTES] not in gone:
-                asked.seen = True
-            elif asked.seen or asked.id.gid[:PREFIX_BYTES] in gone:
-                self._leave(asked)
+        clients = self._graph.clients(self.name)
+        ended = self._ended_among(clients)
+        for pending in waiting:
+            if pending.id.gid in clients and pending.id.gid[:PREFIX_BYTES] not in ended:
+                pending.seen = True
+            elif pending.seen or pending.id.gid[:PREFIX_BYTES] in ended:
+                self._abandon(pending)
 
-    def _leave(self, asked: _PendingRequest) -> None:
+    def _abandon(self, pending: _PendingRequest) -> None:
         with self._lock:
-            if self._asked.pop(asked.id, None) is None:
+            if self._pending.pop(pending.id, None) is None:
                 return
-            asked.left, abandon = True, asked.abandon
-            self._clients.pop(asked.id.gid, None)
+            pending.left, abandon = True, pending.abandon
+            self._clients.pop(pending.id.gid, None)
         if abandon is not None:
             abandon()
 
-    def _look(self) -> None:
+    def _check_processes(self) -> None:
         """Check for clients whose processes have ended while their calls are pending."""
         with self._lock:
-            self._looking = False
-            if self._closed or not self._asked:
+            self._checking = False
+            if self._closed or not self._pending:
                 return
-            self._look_soon()
+            self._check_soon()
         self.refit()
 
     def close(self) -> None:
@@ -185,18 +185,18 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
             if self._closed:
                 return
             self._closed = True
-            waiting = [(asked, asked.abandon) for asked in self._asked.values()]
-            for asked, _ in waiting:
-                asked.left = True  # `_begin` abandons a call that it is just starting
-        for asked, abandon in waiting:
+            waiting = [(pending, pending.abandon) for pending in self._pending.values()]
+            for pending, _ in waiting:
+                pending.left = True  # `_begin` abandons a call that it is just starting
+        for pending, abandon in waiting:
             if abandon is not None:
                 abandon()
-            self._answer(asked, CallError(f"{self.name} is no longer bridged"))
+            self._answer(pending, CallError(f"{self.name} is no longer bridged"))
         with self._lock:
             clients = list(self._clients.values())
         for client in clients:
             client.flush()
-        if self._spoke > time.monotonic() - _LINGER:
+        if self._replied > time.monotonic() - _LINGER:
             self._later.after(_LINGER, partial(self._loop.remove, self))
         else:
             self._loop.remove(self)

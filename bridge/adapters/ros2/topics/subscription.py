@@ -63,7 +63,7 @@ class Ros2Subscription:
         self._readers: dict[ReaderClass, ClassReader] = {}
         self._sources: dict[bytes, _Source] = {}
         self.closed = False
-        self._complained = float("-inf")
+        self._logged = float("-inf")
         self.refit()
 
     def refit(self) -> None:
@@ -95,13 +95,13 @@ class Ros2Subscription:
         return reader
 
     def _class_of(self, publisher: Endpoint, among: Any) -> ReaderClass:
-        wish, offer = self.qos, publisher.qos
+        requested, offer = self.qos, publisher.qos
         # The engine requests best effort if any publisher offers only that; if none does, a rule forces it.
-        forced = wish.reliability is Reliability.BEST_EFFORT and not any(
+        forced = requested.reliability is Reliability.BEST_EFFORT and not any(
             p.qos.reliability is Reliability.BEST_EFFORT for p in among
         )
         reliable = offer.reliability is Reliability.RELIABLE and not forced
-        latched = wish.latched and offer.latched and reliable
+        latched = requested.latched and offer.latched and reliable
         return ReaderClass(
             Reliability.RELIABLE if reliable else Reliability.BEST_EFFORT,
             Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE,
@@ -112,9 +112,11 @@ class Ros2Subscription:
         source = self._sources.get(gid) or self._resolve(gid, reader_class)
         if source is None:
             return None
-        own = source.reader_class
+        its_class = source.reader_class
         # the reader of its class delivers it, or will: a latched one receives the history after its creation
-        if own != reader_class and (own.durability is Durability.TRANSIENT_LOCAL or own in self._readers):
+        if its_class != reader_class and (
+            its_class.durability is Durability.TRANSIENT_LOCAL or its_class in self._readers
+        ):
             return None
         return source.id
 
@@ -136,8 +138,8 @@ class Ros2Subscription:
 
     def failed(self, source: str) -> None:
         """Log the exception of one message, at a limited rate; later messages are still delivered."""
-        if time.monotonic() - self._complained > _LOG_SECONDS:
-            self._complained = time.monotonic()
+        if time.monotonic() - self._logged > _LOG_SECONDS:
+            self._logged = time.monotonic()
             _log.exception("%s: a message of %s is dropped", self.topic, source)
 
     def close(self) -> None:
@@ -155,9 +157,11 @@ class Ros2Subscription:
 class ClassReader(EndpointReader):
     """One DDS reader of a subscription."""
 
-    def __init__(self, owner: Ros2Subscription, of: ReaderClass, handle: Any, participant: Participant) -> None:
+    def __init__(
+        self, owner: Ros2Subscription, reader_class: ReaderClass, handle: Any, participant: Participant
+    ) -> None:
         super().__init__(participant, handle)
-        self._owner, self._class, self.topic = owner, of, owner.topic
+        self._owner, self._class, self.topic = owner, reader_class, owner.topic
         self._large = False
         self._sequences: dict[str, int] = {}
         self._room = _SEQUENCES

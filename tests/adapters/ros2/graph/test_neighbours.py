@@ -123,11 +123,11 @@ def test_other_hosts_and_other_midspans_do_not_count(strangers: Callable[..., bo
 
 
 def test_note_holds_until_the_next_boot(tmp_path: Path) -> None:
-    assert not neighbours.noted(tmp_path)
-    neighbours.note(tmp_path / "deeper")
-    assert neighbours.noted(tmp_path / "deeper")
+    assert not neighbours.prefers_udp(tmp_path)
+    neighbours.prefer_udp(tmp_path / "deeper")
+    assert neighbours.prefers_udp(tmp_path / "deeper")
     (tmp_path / "deeper" / "udp-alone").write_text("another boot")
-    assert not neighbours.noted(tmp_path / "deeper")
+    assert not neighbours.prefers_udp(tmp_path / "deeper")
 
 
 def test_mark() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bridge.adapters.ros2.graph import origins as module
-from bridge.adapters.ros2.graph.origins import Origins, kept_prefixes, new_prefix, participant_number
+from bridge.adapters.ros2.graph.origins import Origins, new_prefix, participant_number, stored_prefixes
 from bridge.concurrency import DelayedCalls
 from tests.support.wait import until
 
@@ -73,7 +73,7 @@ def test_a_successor_has_another_number_and_so_other_ports(case: Case) -> None:
     for _ in range(12):
         past.append(new_prefix(HOST, past))
         case.start(past[-1])
-    assert kept_prefixes(case.folder) == past
+    assert stored_prefixes(case.folder) == past
     numbers = [participant_number(prefix) for prefix in past]
     assert all(number not in numbers[max(0, i - 8) : i] for i, number in enumerate(numbers))
     assert all(number >= 32 for number in numbers), "beside those that count from 0"
@@ -84,6 +84,6 @@ def test_ports_of_every_number_exist_in_the_highest_domain() -> None:
     assert 7400 + 250 * 232 + 11 + 2 * max(numbers) < 65536  # DDSI-RTPS 2.5, 9.6.2.3
 
 
-def test_rubbish_among_the_kept_prefixes_is_passed_over(case: Case) -> None:
+def test_rubbish_among_the_stored_prefixes_is_passed_over(case: Case) -> None:
     (case.folder / "prefixes").write_text(f"no hex\nabcd\n{new_prefix(HOST).hex()}\n")
-    assert len(kept_prefixes(case.folder)) == 1
+    assert len(stored_prefixes(case.folder)) == 1

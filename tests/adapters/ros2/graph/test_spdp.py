@@ -53,7 +53,7 @@ def data(said: bytes, flags: int) -> tuple[int, bytes]:
 
 
 def test_farewell_is_what_a_leaving_participant_says() -> None:
-    number, rest = data(spdp.farewell(PREFIX), 0b1011)  # little endian (E), inline QoS (Q), no data (D) but a key (K)
+    number, rest = data(spdp.disposal(PREFIX), 0b1011)  # little endian (E), inline QoS (Q), no data (D) but a key (K)
     assert number > 1_000_000, "newer than all that the dead one said"
     inline, rest = parameters(rest)
     assert inline[0x0070] == GUID, "PID_KEY_HASH"
@@ -66,7 +66,7 @@ def test_farewell_is_what_a_leaving_participant_says() -> None:
 
 
 def test_hello_tells_where_the_other_one_is() -> None:
-    number, rest = data(spdp.hello(PREFIX, DOMAIN, 40), 0b0101)  # little endian, data
+    number, rest = data(spdp.announcement(PREFIX, DOMAIN, 40), 0b0101)  # little endian, data
     assert number == 1
     assert rest[:4] == b"\0\x03\0\0", "PL_CDR_LE"
     told, rest = parameters(rest[4:])
@@ -97,8 +97,8 @@ def listening(address: str, port: int, interface: str = "") -> Iterator[socket.s
 def test_everybody_on_this_machine_hears_it(participant: int) -> None:
     unicast = GROUP_PORT + 10 + 2 * participant  # PB + DG * domain + d1 + PG * participant
     with listening("239.255.0.1", GROUP_PORT, "lo") as group, listening("127.0.0.1", unicast) as one:
-        spdp.say([spdp.farewell(PREFIX)], DOMAIN, localhost_only=True)
-        assert group.recv(1000) == one.recv(1000) == spdp.farewell(PREFIX)
+        spdp.send_all([spdp.disposal(PREFIX)], DOMAIN, localhost_only=True)
+        assert group.recv(1000) == one.recv(1000) == spdp.disposal(PREFIX)
 
 
 class Network:
@@ -134,7 +134,7 @@ def test_each_interface_in_reach_and_none_beyond(
     monkeypatch: pytest.MonkeyPatch, localhost_only: bool, told: list[str]
 ) -> None:
     network = Network(monkeypatch)
-    spdp.say([spdp.farewell(PREFIX)], DOMAIN, localhost_only=localhost_only)
+    spdp.send_all([spdp.disposal(PREFIX)], DOMAIN, localhost_only=localhost_only)
     assert groups(network) == told
     assert {address for _, address, _ in network.sent} == {"239.255.0.1", "127.0.0.1"}, "unicast stays on this machine"
 
@@ -142,7 +142,7 @@ def test_each_interface_in_reach_and_none_beyond(
 @pytest.mark.parametrize("refuse", ["239.255.0.1", "127.0.0.1"])
 def test_a_refusal_stops_nothing_else(monkeypatch: pytest.MonkeyPatch, refuse: str) -> None:
     network = Network(monkeypatch, refuse)
-    spdp.say([b"one", b"two"], DOMAIN, localhost_only=False)
+    spdp.send_all([b"one", b"two"], DOMAIN, localhost_only=False)
     assert sorted(set(groups(network))) == ["eth0", "lo"]
     unicast = {port for _, address, port in network.sent if address == "127.0.0.1"}
     assert unicast == {GROUP_PORT + 10 + 2 * number for number in range(spdp.PARTICIPANTS)}

@@ -34,7 +34,7 @@ def test_requests_wait_for_replies(monkeypatch: pytest.MonkeyPatch) -> None:
     assert requests.wait() == 0
 
 
-def test_process_that_ended_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_process_that_ended_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(neighbours, "shares_memory", lambda process: process.exists())
     own = b"\x01\x0f\x00\x01" + os.urandom(8)
     program = subprocess.Popen([sys.executable, "-S", "-c", "input()"], stdin=subprocess.PIPE)
@@ -42,13 +42,13 @@ def test_process_that_ended_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
     elsewhere = b"\x01\x0f\x00\x02" + prefix[4:]
     try:
         watched = ProcessWatch(own)
-        assert not watched.is_gone(prefix)
-        assert not watched.is_gone(elsewhere)
+        assert not watched.has_ended(prefix)
+        assert not watched.has_ended(elsewhere)
         program.kill()
         os.waitid(os.P_PID, program.pid, os.WEXITED | os.WNOWAIT)
-        assert watched.is_gone(prefix)  # though nobody has asked for its end yet
+        assert watched.has_ended(prefix)  # though nobody has asked for its end yet
     finally:
         program.communicate()
-    assert watched.is_gone(prefix)
-    assert not watched.is_gone(elsewhere)
-    assert not ProcessWatch(own).is_gone(prefix)  # never seen alive: DDS is to say
+    assert watched.has_ended(prefix)
+    assert not watched.has_ended(elsewhere)
+    assert not ProcessWatch(own).has_ended(prefix)  # never seen alive: DDS is to say
