@@ -147,10 +147,10 @@ def text(data: str) -> bytes:
 @pytest.mark.parametrize(
     ("said", "why"),
     [
-        (b"\xff\xff\xff\xff", "claims 4294967295 bytes"),
+        (b"\xff\xff\xff\xff", "announces 4294967295 bytes"),
         (struct.pack("<I", 8) + struct.pack("<I", 1000) + b"type", "cut short"),
         (struct.pack("<I", 9) + struct.pack("<I", 5) + b"hello", "no '='"),
-        (encode({"callerid": "/hostile"}), "names no type"),
+        (encode({"callerid": "/hostile"}), "has no type"),
         (encode({"error": "go away"}), "go away"),
     ],
     ids=["huge", "field too long", "no equals", "no type", "error"],

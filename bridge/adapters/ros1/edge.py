@@ -1,4 +1,4 @@
-"""The ROS 1 edge: the ROS 1 graph, and our endpoints on it."""
+"""The ROS 1 edge: the ROS 1 graph, and Midspan's endpoints on it."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 _LONG = 1.0
-"""Seconds between two looks at the master from which the other workers' watch is told of the second."""
+"""Least seconds between two reads of the master after which the watch for other workers is notified."""
 
 _CHECK_PERIOD = 2.0
-"""Seconds between two looks for connections whose peers are gone; a look asks the system for each topic."""
+"""Seconds between two checks for dead connections; a check makes a system call per topic."""
 
 
 class Ros1Edge(SideEdge):
-    """Joins one ROS 1 graph. rospy is one per process, and so is this edge; once stopped it does not start again."""
+    """Joins one ROS 1 graph. Like rospy, it can exist only once per process; it cannot be restarted."""
 
     side: ClassVar[str] = "ros1"
     services: ClassVar[bool] = True
@@ -91,7 +91,7 @@ class Ros1Edge(SideEdge):
     # -- life ----------------------------------------------------------------------------------------------------------
 
     def start(self, listener: EdgeListener) -> None:
-        """Put our node up and begin to look for the master; see `Edge.start`."""
+        """Start the node, and begin to poll the master."""
         for logger in ("rospy", "rosout", "xmlrpc"):
             logging.getLogger(logger).setLevel(logging.WARNING)
         from bridge.adapters.ros1.graph.master import Master
@@ -113,7 +113,7 @@ class Ros1Edge(SideEdge):
         self._master.start()
 
     def stop(self) -> None:
-        """Unregister everything and close; see `Edge.stop`."""
+        """Unregister everything and close, within two seconds. Safe to call twice."""
         with self._lock:
             if self._stopped:
                 return
@@ -145,12 +145,12 @@ class Ros1Edge(SideEdge):
             self._master.wake()
 
     def _heard(self, topic: str) -> None:
-        """A subscriber connected to a topic of ours; called on a thread of the node."""
+        """Handle a new subscriber of a published topic; called on a thread of the node."""
         if self._actions.awaits(topic):
             self._wake_master()
 
     def _peer_changed(self) -> None:
-        """A connection of another node was made, has ended, or has shown what the node is; called on any thread."""
+        """Handle a connection of another node that began, ended, or revealed its type; called on any thread."""
         if self._standing.unlisted:
             self._wake_master()
         self._graph_changed()
@@ -166,16 +166,16 @@ class Ros1Edge(SideEdge):
     # -- the graph -----------------------------------------------------------------------------------------------------
 
     def network(self) -> str | None:
-        """The master's run id; None if it is away, and no connection shows that another node is there."""
+        """Return the master's run id; None if it is unreachable and no connection to another node is left."""
         look = self._look
         return look.network if look is not None else None
 
     def is_own_network(self, origin: Origin) -> bool:
-        """Whether an origin is the very master that we are joined to."""
+        """Return whether an origin is on the joined master."""
         return origin.side == self.side and origin.network == self.network()
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """The other nodes' publishers, subscriptions and servers, actions as ROS 2 has them; clients leave no trace."""
+        """Return the other nodes' publishers, subscriptions, servers and actions; service clients are invisible."""
         look = self._look
         if look is None:
             return ()
@@ -183,7 +183,7 @@ class Ros1Edge(SideEdge):
         return [*topics, *self._services.endpoints(look), *self._actions.endpoints()]
 
     def is_heard(self, topic: str) -> bool:
-        """See `Edge.is_heard`; asked each second, so without making endpoints of everything."""
+        """Return whether another node subscribes to a topic; called every second, so it creates no endpoints."""
         look, own = self._look, self._caller()
         return look is not None and any(s.topic == topic and s.node != own for s in look.subscribers)
 
@@ -192,14 +192,14 @@ class Ros1Edge(SideEdge):
         return self._links.living()
 
     def settled(self, since: float) -> bool:
-        """Whether the master was read since then with our own entry on it, which later nodes see."""
+        """Return whether the master was read since then and has this node's entry, which later nodes read."""
         if self._settled < since:
             self._wake_master()
             return False
         return True
 
     def warnings(self) -> list[str]:
-        """What a person should know of this side."""
+        """Return problems with the master, the clock, topics, services, actions and parameters."""
         warnings = []
         if self._master is not None and self._master.trouble:
             warnings.append(f"no ROS 1 master: {self._master.trouble}")
@@ -218,13 +218,13 @@ class Ros1Edge(SideEdge):
         return [*warnings, *self._services.warnings(), *self._actions.warnings(), *parameters]
 
     def _seen(self, listed: MasterState | None) -> None:
-        """Adopt the master's state, None while it is away; called on its thread."""
+        """Adopt the master's state, None while it is unreachable; called on the master's thread."""
         assert self._node is not None
         if self._stopped:
             return
         if listed is not None and not self._joined:
             self._joined = True
-            if not self._config.routing.parameters:  # a killed worker may have had rules, and left its copies
+            if not self._config.routing.parameters:  # a killed worker with rules may have left copies
                 self._parameter_server().close()
         look = self._standing.update(listed)
         changed = look is not self._look
@@ -247,7 +247,7 @@ class Ros1Edge(SideEdge):
             self._graph_changed()
 
     def _watch_others(self, look: MasterState | None) -> None:
-        """Follow the entries of the other Midspan nodes; without a master their own connections remain."""
+        """Follow the entries of the other Midspan nodes; without a master only their connections remain."""
         assert self._master is not None
         own = self._master.presence()
         if look is None or NodeEntry.parse(look.presence.get(own.key)) != own:
@@ -255,43 +255,43 @@ class Ros1Edge(SideEdge):
             return
         self._links.follow(others(look, own))
         before, self._settled = self._settled, self._master.looked
-        if self._settled - before > _LONG:  # the first look, or the first after a standstill: one waits for it
+        if self._settled - before > _LONG:  # the first read, or the first after a suspension: the watch waits for it
             self._presence_changed()
 
     # -- types and names -----------------------------------------------------------------------------------------------
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """See `Edge.to_hub`."""
+        """Return the conversion of a type to the hub; an action's types are learned first."""
         if discovery.split_part(endpoint.topic, endpoint.type):
             self._actions.learn(endpoint.topic)
         return self._registry.ros1_to_hub(endpoint.type, endpoint.type_id, endpoint.definition)
 
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """See `Edge.from_hub`."""
+        """Return the conversion from CDR to ROS 1's bytes."""
         return self._registry.hub_to_ros1(type_name, type_hash)
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """See `Edge.service_to_hub`."""
+        """Return the conversion of a server's type; an action's types are learned first."""
         if discovery.split_part(endpoint.topic, endpoint.type):
             self._actions.learn(endpoint.topic)
         return self._registry.service_ros1_to_hub(endpoint.type, endpoint.type_id)
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """See `Edge.service_from_hub`."""
+        """Return the conversion between CDR and ROS 1's bytes."""
         return self._registry.service_hub_to_ros1(type_name, type_hash)
 
     def side_name(self, hub_name: str) -> str:
-        """The ROS 1 spelling of a hub topic name; see `bridge.adapters.ros1.names`."""
+        """Return the ROS 1 spelling of a hub topic name; see `bridge.adapters.ros1.names`."""
         return self._names.side_name(hub_name)
 
     def hub_name(self, side_name: str) -> str:
-        """The hub's spelling of a ROS 1 topic name; see `bridge.adapters.ros1.names`."""
+        """Return the hub's spelling of a ROS 1 topic name; see `bridge.adapters.ros1.names`."""
         return names.hub_name(side_name)
 
-    # -- our endpoints -------------------------------------------------------------------------------------------------
+    # -- Midspan's endpoints -------------------------------------------------------------------------------------------
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
-        """Subscribe to a topic's native publishers of this type; a volatile subscription gets no older messages."""
+        """Subscribe to a topic's native publishers of this type; a volatile subscription receives no older messages."""
         part = discovery.split_part(topic, side_type.name)
         if part:
             return self._actions.subscribe(*part, side_type.name, deliver)
@@ -299,17 +299,17 @@ class Ros1Edge(SideEdge):
         return self._topics.subscribe(topic, side_type, deliver, fresh=fresh)
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
-        """Publish on a topic; latched QoS keeps the last ``depth`` messages of each source for late joiners."""
+        """Publish on a topic; latched QoS retains the last ``depth`` messages of each source for late joiners."""
         part = discovery.split_part(topic, side_type.name)
         return self._actions.advertise(*part) if part else self._topics.advertise(topic, side_type, qos)
 
     def caller(self, name: str, side_type: SideType) -> EdgeCaller:
-        """Calls the native server of a service, over persistent connections; see `Edge.caller`."""
+        """Return a client of the native server of a service, with persistent connections."""
         part = discovery.split_part(name, side_type.name)
         return self._actions.caller(*part, side_type.name) if part else self._services.caller(name, side_type)
 
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
-        """Serve a service; a native server of the name keeps it, see `Edge.serve`."""
+        """Serve a service; it is not registered while a native server of that name exists."""
         part = discovery.split_part(name, side_type.name)
         if part:
             return self._actions.serve(*part, side_type.name, call)
@@ -318,7 +318,7 @@ class Ros1Edge(SideEdge):
     def carry_parameters(
         self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
     ) -> Callable[[], None]:
-        """Carry them between the master's parameter server and the hub; see `Edge.carry_parameters`."""
+        """Share parameters between the master's parameter server and the hub, until the returned call."""
         self._parameters = None
         if not rules or self._node is None or self._master is None:
             return super().carry_parameters(rules, hub, active)
@@ -336,5 +336,5 @@ class Ros1Edge(SideEdge):
         return ParameterServer(self._master.uri, self._caller, self._node.uri, self._ledger.owner)
 
     def details(self) -> dict[str, Any]:
-        """The shared parameters."""
+        """Return the rules of shared parameters and their counts."""
         return {} if self._parameters is None else {"parameters": self._parameters.details()}

@@ -1,10 +1,10 @@
-"""The ros1 worker's environment: ROS 1's Python packages beside those of Midspan, and nothing else of the system's.
+"""The ros1 worker's environment: ROS 1's Python packages in addition to Midspan's, but no other system packages.
 
-ROS 1 and ROS 2 name their message packages alike, so the two must not meet in one interpreter, and the system's folder
-of Python packages as a whole would also shadow the venv's NumPy and YAML. Therefore the worker runs on Midspan's own
-Python with one folder ahead on ``PYTHONPATH`` that holds links to the ROS 1 packages and to nothing else.
+ROS 1 and ROS 2 use the same names for message packages, so one interpreter cannot have both, and the system's whole
+package folder would also shadow the venv's NumPy and YAML. Therefore the worker runs on Midspan's Python with one
+folder first on ``PYTHONPATH`` that contains only links to the ROS 1 packages.
 
-This module imports nothing of ROS.
+This module imports no ROS packages.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from bridge.config.model import Config
 from bridge.state_file import state_folder
 
 DEFAULT_MASTER = "http://localhost:11311"
-"""rosgraph's own default of ROS_MASTER_URI."""
+"""rosgraph's default of ROS_MASTER_URI."""
 
 PLACES = (Path("/opt/ros/noetic/lib/python3/dist-packages"), Path("/usr/lib/python3/dist-packages"))
-"""Where ROS 1 installs its Python packages: ROS's own repository, Debian's and Ubuntu's."""
+"""Where ROS 1 installs its Python packages: from ROS's repository, and from Debian's or Ubuntu's."""
 
 _ROS = (
     "rospy", "rosgraph", "roslib", "rospkg", "genpy", "genmsg", "catkin", "actionlib", "tf", "tf2_py", "tf2_ros",
@@ -40,14 +40,14 @@ _ROS = (
 )  # fmt: skip
 _NEEDED = ("rosgraph", "rosgraph_msgs", "roscpp", "genpy", "std_msgs")
 _HELPERS = ("defusedxml", "netifaces", "gnupg", "distro")
-"""What ROS 1's packages import beyond the standard library; linked only where Midspan's Python has it not."""
+"""Third-party imports of ROS 1's packages; linked only if Midspan's Python lacks them."""
 
 _STALE_SECONDS = 30 * 24 * 3600.0
 _EXTENSION = re.compile(r"\.cpython-(\d+)[^/]*\.so$")
 
 
 def packages_folder(config: Config, environ: Mapping[str, str]) -> Path | None:
-    """Folder with the ROS 1 Python packages: the configured one, a sourced one, or where ROS 1 installs them."""
+    """Return the folder of the ROS 1 Python packages: configured, sourced, or in a default location."""
     if config.ros1.packages is not None:
         places = [config.ros1.packages]
     else:
@@ -56,29 +56,29 @@ def packages_folder(config: Config, environ: Mapping[str, str]) -> Path | None:
 
 
 def available(config: Config, environ: Mapping[str, str] | None = None) -> str:
-    """Why the ROS 1 side cannot run here and what helps; "" where it can."""
+    """Return why the ROS 1 side cannot run here, with the cure; "" if it can."""
     environ = os.environ if environ is None else environ
     folder = packages_folder(config, environ)
     if folder is None:
         if config.ros1.packages is not None:
-            return f"ros1.packages: no rospy in {config.ros1.packages}; give the folder that holds 'rospy'"
+            return f"ros1.packages: no rospy in {config.ros1.packages}; give the folder that contains 'rospy'"
         return (
-            "no rospy on this machine: install it (Debian 12: apt install python3-rospy) or give the folder that"
-            " holds it as ros1.packages"
+            "no rospy on this machine: install it (Debian 12: apt install python3-rospy) or set ros1.packages"
+            " to the folder that contains it"
         )
     lacking = [name for name in _NEEDED if not (folder / name).is_dir()]
     if lacking:
-        return f"rospy in {folder} lacks {', '.join(lacking)}: install what it depends on (apt install python3-rospy)"
+        return f"rospy in {folder} lacks {', '.join(lacking)}: install its dependencies (apt install python3-rospy)"
     return ""
 
 
 def master_uri(config: Config, environ: Mapping[str, str]) -> str:
-    """The master's URI: the configured one, else the environment's, else rosgraph's default."""
+    """Return the master's URI: the configured one, else the environment's, else rosgraph's default."""
     return config.ros1.master or environ.get("ROS_MASTER_URI") or DEFAULT_MASTER
 
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:
-    """The environment that the ros1 worker is started with; raises `RuntimeError` where ROS 1 is not available."""
+    """Return the environment of the ros1 worker; raises `RuntimeError` if ROS 1 is not available."""
     reason = available(config, environ)
     if reason:
         raise RuntimeError(reason)
@@ -89,7 +89,7 @@ def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, 
         links = _links(folder, _cache_folder(environ))
     except OSError as err:
         raise RuntimeError(
-            f"{_cache_folder(environ)} cannot be written: {err.strerror}; name a folder that can in $XDG_CACHE_HOME"
+            f"{_cache_folder(environ)} cannot be written: {err.strerror}; set $XDG_CACHE_HOME to a writable folder"
         ) from None
     env["PYTHONPATH"] = os.pathsep.join([str(links), *_ros1_paths(environ, folder)])
     env["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
@@ -117,20 +117,20 @@ def _set_or_drop(env: dict[str, str], name: str, value: str) -> None:
 
 
 def _ros1_paths(environ: Mapping[str, str], folder: Path) -> list[str]:
-    """What a sourced workspace has on PYTHONPATH, without ROS 2's folders and the one that is linked."""
+    """Return a sourced workspace's PYTHONPATH without ROS 2's folders and the linked one."""
     paths = [p for p in environ.get("PYTHONPATH", "").split(os.pathsep) if p]
     return [p for p in paths if not (Path(p) / "rclpy").exists() and Path(p) != folder]
 
 
 def _foreign_libraries(environ: Mapping[str, str]) -> str:
-    """LD_LIBRARY_PATH without this Python's own folders, which the ROS 2 wheels put there."""
+    """Return LD_LIBRARY_PATH without this Python's own folders, which the ROS 2 wheels add."""
     own = Path(sys.prefix)
     paths = [p for p in environ.get("LD_LIBRARY_PATH", "").split(os.pathsep) if p]
     return os.pathsep.join(p for p in paths if own not in Path(p).parents)
 
 
 def _set_address(env: dict[str, str], config: Config) -> None:
-    """ROS_IP and ROS_HOSTNAME: as configured, as the environment says, else loopback where the master is local."""
+    """Set ROS_IP and ROS_HOSTNAME from the configuration, else the environment, else to loopback for a local master."""
     if config.ros1.hostname or config.ros1.ip:
         _set_or_drop(env, "ROS_HOSTNAME", config.ros1.hostname or "")
         _set_or_drop(env, "ROS_IP", config.ros1.ip or "")
@@ -143,7 +143,7 @@ def _set_address(env: dict[str, str], config: Config) -> None:
 
 
 def is_local(host: str) -> bool:
-    """Whether a master's host leads to this machine's loopback alone, so that no other machine can be meant to join."""
+    """Return whether a master's host resolves only to loopback, so that no other machine can join."""
     if host == "localhost":
         return True
     with contextlib.suppress(ValueError):
@@ -157,12 +157,12 @@ def is_local(host: str) -> bool:
 
 
 def _links(folder: Path, cache: Path) -> Path:
-    """A folder of links to the ROS 1 packages of ``folder``; its name says what it links, so that it is never stale."""
+    """Return a folder of links to the packages in ``folder``; its name is a hash of the links, so it is never stale."""
     targets = _targets(folder)
     text = "\n".join(f"{name} {target}" for name, target in sorted(targets.items()))
     links = cache / f"ros1-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
     if links.is_dir():
-        with contextlib.suppress(OSError):  # on a disk that is read-only by now it is as good
+        with contextlib.suppress(OSError):  # still usable if the disk is read-only by now
             os.utime(links)
         return links
     cache.mkdir(parents=True, exist_ok=True)
@@ -171,7 +171,7 @@ def _links(folder: Path, cache: Path) -> Path:
         for name, target in targets.items():
             (made / name).symlink_to(target)
         made.chmod(0o755)
-        # Another process may have been quicker; its folder is the same.
+        # another process may have been faster; its folder is the same
         with contextlib.suppress(OSError):
             made.rename(links)
     finally:
@@ -188,7 +188,7 @@ def _prune(cache: Path, keep: Path) -> None:
 
 
 def _targets(folder: Path) -> dict[str, Path]:
-    """Links to make: every ROS 1 package, and what they need that this Python lacks."""
+    """Return the links to create: all ROS 1 packages, and their dependencies that this Python lacks."""
     targets: dict[str, Path] = {}
     for entry in folder.iterdir():
         has_messages = any((entry / kind / "__init__.py").is_file() for kind in ("msg", "srv"))
@@ -198,7 +198,7 @@ def _targets(folder: Path) -> dict[str, Path]:
 
 
 def _is_missing_helper(entry: Path) -> bool:
-    """Whether it is one of the helpers that this Python lacks: pure Python, or an extension for this very version."""
+    """Return whether it is a helper that this Python lacks: pure Python, or an extension for this version."""
     name = entry.name.split(".")[0]
     if name not in _HELPERS or entry.suffix == ".egg-info" or importlib.util.find_spec(name) is not None:
         return False

@@ -1,7 +1,7 @@
-"""One thread reads many connections: all on which only small messages come, and all that carry calls.
+"""One thread that reads many connections: those with only small messages, and those of service calls.
 
-Hundreds of threads that each wait for a message of their own, and then for the interpreter, take turns more often than
-messages come: 500 topics at 10 Hz had the worker's threads switch 50,000 times a second.
+With one thread per connection, waiting for messages and for the interpreter, thread switches outnumber messages: 500
+topics at 10 Hz caused 50,000 switches per second.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ _LISTEN = select.EPOLLIN | select.EPOLLRDHUP
 _WATCH = select.EPOLLRDHUP
 
 _KEEPALIVE = (("TCP_KEEPIDLE", 60), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 9))
-"""As rospy's and roscpp's subscribers set it: a peer whose machine is gone is noticed after two and a half minutes."""
+"""Same values as rospy's and roscpp's subscribers: the loss of a peer's machine is noticed after 2.5 minutes."""
 
 
 class PolledConnection(ABC):
-    """A TCP connection that the loop reads; ``listens``: what comes is read, else only its end is noticed."""
+    """A TCP connection that the loop reads; without ``listens``, it only watches for the end of the connection."""
 
     def __init__(self, sock: socket.socket) -> None:
         self.listens = True
@@ -36,20 +36,20 @@ class PolledConnection(ABC):
         self._lock = threading.Lock()
 
     def fileno(self) -> int:
-        """Its socket's descriptor, which stays the same as long as it is read here."""
+        """Return the socket's descriptor, which does not change while the loop reads it."""
         return self._sock.fileno()
 
     @abstractmethod
     def take(self) -> Callable[[], None] | None:
-        """Take what has come, without waiting; returns what to do once the loop has let go of it, else None."""
+        """Read available data without blocking; return a function for the loop to call after removing this, or None."""
 
     @abstractmethod
     def abandon(self) -> None:
-        """The loop ends, and reads it no more."""
+        """Close the connection, as the loop ends."""
 
 
 def keep_alive(sock: socket.socket) -> None:
-    """Have the system notice that a peer's machine is gone."""
+    """Let the system detect the loss of a peer's machine."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in _KEEPALIVE:
         if hasattr(socket, name):
@@ -57,7 +57,7 @@ def keep_alive(sock: socket.socket) -> None:
 
 
 class EpollLoop:
-    """Calls `PolledConnection.take` whenever something has come; methods may be called from any thread."""
+    """Calls `PolledConnection.take` when data is available; thread-safe."""
 
     def __init__(self, name: str = "midspan-ros1-intake") -> None:
         self._epoll = select.epoll()
@@ -70,7 +70,7 @@ class EpollLoop:
         self._thread: threading.Thread | None = None
 
     def add(self, source: PolledConnection) -> bool:
-        """Read a source from now on; False where it is closed or once stopped. Raises `OSError`."""
+        """Start to read a source; return False if it is closed or the loop is stopped. Raises `OSError`."""
         with self._lock:
             number = source.fileno()
             if self._stopped or number < 0:
@@ -83,7 +83,7 @@ class EpollLoop:
             return True
 
     def listen(self, source: PolledConnection, *, data: bool) -> None:
-        """Whether what a source brings is read, or only its end is noticed."""
+        """Set whether a source's data is read, or only its end is watched for."""
         with self._lock:
             source.listens = data
             number = source.fileno()
@@ -91,7 +91,7 @@ class EpollLoop:
                 self._epoll.modify(number, _LISTEN if data else _WATCH)
 
     def remove(self, source: PolledConnection) -> None:
-        """Leave a source alone. Before its descriptor is closed."""
+        """Stop watching a source; call it before its descriptor is closed."""
         with self._lock:
             number = source.fileno()
             if self._sources.get(number) is source:
@@ -99,7 +99,7 @@ class EpollLoop:
                 self._epoll.unregister(number)
 
     def stop(self) -> None:
-        """Read nothing more, and abandon all sources. Safe to call twice."""
+        """Stop reading, and abandon all sources. Safe to call twice."""
         with self._lock:
             if self._stopped:
                 return
@@ -133,4 +133,4 @@ class EpollLoop:
         try:
             then()
         except Exception:
-            _log.exception("what follows the end of a ROS 1 connection failed")
+            _log.exception("the callback after the end of a ROS 1 connection failed")

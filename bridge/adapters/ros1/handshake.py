@@ -1,4 +1,4 @@
-"""The TCPROS handshake: a header each way before the messages.
+"""The TCPROS handshake: both peers send a header before the messages.
 
 A header is a little-endian 32-bit length, then fields of ``<32-bit length>name=value``
 (https://wiki.ros.org/ROS/TCPROS, https://wiki.ros.org/ROS/Connection%20Header).
@@ -23,10 +23,10 @@ from bridge.adapters.ros1_peers import (
 )
 
 MAX_HEADER = 2**20
-"""Bytes of the longest header that is read; the definition of the largest common type is about 20 kB."""
+"""Size limit of headers in bytes; the definition of the largest common type is about 20 kB."""
 
 ORIGIN_FIELD = "midspan_origin"
-"""Header field of every publisher and server that a Midspan made; its value names the daemon."""
+"""Header field of all publishers and servers of a Midspan; its value is the daemon's name."""
 
 Header = Mapping[str, str]
 
@@ -34,14 +34,14 @@ _LENGTH = struct.Struct("<I")
 
 
 def encode(fields: Header) -> bytes:
-    """A header's bytes."""
+    """Serialize a header."""
     lines = [f"{name}={value}".encode() for name, value in fields.items()]
     body = b"".join(_LENGTH.pack(len(line)) + line for line in lines)
     return _LENGTH.pack(len(body)) + body
 
 
 def decode(body: bytes) -> dict[str, str]:
-    """The fields of a header whose leading length is already taken off."""
+    """Parse a header without its leading length; raises `Ros1ProtocolError`."""
     fields: dict[str, str] = {}
     at = 0
     while at < len(body):
@@ -52,22 +52,22 @@ def decode(body: bytes) -> dict[str, str]:
         at += 4 + length
         name, equals, value = line.partition(b"=")
         if len(line) != length or not equals:
-            raise Ros1ProtocolError("a field of the connection header is cut short or has no '='")
-        # Definitions quote people's names in whatever encoding their editor had.
+            raise Ros1ProtocolError("a field of the connection header is truncated or has no '='")
+        # definitions may contain names in any encoding
         fields[name.decode(errors="replace").strip()] = value.decode(errors="replace")
     return fields
 
 
 def read_header(sock: DeadlineSocket) -> dict[str, str]:
-    """Read one header and not a byte more, until the socket's deadline."""
+    """Read exactly one header, until the socket's deadline."""
     (length,) = _LENGTH.unpack(read_exactly(sock, 4))
     if length > MAX_HEADER:
-        raise Ros1ProtocolError(f"the connection header claims {length} bytes, at most {MAX_HEADER} are read")
+        raise Ros1ProtocolError(f"the connection header announces {length} bytes, the limit is {MAX_HEADER}")
     return decode(read_exactly(sock, length))
 
 
 def read_exactly(sock: DeadlineSocket, count: int) -> bytes:
-    """Read so many bytes, until the socket's deadline; raises `Ros1ProtocolError` where the peer closes before."""
+    """Read ``count`` bytes, until the socket's deadline; raises `Ros1ProtocolError` if the peer closes before."""
     parts: list[bytes] = []
     while count:
         part = sock.recv(min(count, 65536))
@@ -79,9 +79,9 @@ def read_exactly(sock: DeadlineSocket, count: int) -> bytes:
 
 
 def connect(caller: str, uri: str, topic: str, seconds: float) -> tuple[DeadlineSocket, dict[str, str]]:
-    """Connect to a publisher as an any-type subscriber, up to and with its header; raises `Ros1Error`.
+    """Connect to a publisher as an any-type subscriber, and read its header; raises `Ros1Error`.
 
-    ``caller`` is our node's name, ``uri`` the publishing node's XML-RPC address; ``seconds`` are for all of it.
+    ``caller`` is this node's name, ``uri`` the publishing node's XML-RPC address; ``seconds`` limit all steps together.
     """
     deadline = time.monotonic() + seconds
     chosen = ask(uri, seconds, "requestTopic", caller, topic, [["TCPROS"]])
@@ -93,10 +93,10 @@ def connect(caller: str, uri: str, topic: str, seconds: float) -> tuple[Deadline
 def connect_service(
     caller: str, address: str, service: str, seconds: float, **fields: str
 ) -> tuple[DeadlineSocket, dict[str, str]]:
-    """Connect to a service's server, up to and with its header; raises `Ros1Error`.
+    """Connect to a service's server, and read its header; raises `Ros1Error`.
 
-    ``address`` is the service's own, ``rosrpc://host:port``; ``seconds`` are for all of it together; ``fields`` are
-    more of our header: ``md5sum`` ("*" for any), ``probe``, ``persistent``.
+    ``address`` is the service's, ``rosrpc://host:port``; ``seconds`` limit all steps together; ``fields`` are added to
+    the sent header: ``md5sum`` ("*" for any), ``probe``, ``persistent``.
     """
     deadline = time.monotonic() + seconds
     try:
@@ -117,7 +117,7 @@ def _greet(host: str, port: int, deadline: float, ours: Header, what: str) -> tu
         sock = DeadlineSocket.connected(host, port, deadline)
     except OSError as err:
         raise unanswered(f"cannot connect to {host}:{port} where {what}", err) from None
-    except ValueError as err:  # no name of a host
+    except ValueError as err:  # not a host name
         raise Ros1ProtocolError(f"{host!r:.200} is not a host, where {what}: {err}") from None
     try:
         return sock, _converse(sock, ours, f"{host}:{port}")
@@ -138,9 +138,9 @@ def _converse(sock: DeadlineSocket, ours: Header, peer: str) -> dict[str, str]:
         raise Ros1ProtocolError(f"{peer}: {err}") from None
     if "error" in header:
         raise RefusedError(header["error"])
-    # A port of YARP 3 that knows no type yet sends our own header back, and "*" in it.
+    # A port of YARP 3 without a known type returns the received header, with "*" in it.
     if header.get("type") in (None, "", "*") or not header.get("md5sum"):
-        raise Ros1ProtocolError(f"{peer} names no type in its connection header")
+        raise Ros1ProtocolError(f"{peer} has no type in its connection header")
     return header
 
 

@@ -1,14 +1,14 @@
-"""Topic names that ROS 1 allows and ROS 2 forbids, made legal on the hub, and back.
+"""Maps topic names that ROS 1 allows and ROS 2 forbids to legal ones on the hub, and back.
 
 ROS 2's rule for a full topic name (rmw's validate_full_topic_name): absolute, letters, digits, ``_`` and ``/`` only, no
 ``//``, no trailing ``/``, no part that starts with a digit, at most 247 characters. ROS 1's masters enforce nothing,
-and its own rule (rosgraph.names) lets parts start with digits.
+and ROS 1's rule (rosgraph.names) allows parts that start with digits.
 
 The rule, part by part of a name:
 
-1. empty parts go (``//`` becomes ``/``, a trailing ``/`` goes), and a name without a leading ``/`` gets one;
+1. empty parts are removed (``//`` becomes ``/``, a trailing ``/`` is dropped), and a leading ``/`` is added if missing;
 2. every character other than ``[A-Za-z0-9_]`` becomes ``_``;
-3. a part that starts with a digit gets an ``n`` before it: ``/camera/1/image`` becomes ``/camera/n1/image``;
+3. a part that starts with a digit is prefixed by ``n``: ``/camera/1/image`` becomes ``/camera/n1/image``;
 4. a name that is still longer than 247 characters is cut, and ends in ``_`` and eight hex digits of its SHA-256.
 """
 
@@ -22,14 +22,14 @@ MAX_LENGTH = 247
 """rmw's RMW_TOPIC_MAX_NAME_LENGTH."""
 
 MAX_NAMES = 20000
-"""Illegal names that a `NameTable` keeps before it forgets those that left the graph."""
+"""Number of illegal names in a `NameTable` beyond which those that left the graph are dropped."""
 
 _LEGAL = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 _FORBIDDEN = re.compile(r"[^A-Za-z0-9_]")
 
 
 def hub_name(side_name: str) -> str:
-    """The hub's spelling of a ROS 1 topic name, by the module's rule."""
+    """Return the hub's spelling of a ROS 1 topic name, by the rule above."""
     if _LEGAL.fullmatch(side_name) and len(side_name) <= MAX_LENGTH:
         return side_name
     parts = [_FORBIDDEN.sub("_", part) for part in side_name.split("/") if part]
@@ -41,11 +41,11 @@ def hub_name(side_name: str) -> str:
 
 
 class NameTable:
-    """The reverse: the ROS 1 name of a hub name, from the names that the ROS 1 graph has had.
+    """Maps hub names back to ROS 1 names that are or were on the ROS 1 graph.
 
-    Where a name of the graph is spelled as the hub name itself, it wins; else the first in alphabetical order. Names
-    that are not legal on the hub are kept when they leave the graph, so that a topic keeps its name when a subscriber
-    of it is restarted.
+    A name on the graph that equals the hub name has precedence, else the first in alphabetical order. Names that are
+    illegal on the hub are kept when they leave the graph, so that a topic keeps its name when its subscriber is
+    restarted.
     """
 
     def __init__(self) -> None:
@@ -75,5 +75,5 @@ class NameTable:
             self._back = back
 
     def side_name(self, hub_name: str) -> str:
-        """The ROS 1 spelling of a hub topic name; the same where no ROS 1 name was changed into it."""
+        """Return the ROS 1 spelling of a hub topic name; unchanged if no ROS 1 name was mapped to it."""
         return self._back.get(hub_name, hub_name)

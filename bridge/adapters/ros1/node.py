@@ -1,9 +1,9 @@
-"""Our node on the ROS 1 graph: rospy's slave API, TCPROS server and topic manager, without ``rospy.init_node``.
+"""Midspan's node on the ROS 1 graph: rospy's slave API, TCPROS server and topic manager, without ``rospy.init_node``.
 
-``init_node`` blocks until a master answers, registers while it holds the topic manager's lock, tries for ever without a
-time limit, never registers again with a restarted master, and publishes the process's log on ``/rosout``. Here rospy's
-parts are put together without that: registrations are only noted, and `bridge.adapters.ros1.graph.master` keeps the
-master's state equal to them. rospy is one per process, and so is this node.
+``init_node`` blocks until a master responds, registers while it holds the topic manager's lock, retries forever, never
+registers again with a restarted master, and publishes the process's log on ``/rosout``. Here rospy's parts are
+assembled without that: registrations are only recorded, and `bridge.adapters.ros1.graph.master` applies them to the
+master. Like rospy, the node can exist only once per process.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ _ACCEPT_PAUSE = 0.5
 _MAX_TURNED_AWAY = 1000
 
 _MAX_REQUEST = 2**20
-"""Bytes of the longest request that is read; a master's list of a topic's publishers is a few kilobytes."""
+"""Size limit of requests in bytes; a master's list of a topic's publishers is a few kilobytes."""
 
 Changed = Callable[[], None]
 
 
 class _RequestHandler(SilenceableXMLRPCRequestHandler):  # type: ignore[misc]  # rosgraph has no types
-    """rosgraph's reader of requests, which takes a body of any length into memory."""
+    """rosgraph's request handler with a size limit; the original reads bodies of any length into memory."""
 
-    def do_POST(self) -> None:  # noqa: N802 - the name is http.server's
+    def do_POST(self) -> None:  # noqa: N802 - the name is from http.server
         length = self.headers.get("Content-Length", "")
         if length.isascii() and length.isdigit() and int(length[:20]) <= _MAX_REQUEST:
             super().do_POST()
         else:
             self.close_connection = True
-            self.send_error(413, f"a request has a length of at most {_MAX_REQUEST} bytes")
+            self.send_error(413, f"a request may have at most {_MAX_REQUEST} bytes")
 
 
 class _SlaveApi(ROSHandler):  # type: ignore[misc]  # rospy has no types
@@ -67,35 +67,35 @@ class _SlaveApi(ROSHandler):  # type: ignore[misc]  # rospy has no types
         self.parameter_changed: Changed | None = None
 
     def paramUpdate(self, _caller_id: str, _key: str, _value: object) -> tuple[int, str, int]:  # noqa: N802 - ROS 1's
-        """The master reports the change of a subscribed parameter; its value is read again."""
+        """Handle the master's report of a changed parameter; its value is read again."""
         if self.parameter_changed is not None:
             self.parameter_changed()
         return 1, "", 0
 
     def shutdown(self, caller_id: str, msg: str = "") -> tuple[int, str, int]:
-        """The master (another node took our name) or a person (rosnode kill) asks us to stop."""
-        self._asked_to_stop(f"{caller_id} asked this node to stop" + (f": {msg}" if msg else ""))
+        """Handle a request to stop, from the master (another node took the name) or a user (rosnode kill)."""
+        self._asked_to_stop(f"{caller_id} requested this node's shutdown" + (f": {msg}" if msg else ""))
         return 1, "shutdown", 0
 
 
 class _RegistrationNotes(registration.RegistrationListener):  # type: ignore[misc]  # rospy has no types
-    """Replaces rospy's registration manager: a change only wakes the thread that talks to the master."""
+    """Replaces rospy's registration manager: a change only wakes the thread that calls the master."""
 
     def __init__(self, changed: Changed) -> None:
         self._changed = changed
         self.removed: set[str] = set()
-        """Topics that we published and do not any more, or not without a break."""
+        """Topics whose publication ended, even if it has begun again."""
 
     def start(self, _uri: str, _master_uri: str) -> None:
-        """Called by rospy once its XML-RPC server listens."""
+        """Start to receive notifications; rospy calls it once its XML-RPC server listens."""
         registration.get_registration_listeners().add_listener(self)
 
     def is_registered(self) -> bool:
-        """Rospy's question whether the node may go on."""
+        """Return True, so that rospy continues."""
         return True
 
     def publisher_update(self, _topic: str, _uris: list[str]) -> None:
-        """The master reports new publishers of a subscribed topic."""
+        """Handle the master's report of new publishers of a subscribed topic."""
         self._changed()
 
     def reg_added(self, _name: str, _type_or_uri: str, _kind: str) -> None:
@@ -108,7 +108,7 @@ class _RegistrationNotes(registration.RegistrationListener):  # type: ignore[mis
 
 
 class _TcprosServer(rospy.impl.tcpros_base.TCPServer):  # type: ignore[misc]  # rospy has no types
-    """rospy's TCPROS server, which outlives a moment without free descriptors."""
+    """rospy's TCPROS server, which survives a temporary lack of descriptors."""
 
     def run(self) -> None:
         while not self.is_shutdown:
@@ -123,7 +123,7 @@ class _TcprosServer(rospy.impl.tcpros_base.TCPServer):  # type: ignore[misc]  # 
 
 
 class Ros1Node:
-    """Our node and its registrations: ``uri`` (XML-RPC), ``port`` (TCPROS), ``address`` (of its services)."""
+    """The node and its registrations: ``uri`` (XML-RPC), ``port`` (TCPROS), ``address`` (of its services)."""
 
     def __init__(
         self, name: str, master_uri: str, changed: Changed, asked_to_stop: Callable[[str], None],
@@ -131,7 +131,7 @@ class Ros1Node:
     ) -> None:  # fmt: skip
         if rospy.core.is_initialized():
             raise RuntimeError("rospy is already in use in this process: one ROS 1 edge per process")
-        # rosgraph changes the class of every new logger of the process; ours stay as they are.
+        # rosgraph changes the class of all new loggers of the process; this restores it
         logging.setLoggerClass(logging.Logger)
         self._greetings = threading.BoundedSemaphore(_MAX_GREETINGS)
         self._greeters = WorkerPool(_MAX_GREETINGS, "midspan-ros1-greet")
@@ -151,60 +151,60 @@ class Ros1Node:
 
     @property
     def name(self) -> str:
-        """Our node's name."""
+        """The node's name."""
         return str(rospy.names.get_caller_id())
 
     @staticmethod
     def rename(name: str) -> None:
-        """Take another name, while nothing is registered under the old one."""
+        """Change the name, while nothing is registered under the old one."""
         rospy.names._set_caller_id(name)
 
     @staticmethod
     def publications() -> dict[str, str]:
-        """Topics that we publish, with their types."""
+        """Return the published topics with their types."""
         topics = registration.get_topic_manager()
         with topics.lock:
             return dict(topics.get_publications())
 
     def take_removed(self) -> set[str]:
-        """Return the topics whose publications ended since the last call, also those that were made again at once."""
+        """Return the topics whose publications ended since the last call, even if they began again at once."""
         removed, self._notes.removed = self._notes.removed, set()
         return removed
 
     @staticmethod
     def subscriptions() -> dict[str, str]:
-        """Topics that we subscribe to, with their types."""
+        """Return the subscribed topics with their types."""
         topics = registration.get_topic_manager()
         with topics.lock:
             return dict(topics.get_subscriptions())
 
     @staticmethod
     def subscribers() -> frozenset[tuple[str, str]]:
-        """The subscribers that are connected to our topics, each by node and topic."""
+        """Return the subscribers that are connected to published topics, by node and topic."""
         topics = registration.get_topic_manager()
         with topics.lock:
             publications = list(topics.pubs.values())
         return frozenset((t.endpoint_id, p.resolved_name) for p in publications for t in p.connections)
 
     def services(self) -> dict[str, str]:
-        """Services that we serve, with their addresses."""
+        """Return the served services with their addresses."""
         return dict.fromkeys(self._servers.names(), self.address)
 
     @staticmethod
     def drop_dead_connections() -> None:
-        """Let rospy close the connections whose peers are gone."""
+        """Let rospy close dead connections."""
         registration.get_topic_manager().check_all()
 
     def turned_away(self) -> dict[tuple[str, str], str]:
-        """Subscribers, by topic and node, that ask for another definition of the type than we publish; and which."""
+        """Return the subscribers, by topic and node, that use another definition of the type, with the reason."""
         return dict(self._turned_away)
 
     def hear_parameters(self, changed: Changed | None) -> None:
-        """Call back, on a thread of rospy, when a parameter changes that our address is subscribed to."""
+        """Set the callback for changes of subscribed parameters, which runs on a thread of rospy."""
         self._handler.parameter_changed = changed
 
     def stop(self) -> None:
-        """Close everything; `Master` has unregistered it."""
+        """Close everything; `Master` has unregistered it before."""
         registration.get_registration_listeners().clear()
         registration.get_topic_manager().close_all()
         rospy.core.signal_shutdown("midspan stops")
@@ -234,7 +234,7 @@ class Ros1Node:
         self._tcpros.tcp_ros_server = server
 
     def _greet(self, sock: socket.socket, address: Any) -> None:
-        """Greet each peer on a thread: rospy greets them in turn, so a silent one would block the others."""
+        """Read each peer's header on a thread: rospy reads them in sequence, so a silent one would block."""
         if not self._greetings.acquire(blocking=False):
             sock.close()
             return
@@ -249,7 +249,7 @@ class Ros1Node:
                 sock.sendall(encode({"error": error}))
                 sock.close()
         except (OSError, Ros1Error) as err:
-            _log.debug("a peer at %s was turned away: %s", address, err)
+            _log.debug("a peer at %s was rejected: %s", address, err)
             sock.close()
         except Exception:
             _log.exception("a peer at %s could not be admitted", address)
@@ -258,7 +258,7 @@ class Ros1Node:
             self._greetings.release()
 
     def _admit(self, sock: DeadlineSocket, address: Any, header: dict[str, str]) -> str:
-        """Hand the peer to rospy, to our servers, or to who keeps in touch with other Midspan nodes; "" or why not."""
+        """Pass the peer to rospy, to the services, or to the links between Midspan nodes; return "" or why not."""
         if FIELD in header:
             return self._visit(sock, header, self.uri)
         if "topic" in header:
@@ -269,37 +269,39 @@ class Ros1Node:
             return error
         if "service" in header:
             return self._servers.admit(sock, header)
-        return "neither a topic nor a service is named"
+        return "the header has neither a topic nor a service"
 
     def _hand_over(self, sock: DeadlineSocket, address: Any, header: Header) -> str:
-        """Hand a subscriber to rospy, or let go one that comes too late (`late_header`); "" or why."""
+        """Pass a subscriber to rospy, or dismiss one that is too late (`late_header`); return "" or why not."""
         error = str(self._tcpros.topic_connection_handler(sock, address, header) or "")
         farewell = late_header(header) if error else None
         if farewell is None:
             return error
         publication = registration.get_topic_manager().get_publisher_impl(header["topic"])
-        if publication is not None and not publication.closed:  # made again meanwhile, or of another type
+        if publication is not None and not publication.closed:  # published again meanwhile, or with another type
             return str(self._tcpros.topic_connection_handler(sock, address, header) or "")
         sock.sendall(encode(farewell))
         sock.close()
         return ""
 
     def _note_type(self, header: dict[str, str], error: str) -> None:
-        """Remember subscribers with another definition of the type; a node reports that on its own side, if at all."""
+        """Record subscribers with another definition of the type, which at most their own node reports."""
         topic, node, md5 = header["topic"], header.get("callerid", ""), header.get("md5sum", "*")
         publication = registration.get_topic_manager().get_publisher_impl(topic)
         ours = getattr(publication, "data_class", None)
         self._turned_away.pop((topic, node), None)
         if error and ours is not None and md5 not in {"*", ours._md5sum} and len(self._turned_away) < _MAX_TURNED_AWAY:
             theirs = f"{header.get('type', ours._type)} with md5 {md5}"
-            self._turned_away[topic, node] = f"it asks for {theirs}, we publish {ours._type} with md5 {ours._md5sum}"
+            self._turned_away[topic, node] = (
+                f"it requests {theirs}, Midspan publishes {ours._type} with md5 {ours._md5sum}"
+            )
 
 
 # -- file descriptors --------------------------------------------------------------------------------------------------
 
 
 def raise_descriptor_limit() -> None:
-    """Raise the soft limit, often 1,024, to the hard one: each connection costs a descriptor, and 900 use it up."""
+    """Raise the soft limit, often 1,024, to the hard one, as each connection needs a descriptor."""
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     with contextlib.suppress(ValueError, OSError):
         resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))

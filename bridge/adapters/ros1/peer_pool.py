@@ -1,4 +1,4 @@
-"""Threads for conversations with other nodes, so that dead and slow ones delay nobody else."""
+"""Threads for requests to other nodes, so that dead and slow ones do not delay the others."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from bridge.concurrency import WorkerPool
 _log = logging.getLogger(__name__)
 
 AT_ONCE = 2
-"""Conversations with one address at a time. rospy's TCPROS server and roscpp's XML-RPC server let five connections wait
-(``listen(5)``). Of more at once some are dropped, and come again a second later by TCP's own clock: those of other
-nodes too."""
+"""Concurrent requests to one address. rospy's TCPROS server and roscpp's XML-RPC server have a backlog of five
+connections (``listen(5)``). If there are more, some are dropped, including those of other nodes, and TCP retries them a
+second later."""
 
 Job = Callable[[], None]
 
 
 class PeerPool:
-    """Two pools of threads: one for addresses that answered or were not yet asked, one for those that failed lately.
+    """Two pools of threads: one for addresses that responded or are new, one for those whose last request failed.
 
-    A job whose address has failed since it was queued changes pools, so dead nodes keep only each other waiting.
+    A job whose address has failed since it was queued changes pools, so that dead nodes delay only each other.
     """
 
     def __init__(self, fresh: int = 48, doubtful: int = 4) -> None:
@@ -33,7 +33,7 @@ class PeerPool:
         self._failed: set[str] = set()
 
     def submit(self, address: str, job: Job) -> None:
-        """Run a job that talks to ``address`` soon."""
+        """Schedule a job that calls ``address``."""
         with self._lock:
             line = self._lines.setdefault(address, _PeerJobs())
             line.jobs.append(job)
@@ -56,7 +56,7 @@ class PeerPool:
         try:
             job()
         except Exception:
-            _log.exception("a conversation with a ROS 1 node failed unexpectedly")
+            _log.exception("a request to a ROS 1 node failed unexpectedly")
         finally:
             with self._lock:
                 more = bool(line.jobs)
@@ -68,22 +68,22 @@ class PeerPool:
                 self._go_on(address, line)
 
     def failed(self, address: str) -> None:
-        """An address did not answer."""
+        """Mark an address as failed."""
         with self._lock:
             self._failed.add(address)
 
     def answered(self, address: str) -> None:
-        """An address did answer."""
+        """Mark an address as responsive."""
         with self._lock:
             self._failed.discard(address)
 
     def forget(self, alive: set[str]) -> None:
-        """Drop what is remembered of addresses that left the graph."""
+        """Drop the marks of addresses that left the graph."""
         with self._lock:
             self._failed &= alive
 
     def stop(self) -> None:
-        """Run nothing more; jobs under way end by their own deadlines."""
+        """Start no more jobs; running ones end by their own deadlines."""
         self._fresh.close()
         self._doubtful.close()
 
@@ -93,7 +93,7 @@ class PeerPool:
 
 
 class _PeerJobs:
-    """The jobs of one address that wait, and how many threads take them."""
+    """The waiting jobs of one address, and the number of threads that run them."""
 
     def __init__(self) -> None:
         self.jobs: deque[Job] = deque()

@@ -1,7 +1,7 @@
-"""Loads ROS 1's messages before anything else does, and without numpy, which is 6 MB.
+"""Imports genpy first, and without numpy, which saves 6 MB.
 
-genpy takes numpy where it is there, to know its floats in the fields of messages that are filled in (genpy 0.6.16,
-``message.py``). This worker passes bytes on; it loads numpy itself with the first array that it has to read.
+genpy imports numpy if available, to recognize its floats in message fields (genpy 0.6.16, ``message.py``). This worker
+only forwards bytes; it imports numpy itself for the first array that it has to read.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ def _import_genpy() -> None:
     modules: dict[str, Any] = sys.modules
     if "numpy" in modules:
         return
-    modules["numpy"] = None  # importing it is an ImportError meanwhile
+    modules["numpy"] = None  # meanwhile importing it raises ImportError
     try:
         importlib.import_module("genpy")
     finally:

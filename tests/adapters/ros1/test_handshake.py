@@ -80,7 +80,7 @@ BAD = [
     (say(b"HTTP/1.1 400 Bad Request\r\n\r\n"), Ros1ProtocolError, "claims"),
     (say(struct.pack("<I", 5) + b"\xff\xff\xff\xffa"), Ros1ProtocolError, "cut short"),
     (say(encode({"error": "no such topic"})), RefusedError, "no such topic"),
-    (say(encode({"md5sum": "1"})), Ros1ProtocolError, "names no type"),
+    (say(encode({"md5sum": "1"})), Ros1ProtocolError, "has no type"),
     (lambda _sock: None, Ros1Error, "closed the connection|broke off"),
     (until_closed, UnreachableError, "in time"),
     (trickle, UnreachableError, "in time"),

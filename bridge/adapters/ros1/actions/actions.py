@@ -1,4 +1,4 @@
-"""The actions of one ROS 1 edge: which there are, calling them, and serving those of the hub."""
+"""The actions of one ROS 1 edge: discovers and calls those of ROS 1, and serves those of the hub."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TICK_SECONDS = 0.1
 
 
 class Ros1Actions:
-    """Shows actionlib servers as ROS 2's actions, and ROS 2's actions as actionlib servers."""
+    """Presents actionlib servers as ROS 2 actions, and ROS 2 actions as actionlib servers."""
 
     def __init__(self, network: ActionNetwork) -> None:
         self._network = network
@@ -46,32 +46,32 @@ class Ros1Actions:
         self._stopping = threading.Event()
 
     def stop(self) -> None:
-        """Stop the thread; the engine has closed what was open."""
+        """Stop the thread; the engine has closed all endpoints before."""
         self._stopping.set()
-        thread = self._thread  # it ends by itself where nothing is open any more
+        thread = self._thread  # it exits by itself if nothing is open
         if thread is not None and thread is not threading.current_thread():
             thread.join(1.0)
         self._publishers.close()
 
     def seen(self, look: MasterState | None) -> None:
-        """One look at the master that differs from the last."""
+        """Adopt a changed state of the master."""
         self._found = discovery.find(look, self._network.own()) if look is not None else NOTHING
         self._guard.seen(look)
 
     def looked(self) -> None:
-        """One look at the master, whether it differs or not."""
+        """Do periodic work after each read of the master, changed or not."""
         self._publishers.tidy()
 
     def awaits(self, topic: str) -> bool:
-        """Whether a new subscriber of a topic that we publish may be an action server that is complete now."""
+        """Return whether a new subscriber of a published topic may be an action server that is now complete."""
         return topic in self._publishers
 
     def names(self) -> set[str]:
-        """The names of all parts."""
+        """Return the names of all parts of discovered actions."""
         return {ros2_action.part_name(name, p) for name in self._found.servers for p in ros2_action.PARTS}
 
     def is_part(self, topic: str, type_name: str) -> bool:
-        """Whether a topic is one of an action's five, and so does not cross as a topic.
+        """Return whether a topic belongs to an action, and so does not cross as a topic.
 
         That also holds for an action that is served or called here while a node has registered only some of its topics:
         a second subscription would cost messages, since a rospy publisher accepts one connection from each node.
@@ -80,13 +80,13 @@ class Ros1Actions:
         return wanted is not None and type_name in ("", "*", wanted)
 
     def _in_use(self, action: str) -> Mapping[str, str]:
-        """The topics of an action that is served or called here, and their types."""
+        """Return the topics of an action that is served or called here, with their types."""
         served = self._served.get(action)
         types = [served.type] if served is not None else [t for name, t in list(self._callers) if name == action]
         return discovery.topics_of(action, types[-1]) if types and types[-1] else {}
 
     def endpoints(self) -> Iterator[Endpoint]:
-        """The other nodes' actionlib servers, each as ROS 2 has it."""
+        """Yield the other nodes' actionlib servers as the parts of ROS 2 actions."""
         facts = self._network.facts()
         for servers in self._found.servers.values():
             for server in servers:
@@ -96,14 +96,14 @@ class Ros1Actions:
                     yield _endpoint(server, part, made_by)
 
     def learn(self, name: str) -> None:
-        """Learn the types of a part's action from what its publishers announce."""
+        """Learn the types of a part's action from its publishers' connection headers."""
         action = name.rpartition("/_action/")[0]
         servers = self._found.servers.get(action)
         if servers:
             learn(self._network, discovery.topics_of(action, servers[0].type))
 
     def warnings(self) -> list[str]:
-        """What a person should know."""
+        """Return actions that cannot be offered, and recently rejected goals."""
         held = [
             f"{s.name}: {s.rival} serves this action on ROS 1 itself, so the hub's is not offered there"
             for s in list(self._served.values())
@@ -112,13 +112,13 @@ class Ros1Actions:
         return [*held, *self._guard.warnings()]
 
     def caller(self, action: str, part: str, type_name: str) -> PartCaller:
-        """One of the services of an actionlib server; raises `MessageTypeError`."""
+        """Return a client of one service of an actionlib server; raises `MessageTypeError`."""
         type_ = self._type(action, part, type_name)
         with self._lock:
             return self._caller(action, type_).caller(part)
 
     def subscribe(self, action: str, part: str, type_name: str, deliver: Deliver) -> OpenPart:
-        """One of the topics of an actionlib server; raises `MessageTypeError`."""
+        """Subscribe to one topic of an actionlib server; raises `MessageTypeError`."""
         type_ = self._type(action, part, type_name)
         with self._lock:
             return self._caller(action, type_).subscribe(part, deliver)
@@ -134,7 +134,7 @@ class Ros1Actions:
             return self._serve(action).advertise(part)
 
     def _type(self, action: str, part: str, type_name: str) -> str:
-        """The action's type; the types of cancel_goal and status do not name it."""
+        """Return the action's type, which the types of cancel_goal and status do not contain."""
         if part not in (ros2_action.CANCEL_GOAL, ros2_action.STATUS):
             return discovery.action_type(type_name, part)
         servers = self._found.servers.get(action)

@@ -1,4 +1,4 @@
-"""An actionlib server of the side, called by the parts of a ROS 2 action."""
+"""Presents an actionlib server as the parts of a ROS 2 action."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from bridge.messages.errors import ConversionError
 from bridge.routing.edge import Deliver
 
 _QUEUE = Qos(depth=10_000)
-"""Of goals and cancel requests none is dropped for another one."""
+"""Goals and cancel requests are never dropped."""
 
 _REJECTED = wire.goal_response(wire.ZERO, accepted=False)
 
 STOPS = "the bridge no longer follows the action"
-GONE = "its action server {} is gone"
+GONE = "its action server {} left"
 
 
 class ActionCaller(ActionTopics):
@@ -50,11 +50,11 @@ class ActionCaller(ActionTopics):
 
     @property
     def in_use(self) -> bool:
-        """Whether a part of it is open, or goals are remembered."""
+        """Return whether a part is open, or goals are stored."""
         return bool(self._open) or self._client.kept > 0
 
     def caller(self, part: str) -> PartCaller:
-        """One of the three services."""
+        """Return a client of one of the three services."""
         begin = {
             ros2_action.SEND_GOAL: self._send_goal,
             ros2_action.GET_RESULT: self._client.get_result,
@@ -107,7 +107,7 @@ class ActionCaller(ActionTopics):
     # -- ROS 1 ---------------------------------------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        self._client.found()  # a part is opened because a server is on the graph, which `_choose` may not have yet
+        self._client.found()  # a part is opened because a server is on the graph; `_choose` may not know it yet
         if not self._open or self._subscriptions:
             return
         self._advertise(discovery.GOAL, self._types.goal, _QUEUE)
@@ -126,7 +126,7 @@ class ActionCaller(ActionTopics):
         self._close_topics()
 
     def poll(self, servers: Sequence[FoundServer]) -> None:
-        """Look after the connections; called some ten times a second with the native servers that are alive."""
+        """Check the connections; called some ten times per second with the native servers that are alive."""
         self._executor.submit(lambda: self._poll(servers))
 
     def _poll(self, servers: Sequence[FoundServer]) -> None:
@@ -144,7 +144,7 @@ class ActionCaller(ActionTopics):
         if servers:
             self._server = servers[0]
             self._client.found()
-            if self._early is not None:  # a list that its connection brought before the master's state was read
+            if self._early is not None:  # a list that arrived before the master's state was read
                 self._newest, self._early = self._early, None
                 self._take_statuses()
 
@@ -168,14 +168,14 @@ class ActionCaller(ActionTopics):
         self._server, self._states = None, b""
 
     def _is_ours(self, source: str, part: str) -> bool:
-        """Whether a message's publisher is the server that is used."""
+        """Return whether a message comes from the chosen server."""
         server = self._server
         if server is None:
             return False
         return source.removesuffix(" latched") == publisher_id(server.link(part), latching=False)
 
     def _on_status(self, payload: bytes, source: str, _time: int | None) -> None:
-        """Only the newest list counts: each names all goals."""
+        """Schedule the newest status list; older ones are skipped, as each names all goals."""
         waiting, self._newest = self._newest, (payload, source)
         if waiting is None:
             self._executor.submit(self._take_statuses)
@@ -201,7 +201,7 @@ class ActionCaller(ActionTopics):
     # -- goals ---------------------------------------------------------------------------------------------------------
 
     def _send_goal(self, request: bytes, done: Done) -> Abandon:
-        """Send a goal in frames that the side has."""
+        """Send a goal whose frames are known; reject or postpone any other."""
         try:
             uuid, body = wire.read_with_uuid(request)
             body, trouble = self._guard.check(self._types.goal_body, body)
@@ -219,14 +219,14 @@ class ActionCaller(ActionTopics):
         return self._client.send_goal(uuid + body, done)
 
     def _decide_unsure(self) -> None:
-        """Goals whose frames were not known when hardly any transforms had come."""
+        """Retry goals that were postponed because too few transforms had been received."""
         unsure, self._unsure = self._unsure, []
         for request, done, begun in unsure:
             if not begun.abandoned:
                 begun.begin(self._send_goal(request, done))
 
     def deliver(self, part: str, payload: bytes) -> None:
-        """See `bridge.adapters.ros1.actions.client.ClientOutput`."""
+        """Deliver a message of ``status`` or ``feedback`` to the hub."""
         if part == ros2_action.STATUS:
             self._states = payload
         for deliver in self._listeners[part]:
@@ -237,7 +237,7 @@ class ActionCaller(ActionTopics):
 
 
 def endpoint_id(server: FoundServer, part: str) -> str:
-    """The id of the endpoint that a server's part is shown as."""
+    """Return the id of the endpoint that presents a part of a server."""
     return f"action {ros2_action.part_name(server.name, part)} {server.node} {server.uri}"
 
 
@@ -267,7 +267,7 @@ class PartCaller(OpenPart):
         self._executor, self._begin = executor, begin
 
     def call(self, request: bytes, done: Done) -> Abandon:
-        """See `bridge.routing.edge.EdgeCaller.call`."""
+        """Begin a call; never blocks."""
         begun = _StartedCall()
 
         def publish(reply: bytes | CallError) -> None:

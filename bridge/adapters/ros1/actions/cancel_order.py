@@ -1,8 +1,8 @@
 """Keeps the order of one client's goals and cancel requests, which arrive on two TCP connections.
 
-An actionlib client sends a cancel request after the goal that it names. The goal is late if its connection is read
-later, or if TCP has to repeat a segment; so a request that may have overtaken a goal waits for it here. Nothing else
-waits: a request that concerns known goals cancels these at once. No waiting request ever makes a goal start.
+An actionlib client sends a cancel request after the goal that it names. The goal arrives later if its connection is
+read later, or if TCP has to retransmit a segment; so a request that may have overtaken a goal is held for it here.
+Nothing else is held: a request for known goals cancels them at once. A held request never starts a goal.
 """
 
 from __future__ import annotations
@@ -14,42 +14,42 @@ from typing import Protocol
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId
 
 CROSSING_SECONDS = 1.0
-"""How long a cancel request waits for a goal that nobody has seen, once the connection of its client's goals is read.
-TCP repeats a lost segment after 0.2 to 1 s (RFC 6298)."""
+"""How long a cancel request is held for an unknown goal, once the connection of its client's goals is read. TCP
+retransmits a lost segment after 0.2 to 1 s (RFC 6298)."""
 
 LONGEST_SECONDS = 30.0
-"""How long it waits if that connection never is."""
+"""How long it is held if that connection is never read."""
 
 MAX_HELD = 1000
-"""Requests that wait at most; the oldest then count as if their time was over."""
+"""Limit of held requests; beyond it, the oldest are released early."""
 
 Client = tuple[str, str]
 """Name and XML-RPC address of a client's node."""
 
 
 class GoalServer(Protocol):
-    """The parts of `bridge.adapters.ros1.actions.server.ActionlibServer` that are called here."""
+    """The methods of `bridge.adapters.ros1.actions.server.ActionlibServer` that are used here."""
 
     def goal(self, goal: GoalId, body: bytes) -> str:
-        """Accept a goal; returns the id under which it is listed, "" if it is not."""
+        """Accept a goal; return the id under which it is listed, "" if it is not listed."""
 
     def cancel(self, request: GoalId) -> None:
         """Cancel goals."""
 
     def knows(self, goal: str) -> bool:
-        """Whether a goal of this id is listed."""
+        """Return whether a goal with this id is listed."""
 
 
 class UnreadGoals(Protocol):
-    """Whether a client may have sent a goal that has not been delivered yet; ``listed``: even without a connection."""
+    """Returns whether a client may have an undelivered goal; ``listed``: even without a connection."""
 
     def __call__(self, client: Client, *, listed: bool) -> bool:
-        """See the class."""
+        """Return whether the client may have such a goal."""
 
 
 @dataclass(eq=False, slots=True)
 class _Held:
-    """A request that waits: for the goal that it names, or for the unread goals of its client."""
+    """A held request: it waits for the goal that it names, or for the unread goals of its client."""
 
     request: GoalId
     client: Client
@@ -58,14 +58,14 @@ class _Held:
 
 
 class CancelOrder:
-    """Passes goals and cancel requests on to a server in each client's order. ``clock`` gives monotonic seconds."""
+    """Forwards goals and cancel requests to a server in each client's order. ``clock`` returns monotonic seconds."""
 
     def __init__(self, server: GoalServer, unread: UnreadGoals, clock: Callable[[], float]) -> None:
         self._server, self._unread, self._clock = server, unread, clock
         self._held: list[_Held] = []
 
     def goal(self, goal: GoalId, body: bytes, client: Client) -> None:
-        """Pass a goal on at once, and then the requests that overtook it."""
+        """Forward a goal at once, then the requests that overtook it."""
         listed = self._server.goal(goal, body)
         if not self._held:
             return
@@ -76,7 +76,7 @@ class CancelOrder:
         self.release()
 
     def cancel(self, request: GoalId, client: Client, *, unread: bool) -> None:
-        """Pass a request on; ``unread``: its client had unread goals when it came."""
+        """Forward or hold a request; ``unread``: its client had unread goals when it arrived."""
         now = self._clock()
         if request.id and not self._server.knows(request.id):
             self._hold(_Held(GoalId(ZERO, request.id), client, now, now + CROSSING_SECONDS))
@@ -88,7 +88,7 @@ class CancelOrder:
         self._server.cancel(request)
 
     def release(self) -> None:
-        """Pass on the requests whose time is over; called some ten times a second."""
+        """Forward held requests whose time is over; called some ten times per second."""
         now = self._clock()
         for held in list(self._held):
             if now < held.since + LONGEST_SECONDS and self._unread(held.client, listed=bool(held.request.id)):
@@ -103,7 +103,7 @@ class CancelOrder:
 
     def _let_go(self, held: _Held) -> None:
         self._held.remove(held)
-        if held.request.id:  # the server remembers it, as actionlib's does; one without an id was passed on already
+        if held.request.id:  # the server stores it, as actionlib's does; one without an id has been forwarded before
             self._server.cancel(held.request)
 
 

@@ -1,8 +1,8 @@
-"""The cancel requests of hub clients that an actionlib server has not answered yet.
+"""Pending cancel requests of hub clients to an actionlib server.
 
-A goal and the request to cancel it go to the server on two connections. A request that names a goal is sent once the
-server shows that it has the goal, or after `CROSSING_SECONDS`. One for several goals is sent at once, and repeated for
-each goal that the server shows only later.
+A goal and the request to cancel it use two connections to the server. A request that names a goal is sent once the
+server reports the goal, or after `CROSSING_SECONDS`. A request for several goals is sent at once, and repeated for each
+goal that the server reports only later.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from bridge.hub.endpoints.calls import Abandon, Done
 from bridge.messages.actions import CancelCode, GoalState
 
 CROSSING_SECONDS = 1.0
-"""How long a request waits for a goal that was sent, but is in none of the server's lists yet."""
+"""How long a request is held for a goal that was sent but is not in any of the server's lists yet."""
 
 TERMINATED = wire.cancel_response(CancelCode.GOAL_TERMINATED, ())
 REFUSED = wire.cancel_response(CancelCode.REJECTED, ())
@@ -27,7 +27,7 @@ ANY = bytes(wire.UUID_SIZE)
 
 @dataclass(eq=False, slots=True)
 class _Cancel:
-    """A cancel request under way; ``single``: it names one goal; ``unsent`` is None once it was sent."""
+    """A pending cancel request; ``single``: it names one goal; ``unsent`` is None once it was sent."""
 
     goals: Sequence[TrackedGoal]
     single: bool
@@ -37,20 +37,20 @@ class _Cancel:
 
     @property
     def moot(self) -> bool:
-        """Whether the goal that it names has ended."""
+        """Whether the named goal has ended."""
         return self.single and all(goal.refused or goal.state.ended for goal in self.goals)
 
     @property
     def answerable(self) -> bool:
-        """Whether the server has shown of each goal that it is being canceled, or has ended."""
+        """Whether the server has reported each goal as canceling or ended."""
         return self.unsent is None and not any(_is_untouched(goal) for goal in self.goals)
 
 
 class CancelRequests:
-    """Sends requests by ``publish`` and answers them; ``clock`` gives monotonic seconds.
+    """Sends requests through ``publish`` and ends their calls; ``clock`` returns monotonic seconds.
 
     Attributes:
-        reachable: whether the server is connected to our cancel topic.
+        reachable: whether the server is connected to the cancel topic.
     """
 
     def __init__(self, publish: Callable[[bytes], None], clock: Callable[[], float]) -> None:
@@ -59,14 +59,14 @@ class CancelRequests:
         self.reachable = False
 
     def add(self, request: GoalId, goals: Sequence[TrackedGoal], done: Done, *, single: bool) -> Abandon:
-        """Begin a request that concerns these goals; ``done`` gets its CancelGoal response."""
+        """Begin a request for these goals; ``done`` receives its CancelGoal response."""
         cancel = _Cancel(goals, single, done, self._clock(), wire.goal_id(request))
         self._open.append(cancel)
         self.send()
         return lambda: self._open.remove(cancel) if cancel in self._open else None
 
     def send(self) -> None:
-        """Send what can be sent now, and answer what is answered by the goals' states."""
+        """Send the requests that can be sent now, and end those that the goals' states answer."""
         for cancel in self._open:
             if cancel.unsent is None:
                 continue
@@ -82,12 +82,12 @@ class CancelRequests:
         return crossing and self._clock() < cancel.since + CROSSING_SECONDS
 
     def confirmed(self, goal: TrackedGoal) -> None:
-        """The server has shown for the first time that it has a goal."""
+        """Cancel a goal that the server reports for the first time, if a request included it."""
         if any(goal in c.goals and c.unsent is None and not c.single for c in self._open):
             self._publish(wire.goal_id(GoalId(ZERO, goal.id)))
 
     def _answer(self) -> None:
-        """Answer the requests all of whose goals are being canceled, or have ended."""
+        """End the requests whose goals are all canceling or ended."""
         answerable = [cancel for cancel in self._open if cancel.answerable]
         self._open = [cancel for cancel in self._open if cancel not in answerable]
         for cancel in answerable:
@@ -96,11 +96,11 @@ class CancelRequests:
             cancel.done(TERMINATED if missed else wire.cancel_response(CancelCode.NONE, canceling))
 
     def refuse_unsent(self, before: float) -> None:
-        """Refuse the requests that were made before a time and could not be sent."""
+        """Refuse unsent requests from before a time."""
         self._refuse([c for c in self._open if c.unsent is not None and c.since <= before])
 
     def refuse_all(self) -> None:
-        """Refuse all requests: the server can no longer confirm one."""
+        """Refuse all requests: the server can no longer confirm them."""
         self._refuse(self._open)
 
     def _refuse(self, cancels: Sequence[_Cancel]) -> None:
@@ -110,12 +110,12 @@ class CancelRequests:
 
 
 def concerns(goal: TrackedGoal, uuid: bytes, stamp: wire.RosTime) -> bool:
-    """Whether a CancelGoal request with this UUID and stamp is about a goal."""
+    """Return whether a CancelGoal request with this UUID and stamp includes a goal."""
     if goal.uuid == uuid or (uuid == ANY and stamp == ZERO):
         return True
     return stamp != ZERO and goal.accepted and goal.stamp <= stamp
 
 
 def _is_untouched(goal: TrackedGoal) -> bool:
-    """Whether a goal still goes on as if it had not been canceled."""
+    """Return whether a goal shows no effect of a cancel request."""
     return not (goal.refused or goal.lost or goal.state.ended or goal.state is GoalState.CANCELING)

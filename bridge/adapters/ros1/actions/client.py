@@ -1,7 +1,8 @@
-"""An actionlib client: the calls of a ROS 2 action become goals of an actionlib server.
+"""An actionlib client that turns calls of a ROS 2 action into goals of an actionlib server.
 
-Pure: it uses no thread, socket or clock; an `InlineExecutor` passes it one event at a time.
-How actionlib servers behave: https://github.com/ros/actionlib (1.14), ``ActionServer`` and ``SimpleActionServer``.
+It uses no threads, sockets or system clock; an `InlineExecutor` passes it one event at a time.
+For the behavior of actionlib servers see https://github.com/ros/actionlib (1.14), ``ActionServer`` and
+``SimpleActionServer``.
 """
 
 from __future__ import annotations
@@ -24,42 +25,42 @@ from bridge.messages.errors import ConversionError
 _log = logging.getLogger(__name__)
 
 RESULT_SECONDS = 2.0
-"""How long a result may come after the status list named its goal's end; then it is taken for lost, and is empty."""
+"""How long a result may arrive after the status list reports its goal's end; later it counts as lost and is empty."""
 
 CONNECT_SECONDS = 5.0
-"""How long a goal or a cancel request waits for the connections to a server that has just been found."""
+"""How long a goal or a cancel request waits for the connections to a newly discovered server."""
 
 SHOWN_SECONDS = 10.0
-"""How long an ended goal stays in the status topic: as long as Jazzy's servers keep theirs."""
+"""How long an ended goal stays in the status topic: as in Jazzy's servers."""
 
 ALIVE_SECONDS = 1.0
-"""How often the status topic says the same again while the server lists its goals: who listens knows that it lives."""
+"""Period of unchanged status messages while the server lists its goals; they show that the server is alive."""
 
 CALM_SECONDS = 0.05
 FEW_GOALS = 32
-"""With more goals than these, the status topic is published at most each `CALM_SECONDS`: it names all of them."""
+"""With more goals than these, the status topic is published at most every `CALM_SECONDS`, as it names all of them."""
 
 LOST = "lost sight of the goal: "
-"""Begins the text of a goal whose state is no longer reported; clients may depend on it."""
+"""Prefix of the text of a goal whose state is no longer reported; clients may depend on it."""
 
 _NO_SUCH_GOAL = wire.cancel_response(CancelCode.UNKNOWN_GOAL_ID, ())
 _REFUSED = wire.goal_response(ZERO, accepted=False)
 
 
 class ClientOutput(Protocol):
-    """Where an `ActionlibClient`'s messages go; nothing here waits."""
+    """Sends the messages of an `ActionlibClient`; never blocks."""
 
     def publish(self, part: str, payload: bytes) -> None:
         """Publish on the server's ``goal`` or ``cancel`` topic."""
 
     def deliver(self, part: str, payload: bytes) -> None:
-        """Give the hub a message of the action's ``status`` or ``feedback`` topic."""
+        """Deliver a message of the action's ``status`` or ``feedback`` topic to the hub."""
 
 
 class ActionlibClient:
     """The goals of one action.
 
-    ``name`` is the action's on ROS 1, ``clock`` gives seconds that only grow, ``empty`` is an empty result's bytes.
+    ``name`` is the action's name on ROS 1, ``clock`` returns monotonic seconds, ``empty`` is an empty result's bytes.
     """
 
     def __init__(self, name: str, output: ClientOutput, clock: Callable[[], float], empty: bytes) -> None:
@@ -76,10 +77,10 @@ class ActionlibClient:
         self._told = float("-inf")
         self._shown = 0
 
-    # -- what the hub asks ---------------------------------------------------------------------------------------------
+    # -- calls of the hub ----------------------------------------------------------------------------------------------
 
     def send_goal(self, request: bytes, done: Done) -> Abandon:
-        """A SendGoal call; answered once the server shows that it took the goal, or did not."""
+        """Handle a SendGoal call; it ends once the server has accepted or rejected the goal."""
         try:
             uuid, body = wire.read_with_uuid(request)
         except ConversionError as err:
@@ -98,7 +99,7 @@ class ActionlibClient:
         return lambda: self._abandon(goal)
 
     def get_result(self, request: bytes, done: Done) -> Abandon:
-        """A GetResult call; answered at the goal's end, however long that takes."""
+        """Handle a GetResult call; it ends with the goal, without a time limit."""
         try:
             uuid, _ = wire.read_with_uuid(request)
         except ConversionError as err:
@@ -116,7 +117,7 @@ class ActionlibClient:
         return nothing
 
     def cancel(self, request: bytes, done: Done) -> Abandon:
-        """A CancelGoal call; answered once the server shows of each goal that it is being cancelled, or has ended."""
+        """Handle a CancelGoal call; it ends once the server reports each goal as canceling or ended."""
         try:
             uuid, stamp = wire.read_cancel_request(request)
         except ConversionError as err:
@@ -141,7 +142,7 @@ class ActionlibClient:
         return nothing
 
     def _abandon(self, goal: TrackedGoal) -> None:
-        """The caller of send_goal left; a goal that was not sent yet never is."""
+        """Drop an unsent goal whose send_goal client left."""
         goal.asker = None
         if goal.body is not None and not goal.refused:
             self._drop(goal, "its caller left")
@@ -149,11 +150,11 @@ class ActionlibClient:
     # -- events of the server ------------------------------------------------------------------------------------------
 
     def found(self) -> None:
-        """There is a server; it may not be connected yet."""
+        """Accept goals for a discovered server, which may not be connected yet."""
         self._gone = ""
 
     def connected(self) -> None:
-        """The server and this client are connected both ways."""
+        """Send waiting goals: all five topics are connected."""
         self._ready = True
         for goal in self._goals.unfinished():
             if goal.body is not None:
@@ -161,20 +162,20 @@ class ActionlibClient:
         self.reach(reachable=True)
 
     def disconnected(self) -> None:
-        """A connection with the server is missing; it may come back."""
+        """Hold back goals while a connection with the server is missing; it may return."""
         self._ready = False
         self.reach(reachable=False)
 
     def reach(self, *, reachable: bool) -> None:
-        """Whether the server is connected to our cancel topic, which is enough to stop it."""
+        """Set whether the server is connected to the cancel topic, which suffices to stop it."""
         self._cancels.reachable = reachable
         self._cancels.send()
 
     def lost(self, reason: str) -> None:
         """Lose contact with the server; until `found` is called, goals are rejected.
 
-        No state is published for its goals, since they may still be executing. Callers of get_result receive UNKNOWN,
-        with a text that begins with `LOST`.
+        No state is published for its goals, as they may still be executing. Clients of get_result receive UNKNOWN, with
+        a text that begins with `LOST`.
         """
         self._ready, self._gone, self._listed = False, reason, False
         self._cancels.reachable = False
@@ -189,7 +190,7 @@ class ActionlibClient:
         self._changed = False
 
     def close(self, reason: str) -> None:
-        """Cancel the goals that callers sent, and lose sight of all."""
+        """Cancel the goals of this client, and stop tracking all goals."""
         if self._ready:
             for goal in self._goals.unfinished():
                 if goal.ours and goal.body is None and not goal.state.ended:
@@ -197,7 +198,7 @@ class ActionlibClient:
         self.lost(reason)
 
     def statuses(self, found: Iterable[GoalStatus]) -> None:
-        """The server's status list; the first one is published even if it is empty: the server has no other goals."""
+        """Adopt the server's status list; the first is published even if empty: the server has no goals."""
         self._changed, self._listed = self._changed or not self._listed, True
         named: set[str] = set()
         for status in found:
@@ -215,11 +216,11 @@ class ActionlibClient:
         self._flush()
 
     def result(self, status: GoalStatus, body: bytes) -> None:
-        """A result."""
+        """End a goal with its result."""
         goal = self._goal(status)
         if goal is None or goal.whole or goal.told or goal.refused:
             return
-        if goal.result is not None:  # it was given up, but no caller has received it
+        if goal.result is not None:  # it was given up, but no client has received that
             self._goals.forget(goal)
             goal.result = None
             self._goals.add(goal)
@@ -232,7 +233,7 @@ class ActionlibClient:
         self._flush()
 
     def feedback(self, status: GoalStatus, body: bytes) -> None:
-        """A feedback; one that the result overtook on its own connection is passed on too."""
+        """Deliver feedback, also if the result overtook it on its own connection."""
         goal = self._goal(status)
         if goal is None:
             return
@@ -242,7 +243,7 @@ class ActionlibClient:
         self._flush()
 
     def tick(self) -> None:
-        """Time has passed; called some ten times a second."""
+        """Handle expired waits; called some ten times per second."""
         now = self._clock()
         while self._lost_results and self._lost_results[0][0] <= now:
             _, goal = self._lost_results.popleft()
@@ -262,23 +263,23 @@ class ActionlibClient:
 
     @property
     def kept(self) -> int:
-        """Goals that are remembered."""
+        """Number of stored goals."""
         return len(self._goals)
 
     def _send(self, goal: TrackedGoal) -> None:
-        # A server takes a goal whose stamp is older than its last cancel request's for cancelled; zero is never that.
+        # A server cancels a goal whose stamp is older than that of the last cancel request, except stamp zero.
         body, goal.body = goal.body or b"", None
         self._output.publish(GOAL, wire.action_goal(GoalId(ZERO, goal.id), body))
 
     def _goal(self, status: GoalStatus) -> TrackedGoal | None:
-        """The goal of a status; a new entry for one of another client."""
+        """Return the goal of a status; add an entry for a goal of another client."""
         id_ = status.goal.id
         goal = self._goals.by_id(id_)
         if goal is not None and not goal.ours and goal.state.ended and goal.stamp != status.goal.stamp:
             self._goals.forget(goal)
             goal = None
         ours = goal is not None and goal.lost and goal.ours
-        if goal is not None and goal.lost:  # it is in sight again
+        if goal is not None and goal.lost:  # it is reported again
             self._goals.forget(goal)
             goal = None
         if goal is None and not self._goals.full:
@@ -289,7 +290,7 @@ class ActionlibClient:
         return goal
 
     def _follow(self, goal: TrackedGoal, status: GoalStatus) -> None:
-        """Adopt a state that the server reports; a goal never goes back."""
+        """Adopt a reported state, unless it would step back."""
         self._accept(goal, status)
         state = TO_ROS2[Ros1State.parse(status.state)]
         if goal.refused or state <= goal.state or goal.state.ended:
@@ -301,7 +302,7 @@ class ActionlibClient:
         self._cancels.send()
 
     def _accept(self, goal: TrackedGoal, status: GoalStatus) -> None:
-        """The first report of a goal shows whether the server accepted it."""
+        """Accept or reject a goal by its first reported state."""
         if goal.accepted or goal.refused:
             return
         state = Ros1State.parse(status.state)
@@ -353,7 +354,7 @@ class ActionlibClient:
         self._cancels.send()
 
     def _flush(self) -> None:
-        """Publish the states if one has changed."""
+        """Publish the states if any has changed."""
         now = self._clock()
         if not self._changed or (self._shown > FEW_GOALS and now < self._told + CALM_SECONDS):
             return

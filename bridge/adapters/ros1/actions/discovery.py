@@ -1,7 +1,7 @@
-"""Which actionlib servers and clients a look at the master shows.
+"""Derives actionlib servers and clients from the master's state.
 
-A server subscribes ``goal`` and ``cancel`` and publishes ``status``, ``feedback`` and ``result`` below the action's
-name; a client the reverse (http://wiki.ros.org/actionlib/DetailedDescription).
+A server subscribes to ``goal`` and ``cancel`` and publishes ``status``, ``feedback`` and ``result`` below the action's
+name; a client does the reverse (http://wiki.ros.org/actionlib/DetailedDescription).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _SUFFIXES = {GOAL: "ActionGoal", FEEDBACK: "ActionFeedback", RESULT: "ActionResu
 
 @dataclass(frozen=True, slots=True)
 class FoundServer:
-    """An actionlib server: its action, type without ending (``move_base_msgs/MoveBase``), node, XML-RPC address."""
+    """An actionlib server: its action, type without suffix (``move_base_msgs/MoveBase``), node, XML-RPC address."""
 
     name: str
     type: str
@@ -35,15 +35,15 @@ class FoundServer:
     uri: str
 
     def link(self, topic: str) -> Registration:
-        """Its registration for one of the five topics."""
+        """Return its registration for one of the five topics."""
         return Registration(self.node, f"{self.name}/{topic}", self.uri)
 
 
 @dataclass(frozen=True, slots=True)
 class FoundActions:
-    """What one look shows: the servers of each action, in the order of their nodes' names, and topics with their types.
+    """The servers of each action, ordered by node name, and the topics of actions with their types.
 
-    The topics are those of all actions, also where only clients are there; none of these crosses as a topic.
+    The topics include those of actions that only have clients; none of them crosses as a topic.
     """
 
     servers: Mapping[str, tuple[FoundServer, ...]]
@@ -54,14 +54,14 @@ NOTHING = FoundActions({}, {})
 
 
 def topics_of(name: str, type_: str) -> dict[str, str]:
-    """The five topics of an action with their types."""
+    """Return the five topics of an action with their types."""
     types = {part: f"{type_}{suffix}" for part, suffix in _SUFFIXES.items()}
     types |= {STATUS: STATUS_TYPE, CANCEL: CANCEL_TYPE}
     return {f"{name}/{part}": kind for part, kind in types.items()}
 
 
 def find(look: MasterState, own: str) -> FoundActions:
-    """The actions of a look, without what our own node has."""
+    """Return the actions in a master's state, without those of the node ``own``."""
     published = _by_node(look.publishers, own)
     subscribed = _by_node(look.subscribers, own)
     servers: dict[str, list[FoundServer]] = defaultdict(list)
@@ -82,7 +82,7 @@ def find(look: MasterState, own: str) -> FoundActions:
 
 
 def _by_node(links: Iterable[Registration], own: str) -> dict[tuple[str, str, str], set[str]]:
-    """Which of the five topics each node has, by action, node and address."""
+    """Return which of the five topics each node has, by action, node and address."""
     found: dict[tuple[str, str, str], set[str]] = defaultdict(set)
     for node, topic, uri in links:
         name, _, part = topic.rpartition("/")
@@ -92,7 +92,7 @@ def _by_node(links: Iterable[Registration], own: str) -> dict[tuple[str, str, st
 
 
 def _type(name: str, types: Mapping[str, str]) -> str:
-    """The action's type where all that is known of the five topics agrees, else ""."""
+    """Return the action's type if all known types of the five topics agree, else ""."""
     result = types.get(f"{name}/{RESULT}", "")
     if not result.endswith(_SUFFIXES[RESULT]):
         return ""
@@ -102,13 +102,13 @@ def _type(name: str, types: Mapping[str, str]) -> str:
 
 
 def is_native(server: FoundServer, facts: Mapping[Registration, Facts]) -> bool | None:
-    """Whether a server is no Midspan's; None while it has not answered."""
+    """Return whether a server is native and not Midspan's; None until it has responded."""
     found = [facts.get(server.link(part)) for part in FROM_SERVER]
     return None if None in found else all(f is not None and f.native for f in found)
 
 
 def part_type(action_type: str, part: str) -> str:
-    """The type of one part of an action (``move_base_msgs/MoveBase``)."""
+    """Return the type of one part of an action (``move_base_msgs/MoveBase``)."""
     ending = ros2_action.ENDINGS.get(part)
     if ending is not None:
         return action_type.replace("/", "/action/", 1) + ending
@@ -116,7 +116,7 @@ def part_type(action_type: str, part: str) -> str:
 
 
 def split_part(name: str, type_name: str) -> tuple[str, str] | None:
-    """Action and part of a service or topic, None where it is no part of an action."""
+    """Return action and part of a service or topic, None if it is not part of an action."""
     action, part = ros2_action.split(name)
     ending = ros2_action.ENDINGS.get(part)
     fits = (
@@ -126,5 +126,5 @@ def split_part(name: str, type_name: str) -> tuple[str, str] | None:
 
 
 def action_type(type_name: str, part: str) -> str:
-    """The action's type by that of its send_goal, get_result or feedback."""
+    """Return the action's type, given the type of its send_goal, get_result or feedback."""
     return type_name.removesuffix(ros2_action.ENDINGS[part]).replace("/action/", "/", 1)

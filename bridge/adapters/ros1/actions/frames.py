@@ -1,6 +1,6 @@
-"""The frames that a goal names, and those that are on the side: a goal in a frame that is not there may never end.
+"""Checks the frames of goals against the side's transforms: a goal in an unknown frame may never end.
 
-move_base keeps such a goal ACTIVE for ever, and one whose frame begins with a slash too (tf2 knows no such frame).
+move_base keeps such a goal ACTIVE forever, also if its frame begins with a slash, which tf2 does not allow.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _SIZES = {**PRIMITIVE_SIZES, "time": 8, "duration": 8}
 
 
 class FrameId(NamedTuple):
-    """A header's frame in a message's bytes; ``at`` is where its length stands, ``where`` the field for people.
+    """A header's frame in a message's bytes; ``at`` is the offset of its length, ``where`` the path of the field.
 
-    ``pose``: its header is that of a stamped geometry, which means nothing without a frame.
+    ``pose``: the header belongs to a stamped geometry, which is meaningless without a frame.
     """
 
     at: int
@@ -43,7 +43,7 @@ class FrameId(NamedTuple):
 
 @dataclass(slots=True)
 class _Walk:
-    """A walk through a message's bytes by its definition."""
+    """A traversal of a message's bytes by its definition."""
 
     schema: Schema
     data: bytes
@@ -52,7 +52,7 @@ class _Walk:
     def skip(self, count: int) -> None:
         self.at += count
         if self.at > len(self.data):
-            raise ConversionError(f"{self.schema.name} is cut short: {len(self.data)} bytes")
+            raise ConversionError(f"{self.schema.name} is truncated: {len(self.data)} bytes")
 
     def count(self) -> int:
         self.skip(4)
@@ -83,17 +83,17 @@ class _Walk:
                 yield from self.message(self.schema.types[kind.base], f"{path}.")
             else:
                 self.skip(self.count())
-            if self.at == before:  # a message without fields: any number of them is no byte
+            if self.at == before:  # a message without fields: any number of them takes no bytes
                 return
 
 
 def names_frames(schema: Schema) -> bool:
-    """Whether a message of this type has headers."""
+    """Return whether a message of this type has headers."""
     return _HEADER in schema.types
 
 
 def frames_in(schema: Schema, data: bytes) -> list[FrameId]:
-    """The frames of all headers in a ROS 1 message, in their order; raises `ConversionError` for what is no such."""
+    """Return the frames of all headers in a ROS 1 message, in order; raises `ConversionError` if malformed."""
     walk = _Walk(schema, data)
     found = list(walk.message(schema.root, ""))
     if walk.at != len(data):
@@ -102,7 +102,7 @@ def frames_in(schema: Schema, data: bytes) -> list[FrameId]:
 
 
 def without_slashes(data: bytes, frames: list[FrameId]) -> bytes:
-    """The same message with no slash at the beginning of a frame."""
+    """Return the message with the leading slashes of its frames removed."""
     for at, frame, *_ in reversed(frames):
         plain = frame.lstrip(b"/")
         if plain != frame:
@@ -111,7 +111,7 @@ def without_slashes(data: bytes, frames: list[FrameId]) -> bytes:
 
 
 def empty(schema: Schema) -> bytes:
-    """A ROS 1 message whose numbers are zero and whose strings and sequences are empty: all of its bytes are zero."""
+    """Return a ROS 1 message with zero numbers and empty strings and sequences: all of its bytes are zero."""
     return bytes(_empty_size(schema, schema.root))
 
 
@@ -128,7 +128,7 @@ def _empty_size(schema: Schema, definition: Definition) -> int:
 
 
 class KnownFrames:
-    """The frames that a side's transforms name."""
+    """The frames in a side's transforms."""
 
     def __init__(self) -> None:
         self._known: set[bytes] = set()
@@ -143,22 +143,22 @@ class KnownFrames:
             self._known.clear()
 
     def __bool__(self) -> bool:
-        """Whether any transform has come."""
+        """Return whether any transform has been received."""
         return bool(self._known)
 
     def trouble(self, frames: list[FrameId]) -> str:
-        """Why a goal in these frames could not be reached, "" where it could."""
+        """Return why a goal in these frames is unreachable, "" if the frames are known."""
         for _, frame, where, pose in frames:
             if not frame and pose:
                 return f"{where} is empty"
             if frame and frame not in self._known:
                 name = frame.decode(errors="replace")
-                return f"no transform on /tf or /tf_static names the frame {name!r} of {where}"
+                return f"no transform on /tf or /tf_static has the frame {name!r} of {where}"
         return ""
 
 
 def _transform_frames(payload: bytes) -> Iterator[bytes]:
-    """Both frames of each transform: Header, child_frame_id, then seven doubles."""
+    """Yield both frames of each transform: Header, child_frame_id, then seven doubles."""
     (count,) = _LENGTH.unpack_from(payload)
     at = 4
     for _ in range(count):
@@ -173,10 +173,10 @@ def _transform_frames(payload: bytes) -> Iterator[bytes]:
 _log = logging.getLogger(__name__)
 
 KNOW_SECONDS = 2.0
-"""How long transforms are heard before a frame that none of them names is held not to be there."""
+"""How long transforms are received before a frame that none of them has counts as unknown."""
 
 SILENT_SECONDS = 10.0
-"""How long the first one is waited for where there are topics for them; then every frame is let through."""
+"""How long to wait for the first transform if topics for transforms exist; after that, every frame is accepted."""
 
 _WARN_SECONDS = 60.0
 _MAX_TOPICS = 100
@@ -186,7 +186,7 @@ _TF = SideType("tf2_msgs/TFMessage", "94810edda583a504dfda3829e70d7eec", "")
 
 
 class FrameGuard:
-    """Hears the side's transforms while actions are open, and judges the frames of goals."""
+    """Receives the side's transforms while actions are open, and checks the frames of goals."""
 
     def __init__(self, network: ActionNetwork) -> None:
         self._network = network
@@ -199,7 +199,7 @@ class FrameGuard:
         self._reports: deque[tuple[float, str]] = deque(maxlen=10)
 
     def open(self, user: object) -> None:
-        """A user's goals are checked from now on."""
+        """Start to receive transforms for a user."""
         with self._lock:
             if not self._users:
                 self._opened, self._heard, self._frames = time.monotonic(), float("inf"), KnownFrames()
@@ -207,13 +207,13 @@ class FrameGuard:
         self._follow()
 
     def close(self, user: object) -> None:
-        """A user sends no more goals."""
+        """Stop receiving transforms, unless there are other users."""
         with self._lock:
             self._users.discard(user)
         self._follow()
 
     def seen(self, look: MasterState | None) -> None:
-        """One look at the master: topics with transforms are known by their type, whatever their names."""
+        """Adopt the master's state: topics with transforms are recognized by type, not by name."""
         topics = sorted(t for t, kind in look.types.items() if kind in TF_TYPES) if look is not None else []
         self._topics = frozenset(topics[:_MAX_TOPICS])
         self._follow()
@@ -233,10 +233,10 @@ class FrameGuard:
             self._heard = min(self._heard, time.monotonic())
 
     def check(self, schema: Schema, body: bytes) -> tuple[bytes, str | None]:
-        """Judge a goal; raises `ConversionError` where it is none.
+        """Check a goal's frames; raises `ConversionError` if the goal is malformed.
 
-        Returns the goal with no slash before its frames, and why it must not be sent: "" where it may, None where that
-        is not known yet, since hardly any transforms have come.
+        Returns the goal without leading slashes in its frames, and why it must not be sent: "" if it may, None if that
+        is not known yet because too few transforms have been received.
         """
         if not self._network.check_frames or not names_frames(schema):
             return body, ""
@@ -247,10 +247,10 @@ class FrameGuard:
         return body, trouble if self._frames else ""
 
     def report(self, action: str, trouble: str) -> None:
-        """Report why a goal was rejected: ROS 2's answer has no text."""
+        """Report why a goal was rejected: ROS 2's response has no text."""
         _log.warning("%s: a goal is rejected: %s", action, trouble)
         self._reports.append((time.monotonic(), f"{action}: a goal was rejected: {trouble}"))
 
     def warnings(self) -> list[str]:
-        """What was reported lately."""
+        """Return recent reports."""
         return [text for at, text in list(self._reports) if at > time.monotonic() - _WARN_SECONDS]

@@ -1,4 +1,4 @@
-"""One goal at an actionlib server, as ROS 2 sees it, and the shelf of all of them."""
+"""Goals at an actionlib server as ROS 2 sees them, and their store."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from bridge.hub.endpoints.calls import Done
 from bridge.messages.actions import GoalState
 
 KEEP_SECONDS = 3600.0
-"""How long a result is kept after its goal's end."""
+"""How long a result is stored after its goal's end."""
 
 MAX_ENDED = 10_000
 MAX_ENDED_BYTES = 64 << 20
-"""Ended goals, and bytes of their results, that are kept; the oldest go first."""
+"""Limits of stored ended goals, and of the bytes of their results; the oldest are dropped first."""
 
 MAX_OPEN = 10_000
 """Goals of one action that have not ended; more are rejected."""
@@ -25,16 +25,16 @@ class TrackedGoal:
     """One goal.
 
     Attributes:
-        body: the goal message that is still to be sent to the server; None once sent, and for goals of ROS 1 clients.
-        ours: a caller of this process sent it.
+        body: the goal message that is not sent yet; None once sent, and for goals of ROS 1 clients.
+        ours: a client of the hub sent it.
         asker: the pending send_goal call.
         waiting: the pending get_result calls.
-        listed: the server's status list has named it.
-        refused: it was rejected, so ROS 2 never had such a goal.
+        listed: the server's status list has contained it.
+        refused: it was rejected, so ROS 2 has no such goal.
         lost: its state is no longer reported, and UNKNOWN on ROS 2; it may still be executing.
-        result: its bytes, None until it has ended and its result has arrived or is given up.
-        text: the reason for its final state, from the server or this bridge.
-        told: a caller has received that result.
+        result: its bytes, None until the goal has ended and the result has arrived or is given up.
+        text: the reason for its final state, from the server or from this bridge.
+        told: a client has received the result.
         whole: the result came from the server.
     """
 
@@ -62,23 +62,23 @@ class TrackedGoal:
 
     @property
     def reason(self) -> str:
-        """Why it was not reached; of one that was, nothing: error messages belong to errors."""
+        """Why it was not reached; "" if it was."""
         return "" if self.state is GoalState.SUCCEEDED else self.text
 
     @property
     def unconfirmed(self) -> bool:
-        """Whether it was sent, and the server has not shown that it has it."""
+        """Whether it was sent, and the server has not reported it yet."""
         sent = self.ours and self.body is None
         return sent and self.state is GoalState.UNKNOWN and not self.refused and not self.lost
 
     @property
     def accepted(self) -> bool:
-        """Whether the server took it."""
+        """Whether the server accepted it."""
         return self.state is not GoalState.UNKNOWN and not self.refused
 
 
 class GoalStore:
-    """All goals of one action by UUID and by ROS 1 id; ended ones for an hour, within bounds."""
+    """All goals of one action by UUID and by ROS 1 id; ended ones are kept for an hour, within limits."""
 
     def __init__(self) -> None:
         self._by_uuid: dict[bytes, TrackedGoal] = {}
@@ -92,15 +92,15 @@ class GoalStore:
         self._by_uuid[goal.uuid] = self._by_id[goal.id] = self._open[goal.uuid] = goal
 
     def by_uuid(self, uuid: bytes) -> TrackedGoal | None:
-        """A goal by its UUID."""
+        """Return a goal by its UUID."""
         return self._by_uuid.get(uuid)
 
     def by_id(self, id_: str) -> TrackedGoal | None:
-        """A goal by its ROS 1 id."""
+        """Return a goal by its ROS 1 id."""
         return self._by_id.get(id_)
 
     def unfinished(self) -> list[TrackedGoal]:
-        """The goals that have not ended, in the order in which they came."""
+        """Return the goals that have not ended, in the order of their arrival."""
         return list(self._open.values())
 
     @property
@@ -109,27 +109,27 @@ class GoalStore:
         return len(self._open) >= MAX_OPEN
 
     def end(self, goal: TrackedGoal, now: float) -> None:
-        """A goal has its result, or was refused."""
+        """Mark a goal as ended: it has its result, or was rejected."""
         self._open.pop(goal.uuid, None)
         self._ended[goal.uuid] = (now, goal)
         self._bytes += len(goal.result or b"")
 
     def forget(self, goal: TrackedGoal) -> None:
-        """Drop a goal: it was kept long enough, or a ROS 1 client uses its id again."""
+        """Drop a goal that has expired, or whose id a ROS 1 client reuses."""
         if self._ended.pop(goal.uuid, None) is not None:
             self._bytes -= len(goal.result or b"")
         self._open.pop(goal.uuid, None)
         del self._by_uuid[goal.uuid], self._by_id[goal.id]
 
     def ended_since(self, time: float) -> Iterator[TrackedGoal]:
-        """The goals that ended after a time, the last first."""
+        """Yield the goals that ended after a time, the last first."""
         for ended, goal in reversed(self._ended.values()):
             if ended < time:
                 return
             yield goal
 
     def expire(self, now: float) -> None:
-        """Drop the goals that are too old or too many."""
+        """Drop ended goals that are too old or too many."""
         for ended, goal in list(self._ended.values()):
             crowded = len(self._ended) > MAX_ENDED or self._bytes > MAX_ENDED_BYTES
             if ended > now - KEEP_SECONDS and not crowded:

@@ -1,4 +1,4 @@
-"""What the actions use of the edge that they belong to."""
+"""The part of the edge that its actions use."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class TopicSubscription(EdgeSubscription, Protocol):
 
     @property
     def connected(self) -> frozenset[Registration]:
-        """The publishers that are connected now."""
+        """The connected publishers."""
 
     def unread(self, node: str, uri: str, *, listed: bool) -> bool:
-        """See `bridge.adapters.ros1.topics.subscription.Ros1Subscription.unread`."""
+        """Return whether a node may have published a message that is not delivered yet."""
 
 
 class TopicPublisher(EdgePublisher, Protocol):
@@ -42,23 +42,22 @@ class TopicPublisher(EdgePublisher, Protocol):
 
     @property
     def subscribers(self) -> frozenset[str]:
-        """The nodes that are connected now."""
+        """The connected nodes."""
 
 
 @dataclass(frozen=True, slots=True)
 class ActionNetwork:
-    """The edge, as the actions see it.
+    """The edge's services for its actions.
 
     Attributes:
-        own: our node's name.
+        own: this node's name.
         facts: the known properties of all publishers.
         registry: the types.
         clock: the time of this side.
         subscribe: ``subscribe(topic, side_type, deliver, suffix)``; a rospy publisher accepts one connection from each
-            node name, so a second subscription of a topic that may also cross adds a suffix to ours.
-        publish: ``publish(topic, side_type, qos)``.
-        refuse: report a bad message: ``refuse(topic, reason, why)``.
-        check_frames: goals in frames that are not there are rejected.
+        node name, so a second subscription to a topic that may also cross appends a suffix to this node's name.
+        publish: ``publish(topic, side_type, qos)``. refuse: report a bad message: ``refuse(topic, reason, why)``.
+        check_frames: goals in unknown frames are rejected.
     """
 
     own: Callable[[], str]
@@ -73,9 +72,9 @@ class ActionNetwork:
 
 @dataclass(frozen=True, slots=True)
 class ActionMessages:
-    """The messages of an action's type: its ActionGoal, ActionResult and ActionFeedback, and actionlib_msgs' two.
+    """The message types of an action: ActionGoal, ActionResult, ActionFeedback, and the two of actionlib_msgs.
 
-    The bodies are the goal and the result themselves.
+    The bodies are the Goal and the Result without headers.
     """
 
     goal: SideType
@@ -88,7 +87,7 @@ class ActionMessages:
 
 
 def types_of(registry: Registry, action_type: str) -> ActionMessages:
-    """The messages of an action; raises `MessageTypeError`."""
+    """Return the message types of an action; raises `MessageTypeError`."""
     known = registry.ros1_action(action_type)
     return ActionMessages(
         known.goal, known.result, known.feedback, registry.ros1(CANCEL_TYPE), registry.ros1(STATUS_TYPE),
@@ -99,7 +98,7 @@ def types_of(registry: Registry, action_type: str) -> ActionMessages:
 def _body(message: SideType, name: str) -> Schema:
     found = parse_full(message.definition, message.name, World.ROS1)
     if name not in found:
-        raise MessageTypeError(f"{message.name} has no {name}: it is not an action's message")
+        raise MessageTypeError(f"{message.name} has no {name}: it is not the message of an action")
     return closure(found[name], found)
 
 
@@ -114,7 +113,7 @@ def learn(network: ActionNetwork, topics: Mapping[str, str]) -> None:
 
 
 class OpenPart:
-    """A part of an action in use; see `bridge.routing.edge.EdgeSubscription` and `bridge.routing.edge.EdgeServer`."""
+    """A part of an action in use: an `bridge.routing.edge.EdgeSubscription` or `bridge.routing.edge.EdgeServer`."""
 
     lost = 0
 
@@ -122,14 +121,14 @@ class OpenPart:
         self._close: Callable[[], None] | None = close
 
     def close(self) -> None:
-        """Give the part back; a service's goals that are under way end. Safe to call twice."""
+        """Close the part; pending goals of a service end. Safe to call twice."""
         close, self._close = self._close, None
         if close is not None:
             close()
 
 
 class ActionTopics:
-    """Our ends of the five topics of one action, whose events are handled one after the other."""
+    """Midspan's ends of the five topics of one action; their events are handled one at a time."""
 
     def __init__(self, name: str, network: ActionNetwork) -> None:
         self.name, self._network = name, network
@@ -140,7 +139,7 @@ class ActionTopics:
         self._states = b""
 
     def publish(self, part: str, payload: bytes, source: str = "") -> None:
-        """Publish on one of the topics, while it is open; latched messages are stored per source."""
+        """Publish on a topic while it is open; latched messages are retained per source."""
         if part in self._publishers:
             self._publishers[part].send(payload, source)
 
@@ -165,20 +164,20 @@ class ActionTopics:
 
 # -- publications towards actionlib servers ----------------------------------------------------------------------------
 # The master does not announce new subscribers. But a server subscribes to its goals and cancel requests last
-# (``ActionServer.initialize`` of actionlib, in C++ and in Python), and then connects to their publishers at once. If we
-# still publish, that connection shows that a restarted server is complete.
+# (``ActionServer.initialize`` of actionlib, in C++ and in Python), and then connects to their publishers at once. If
+# Midspan still publishes, that connection shows that a restarted server is complete.
 
 KEPT_SECONDS = 60.0
-"""How long they stay; a server that comes later is found at one of the usual looks at the master."""
+"""How long a publication lingers; a later server is discovered by the regular polling of the master."""
 
 _MOST = 100
-"""How many stay at most; of more, those that were given back first are closed."""
+"""Limit of lingering publications; beyond it, those released first are closed."""
 
 Publish = Callable[[str, SideType, Qos], TopicPublisher]
 
 
 class LingeringPublishers:
-    """Opens publications, and closes those that are given back: at once if a server is present, else after a while.
+    """Opens publications, and closes released ones: at once if a server is present, else after a while.
 
     ``publish`` opens one; ``is_gone`` returns whether an action has no server now.
     """
@@ -187,10 +186,10 @@ class LingeringPublishers:
         self._publish, self._is_gone = publish, is_gone
         self._lock = threading.Lock()
         self._open: dict[str, _Lent] = {}
-        """By topic; those that were given back stand in the order in which they were."""
+        """By topic; released ones are in the order of their release."""
 
     def publish(self, topic: str, side_type: SideType, qos: Qos) -> TopicPublisher:
-        """Publish on a topic: see `bridge.adapters.ros1.actions.network.ActionNetwork`."""
+        """Publish on a topic, reusing a lingering publication of the same type."""
         with self._lock:
             kept = self._open.pop(topic, None)
             if kept is not None and kept.type_id != side_type.type_id:  # a node has one type per topic
@@ -201,18 +200,18 @@ class LingeringPublishers:
         return lent
 
     def __contains__(self, topic: str) -> bool:
-        """Whether a topic is published here, for a server that is there or expected."""
+        """Return whether a topic is published here, for a present or expected server."""
         return topic in self._open
 
     def tidy(self) -> None:
-        """Close what has stayed long enough; called now and then."""
+        """Close publications that have lingered long enough; called periodically."""
         if self._open:
             now = time.monotonic()
             with self._lock:
                 self._close([m for m in self._open.values() if m.until <= now])
 
     def close(self) -> None:
-        """Close what has stayed."""
+        """Close all lingering publications."""
         with self._lock:
             self._close([m for m in self._open.values() if m.until < math.inf])
 
@@ -238,7 +237,7 @@ class LingeringPublishers:
 
 @dataclass(eq=False, slots=True)
 class _Lent:
-    """A publication in use, or one that stays until a moment (monotonic)."""
+    """A publication in use, or one that lingers ``until`` a monotonic time."""
 
     topic: str
     type_id: str

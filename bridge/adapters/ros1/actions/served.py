@@ -1,4 +1,4 @@
-"""An action that is served on the hub, offered to the side's actionlib clients."""
+"""Offers an action that is served on the hub to the side's actionlib clients."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _log = logging.getLogger(__name__)
 
 _FEEDBACK = Qos(depth=100)
 
-GONE = "the action server is gone"
+GONE = "the action server left"
 
 
 class ServedAction(ActionTopics):
-    """Offers one action while all three of its services are given, and no server of the side's has its name."""
+    """Offers one action while all three of its services exist, and the side has no server of that name."""
 
     def __init__(self, name: str, network: ActionNetwork, types: Callable[[str], ActionMessages]) -> None:
         super().__init__(name, network)
@@ -44,16 +44,16 @@ class ServedAction(ActionTopics):
 
     @property
     def type(self) -> str:
-        """The action's type, "" while it is not known."""
+        """The action's type, "" while unknown."""
         return self._type
 
     @property
     def in_use(self) -> bool:
-        """Whether a part of it is open."""
+        """Whether a part is open."""
         return self._parts > 0
 
     def serve(self, part: str, type_name: str, call: Call) -> OpenPart:
-        """Serve one of the three services; raises `MessageTypeError` if the action's type is not known."""
+        """Serve one of the three services; raises `MessageTypeError` if the action's type is unknown."""
         if part != ros2_action.CANCEL_GOAL:
             self._types_of(discovery.action_type(type_name, part))
         self._count(1)
@@ -61,16 +61,16 @@ class ServedAction(ActionTopics):
         return OpenPart(lambda: self._close(part, call))
 
     def advertise(self, part: str) -> PartPublisher:
-        """One of the two topics."""
+        """Return a publisher of one of the two topics."""
         self._count(1)
         return PartPublisher(self, part)
 
     def send(self, part: str, payload: bytes) -> None:
-        """A message of one of the two topics."""
+        """Handle a message of one of the two topics."""
         self._executor.submit(lambda: self._heard(part, payload))
 
     def withdraw(self) -> None:
-        """A topic was given back."""
+        """Release a topic."""
         self._count(-1)
 
     def _close(self, part: str, call: Call) -> None:
@@ -99,7 +99,7 @@ class ServedAction(ActionTopics):
             self._shut(GONE)
 
     def poll(self, rival: str) -> None:
-        """Time has passed; ``rival`` is the node that serves an action of this name on the side itself, or ""."""
+        """Do periodic work; ``rival`` is the node that serves an action of this name on the side, or ""."""
         self._executor.submit(lambda: self._poll(rival))
 
     def _poll(self, rival: str) -> None:
@@ -173,7 +173,7 @@ class ServedAction(ActionTopics):
 
     def _on_cancel(self, payload: bytes, source: str, _time: int | None) -> None:
         client = node_of(source)
-        unread = self._unread(client, listed=False)  # before `submit`: goals read until now go first
+        unread = self._unread(client, listed=False)  # before `submit`: goals read so far are handled first
         self._executor.submit(lambda: self._read(discovery.CANCEL, lambda: self._cancel(payload, client, unread)))
 
     def _cancel(self, payload: bytes, client: Client, unread: bool) -> None:
@@ -192,11 +192,11 @@ class ServedAction(ActionTopics):
             self._read(discovery.FEEDBACK, lambda: server.feedback(*wire.read_with_uuid(payload)))
 
     def forget(self, goal: str) -> None:
-        """Keep a result no longer."""
+        """Drop a goal's result."""
         self._publishers[discovery.RESULT].forget(goal)
 
     def call(self, part: str, request: bytes, done: Done) -> None:
-        """Begin a call of the hub's server; its end takes its turn."""
+        """Call the hub's server; ``done`` is called through the executor."""
         key = object()
         server = self._server
 
@@ -212,7 +212,7 @@ class ServedAction(ActionTopics):
 
 
 class PartPublisher(OpenPart):
-    """One of an action's topics; see `bridge.routing.edge.EdgePublisher`."""
+    """An `bridge.routing.edge.EdgePublisher` for one of an action's topics."""
 
     heard = True
 
@@ -226,9 +226,9 @@ class PartPublisher(OpenPart):
         return self._action.dropped if self._part == ros2_action.FEEDBACK else 0
 
     def send(self, payload: bytes, source: str) -> None:  # noqa: ARG002 - an action has one server
-        """Pass on a message of the hub's server."""
+        """Forward a message of the hub's server."""
         if self._close is not None:
             self._action.send(self._part, payload)
 
     def forget(self, source: str) -> None:
-        """The hub's server has left; its services leave with it, which is handled there."""
+        """Do nothing: the server's services are withdrawn with it, which ends the goals."""

@@ -1,7 +1,8 @@
-"""The side of us that is an actionlib server: goals of actionlib clients go to an action that is served on the hub.
+"""An actionlib server that forwards goals of actionlib clients to an action on the hub.
 
-Pure, as `bridge.adapters.ros1.actions.client` is. It behaves as actionlib's ``ActionServer`` does toward its clients
-(https://github.com/ros/actionlib, 1.14); in place of the user's callbacks it calls the hub's three services.
+It has no threads, sockets or system clock, like `bridge.adapters.ros1.actions.client`. It behaves like actionlib's
+``ActionServer`` toward its clients (https://github.com/ros/actionlib, 1.14); instead of user callbacks it calls the
+hub's three services.
 """
 
 from __future__ import annotations
@@ -30,20 +31,20 @@ STATUS_SECONDS = 0.2
 _TICK_SLACK = 0.05
 
 LIST_SECONDS = 5.0
-"""actionlib's default ``status_list_timeout``: an ended goal stays in the status list for so long."""
+"""actionlib's default ``status_list_timeout``: an ended goal stays in the status list for this time."""
 
 RESULT_SECONDS = 60.0
-"""A result is sent once, and again to whoever connects to the result topic within this time."""
+"""A result is sent once, and again to each client that connects to the result topic within this time."""
 
 MAX_RESULT_BYTES = 16 << 20
-"""Bytes of such results; the oldest go first."""
+"""Bytes of such results; the oldest are dropped first."""
 
 MAX_GOALS = 10_000
 """Entries of the status list; more goals are rejected."""
 
 CALM_SECONDS = 0.05
 FEW_GOALS = 32
-"""With more entries than these, the status list is published at most each `CALM_SECONDS`: it names all of them."""
+"""With more entries than these, the status list is published at most every `CALM_SECONDS`, as it names all of them."""
 
 _CANCELED_EARLIER = "the goal's stamp is not after that of the last cancel request"
 _ANY = bytes(wire.UUID_SIZE)
@@ -52,10 +53,10 @@ _STARTED = {Ros1State.PENDING: Ros1State.ACTIVE, Ros1State.RECALLING: Ros1State.
 
 
 class ServerOutput(Protocol):
-    """Sends the messages and calls of an `ActionlibServer`; nothing here blocks."""
+    """Sends the messages and calls of an `ActionlibServer`; never blocks."""
 
     def publish(self, part: str, payload: bytes, source: str = "") -> None:
-        """Publish on ``status``, ``feedback`` or ``result``; those who connect later get each goal's result, too."""
+        """Publish on ``status``, ``feedback`` or ``result``; later subscribers also receive each goal's result."""
 
     def forget(self, goal: str) -> None:
         """Drop a goal's result."""
@@ -66,9 +67,9 @@ class ServerOutput(Protocol):
 
 @dataclass(eq=False, slots=True)
 class _ListedGoal:
-    """One goal of the status list; ``ours``: of a ROS 1 client, else a goal of the hub's that ROS 1 is shown.
+    """One goal of the status list; ``ours``: of a ROS 1 client, else a hub client's goal that is shown to ROS 1.
 
-    ``uuid`` is that on the hub, None for a cancel request whose goal has not come; ``gone`` is when it ended.
+    ``uuid`` is the goal's on the hub, None for a cancel request without its goal; ``gone`` is when it ended.
     """
 
     id: str
@@ -88,7 +89,7 @@ class _ListedGoal:
 class ActionlibServer:
     """The goals of one action.
 
-    ``clock`` gives seconds that only grow, ``now`` the time of ROS 1's stamps; ``empty`` is an empty result's bytes.
+    ``clock`` returns monotonic seconds, ``now`` the time for ROS 1's stamps; ``empty`` is an empty result's bytes.
     """
 
     def __init__(
@@ -108,17 +109,17 @@ class ActionlibServer:
         self._closed = False
 
     def open(self) -> None:
-        """Publish the first status list, by which clients find the server."""
+        """Publish the first status list, by which clients discover the server."""
         self._flush()
 
     def forget_time(self) -> None:
-        """Accept goals with stamps before the last cancel request again: the clock was set."""
+        """Accept goals with stamps before the last cancel request again, as the clock was set."""
         self._last_cancel = ZERO
 
     # -- events of ROS 1 clients ---------------------------------------------------------------------------------------
 
     def goal(self, goal: GoalId, body: bytes) -> str:
-        """Accept a client's goal; returns the id under which it is listed, "" if it is not."""
+        """Accept a client's goal; return the id under which it is listed, "" if it is not listed."""
         if self._closed:
             return ""
         listed = goal.id
@@ -136,14 +137,14 @@ class ActionlibServer:
         return listed
 
     def _again(self, entry: _ListedGoal) -> None:
-        """A goal whose id the list has already: ignored, unless a cancel request came before it."""
+        """Ignore a goal whose id is already listed, unless a cancel request arrived before it."""
         if entry.state is Ros1State.RECALLING and entry.uuid is None:
             self._end(entry, Ros1State.RECALLED, self._empty, "")
         elif entry.gone is not None:
             entry.gone = self._clock()
 
     def knows(self, goal: str) -> bool:
-        """Whether a goal of this id is listed."""
+        """Return whether a goal with this id is listed."""
         return goal in self._entries
 
     def _take(self, goal: GoalId, body: bytes) -> str:
@@ -158,12 +159,12 @@ class ActionlibServer:
         return id_
 
     def cancel(self, request: GoalId) -> None:
-        """A cancel request: empty is all goals, an id that one, a stamp all goals up to then."""
+        """Handle a cancel request: an empty one cancels all goals, an id that goal, a stamp all goals up to it."""
         if self._closed:
             return
         everything = request == GoalId(ZERO, "")
         if everything:
-            # One call that the server answers as a whole, so that goals of the hub's clients are cancelled too.
+            # one call for all goals, so that goals of the hub's clients are canceled, too
             self._output.call(CANCEL_GOAL, wire.cancel_request(GoalInfo(_ANY, ZERO)), self._cancel_answered)
         for entry in list(self._entries.values()):
             before = request.stamp != ZERO and entry.stamp <= request.stamp
@@ -187,7 +188,7 @@ class ActionlibServer:
         self._output.call(CANCEL_GOAL, wire.cancel_request(GoalInfo(entry.uuid, ZERO)), self._cancel_answered)
 
     def _cancel_answered(self, reply: bytes | CallError) -> None:
-        """Log a request that failed; to ROS 1's clients, a goal that cannot be canceled ends in another state."""
+        """Log a failed request; ROS 1's clients see it when the goal ends in another state."""
         why = str(reply)
         if isinstance(reply, bytes):
             try:
@@ -250,7 +251,7 @@ class ActionlibServer:
         return TO_ROS1[state]
 
     def states(self, found: list[tuple[GoalInfo, int]]) -> None:
-        """The hub server's status topic."""
+        """Adopt the goal states from the hub server's status topic."""
         if self._closed:
             return
         for info, number in found:
@@ -274,12 +275,12 @@ class ActionlibServer:
             self._set(entry, _STARTED[entry.state])
         elif state is GoalState.CANCELING and entry.state in _CANCELING:
             self._set(entry, _CANCELING[entry.state])
-        elif state.ended and not entry.ours:  # the end of ours comes with get_result
+        elif state.ended and not entry.ours:  # goals of ROS 1 clients end by get_result
             self._set(entry, self._final(entry, state))
             entry.gone = self._clock()
 
     def feedback(self, uuid: bytes, body: bytes) -> None:
-        """The hub server's feedback topic."""
+        """Publish feedback from the hub's server."""
         entry = self._by_uuid.get(uuid)
         if self._closed or entry is None or entry.state.ended:
             return
@@ -290,7 +291,7 @@ class ActionlibServer:
         self._flush()
 
     def close(self, reason: str) -> None:
-        """The hub's server is gone: every goal of a ROS 1 client ends."""
+        """End all goals of ROS 1 clients, as the hub's server has left."""
         for entry in list(self._entries.values()):
             if not entry.state.ended and entry.uuid is not None:
                 self._end(entry, Ros1State.ABORTED, self._empty, reason)
@@ -301,7 +302,7 @@ class ActionlibServer:
     # -- the list ------------------------------------------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Time has passed; called some ten times a second."""
+        """Publish the list when it is due, and drop expired goals and results; called some ten times per second."""
         now = self._clock()
         for entry in [e for e in self._entries.values() if e.gone is not None and e.gone <= now - LIST_SECONDS]:
             del self._entries[entry.id]

@@ -1,4 +1,4 @@
-"""The states of a goal in either world, and which stands for which; docs/sides/actions.md has them as a table."""
+"""The states of a goal in ROS 1 and ROS 2, and their mapping; docs/sides/actions.md has them as a table."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class Ros1State(IntEnum):
 
     @property
     def ended(self) -> bool:
-        """Whether a goal stays in it."""
+        """Whether the state is final."""
         return self in _ENDED
 
     @classmethod
     def parse(cls, number: int) -> Ros1State:
-        """The state of a number from the network; one that actionlib does not know is LOST."""
+        """Return the state of a number from the network; LOST if actionlib does not define it."""
         try:
             return cls(number)
         except ValueError:
@@ -52,7 +52,7 @@ TO_ROS2: Mapping[Ros1State, GoalState] = {
     Ros1State.REJECTED: GoalState.ABORTED,
     Ros1State.LOST: GoalState.ABORTED,
 }
-"""Of an accepted goal; one that is REJECTED or RECALLED before it was accepted is rejected on ROS 2."""
+"""For accepted goals; one that is REJECTED or RECALLED before it was accepted is rejected on ROS 2."""
 
 TO_ROS1: Mapping[GoalState, Ros1State] = {
     GoalState.UNKNOWN: Ros1State.ABORTED,
@@ -63,13 +63,12 @@ TO_ROS1: Mapping[GoalState, Ros1State] = {
     GoalState.CANCELED: Ros1State.PREEMPTED,
     GoalState.ABORTED: Ros1State.ABORTED,
 }
-"""Of an executing goal; one that never executed goes to RECALLING and RECALLED in place of the two of a preemption."""
+"""For executing goals; one that never executed becomes RECALLING and RECALLED instead of the states of a preemption."""
 
 
 # -- ids ---------------------------------------------------------------------------------------------------------------
-# A goal that came from the hub is ``midspan-<uuid>`` on ROS 1, so that the UUID is known again from the text alone, by
-# a restarted worker too. A goal of a ROS 1 client has the UUID that version 5 of RFC 9562 makes of action name and
-# text.
+# A goal from the hub is ``midspan-<uuid>`` on ROS 1, so that the UUID follows from the text, also after a restart of
+# the worker. A goal of a ROS 1 client gets a version 5 UUID (RFC 9562) of action name and text.
 
 PREFIX = "midspan-"
 
@@ -78,16 +77,16 @@ _SPACE = uuid.uuid5(uuid.NAMESPACE_URL, "midspan:actionlib")
 
 
 def text_of(goal: bytes) -> str:
-    """The ROS 1 id of a goal of the hub."""
+    """Return the ROS 1 id of a goal of the hub."""
     return f"{PREFIX}{uuid.UUID(bytes=goal)}"
 
 
 def uuid_in(text: str) -> bytes | None:
-    """The UUID of a ROS 1 id that `text_of` made, None of any other."""
+    """Return the UUID in a ROS 1 id from `text_of`, None for any other id."""
     ours = _OURS.fullmatch(text)
     return uuid.UUID(ours.group(1)).bytes if ours else None
 
 
 def uuid_of(action: str, text: str) -> bytes:
-    """The UUID of any ROS 1 id; the same one each time."""
+    """Return the UUID of any ROS 1 id; always the same one."""
     return uuid_in(text) or uuid.uuid5(_SPACE, f"{action} {text}".encode(errors="surrogateescape").hex()).bytes

@@ -1,9 +1,9 @@
-"""The bytes of actionlib's messages and of a ROS 2 action's parts, around a goal, feedback or result left as it is.
+"""Bytes of actionlib's messages and of a ROS 2 action's parts, around unchanged goals, feedback and results.
 
 ROS 1 (actionlib_msgs 1.13, https://github.com/ros/common_msgs/tree/noetic-devel/actionlib_msgs/msg): an ActionGoal is
-Header, GoalID, goal; an ActionResult and an ActionFeedback are Header, GoalStatus, body. Of ROS 2's parts
-(https://design.ros2.org/articles/actions.html, action_msgs 2.0) these are the bytes that ROS 1 would give them: no
-alignment, a UUID is 16 bytes, a time two 32-bit integers. A result has the status's text before it
+Header, GoalID, goal; an ActionResult and an ActionFeedback are Header, GoalStatus, body. ROS 2's parts
+(https://design.ros2.org/articles/actions.html, action_msgs 2.0) are serialized as ROS 1 would do it: without alignment,
+a UUID is 16 bytes, a time two 32-bit integers. A result is preceded by the status's text
 (`bridge.messages.definitions.parts.STATUS_TEXT`).
 """
 
@@ -19,7 +19,7 @@ MAX_STATUSES = 20_000
 """Goals that one status message may name."""
 
 MAX_TEXT = 1000
-"""Characters of a status's text that cross; what is beyond is cut off."""
+"""Characters of a status's text that cross; the rest is cut off."""
 
 _TIME = struct.Struct("<II")
 _LENGTH = struct.Struct("<I")
@@ -36,7 +36,7 @@ class RosTime(NamedTuple):
 
     @classmethod
     def of(cls, nanoseconds: int) -> RosTime:
-        """The time of a clock; what 32 bits cannot say is cut off."""
+        """Convert a clock's time, limited to the range of 32 bits."""
         return cls(*divmod(min(max(nanoseconds, 0), (1 << 32) * 10**9 - 1), 10**9))
 
 
@@ -44,7 +44,7 @@ ZERO = RosTime(0, 0)
 
 
 class GoalId(NamedTuple):
-    """actionlib_msgs/GoalID; the id keeps bytes that are no UTF-8 as surrogates."""
+    """actionlib_msgs/GoalID; bytes of the id that are not UTF-8 are kept as surrogates."""
 
     stamp: RosTime
     id: str
@@ -66,7 +66,7 @@ class GoalInfo(NamedTuple):
 
 
 class _Cursor:
-    """Reads fields one after the other; raises `ConversionError` where the bytes end before a field does."""
+    """Reads fields in order; raises `ConversionError` if the bytes end within a field."""
 
     def __init__(self, data: bytes, what: str) -> None:
         self._data, self._what = data, what
@@ -74,7 +74,7 @@ class _Cursor:
 
     def take(self, count: int) -> bytes:
         if count > len(self._data) - self.at:
-            raise ConversionError(f"{self._what} is cut short: {len(self._data)} bytes")
+            raise ConversionError(f"{self._what} is truncated: {len(self._data)} bytes")
         self.at += count
         return self._data[self.at - count : self.at]
 
@@ -88,7 +88,7 @@ class _Cursor:
         return self.take(self.number()).decode(errors="surrogateescape")
 
     def header(self) -> None:
-        """A std_msgs/Header, of which nothing is wanted."""
+        """Skip a std_msgs/Header."""
         self.take(12)
         self.take(self.number())
 
@@ -120,12 +120,12 @@ def _status(status: GoalStatus) -> bytes:
 
 
 def goal_id(goal: GoalId) -> bytes:
-    """An actionlib_msgs/GoalID: a cancel request, for example."""
+    """Serialize an actionlib_msgs/GoalID, for example a cancel request."""
     return _TIME.pack(*goal.stamp) + _text(goal.id)
 
 
 def read_goal_id(payload: bytes) -> GoalId:
-    """The reverse of `goal_id`."""
+    """Parse an actionlib_msgs/GoalID."""
     cursor = _Cursor(payload, "a GoalID")
     found = cursor.goal_id()
     cursor.end()
@@ -133,37 +133,37 @@ def read_goal_id(payload: bytes) -> GoalId:
 
 
 def action_goal(goal: GoalId, body: bytes) -> bytes:
-    """An ActionGoal. Its header's stamp is zero: nobody reads it, and the side's clock may be a simulated one."""
+    """Serialize an ActionGoal. Its header's stamp is zero, as no server reads it and the clock may be simulated."""
     return _header(0, ZERO) + goal_id(goal) + body
 
 
 def read_action_goal(payload: bytes) -> tuple[GoalId, bytes]:
-    """Id and body of an ActionGoal."""
+    """Return id and body of an ActionGoal."""
     cursor = _Cursor(payload, "an ActionGoal")
     cursor.header()
     return cursor.goal_id(), cursor.rest()
 
 
 def action_outcome(seq: int, stamp: RosTime, status: GoalStatus, body: bytes) -> bytes:
-    """An ActionResult or ActionFeedback."""
+    """Serialize an ActionResult or ActionFeedback."""
     return _header(seq, stamp) + _status(status) + body
 
 
 def read_action_outcome(payload: bytes) -> tuple[GoalStatus, bytes]:
-    """Status and body of an ActionResult or ActionFeedback."""
+    """Return status and body of an ActionResult or ActionFeedback."""
     cursor = _Cursor(payload, "an ActionResult or ActionFeedback")
     cursor.header()
     return cursor.status(), cursor.rest()
 
 
 def statuses(seq: int, stamp: RosTime, goals: Iterable[GoalStatus]) -> bytes:
-    """An actionlib_msgs/GoalStatusArray."""
+    """Serialize an actionlib_msgs/GoalStatusArray."""
     entries = [_status(goal) for goal in goals]
     return b"".join((_header(seq, stamp), _LENGTH.pack(len(entries)), *entries))
 
 
 def read_statuses(payload: bytes) -> list[GoalStatus]:
-    """The entries of an actionlib_msgs/GoalStatusArray."""
+    """Return the entries of an actionlib_msgs/GoalStatusArray."""
     cursor = _Cursor(payload, "a GoalStatusArray")
     cursor.header()
     count = cursor.number()
@@ -175,19 +175,19 @@ def read_statuses(payload: bytes) -> list[GoalStatus]:
 
 
 def read_with_uuid(payload: bytes) -> tuple[bytes, bytes]:
-    """UUID and body of a SendGoal request or a FeedbackMessage; of a GetResult request, whose body is empty."""
+    """Return UUID and body of a SendGoal request, FeedbackMessage or GetResult request (whose body is empty)."""
     if len(payload) < UUID_SIZE:
-        raise ConversionError(f"a goal's UUID has {UUID_SIZE} bytes, these are {len(payload)}")
+        raise ConversionError(f"a goal's UUID has {UUID_SIZE} bytes, the message {len(payload)}")
     return payload[:UUID_SIZE], payload[UUID_SIZE:]
 
 
 def goal_response(stamp: RosTime, *, accepted: bool) -> bytes:
-    """A SendGoal response."""
+    """Serialize a SendGoal response."""
     return bytes((accepted,)) + _TIME.pack(*stamp)
 
 
 def read_goal_response(payload: bytes) -> bool:
-    """Whether a SendGoal response accepts."""
+    """Return whether a SendGoal response accepts the goal."""
     cursor = _Cursor(payload, "a SendGoal response")
     accepted = cursor.take(1) != b"\0"
     cursor.stamp()
@@ -196,25 +196,25 @@ def read_goal_response(payload: bytes) -> bool:
 
 
 def result_response(state: int, body: bytes, text: str = "") -> bytes:
-    """A GetResult response; bytes of the text that are no UTF-8 become question marks, since ROS 2 has none such."""
+    """Serialize a GetResult response; bytes of the text that are not UTF-8 become question marks for ROS 2."""
     said = text[:MAX_TEXT].encode(errors="replace")
     return struct.pack("<bI", state, len(said)) + said + body
 
 
 def read_result_response(payload: bytes) -> tuple[int, bytes, str]:
-    """State, body and text of a GetResult response."""
+    """Return state, body and text of a GetResult response."""
     cursor = _Cursor(payload, "a GetResult response")
     state, text = int.from_bytes(cursor.take(1), signed=True), cursor.text()[:MAX_TEXT]
     return state, cursor.rest(), text
 
 
 def cancel_request(info: GoalInfo) -> bytes:
-    """A CancelGoal request."""
+    """Serialize a CancelGoal request."""
     return _GOAL_INFO.pack(info.uuid, *info.stamp)
 
 
 def read_cancel_request(payload: bytes) -> GoalInfo:
-    """The reverse of `cancel_request`."""
+    """Parse a CancelGoal request."""
     cursor = _Cursor(payload, "a CancelGoal request")
     info = GoalInfo(cursor.take(UUID_SIZE), cursor.stamp())
     cursor.end()
@@ -222,13 +222,13 @@ def read_cancel_request(payload: bytes) -> GoalInfo:
 
 
 def cancel_response(code: int, goals: Iterable[GoalInfo]) -> bytes:
-    """A CancelGoal response."""
+    """Serialize a CancelGoal response."""
     infos = [_GOAL_INFO.pack(info.uuid, *info.stamp) for info in goals]
     return b"".join((struct.pack("<bI", code, len(infos)), *infos))
 
 
 def read_cancel_response(payload: bytes) -> tuple[int, list[GoalInfo]]:
-    """The reverse of `cancel_response`."""
+    """Return code and goals of a CancelGoal response."""
     cursor = _Cursor(payload, "a CancelGoal response")
     code = int.from_bytes(cursor.take(1), signed=True)
     count = cursor.number()
@@ -237,13 +237,13 @@ def read_cancel_response(payload: bytes) -> tuple[int, list[GoalInfo]]:
 
 
 def goal_states(goals: Iterable[tuple[GoalInfo, int]]) -> bytes:
-    """An action_msgs/GoalStatusArray."""
+    """Serialize an action_msgs/GoalStatusArray."""
     entries = [_STATUS_ENTRY.pack(info.uuid, *info.stamp, state) for info, state in goals]
     return b"".join((_LENGTH.pack(len(entries)), *entries))
 
 
 def read_goal_states(payload: bytes) -> list[tuple[GoalInfo, int]]:
-    """The entries of an action_msgs/GoalStatusArray."""
+    """Return the entries of an action_msgs/GoalStatusArray."""
     cursor = _Cursor(payload, "an action_msgs/GoalStatusArray")
     found = [_STATUS_ENTRY.unpack(entry) for entry in _entries(cursor, cursor.number(), _STATUS_ENTRY)]
     return [(GoalInfo(uuid, RosTime(secs, nsecs)), state) for uuid, secs, nsecs, state in found]

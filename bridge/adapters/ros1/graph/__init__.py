@@ -1,1 +1,1 @@
-"""The ROS 1 graph: the master, our registrations there, and the other nodes."""
+"""The ROS 1 graph: the master, Midspan's registrations, and the other nodes."""

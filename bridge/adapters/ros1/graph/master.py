@@ -1,8 +1,8 @@
-"""The one thread that talks to the master: looks at its graph, and keeps our registrations there as they should be.
+"""The thread that calls the master: reads its graph, and maintains this node's registrations.
 
-rospy registers once and never again. Here what our node wants is compared with what the master says at every look, and
-the difference is made up; so a master that was restarted, or that lost our registrations, has them again within one
-look.
+rospy registers once and never again. Here the node's wanted registrations are compared with the master's state at each
+read, and the differences are corrected; so a restarted master, or one that lost the registrations, has them again after
+one read.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _STOP_TIMEOUT = 0.7
 _RETRY = 0.1
 _FAILURES = 2
 _PATIENCE = 5.0
-"""Seconds that a master may be silent, on a busy machine, before it counts as away."""
+"""Seconds without a response, on a busy machine, before the master counts as unreachable."""
 
 _BATCH = 200
 SIM_TIME = "/use_sim_time"
@@ -41,7 +41,7 @@ Lost = Callable[[str], None]
 
 
 class _Own(NamedTuple):
-    """The topics that the master has of our node at one look."""
+    """This node's topics in one state of the master."""
 
     look: MasterState
     published: frozenset[str]
@@ -49,11 +49,12 @@ class _Own(NamedTuple):
 
 
 class Master:
-    """Follows one master for one node. ``seen`` is called on its thread at each look, with None once it is away.
+    """Follows one master for one node.
 
-    ``is_dead`` says whether a service's server is known to be gone, so that ours may take its name. ``trouble`` is why
-    the master is away, else ""; ``looked`` is ``time.monotonic()`` before the latest look; ``simulated``: its nodes are
-    to run on ``/clock``, as its parameter ``/use_sim_time`` said when we joined.
+    ``seen`` is called on its thread after each read, with None once the master is unreachable. ``is_dead`` returns
+    whether a service's server is known to be dead, so that Midspan may register its name. ``trouble`` is why the master
+    is unreachable, else ""; ``looked`` is ``time.monotonic()`` before the latest read; ``simulated``: its nodes run on
+    ``/clock``, by the parameter ``/use_sim_time`` at the time of joining.
     """
 
     def __init__(
@@ -80,29 +81,29 @@ class Master:
         self._thread = threading.Thread(target=self._loop, name="midspan-ros1-master", daemon=True)
 
     def start(self) -> None:
-        """Start following; the master may be away."""
+        """Start following; the master may be unreachable."""
         self._wake.set()
         self._thread.start()
 
     def wake(self) -> None:
-        """Look again at once."""
+        """Read the master again at once."""
         self._wake.set()
 
     def doubt(self, service: str) -> None:
-        """A service is not at the address that the master gave; the next look asks again."""
+        """Look up a service's address again in the next read, as the known one failed."""
         self._looker.doubt(service)
 
     def evicted(self) -> None:
-        """Another node has our name: register nothing more, else the two would end each other in turn."""
+        """Stop registering: another node has this name, and the two would shut each other down in turn."""
         self._evicted = True
 
     def presence(self) -> NodeEntry:
-        """Our own entry."""
+        """Return this node's entry."""
         node = self._node
         return NodeEntry(self._ledger.owner, self._daemon, node.name, node.uri, os.getpid(), node.port)
 
     def stop(self) -> None:
-        """Unregister all that the master has of this node."""
+        """Unregister everything that the master lists for this node."""
         self._stopping.set()
         self._wake.set()
         self._thread.join(_STOP_TIMEOUT)
@@ -115,7 +116,7 @@ class Master:
                     client.calls(batch)
                 self._ledger.remember(None)
             except Ros1Error as err:
-                _log.info("not unregistered, the master is away: %s", err)
+                _log.info("not unregistered, the master is unreachable: %s", err)
 
     def _loop(self) -> None:
         while True:
@@ -159,7 +160,7 @@ class Master:
         gone = isinstance(err, UnreachableError) and err.refused and self._failures >= _FAILURES
         if gone or time.monotonic() - self._answered > _PATIENCE:
             if not self.trouble:
-                _log.warning("the ROS 1 master is away: %s", err)
+                _log.warning("the ROS 1 master is unreachable: %s", err)
             self.trouble = str(err)
             self._run_id = None
             self._seen(None)
@@ -178,7 +179,8 @@ class Master:
                 _log.info("the name %s is taken on this ROS 1 network; this node is %s", self._node.name, name)
                 self._node.rename(name)
                 self._looker.caller = name
-            # Another daemon may be choosing too: whoever then reads the other's entry takes another name.
+            # Another daemon may be choosing a name, too: the one that then reads the other's entry chooses another
+            # name.
             own = self.presence()
             self._client.calls([("setParam", (own.node, own.parameter, own.as_dict()))])
             look = self._looker.look()
@@ -189,14 +191,14 @@ class Master:
         _log.info("joined the ROS 1 network %s as %s", look.network, name)
 
     def _agree_on_the_clock(self) -> None:
-        """In a simulated run have new nodes use ``/clock``; otherwise read whether they do."""
+        """Make new nodes use ``/clock`` in a simulated run; otherwise read whether they do."""
         if self._simulated:
             self._client.calls([("setParam", (self._node.name, SIM_TIME, True))])
         else:
             (self.simulated,) = (bool(v) for v in self._client.calls([("getParam", (self._node.name, SIM_TIME))]))
 
     def _free_name(self, look: MasterState, dead: set[str]) -> str:
-        """Our name, or a variant while another living node has it: the master would shut that one down."""
+        """Return this node's name, or a variant if a live node has it, which the master would shut down."""
         first = self._node.name
         second = f"{first}_{re.sub(r'[^A-Za-z0-9_]', '_', self._daemon)}"
         for name in (first, second, *(f"{second}_{n}" for n in range(2, 2 + _SPARE_NAMES))):
@@ -224,7 +226,7 @@ class Master:
     # -- registrations -------------------------------------------------------------------------------------------------
 
     def _missing(self, look: MasterState) -> list[Call]:
-        """The calls that make the master's state of us what it should be."""
+        """Return the calls that correct this node's registrations."""
         name, uri = self._node.name, self._node.uri
         self._ended |= self._node.take_removed()
         published, subscribed = self._node.publications(), self._node.subscriptions()
@@ -232,8 +234,8 @@ class Master:
             ends = (look.publishers, look.subscribers)
             self._own = _Own(look, *(frozenset(r.topic for r in end if (r.node, r.uri) == (name, uri)) for end in ends))
         _, has_published, has_subscribed = self._own
-        # A publication that ended and was made anew between two looks is told as both: a rospy subscriber whose
-        # connection broke comes again only when the master tells of a publisher that it did not have.
+        # A publication that ended and was created again between two reads is unregistered and registered: a rospy
+        # subscriber whose connection broke reconnects only when the master reports a publisher that was not listed.
         standing = has_published & published.keys() - self._ended
         calls: list[Call] = [
             *(("unregisterPublisher", (name, t, uri)) for t in has_published - standing),
@@ -248,7 +250,7 @@ class Master:
         return calls
 
     def _service_calls(self, look: MasterState) -> list[Call]:
-        """Services differ from topics: a master knows one server of a name, and the last to register takes it over."""
+        """Return the calls for services: a master has one server per name, and the last to register replaces it."""
         name, uri, wanted = self._node.name, self._node.uri, self._node.services()
         has = {link.topic: link.uri for link in look.servers if link.node == name}
         taken = {link.topic for link in look.servers if link.node != name and not self._is_dead(link)}
@@ -261,7 +263,7 @@ class Master:
         for call, value in zip(calls, values, strict=True):
             what = _what(call)
             if value is None and what not in self._refused:
-                _log.warning("the master refuses %s", what)
+                _log.warning("the master rejects %s", what)
                 self._refused.add(what)
             elif value is not None:
                 self._refused.discard(what)

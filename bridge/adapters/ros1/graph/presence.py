@@ -1,14 +1,13 @@
 """The Midspan nodes on a ROS 1 network: a master parameter per node, and this daemon's dead predecessors.
 
-Each node of ours has an entry below ``/midspan/nodes`` on the master: ``{owner, daemon, node, uri, pid, port}``. Its
-key comes from the node's address alone, so that two nodes of one name never write over each other's. ``owner`` is a
-random identity that stays in the state folder, so that a daemon knows its own dead selves again; what they left on the
-master is removed, and nobody else's.
+Each Midspan node has an entry below ``/midspan/nodes`` on the master: ``{owner, daemon, node, uri, pid, port}``. Its
+key depends only on the node's address, so that two nodes of one name never overwrite each other's entry. ``owner`` is a
+random identity in the state folder, by which a daemon recognizes its dead predecessors; it removes their registrations
+from the master, but no others.
 
-The nodes tell each other everything else over connections of their own, so that a death is known at once: the
-connection breaks. Each node connects to every other one's TCPROS port with the header field ``midspan_presence`` (the
-uri of the node that it seeks), is answered with the same field, and then receives that node's records: a little-endian
-32-bit length and so many bytes, each.
+The nodes exchange everything else over direct connections, so that a crash is noticed at once: the connection breaks.
+Each node connects to every other one's TCPROS port with the header field ``midspan_presence`` (the URI of the target
+node), receives the same field, and then that node's records, each as a little-endian 32-bit length and the bytes.
 """
 
 from __future__ import annotations
@@ -62,7 +61,7 @@ class NodeEntry:
         return f"{PRESENCE}/{self.key}"
 
     def as_dict(self) -> dict[str, Any]:
-        """The entry as it stands on the master."""
+        """Return the entry as stored on the master."""
         return asdict(self)
 
     @classmethod
@@ -78,13 +77,13 @@ class NodeEntry:
 
 
 def others(look: MasterState, own: NodeEntry) -> list[NodeEntry]:
-    """The entries of all other nodes of Midspan's, dead ones among them."""
+    """Return the entries of all other Midspan nodes, including dead ones."""
     entries = [NodeEntry.parse(entry) for entry in look.presence.values()]
     return [e for e in entries if e is not None and e.uri != own.uri]
 
 
 def is_alive(caller: str, entry: NodeEntry) -> bool:
-    """Whether an entry's node answers, and is the process that made the entry. Blocks up to a second."""
+    """Return whether an entry's node responds, and is the process that made the entry. Blocks up to a second."""
     try:
         return bool(ask(entry.uri, _LIVENESS_SECONDS, "getPid", caller) == entry.pid)
     except Ros1Error:
@@ -92,11 +91,11 @@ def is_alive(caller: str, entry: NodeEntry) -> bool:
 
 
 def removal_calls(look: MasterState, dead: Iterable[NodeEntry]) -> list[Call]:
-    """The calls to the master that remove what dead nodes left there."""
+    """Return the calls to the master that remove the registrations of dead nodes."""
     calls: list[Call] = []
     for entry in dead:
         node, uri = entry.node, entry.uri
-        # The master ignores these where another process has taken the node's name meanwhile: its address differs.
+        # The master ignores these if another process has taken the node's name meanwhile, as its address differs.
         for method, links in (("unregisterPublisher", look.publishers), ("unregisterSubscriber", look.subscribers)):
             calls += [(method, (node, k.topic, uri)) for k in links if k.node == node and k.uri == uri]
         calls += [
@@ -110,7 +109,7 @@ def removal_calls(look: MasterState, dead: Iterable[NodeEntry]) -> list[Call]:
 
 
 class Ledger:
-    """What the state folder knows of this daemon's ROS 1 nodes."""
+    """The record of this daemon's ROS 1 nodes in the state folder."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / "ros1.json"
@@ -120,15 +119,15 @@ class Ledger:
         self.last = NodeEntry.parse(saved.get("last"))
 
     def remember(self, entry: NodeEntry | None) -> None:
-        """Note the node that now lives, None once it has stopped cleanly."""
+        """Store the current node, None once it has stopped cleanly."""
         if entry == self.last and self._path.exists():
             return
         self.last = entry
         document = {"owner": self.owner, "last": entry.as_dict() if entry else None}
-        keep(self._path, json.dumps(document), "what a killed worker leaves on the master will stay there")
+        keep(self._path, json.dumps(document), "registrations of a killed worker will stay on the master")
 
     def predecessors(self, look: MasterState, own: NodeEntry) -> list[NodeEntry]:
-        """Entries of this daemon's earlier nodes, from the master and from the state folder."""
+        """Return the entries of this daemon's earlier nodes, from the master and from the state folder."""
         found = {e.uri: e for e in others(look, own) if e.owner == self.owner}
         if self.last is not None and self.last.uri != own.uri:
             found.setdefault(self.last.uri, self.last)
@@ -147,7 +146,7 @@ class Ledger:
 _log = logging.getLogger(__name__)
 
 FIELD = "midspan_presence"
-"""Header field that asks for a node's records."""
+"""Header field that requests a node's records."""
 
 MAX_RECORD = 1 << 18
 _MAX_LINKS = 64
@@ -161,10 +160,10 @@ Changed = Callable[[], None]
 
 
 class NodeConnections:
-    """The connections of one node to all others and from them.
+    """The connections between one node and all others, in both directions.
 
-    ``changed`` is called when another node came, left or said something; ``visited`` when one has connected to us, so
-    that it has an entry on the master by now.
+    ``changed`` is called when another node joined, left or sent a record; ``visited`` when one has connected to this
+    node, and so has an entry on the master by now.
     """
 
     def __init__(self, caller: Caller, changed: Changed, visited: Changed) -> None:
@@ -176,7 +175,7 @@ class NodeConnections:
         self._closed = False
 
     def follow(self, entries: Iterable[NodeEntry]) -> None:
-        """Have a connection to each of these nodes; one that is no longer named keeps its connection while it lasts."""
+        """Connect to each of these nodes; a node that is no longer listed keeps its connection while it lasts."""
         with self._lock:
             if self._closed:
                 return
@@ -190,37 +189,37 @@ class NodeConnections:
                     link.start()
 
     def sightings(self) -> Sequence[Sighting]:
-        """The nodes that live, or of which that is not known yet."""
+        """Return the nodes that are alive, or may be."""
         with self._lock:
             return [link.sighting() for link in self._out.values() if link.alive]
 
     def living(self) -> list[NodeEntry]:
-        """The entries of the nodes that live."""
+        """Return the entries of the nodes that are alive, by name."""
         with self._lock:
             return sorted((link.entry for link in self._out.values() if link.alive), key=lambda e: e.node)
 
     def announce(self, record: bytes) -> None:
-        """Send a record to all connected nodes; one that does not read is disconnected, and reconnects."""
+        """Send a record to all connected nodes; one that does not read it is disconnected, and reconnects."""
         self._record = record
         with self._lock:
             self._in = [sock for sock in self._in if _send(sock, record)]
 
     def admit(self, sock: DeadlineSocket, header: Header, own_uri: str) -> str:
-        """Take in a node that connected to us; "" or why it is not taken."""
+        """Admit a node that has connected; return "" or why it is rejected."""
         if header[FIELD] != own_uri:
             return "this is another node"
         sock.sendall(encode({"callerid": self._caller(), FIELD: own_uri}))
         sock.setblocking(False)
         with self._lock:
             if self._closed or len(self._in) >= _MAX_LINKS:
-                return "no more nodes are taken"
+                return "too many nodes are connected"
             if not self._record or _send(sock, self._record):
                 self._in.append(sock)
         self._visited()
         return ""
 
     def close(self) -> None:
-        """Cut all connections."""
+        """Close all connections."""
         with self._lock:
             self._closed = True
             links, self._out = list(self._out.values()), {}
@@ -262,7 +261,7 @@ class _NodeConnection:
             try:
                 sock = self._connect()
             except TimeoutError:
-                # It neither answers nor refuses: whoever asks is told when it was last heard.
+                # it neither responds nor refuses: its sighting has the time of its last record
                 pass
             except (OSError, OverflowError, ValueError, Ros1Error) as err:
                 self._live(False, str(err))
@@ -272,7 +271,7 @@ class _NodeConnection:
                     self._hear(sock)
                 sock.close()
                 if self._heard != before:
-                    # A node that lives is connected again at once; a dead one refuses.
+                    # reconnect to a live node at once; a dead one refuses
                     self._closing.wait(_AGAIN_SECONDS)
                     continue
             self._closing.wait(_RETRY_SECONDS)
@@ -306,13 +305,13 @@ class _NodeConnection:
     def _live(self, alive: bool, why: str = "") -> None:
         if alive != self.alive:
             self.alive = alive
-            state = "is there" if alive else f"is gone: {why}"
+            state = "is connected" if alive else f"is disconnected: {why}"
             _log.info("the Midspan node %s (%s) %s", self.entry.node, self.entry.daemon, state)
             self._changed()
 
 
 def _send(sock: socket.socket, record: bytes) -> bool:
-    """Send a record without waiting; False, and the connection is closed, where it cannot be sent whole."""
+    """Send a record without blocking; if it cannot be sent whole, close the connection and return False."""
     data = _LENGTH.pack(len(record)) + record
     try:
         if socket.socket.send(sock, data) == len(data):

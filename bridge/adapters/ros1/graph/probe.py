@@ -1,4 +1,4 @@
-"""Probes each publisher and server on the graph by a TCPROS handshake, and informs our subscriptions and callers.
+"""Probes each publisher and server on the graph by a TCPROS handshake, and informs subscriptions and callers.
 
 The connection to a publisher stays open for a moment, and the next subscription reuses it. To the publisher
 it is a subscriber. Programs that wait for one before they publish (``get_num_connections`` of rospy, ``getOutputCount``
@@ -28,8 +28,8 @@ _log = logging.getLogger(__name__)
 HANDSHAKE_SECONDS = 2.0
 
 HOLD_SECONDS = 1.0
-"""How long a publisher's connection waits for a subscription. Nothing is read meanwhile, so one that publishes some
-megabytes and waits for its listeners may wait for so long, once."""
+"""How long a publisher's connection is held for a subscription. Nothing is read meanwhile, so one that publishes some
+megabytes and waits for its subscribers may be delayed by this time, once."""
 
 LATCH_SECONDS = 1.0
 """Delay after which a publisher that does not latch is probed once more: rospy registers a publisher with the master
@@ -41,11 +41,10 @@ _LONGEST_WAIT = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Ros1Context:
-    """What all of the edge's endpoints share.
+    """The shared state of the edge's endpoints.
 
-    ``pool`` talks to other nodes, ``loop`` reads connections; ``node`` gives our node's name now, ``origin`` is the
-    daemon's; ``found`` is called when something became known of a publisher or server; ``limit`` is bytes of the
-    longest message.
+    ``pool`` calls other nodes, ``loop`` reads connections; ``node`` returns this node's name, ``origin`` is the
+    daemon's; ``found`` is called on new facts about a publisher or server; ``limit`` is the largest message in bytes.
     """
 
     pool: PeerPool
@@ -59,7 +58,7 @@ class Ros1Context:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What a publisher or server announces in its connection header."""
+    """The properties in a publisher's or server's connection header."""
 
     type: str
     md5: str
@@ -69,19 +68,19 @@ class Facts:
 
     @classmethod
     def of(cls, header: Header) -> Facts:
-        """The facts in a header."""
+        """Parse a header."""
         latching = header.get("latching", "0").strip() == "1"
         definition, native = header.get("message_definition", ""), ORIGIN_FIELD not in header
         return cls(header["type"], header["md5sum"], definition, latching, native)
 
     def fits(self, md5: str) -> bool:
-        """Whether it is native, and has the wanted type."""
+        """Return whether it is native and has the wanted type."""
         return self.native and md5 in (self.md5, "*", "")
 
 
 @dataclass(slots=True)
 class _Attempt:
-    """The progress of probing one: the next attempt and the last error; ``refused``: its address has no listener."""
+    """The probing of one peer: the next attempt and the last error; ``refused``: its address has no listener."""
 
     due: float = 0.0
     wait: float = _FIRST_WAIT
@@ -91,17 +90,17 @@ class _Attempt:
 
 
 ProbedConnection = tuple[DeadlineSocket, Header]
-"""A peer that has told what it is, and its header."""
+"""The connection to a peer that has sent its header, and the header."""
 
 Handshake = Callable[[str, str, str, float], ProbedConnection]
-"""``handshake(caller, uri, topic, seconds)``: connect, up to and with the peer's header; raises `Ros1Error`."""
+"""``handshake(caller, uri, topic, seconds)``: connect, and read the peer's header; raises `Ros1Error`."""
 
 
 class Prober:
-    """Asks every new publisher (or server) once, and those that do not answer again and again, ever more seldom.
+    """Probes every new publisher (or server) once, and those that do not respond again with growing pauses.
 
-    ``changed`` is called with each one of which something else is known by now. ``holds``: a native one's connection is
-    kept for `take` a while; else it is closed at once.
+    ``changed`` is called with each one whose facts changed. ``holds``: a native one's connection is held for `take` for
+    a while, else it is closed at once.
     """
 
     def __init__(
@@ -116,13 +115,13 @@ class Prober:
         self._held: dict[Registration, ProbedConnection] = {}
 
     def close(self) -> None:
-        """Close the connections that nobody took."""
+        """Close the held connections."""
         with self._lock:
             for link in list(self._held):
                 self._release(link)
 
     def follow(self, links: frozenset[Registration]) -> None:
-        """Update the publishers that are on the graph, and ask those that are due."""
+        """Update the publishers that are on the graph, and probe those that are due."""
         now = time.monotonic()
         with self._lock:
             for gone in self._facts.keys() - links:
@@ -140,7 +139,7 @@ class Prober:
 
     @property
     def waiting(self) -> bool:
-        """Whether there are publishers of which nothing is known."""
+        """Whether there are publishers without known facts."""
         return bool(self._open)
 
     def facts(self, topic: str = "") -> Mapping[Registration, Facts]:
@@ -149,17 +148,17 @@ class Prober:
             return {link: facts for link, facts in self._facts.items() if topic in ("", link.topic)}
 
     def discard(self, link: Registration) -> None:
-        """Close the connection by which a publisher was asked, with what came by it: a base takes no old commands."""
+        """Close a publisher's held connection with its unread messages: a base must not execute old commands."""
         with self._lock:
             self._release(link)
 
     def take(self, link: Registration) -> ProbedConnection | None:
-        """The connection by which a publisher was asked, while it is held; the caller's from now on."""
+        """Return a publisher's held connection, which the caller then owns; None if it is no longer held."""
         with self._lock:
             return self._held.pop(link, None)
 
     def doubt(self, link: Registration, trouble: str) -> None:
-        """A publisher broke off or changed: forget what is known of it until it is asked again."""
+        """Drop the facts of a publisher that disconnected or changed, and probe it again later."""
         with self._lock:
             if self._facts.pop(link, None) is None:
                 return
@@ -168,7 +167,7 @@ class Prober:
         self._changed(link)
 
     def check(self, link: Registration) -> None:
-        """Probe a known one again; doubt it if it does not answer."""
+        """Probe a known peer again; drop its facts if it does not respond."""
         self._pool.submit(link.uri, lambda: self._check(link))
 
     def _check(self, link: Registration) -> None:
@@ -181,7 +180,7 @@ class Prober:
             self.learned(link, Facts.of(header))
 
     def _check_latching(self, link: Registration) -> None:
-        """Read a publisher's header again; nothing changes if it does not answer."""
+        """Read a publisher's header again; ignore a failure."""
         with self._lock:
             if link not in self._facts:
                 return
@@ -191,7 +190,7 @@ class Prober:
             self.learned(link, Facts.of(header))
 
     def learned(self, link: Registration, facts: Facts) -> None:
-        """A publisher announced itself to a subscription that connected; it may have advertised again."""
+        """Adopt the header that a subscription received, as the publisher may have advertised again."""
         with self._lock:
             if self._facts.get(link) in (None, facts):
                 return
@@ -199,23 +198,23 @@ class Prober:
         self._changed(link)
 
     def troubles(self) -> dict[Registration, str]:
-        """Publishers that did not answer, and why."""
+        """Return the publishers that did not respond, and why."""
         with self._lock:
             return {link: a.trouble for link, a in self._open.items() if a.trouble}
 
     def is_waiting(self, link: Registration) -> bool:
-        """Whether one is listed that has not been asked yet, or has not answered."""
+        """Return whether a listed peer has not been probed successfully yet."""
         with self._lock:
             return link in self._open
 
     def is_gone(self, link: Registration) -> bool:
-        """Whether the last attempt was refused: the address has no listener."""
+        """Return whether the last connection was refused: the address has no listener."""
         with self._lock:
             attempt = self._open.get(link)
         return attempt is not None and attempt.refused
 
     def _shake(self, link: Registration, *, held: bool = False) -> ProbedConnection:
-        # rospy drops an older connection of the same caller, so one that no subscription takes has another name.
+        # rospy drops an older connection of the same caller, so one that no subscription reuses needs another name.
         caller = self._caller() if held else f"{self._caller()}_probe"
         return self._handshake(caller, link.uri, link.topic, HANDSHAKE_SECONDS)
 
@@ -242,7 +241,7 @@ class Prober:
                 self._timer.after(HOLD_SECONDS, lambda: self._expire(link, sock))
             else:
                 sock.close()
-        # a YARP port does not announce it, and its program may count the second probe as a listener
+        # a YARP port does not announce latching, and its program may count the second probe as a subscriber
         if known and facts.native and self._holds and not facts.latching and "latching" in header:
             self._timer.after(LATCH_SECONDS, lambda: self._pool.submit(link.uri, lambda: self._check_latching(link)))
         if known:
@@ -271,23 +270,23 @@ class Prober:
 
 
 class FollowingEnd(Protocol):
-    """A subscription or a caller of ours."""
+    """A subscription or caller of this node."""
 
     name: str
 
     @property
     def restless(self) -> bool:
-        """Whether it has a connection to make."""
+        """Whether it needs to connect."""
 
     def close(self) -> None:
-        """Give it back."""
+        """Close it. Safe to call twice."""
 
 
 AnyEnd = TypeVar("AnyEnd", bound=FollowingEnd)
 
 
 class Follower(ABC, Generic[AnyEnd]):
-    """Informs our subscriptions (or callers) about the publishers (or servers) of their names; see `Prober`."""
+    """Informs subscriptions (or callers) about the publishers (or servers) of their names; see `Prober`."""
 
     def __init__(
         self, context: Ros1Context, handshake: Handshake = connect, kind: str = "publisher", *, holds: bool = False
@@ -295,7 +294,7 @@ class Follower(ABC, Generic[AnyEnd]):
         self._context = context
         self.prober = Prober(context, self._probed, handshake, kind, holds=holds)
         self._lock = threading.Lock()
-        self._following = threading.Lock()  # older knowledge must not be followed after newer
+        self._following = threading.Lock()  # facts must be passed on in order
         self._links: frozenset[Registration] = frozenset()
         self._ends: set[AnyEnd] = set()
 
@@ -304,7 +303,7 @@ class Follower(ABC, Generic[AnyEnd]):
         """Inform one end."""
 
     def take_up(self, links: frozenset[Registration]) -> None:
-        """Update the publishers, or servers, that the master lists; on its thread."""
+        """Update the publishers, or servers, that the master lists; called on its thread."""
         changed, self._links = links != self._links, links
         if changed or self.prober.waiting:
             self.prober.follow(links)
@@ -314,7 +313,7 @@ class Follower(ABC, Generic[AnyEnd]):
             self.follow()
 
     def follow(self, name: str = "") -> None:
-        """Inform our ends: all, or those of one name."""
+        """Inform all ends, or those of one name."""
         with self._lock:
             ends = [end for end in self._ends if name in ("", end.name)]
         if not ends:
@@ -345,7 +344,7 @@ class Follower(ABC, Generic[AnyEnd]):
         self._context.found()
 
     def close(self) -> None:
-        """Close all of our ends."""
+        """Close all ends."""
         with self._lock:
             ends, self._ends = list(self._ends), set()
         for end in ends:

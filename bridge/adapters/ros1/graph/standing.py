@@ -1,13 +1,13 @@
-"""The graph that the edge shows: the master's list, and what it lost although a TCP connection proves it.
+"""The graph of the edge: the master's list, and registrations that only a TCP connection still proves.
 
-A connection between two nodes needs no master. If the master is killed, the nodes and their connections stay; if it is
-restarted, it lists only nodes that register again, which those of rospy and roscpp do not. Only a connection that ends
-shows that a node is gone.
+A connection between two nodes needs no master. If the master is killed, the nodes and their connections stay; a
+restarted master lists only nodes that register again, which rospy and roscpp nodes do not. Only the end of a connection
+shows that a node has left.
 
-- While the master is away, its last state stays as long as any connection of it stands. Publishers and servers whose
-  connections end are asked again, and are unknown if they do not answer (`bridge.adapters.ros1.graph.probe`).
-- A registration that a master no longer lists stays while its own connection stands. Of a service this holds only for
-  a restarted master: a server that unregisters may leave its connections open.
+- While the master is unreachable, its last state stays as long as any of its connections exists. Publishers and servers
+whose connections end are probed again, and are unknown if they do not respond (`bridge.adapters.ros1.graph.probe`).
+- A registration that a master no longer lists stays while its connection exists. For a service this holds only after a
+restart of the master: a server that unregisters may leave its connections open.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Connections:
     servers: frozenset[Registration]
 
     def prove(self, state: MasterState) -> bool:
-        """Whether any registration of a state is proven."""
+        """Return whether any registration of a state is proven."""
         return bool(
             self.publishers & state.publishers
             or self.servers & state.servers
@@ -38,11 +38,11 @@ class Connections:
 
 
 class StandingGraph:
-    """Derives the graph from the master's states; ``connections`` returns those that stand now. On one thread.
+    """Derives the graph from the master's states and the current ``connections``. Not thread-safe.
 
     Attributes:
-        state: the graph, None if nothing is known to be there.
-        unlisted: whether it has more than the master lists now.
+        state: the graph, None if it is unknown.
+        unlisted: whether it has registrations that the master does not list.
     """
 
     def __init__(self, connections: Callable[[], Connections]) -> None:
@@ -53,7 +53,7 @@ class StandingGraph:
         self.unlisted = False
 
     def update(self, listed: MasterState | None) -> MasterState | None:
-        """Adopt the master's state, None while it is away; returns the graph, the same object if it did not change."""
+        """Adopt the master's state, None while it is unreachable; return the graph, the same object if unchanged."""
         before = self.state
         if listed is None:
             proven = before is not None and self._connections().prove(before)

@@ -1,4 +1,4 @@
-"""A master's state at one look, and how it is read."""
+"""The state of a master, and its reader."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from bridge.adapters.ros1_peers import Ros1ProtocolError, XmlRpcClient
 _TRIES = 3
 
 _RATE = 200_000
-"""Bytes of its state that a master is asked for in a second. 500 topics make 250 kB, which take ``rosmaster`` 4 ms of
-Python: messages that have to wait for these are late, so they must be fewer than one in a hundred."""
+"""Bytes of state that are requested from a master per second. 500 topics make 250 kB, which cost ``rosmaster`` 4 ms of
+CPU time: they delay messages, of which less than 1 % may be affected."""
 
 _LONGEST = 2.0
-"""Seconds between two looks at most, where the configuration does not ask for more."""
+"""Longest seconds between two reads, unless the configuration sets more."""
 
 PRESENCE = "/midspan/nodes"
-"""Master parameter under which every Midspan node says that it is there."""
+"""Master parameter with an entry for each Midspan node."""
 
 
 class Registration(NamedTuple):
     """One node's registration for one topic or service, under the name that is registered.
 
-    ``uri`` is the node's XML-RPC address, of a service the service's (``rosrpc://host:port``); "" if unknown.
+    ``uri`` is the node's XML-RPC address, or a service's address (``rosrpc://host:port``); "" if unknown.
     """
 
     node: str
@@ -38,14 +38,14 @@ def publisher_id(link: Registration, *, latching: bool) -> str:
 
 
 def node_of(publisher: str) -> tuple[str, str]:
-    """Node name and XML-RPC address in an id that `publisher_id` made."""
+    """Return node name and XML-RPC address from an id of `publisher_id`."""
     node, uri = publisher.removesuffix(" latched").split(" ")[2:4]
     return node, uri
 
 
 @dataclass(frozen=True)
 class MasterState:
-    """A master's state at one look.
+    """The state of a master at one time.
 
     ``run`` changes when the master is restarted: its run id and its process. ``network`` is its ``/run_id``, which
     roscore sets, or a bare rosmaster's address and process id. ``uris`` are the nodes' XML-RPC addresses; ``presence``
@@ -63,7 +63,7 @@ class MasterState:
 
 
 class MasterReader:
-    """Reads a master's state; a look at an unchanged master costs one exchange and no parsing."""
+    """Reads a master's state; an unchanged state costs one request and no parsing."""
 
     def __init__(self, client: XmlRpcClient, caller: str) -> None:
         self.caller = caller
@@ -76,15 +76,15 @@ class MasterReader:
         self._doubted: set[str] = set()
 
     def doubt(self, service: str) -> None:
-        """A service is not at the address that the master gave: the next look asks again. From any thread."""
+        """Look up a service's address again in the next read. Thread-safe."""
         self._doubted.add(service)
 
     def pause(self, period: float) -> float:
-        """Seconds to the next look, at least ``period``: a master with a large state is asked less often."""
+        """Return the seconds to the next read, at least ``period``: a master with a large state is read less often."""
         return max(period, min(self._size / _RATE, _LONGEST))
 
     def look(self) -> MasterState:
-        """The master's state now; the very same object as the last time where nothing changed. Raises `Ros1Error`."""
+        """Return the master's state; the same object as before if nothing changed. Raises `Ros1Error`."""
         try:
             return self._try()
         except (LookupError, TypeError, ValueError) as err:
@@ -100,7 +100,7 @@ class MasterReader:
             self._nodes = tuple(sorted({node for kind in _state(answers) for _, names in kind for node in names}))
             if self._nodes == asked:
                 break
-        # Where nodes came while their addresses were asked for, the next look asks again.
+        # if nodes appeared during the address look-up, the next read repeats it
         self._answers = answers if self._nodes == asked else []
         look = _read(answers, asked)
         look = replace(look, servers=self._addresses(_state(answers)[2], look.uris))
@@ -110,7 +110,7 @@ class MasterReader:
         return self._look
 
     def _addresses(self, services: list[tuple[str, list[str]]], uris: Mapping[str, str]) -> frozenset[Registration]:
-        """Return each service's server; ask for its address once, and again if its node changes or it is doubted."""
+        """Return each service's server; look up its address once, and again if its node changes or it is doubted."""
         there = {Registration(nodes[0], name, uris.get(nodes[0], "")) for name, nodes in services if nodes}
         doubted, self._doubted = self._doubted, set()
         self._servers = {k: uri for k, uri in self._servers.items() if k in there and k.topic not in doubted}
@@ -120,7 +120,7 @@ class MasterReader:
         return frozenset(Registration(k.node, k.topic, self._servers.get(k, "")) for k in there)
 
     def _ask(self) -> list[Any]:
-        me, self._size = self.caller, 0  # one that is away is looked for as often as ever
+        me, self._size = self.caller, 0  # an unreachable master is retried at the normal rate
         answers = self._client.calls([
             ("getSystemState", (me,)), ("getTopicTypes", (me,)), ("getParam", (me, "/run_id")),
             ("getParam", (me, PRESENCE)), ("getPid", (me,)), ("getUri", (me,)),
@@ -150,7 +150,7 @@ _State = tuple[list[tuple[str, list[str]]], ...]
 
 
 def _state(answers: list[Any]) -> _State:
-    """Publishers, subscribers and services, each as pairs of a name and its nodes."""
+    """Return publishers, subscribers and services, each as pairs of a name and its nodes."""
     kinds = answers[0] if isinstance(answers[0], list) else [[], [], []]
     return tuple([(str(name), [str(n) for n in nodes]) for name, nodes in kind] for kind in kinds[:3])
 

@@ -1,1 +1,1 @@
-"""Parameters that ROS 1's parameter server and ROS 2's nodes share, where `routing.parameters` names them."""
+"""Parameters that ROS 1's parameter server and ROS 2's nodes share, by the rules in `routing.parameters`."""

@@ -1,4 +1,4 @@
-"""The one thread that carries parameters between ROS 1's parameter server and the hub."""
+"""The thread that shares parameters between ROS 1's parameter server and the hub."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _MAX_SHOWN = 20
 
 
 class ParameterSharing:
-    """Follows the rules (at least one) of ``routing.parameters``, while this worker is the ``active`` one."""
+    """Applies the rules (at least one) of ``routing.parameters`` while this worker is ``active``."""
 
     def __init__(
         self, rules: Sequence[ParameterRule], hub: Hub, registry: Registry, store: ParameterServer,
@@ -114,8 +114,8 @@ class ParameterSharing:
             self._trouble = f"ROS 1's parameter server does not respond: {err}"
             self._close()
         except Exception as err:
-            _log.exception("carrying parameters failed")
-            self._trouble = f"carrying parameters failed: {err}"
+            _log.exception("sharing parameters failed")
+            self._trouble = f"sharing parameters failed: {err}"
 
     def _compare(self) -> None:
         if not self._active():
@@ -132,6 +132,6 @@ class ParameterSharing:
             mirrored.follow()
 
     def _close(self) -> None:
-        """Leave the hub: the network is away, or another worker shares the parameters."""
+        """Leave the hub: the network is unreachable, or another worker shares the parameters."""
         for part in self._parts:
             part.close()

@@ -56,7 +56,7 @@ class MirroredNode:
 
     @property
     def count(self) -> int:
-        """How many parameters are shared."""
+        """Number of shared parameters."""
         return len(self._agreed)
 
     @property
@@ -70,7 +70,7 @@ class MirroredNode:
         return bool(self._clients) and all(client.ready for client in self._clients.values())
 
     def covers(self, key: str) -> bool:
-        """Whether a name of ROS 1's parameter server can be a copy by this rule."""
+        """Return whether a name on ROS 1's parameter server can be a copy by this rule."""
         ros1 = self.rule.ros1
         inside = key == ros1 or key.startswith(f"{ros1}/")
         return inside and self._names.takes(key.removeprefix(ros1).removeprefix("/"))
@@ -104,7 +104,7 @@ class MirroredNode:
     def _call(self, word: str, request: Mapping[str, Any], then: Callable[[dict[str, Any]], bool]) -> None:
         """Call a service of the node.
 
-        ``then`` gets the response on the parameters' thread, and returns whether the comparison goes on.
+        ``then`` receives the response on the parameters' thread, and returns whether the comparison continues.
         """
         client, codec = self._clients[word], self._codecs[word]
 
@@ -145,7 +145,7 @@ class MirroredNode:
         """Compare the node's values with ROS 1's and with those of the last comparison."""
         values = [ParameterValue.read(value) for value in response["values"]]
         if len(values) != len(names):
-            # rclcpp and rclpy return no value at all if one of the parameters was declared and never set.
+            # rclcpp and rclpy return no values if any of the parameters was declared but never set.
             self._ask_types = True
             return False
         rests = [self._names.rest(name) or "" for name in names]
@@ -164,7 +164,7 @@ class MirroredNode:
         unset = self._unset(node, {rest: value for rest, value in ros1.items() if self._names.ros1(rest) not in writes})
         self._report_unknown(ros1)
         for key in self._store.copy(writes, foreign | copies):
-            self._problems[key] = "ROS 1's master refuses it"
+            self._problems[key] = "ROS 1's master rejects it"
         if unset:
             request = {"names": [self._names.ros2(rest) for rest in unset]}
             self._call("describe_parameters", request, lambda response: self._on_types(shown, wishes, unset, response))
@@ -210,7 +210,7 @@ class MirroredNode:
         return wishes
 
     def _converted(self, key: str, value: Any, kind: ParameterType) -> ParameterValue | None:
-        """Return a value of ROS 1 as the node's parameter takes it, None if ROS 2 has no such value."""
+        """Return a value of ROS 1 in the type of the node's parameter, None if ROS 2 has no such value."""
         try:
             return to_ros2(value, kind)
         except UnsayableError as err:
@@ -218,7 +218,7 @@ class MirroredNode:
             return None
 
     def _unset(self, node: _Values, ros1: Mapping[str, Any]) -> dict[str, Any]:
-        """Return ROS 1's values of parameters that the node has declared and not set."""
+        """Return ROS 1's values of parameters that the node has declared but not set."""
         unset = {rest: ros1[rest] for rest in sorted(self._declared - node.keys()) if rest in ros1}
         if self.rule.write:
             return unset
@@ -227,7 +227,7 @@ class MirroredNode:
         return {}
 
     def _report_unknown(self, ros1: Mapping[str, Any]) -> None:
-        """Report names in ROS 1 that the node does not have; they may be another program's, and stay."""
+        """Report names in ROS 1 that the node does not have; they stay, as they may belong to another program."""
         known = [self._names.ros2(rest) for rest in self._declared]
         unknown = {
             rest for rest in ros1 if rest not in self._declared and self._names.takes(rest) and self._names.ros2(rest)
@@ -237,7 +237,7 @@ class MirroredNode:
             similar = get_close_matches(name, known, n=1)
             hint = f" (similar: {similar[0]})" if similar else ""
             self._problems[self._names.ros1(rest)] = (
-                f"set in ROS 1, but {self.rule.node} has no parameter {name}{hint}; delete it in ROS 1, or leave it out"
+                f"set in ROS 1, but {self.rule.node} has no parameter {name}{hint}; delete it in ROS 1, or exclude it"
                 " by 'names' in routing.parameters"
             )
         new = sorted(self._names.ros1(rest) for rest in unknown - self._unknown)
@@ -269,7 +269,7 @@ class MirroredNode:
         return True
 
     def _on_results(self, shown: _Values, wishes: _Values, response: Mapping[str, Any]) -> bool:
-        """Reset what the node rejected."""
+        """Reset values that the node rejected."""
         writes: dict[str, Any] = {}
         for (rest, wish), result in zip(wishes.items(), response["results"], strict=False):
             key = self._names.ros1(rest)
@@ -277,8 +277,8 @@ class MirroredNode:
                 self._rejected.pop(key, None)
                 self._agreed[rest] = wish
                 continue
-            reason = result["reason"] or "it gives no reason"
-            self._reject(key, f"{self.rule.node} refused {wish.content!r}: {reason}")
+            reason = result["reason"] or "no reason given"
+            self._reject(key, f"{self.rule.node} rejected {wish.content!r}: {reason}")
             writes[key] = to_ros1(shown[rest]) if rest in shown else None
         self._store.write(writes)
         return False

@@ -32,7 +32,7 @@ _EVENT_QOS = Qos(depth=1000)  # rmw_qos_profile_parameter_events
 
 
 class OfferedNode:
-    """One node of ours on the hub, of the number ``token`` within the session; it shows what the ``rules`` share.
+    """A node on the hub with the parameters of ``rules``; ``token`` is its number within the session.
 
     All but the constructor and `call` run on the parameters' thread.
     """
@@ -40,7 +40,7 @@ class OfferedNode:
     def __init__(self, rules: Sequence[ParameterRule], context: ParameterContext, token: int) -> None:
         self.rules = rules
         self.node = rules[0].node
-        # The rule with the longest prefix has a name first.
+        # the rule with the longest prefix has precedence
         self._names = [ParameterNames(rule) for rule in sorted(rules, key=lambda rule: -len(rule.prefix))]
         self._hub, self._store, self._submit = context.hub, context.store, context.submit
         self._codecs = codecs(context.registry)
@@ -54,11 +54,11 @@ class OfferedNode:
 
     @property
     def count(self) -> int:
-        """How many parameters it has."""
+        """Number of its parameters."""
         return len(self._told or ())
 
     def follow(self, trees: Mapping[str, Any]) -> None:
-        """Serve the node, and publish what changed; ``trees`` is what ROS 1 has below each rule's name."""
+        """Serve the node, and publish changes; ``trees`` has ROS 1's values below each rule's name."""
         if not self._closers:
             self._open()
         now = dict(self._all(trees))
@@ -85,7 +85,7 @@ class OfferedNode:
         self._closers.append(publisher.close)
 
     def _all(self, trees: Mapping[str, Any]) -> Iterator[tuple[str, ParameterValue]]:
-        """The parameters by their names on the node; notes those of which ROS 2 has no kind."""
+        """Yield the parameters by their names on the node; record those that ROS 2 cannot represent."""
         self.troubles = {}
         for names in reversed(self._names):
             for rest, value in flatten(trees.get(names.rule.ros1, {})):
@@ -110,7 +110,7 @@ class OfferedNode:
             self._publish(MessageWriter(self._event_schema).message(message))
 
     def call(self, word: str, request: bytes, done: Done) -> Abandon:
-        """Begin to answer a call; runs on zenoh's receiving thread."""
+        """Schedule a call; runs on zenoh's receiving thread."""
         self._submit(lambda: done(self._answer(word, request)), done)
         return lambda: None
 
@@ -145,7 +145,7 @@ class OfferedNode:
         }  # fmt: skip
 
     def _list_parameters(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """As rclcpp's node_parameters.cpp has it: the depth counts the dots in what follows a prefix, 0 is any."""
+        """List names like rclcpp's node_parameters.cpp: the depth counts the dots after a prefix, 0 is any."""
         prefixes, depth = request["prefixes"], request["depth"]
 
         def wanted(name: str) -> bool:
@@ -165,7 +165,7 @@ class OfferedNode:
         return {"result": self._set(request["parameters"])}
 
     def _set(self, parameters: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Set all or none."""
+        """Set all parameters or none."""
         known = self._read()
         wanted: dict[str, Any] = {}
         for parameter in parameters:
@@ -183,10 +183,10 @@ class OfferedNode:
             except UnsayableError as err:
                 return _no(f"{name}: {err}")
         refused = self._store.write(wanted)
-        return _no(f"ROS 1's master refuses {', '.join(refused)}") if refused else {"successful": True, "reason": ""}
+        return _no(f"ROS 1's master rejects {', '.join(refused)}") if refused else {"successful": True, "reason": ""}
 
     def _place(self, name: str) -> tuple[ParameterNames, str] | None:
-        """The rule that shares a name, and what of it follows the rule's."""
+        """Return the rule that shares a name, and the part of the name after the rule's."""
         for names in self._names:
             rest = names.rest(name)
             if rest is not None:

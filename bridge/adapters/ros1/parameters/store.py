@@ -19,9 +19,9 @@ _BATCH = 200
 
 
 def copies_parameter(owner: str) -> str:
-    """Name of the parameter that lists the copies of a daemon, by the ``owner`` in its state folder.
+    """Return the name of the parameter that lists a daemon's copies, by the ``owner`` in its state folder.
 
-    The list is on the master because it must outlive a killed process, and end with the master, as the copies do.
+    The list is on the master because, like the copies, it must outlive a killed process and end with the master.
     """
     return f"/midspan/parameters/daemon_{owner}"
 
@@ -37,12 +37,12 @@ def _names(listed: object) -> frozenset[str]:
 
 
 class ParameterServer:
-    """A master's parameter server, for one thread; raises `Ros1Error`.
+    """A master's parameter server; not thread-safe. Methods raise `Ros1Error`.
 
-    ``slave`` is our node's XML-RPC address, ``owner`` this daemon's identity on the master.
+    ``slave`` is this node's XML-RPC address, ``owner`` this daemon's identity on the master.
 
     Attributes:
-        copies: names of the copies of ROS 2 parameters that this daemon has put there, also in an earlier process.
+        copies: names of the copies of ROS 2 parameters that this daemon has set, including those of earlier processes.
     """
 
     def __init__(self, uri: str, caller: Callable[[], str], slave: str, owner: str) -> None:
@@ -77,7 +77,7 @@ class ParameterServer:
         return [key for (key, value), answer in pairs if value is not None and answer is None]
 
     def copy(self, values: Mapping[str, Any], copies: Collection[str]) -> list[str]:
-        """Write as `write`, and list ``copies`` for `close` or, after a crash, for the next process.
+        """Write like `write`, and list ``copies`` for `close` or, after a crash, for the next process.
 
         A name is listed before it is set, and until it is deleted.
         """
@@ -106,12 +106,13 @@ class ParameterServer:
 
 
 Submit = Callable[[Callable[[], None], Done | None], None]
-"""Schedules a job on the thread that calls the parameter server; a call's `Done` gets an error if it is too busy."""
+"""Schedules a job on the thread that calls the parameter server; a call's `Done` receives an error if it is too
+busy."""
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterContext:
-    """What all nodes with shared parameters use."""
+    """The shared state of all nodes with shared parameters."""
 
     hub: Hub
     registry: Registry
@@ -127,9 +128,9 @@ SERVICES = {
     "set_parameters": "SetParameters",
     "set_parameters_atomically": "SetParametersAtomically",
 }
-"""What follows the node's name, and the type."""
+"""The suffix of the service's name, and its type."""
 
 
 def codecs(registry: Registry) -> dict[str, ServiceCodec]:
-    """The codecs of the services, by what follows the node's name."""
+    """Return the codecs of the services, by the suffix of their names."""
     return {word: ServiceCodec(registry, f"rcl_interfaces/srv/{name}") for word, name in SERVICES.items()}

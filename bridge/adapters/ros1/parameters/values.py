@@ -1,7 +1,7 @@
 """Values of parameters in ROS 1 (XML-RPC) and in ROS 2 (``rcl_interfaces/msg/ParameterValue``), and their names.
 
-ROS 1 knows 32-bit integers, doubles, bools, text, bytes, lists of anything and namespaces (wiki.ros.org/Parameter
-Server). ROS 2 knows 64-bit integers, lists of one type each and no namespaces: dots in a name stand for them (Jazzy,
+ROS 1 has 32-bit integers, doubles, bools, text, bytes, lists of anything and namespaces (wiki.ros.org/Parameter
+Server). ROS 2 has 64-bit integers, lists of one type each and, instead of namespaces, dots in names (Jazzy,
 "Parameters").
 """
 
@@ -19,7 +19,7 @@ from bridge.messages.values import is_array
 from bridge.routing.rules import glob_regex
 
 MAX_DEPTH = 30
-"""Levels of namespaces that are read; ROS 1's own tools have the same limit."""
+"""Limit of nested namespaces, as in ROS 1's own tools."""
 
 _INT32 = range(-(2**31), 2**31)
 _INT64 = range(-(2**63), 2**63)
@@ -43,12 +43,12 @@ class ParameterType(IntEnum):
 
 
 class UnsayableError(Exception):
-    """A value that the other network's parameters cannot have; the text has the reason."""
+    """A value that the other network's parameters cannot represent; the text has the reason."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterValue:
-    """A value in ROS 2's terms. Equal are those of one kind that read the same, NaN among them.
+    """A value in ROS 2's types. Values of one kind with the same text are equal, including NaN.
 
     ``content`` is a bool, int, float, text, bytes, or a list of one of the first four; None if it is not set.
     """
@@ -57,16 +57,16 @@ class ParameterValue:
     content: Any = None
 
     def __eq__(self, other: object) -> bool:
-        """Whether both read the same."""
+        """Return whether both have the same kind and text."""
         return isinstance(other, ParameterValue) and repr(self) == repr(other)
 
     def __hash__(self) -> int:
-        """As `__eq__` has it."""
+        """Return a hash that is consistent with `__eq__`."""
         return hash(repr(self))
 
     @classmethod
     def read(cls, message: Mapping[str, Any]) -> ParameterValue:
-        """A decoded ``ParameterValue``."""
+        """Return the value of a decoded ``ParameterValue``."""
         try:
             kind = ParameterType(message["type"])
         except ValueError:
@@ -79,7 +79,7 @@ class ParameterValue:
         return cls(kind, content.tolist() if is_array(content) else content)
 
     def message(self) -> dict[str, Any]:
-        """For a ``ParameterValue``."""
+        """Return the fields of a ``ParameterValue``."""
         content = list(self.content) if self.kind is ParameterType.BYTE_ARRAY else self.content
         return {"type": int(self.kind), **({} if self.kind is ParameterType.NOT_SET else {_field(self.kind): content})}
 
@@ -110,7 +110,7 @@ def to_ros2(value: Any, like: ParameterType = ParameterType.NOT_SET) -> Paramete
     """Convert a value of ROS 1's parameter server for a ROS 2 node; raises `UnsayableError`.
 
     ``like`` is the type of the node's parameter: a whole number becomes a double, and a whole double an integer, since
-    `rosparam set` does not distinguish them. An empty list has any type.
+    `rosparam set` does not distinguish them. An empty list fits any type.
     """
     if isinstance(value, xmlrpc.client.Binary):
         return ParameterValue(ParameterType.BYTE_ARRAY, value.data)
@@ -152,7 +152,7 @@ def _list(values: list[Any], like: ParameterType) -> ParameterValue:
 
 
 def flatten(tree: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """The parameters under a name of the parameter server by what follows it, ``a/b``; "" for that name itself."""
+    """Yield the parameters in a tree of the parameter server by their paths, ``a/b``; "" for the root."""
     if not isinstance(tree, dict):
         yield "", tree
     elif depth < MAX_DEPTH:
@@ -169,15 +169,15 @@ class ParameterNames:
         self._globs = [glob_regex(glob.strip("/")) for glob in rule.names]
 
     def takes(self, rest: str) -> bool:
-        """Whether the rule covers a parameter."""
+        """Return whether the rule covers a parameter."""
         return any(glob.fullmatch(rest) for glob in self._globs)
 
     def ros1(self, rest: str) -> str:
-        """The name on the parameter server."""
+        """Return the name on the parameter server."""
         return f"{self.rule.ros1}/{rest}" if rest else self.rule.ros1
 
     def ros2(self, rest: str) -> str:
-        """The name on the node."""
+        """Return the name on the node."""
         return ".".join(part for part in (self.rule.prefix, rest.replace("/", ".")) if part)
 
     def rest(self, ros2_name: str) -> str | None:

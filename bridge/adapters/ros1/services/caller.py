@@ -1,6 +1,6 @@
-"""Calling a ROS 1 server: persistent connections, of which each call has one to itself.
+"""Clients of ROS 1 servers over persistent connections, one per pending call.
 
-A connection is kept open while nothing is called, so that the death of a server is known before the next call.
+A connection stays open between calls, so that the crash of a server is noticed before the next call.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from bridge.messages.transcode.conversion import SideType
 _log = logging.getLogger(__name__)
 
 MAX_CALLS = 1000
-"""Calls of one service that are under way at most; each has a connection."""
+"""Limit of pending calls of one service; each has a connection."""
 
 _MAX_ERROR = 64 * 1024
 _KEPT = 8
@@ -33,11 +33,11 @@ _FIRST_WAIT = 0.2
 _LONGEST_WAIT = 5.0
 
 Doubt = Callable[[Registration, str], None]
-"""``doubt(link, trouble)``: a server did not answer, or is not what it was."""
+"""``doubt(link, trouble)``: a server did not respond, or has changed."""
 
 
 class _Pending:
-    """One pending call; the first end counts."""
+    """One pending call; only the first result counts."""
 
     def __init__(self, request: bytes, done: Done, over: Callable[[_Pending], None]) -> None:
         self.request = request
@@ -56,7 +56,7 @@ class _Pending:
             done(result)
 
     def abandon(self) -> None:
-        """End the call of a caller that left; closing the connection is ROS 1's only signal for it."""
+        """End the call of a client that left; closing the connection is ROS 1's only signal for that."""
         if self._take() is not None and self.connection is not None:
             self.connection.cut()
 
@@ -80,7 +80,7 @@ class _ServerConnection(ServiceConnection):
         self._pending: _Pending | None = None
 
     def begin(self, pending: _Pending) -> bool:
-        """Send a call's request; False where nothing of it was sent, since the connection is over."""
+        """Send a call's request; return False if nothing was sent because the connection has ended."""
         with self._lock:
             if self._over:
                 return False
@@ -96,14 +96,14 @@ class _ServerConnection(ServiceConnection):
     def _message(self, head: bytes, body: bytes) -> None:
         pending, self._pending = self._pending, None
         if pending is None:
-            self.end("sent something without being asked")
+            self.end("sent data without a request")
             return
         if head[0]:
             pending.finish(body)
         else:
             reason = body[:_MAX_ERROR].decode(errors="replace")
             pending.finish(CallError(reason or "the server reported a failure and gave no reason"))
-        # It may have answered before it had the whole request, or it may send or close right after the answer.
+        # it may have replied before receiving the whole request, or may send data or close right after the reply
         if self.is_at_rest():
             self._owner.freed(self, served=True)
         else:
@@ -126,7 +126,7 @@ class _ServerConnection(ServiceConnection):
 
 
 class CallerLoad(NamedTuple):
-    """How busy a caller is: its calls that have not ended, its connections, and those of them that wait for a call."""
+    """The load of a caller: its pending calls, its connections, and the idle ones among these."""
 
     calls: int
     connections: int
@@ -134,7 +134,7 @@ class CallerLoad(NamedTuple):
 
 
 class Ros1Caller:
-    """Calls the server of one name that has one type; see `bridge.routing.edge.EdgeCaller`."""
+    """Calls the server of one name and type."""
 
     def __init__(
         self, context: Ros1Context, name: str, side_type: SideType, doubt: Doubt, closed: Callable[[Ros1Caller], None]
@@ -152,23 +152,23 @@ class Ros1Caller:
 
     @property
     def restless(self) -> bool:
-        """Whether a connection is to be made."""
+        """Whether it needs to connect."""
         return self._link is not None and not self._connections and not self._warming
 
     @property
     def connected(self) -> frozenset[Registration]:
-        """The server, if it is connected now."""
+        """The server, if connected."""
         with self._lock:
             return frozenset(connection.link for connection in self._connections)
 
     @property
     def load(self) -> CallerLoad:
-        """How busy it is now."""
+        """Its current load."""
         with self._lock:
             return CallerLoad(len(self._calls), len(self._connections), len(self._free))
 
     def follow(self, link: Registration | None) -> None:
-        """The server's registration now; None without one."""
+        """Adopt the server's registration; None without a server."""
         with self._lock:
             if self._closed:
                 return
@@ -181,7 +181,7 @@ class Ros1Caller:
         self._warm()
 
     def call(self, request: bytes, done: Done) -> Abandon:
-        """See `bridge.routing.edge.EdgeCaller.call`."""
+        """Begin a call; never blocks."""
         pending = _Pending(request, done, self._over)
         with self._lock:
             trouble = self._why_not()
@@ -194,7 +194,7 @@ class Ros1Caller:
         return pending.abandon
 
     def close(self) -> None:
-        """See `bridge.routing.edge.EdgeCaller.close`."""
+        """End all pending calls with an error, and disconnect. Safe to call twice."""
         self._on_closed(self)
         with self._lock:
             self._closed, self._link = True, None
@@ -205,7 +205,7 @@ class Ros1Caller:
             connection.cut()
 
     def freed(self, connection: _ServerConnection, *, served: bool) -> None:
-        """A line is ready for a call; ``served``: it has carried one."""
+        """Reuse or close an idle connection; ``served``: it has carried a call."""
         with self._lock:
             keep = not self._closed and connection.link == self._link and len(self._free) < _KEPT
             if keep:
@@ -216,7 +216,7 @@ class Ros1Caller:
             connection.cut()
 
     def lost(self, connection: _ServerConnection, trouble: str) -> None:
-        """A line is over."""
+        """Handle the end of a connection."""
         _log.debug("%s: connection to %s: it %s", self.name, connection.link.node, trouble)
         with self._lock:
             self._connections.discard(connection)
@@ -225,13 +225,13 @@ class Ros1Caller:
         self._warm()
 
     def _why_not(self) -> str:
-        """Return why a call cannot begin now, "" if it can. With the lock held."""
+        """Return why a call cannot begin now, "" if it can. The lock is held."""
         if self._closed:
             return f"{self.name} no longer crosses"
         if self._link is None:
             return f"{self.name} has no server on ROS 1 now"
         if len(self._calls) >= MAX_CALLS:
-            return f"{self.name} is busy: {MAX_CALLS} calls are under way"
+            return f"{self.name} is busy: {MAX_CALLS} calls are pending"
         return ""
 
     def _over(self, pending: _Pending) -> None:
@@ -269,7 +269,7 @@ class Ros1Caller:
             pending.finish(CallError(f"the server {link.node} of {self.name} closed the connection at once"))
 
     def _connect(self, link: Registration) -> _ServerConnection:
-        """A new line; raises `Ros1Error`. Blocks for a while."""
+        """Open a connection; raises `Ros1Error`. Blocks up to `_CONNECT_SECONDS`."""
         fields = {"md5sum": self.md5, "persistent": "1"}
         sock, _ = connect_service(self._context.node(), link.uri, link.topic, _CONNECT_SECONDS, **fields)
         try:
@@ -288,10 +288,10 @@ class Ros1Caller:
             self._pool.failed(link.uri)
         self._doubt(link, str(err))
 
-    # -- the connection that is kept open ------------------------------------------------------------------------------
+    # -- the persistent connection -------------------------------------------------------------------------------------
 
     def _warm(self) -> None:
-        """Connect in advance, so that the next call is quick and the server's death is noticed; pauses grow."""
+        """Connect in advance, so that the next call is fast and a crash of the server is noticed; pauses grow."""
         now = time.monotonic()
         with self._lock:
             link = self._link

@@ -1,8 +1,8 @@
-"""Connections that carry calls: the loop reads them, any thread writes.
+"""Connections of service calls, which the loop reads and any thread writes.
 
 After its header a connection to a service carries one call at a time (https://wiki.ros.org/ROS/TCPROS,
-https://wiki.ros.org/roscpp/Overview/Services): the request is a little-endian 32-bit length and so many bytes; the
-reply a byte that says whether the call succeeded, a length, and the reply or the error's text.
+https://wiki.ros.org/roscpp/Overview/Services): the request is a little-endian 32-bit length and the bytes; the reply is
+a success byte, a length, and the response or the error's text.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ _log = logging.getLogger(__name__)
 LENGTH = struct.Struct("<I")
 
 _CHUNK = 64 * 1024
-"""Bytes of the longest message that the common thread reads itself: a longer one must not hold up the others."""
+"""Size limit of messages that the loop's thread reads; larger ones would delay other connections."""
 
 _TRUSTED = 16 * 2**20
-"""Bytes for which room is made because they are announced; for more, only as they come."""
+"""Bytes that are allocated on announcement; more only as they arrive."""
 
 _NOW = socket.MSG_DONTWAIT
-_STOPS = "was closed, since the bridge stops"
+_STOPS = "was closed because the bridge is stopping"
 
 
 class ServiceConnection(PolledConnection):
-    """One connection. Only the thread that reads it closes its descriptor; the others cut it, and that thread sees."""
+    """One connection. Only the reading thread closes its descriptor; others shut it down, which that thread notices."""
 
     head: ClassVar[int]
     """Bytes before a message's body; the last four of them are the body's length."""
@@ -49,24 +49,24 @@ class ServiceConnection(PolledConnection):
 
     @abstractmethod
     def _message(self, head: bytes, body: bytes) -> None:
-        """A whole message came. On the reading thread."""
+        """Handle a whole message, on the reading thread."""
 
     @abstractmethod
     def _too_large(self, size: int) -> bool:
-        """A message is announced that is longer than the limit; whether to read on, past it."""
+        """Handle the announcement of a message above the limit; return whether to skip it and continue."""
 
     def _skipped(self, size: int) -> None:
-        """A message that is longer than the limit is behind us."""
+        """Handle the end of a skipped message."""
 
     @abstractmethod
     def _ended(self, trouble: str) -> None:
-        """The connection is over; ``trouble`` as in "the peer <trouble>". On the reading thread, once."""
+        """Handle the end of the connection, once, on the reading thread; ``trouble`` as in "the peer <trouble>"."""
 
     def _sent(self) -> None:
-        """All that was to be sent is on its way. On any thread."""
+        """Handle the completion of a send, on any thread."""
 
     def start(self) -> None:
-        """Begin to read. On the thread that reads until then."""
+        """Begin to read; called on the thread that has been reading so far."""
         try:
             trouble = "" if self._loop.add(self) else _STOPS
         except OSError as err:
@@ -75,14 +75,14 @@ class ServiceConnection(PolledConnection):
             self.end(trouble)
 
     def cut(self) -> None:
-        """Break the connection; what was sent still goes out. From any thread, also twice."""
+        """Shut the connection down after pending output. Thread-safe, and safe to call twice."""
         with self._lock:
             if not self._over:
                 with contextlib.suppress(OSError):
                     self._sock.shutdown(socket.SHUT_RDWR)
 
     def end(self, trouble: str) -> None:
-        """Close the connection. On the reading thread alone."""
+        """Close the connection; called only on the reading thread."""
         with self._lock:
             if self._over:
                 return
@@ -94,7 +94,7 @@ class ServiceConnection(PolledConnection):
         self._ended(trouble)
 
     def send(self, *parts: bytes) -> bool:
-        """Send without waiting: now what the socket takes, the rest on a thread. False where nothing can be sent."""
+        """Send without blocking; a thread sends what the socket does not accept. Return False if it is broken."""
         with self._lock:
             if self._over:
                 return False
@@ -129,7 +129,7 @@ class ServiceConnection(PolledConnection):
             self._sent()
 
     def is_at_rest(self) -> bool:
-        """Whether all is sent, and nothing more has come in, not even the end. On the reading thread."""
+        """Return whether all is sent and no data or end is waiting to be read; called on the reading thread."""
         with self._lock:
             if self._sending:
                 return False
@@ -142,7 +142,7 @@ class ServiceConnection(PolledConnection):
         return False
 
     def take(self) -> None:
-        """See `PolledConnection`."""
+        """Read available data, without blocking."""
         try:
             self.ready()
         except Exception as err:
@@ -150,11 +150,11 @@ class ServiceConnection(PolledConnection):
             self.end(f"failed here: {type(err).__name__}: {err}")
 
     def abandon(self) -> None:
-        """See `PolledConnection`."""
+        """Close the connection, as the loop ends."""
         self.end(_STOPS)
 
     def ready(self) -> None:
-        """Read what is there, up to the end of one message. On the reading thread."""
+        """Read available data, up to the end of one message; called on the reading thread."""
         wanted = self._skip or (self._size if len(self._buffer) >= self.head else self.head) - len(self._buffer)
         try:
             data = self._sock.recv(min(wanted, _CHUNK), _NOW)
@@ -197,7 +197,7 @@ class ServiceConnection(PolledConnection):
         self._message(head, body)
 
     def _read_large(self) -> None:
-        """Read one large body, and hand the connection back to the loop."""
+        """Read one large body, and return the connection to the loop."""
         left, parts = self._size - self.head, []
         try:
             while left:

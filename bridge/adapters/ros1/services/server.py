@@ -1,4 +1,4 @@
-"""Serving on ROS 1: our node's services, and the connections of their clients."""
+"""Servers on ROS 1: this node's services, and the connections of their clients."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bridge.messages.transcode.conversion import SideType
 _log = logging.getLogger(__name__)
 
 MAX_CLIENTS = 1000
-"""Connections to one service at most; each carries one call at a time."""
+"""Limit of connections to one service; each carries one call at a time."""
 
 _NEEDED = ("md5sum", "callerid")
 _YES = ("1", "true")
@@ -41,7 +41,7 @@ class _ClientConnection(ServiceConnection):
         self._abandon: Abandon | None = None
 
     def ready(self) -> None:
-        """Read a request; during a call only the client's leaving counts."""
+        """Read a request; during a call, only check whether the client has left."""
         if not self._busy:
             super().ready()
         else:
@@ -51,7 +51,7 @@ class _ClientConnection(ServiceConnection):
                 self.end("left")
 
     def close(self, why: str) -> None:
-        """Answer the call that is under way with an error, and close."""
+        """End a pending call with an error, and close."""
         abandon, turn = self._take()
         if abandon is not None:
             abandon()
@@ -61,7 +61,7 @@ class _ClientConnection(ServiceConnection):
         else:
             self.cut()
 
-    def _message(self, head: bytes, body: bytes) -> None:  # noqa: ARG002 - a request's head is its length alone
+    def _message(self, head: bytes, body: bytes) -> None:  # noqa: ARG002 - a request's head is only its length
         with self._state:
             self._turn += 1
             turn = self._turn
@@ -83,29 +83,29 @@ class _ClientConnection(ServiceConnection):
         if left:
             abandon()
 
-    def _too_large(self, size: int) -> bool:  # noqa: ARG002 - its size is told when it is read past
+    def _too_large(self, size: int) -> bool:  # noqa: ARG002 - the error is sent once it is skipped
         return True
 
     def _skipped(self, size: int) -> None:
-        # Told only now: a connection that closes on unread bytes takes the error with it.
+        # only now: closing a connection with unread bytes would discard the error
         self._busy = True
         self._loop.listen(self, data=False)
         self._reply(CallError(f"the request has {size} bytes, limits.message allows {self._limit}"))
 
     def _done(self, turn: int, result: bytes | CallError) -> None:
-        """A call has ended, on any thread; what comes twice, or after the client has left, is dropped."""
+        """Send a call's reply, from any thread; a second one, or one after the client left, is dropped."""
         if self._take(turn)[1]:
             self._reply(result)
 
     def _take(self, turn: int = 0) -> tuple[Abandon | None, int]:
-        """End the wait for a reply, that of one turn alone where one is given: how to abandon it, and its turn."""
+        """End the wait for a reply (of one turn if given); return its abandon function and its turn."""
         with self._state:
             if not self._waits or turn not in (0, self._turn):
                 return None, 0
             self._waits = False
             abandon, self._abandon = self._abandon, None
             if not turn and abandon is None:
-                self._left = self._turn  # the call is just being made: who makes it abandons it
+                self._left = self._turn  # the call is just being started: the starting thread abandons it
             return abandon, self._turn
 
     def _reply(self, result: bytes | CallError) -> None:
@@ -132,7 +132,7 @@ class _ClientConnection(ServiceConnection):
 
 
 class Ros1Server:
-    """One service that our node serves; see `bridge.routing.edge.EdgeServer`."""
+    """One service of this node."""
 
     def __init__(self, name: str, side_type: SideType, call: Call, closed: Callable[[Ros1Server], None]) -> None:
         self.name, self.side_type, self.call = name, side_type, call
@@ -144,33 +144,33 @@ class Ros1Server:
 
     @property
     def is_open(self) -> bool:
-        """Whether calls are taken."""
+        """Whether calls are accepted."""
         return self._open
 
     @property
     def clients(self) -> int:
-        """Clients that are connected."""
+        """Number of connected clients."""
         return len(self._clients)
 
     @property
     def is_full(self) -> bool:
-        """Whether there is no room for one more client."""
+        """Whether it accepts no more clients."""
         return self.clients >= MAX_CLIENTS
 
     def add(self, client: _ClientConnection) -> bool:
-        """Take a client in, unless the service is no longer served."""
+        """Add a client; return False if the service is no longer served."""
         with self._lock:
             if self._open:
                 self._clients.add(client)
             return self._open
 
     def left(self, client: _ClientConnection) -> None:
-        """A client's connection is over."""
+        """Remove a client whose connection has ended."""
         with self._lock:
             self._clients.discard(client)
 
     def close(self) -> None:
-        """See `bridge.routing.edge.EdgeServer.close`."""
+        """End pending calls with an error, and disconnect the clients. Safe to call twice."""
         with self._lock:
             if not self._open:
                 return
@@ -182,7 +182,7 @@ class Ros1Server:
 
 
 class ServiceServers:
-    """All that our node serves; ``changed`` is called when a service came or went, for the master to know."""
+    """The services of this node; ``changed`` is called when one is added or removed, to update the master."""
 
     def __init__(self, context: Ros1Context, changed: Callable[[], None]) -> None:
         self._context, self._changed = context, changed
@@ -193,7 +193,7 @@ class ServiceServers:
         """Serve a service; raises `MessageTypeError`."""
         if not side_type.type_id or side_type.type_id == "*":
             raise MessageTypeError(
-                f"the md5 sum of {side_type.name} is not known, ROS 1 clients would refuse it",
+                f"the md5 sum of {side_type.name} is unknown, ROS 1 clients would reject it",
                 "give the type's .srv folder under types.folders",
             )
         server = Ros1Server(name, side_type, call, self._gone)
@@ -208,12 +208,12 @@ class ServiceServers:
         return server
 
     def names(self) -> Iterable[str]:
-        """The services that are served now."""
+        """Return the names of the served services."""
         with self._lock:
             return list(self._servers)
 
     def admit(self, sock: DeadlineSocket, header: Header) -> str:
-        """Take in a client whose header is read; "" or why it is not taken. Raises `OSError`."""
+        """Admit a client whose header has been read; return "" or why it is rejected. Raises `OSError`."""
         for field in _NEEDED:
             if field not in header:
                 return f"the header of a service's client needs the field {field}"
@@ -224,7 +224,7 @@ class ServiceServers:
         ours, md5 = server.side_type, header["md5sum"]
         if md5 not in ("*", ours.type_id):
             return (
-                f"{server.name}: md5 sums differ: {header['callerid']} asks for {md5}, it is {ours.name} with"
+                f"{server.name}: md5 sums differ: {header['callerid']} requests {md5}, it is {ours.name} with"
                 f" {ours.type_id}; use the same version of {ours.name.split('/')[0]} on both sides"
             )
         if server.is_full:
@@ -238,7 +238,7 @@ class ServiceServers:
         if server.add(client):
             client.start()
         else:
-            client.end("came too late")
+            client.end("connected too late")
         return ""
 
     def close(self) -> None:

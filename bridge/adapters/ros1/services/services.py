@@ -1,7 +1,7 @@
-"""The services of a ROS 1 graph: its servers, calls to them, and our servers.
+"""The services of a ROS 1 graph: native servers, clients of them, and this node's servers.
 
-A master lists only a service's node and address. Its type and md5 sum are in the header with which its server answers,
-so each new one is probed once. Clients leave no trace on the graph, so none are shown.
+A master lists only a service's node and address. Its type and md5 sum are in the server's connection header, so each
+new server is probed once. Clients do not appear on the graph, so none are listed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bridge.messages.transcode.conversion import SideType
 from bridge.routing.edge import Endpoint, Kind, MadeBy
 
 _OF_EVERY_NODE = ("/get_loggers", "/set_logger_level")
-"""A dead node leaves these on the master too; nobody misses them."""
+"""A dead node leaves these on the master, too; they are not reported."""
 
 _CHECK_PERIOD = 2.0
 
@@ -40,13 +40,13 @@ class Ros1Services(Follower[Ros1Caller]):
         self.servers.close()
 
     def seen(self, look: MasterState | None) -> None:
-        """One look at the master; on its thread."""
+        """Adopt the master's state; called on its thread."""
         own = self._context.node()
         self.take_up(frozenset(s for s in look.servers if s.node != own) if look is not None else frozenset())
         self._check_rivals()
 
     def _check_rivals(self) -> None:
-        """Check that the other servers of our services still live: nothing else notices their death."""
+        """Check that native servers of the same names are alive: nothing else notices their exit."""
         if time.monotonic() < self._check_due:
             return
         self._check_due = time.monotonic() + _CHECK_PERIOD
@@ -60,7 +60,7 @@ class Ros1Services(Follower[Ros1Caller]):
         return sorted(link for link in self._links if link.topic in ours) if ours else []
 
     def endpoints(self, look: MasterState) -> Iterator[Endpoint]:
-        """The other nodes' servers."""
+        """Yield the other nodes' servers."""
         own, facts = self._context.node(), self.prober.facts()
         midspans = {entry.get("node") for entry in look.presence.values()}
         for link in look.servers:
@@ -68,15 +68,15 @@ class Ros1Services(Follower[Ros1Caller]):
                 yield _endpoint(link, facts.get(link), midspan=link.node in midspans)
 
     def connected(self) -> frozenset[Registration]:
-        """The servers to which a caller is connected."""
+        """Return the servers to which a caller is connected."""
         return frozenset(link for end in self._followers() for link in end.connected)
 
     def is_gone(self, link: Registration) -> bool:
-        """Whether a server is known to be dead though the master still names it."""
+        """Return whether a server is known to be dead although the master still lists it."""
         return self.prober.is_gone(link)
 
     def warnings(self) -> Iterator[str]:
-        """What a person should know."""
+        """Yield servers that do not announce their type, and hub services with a native rival."""
         for link, trouble in sorted(self.prober.troubles().items()):
             if not link.topic.endswith(_OF_EVERY_NODE):
                 yield f"{link.topic}: its server {link.node} does not announce its type: {trouble}"
@@ -98,7 +98,7 @@ class Ros1Services(Follower[Ros1Caller]):
         self.prober.doubt(link, trouble)
 
     def caller(self, name: str, side_type: SideType) -> Ros1Caller:
-        """See `bridge.routing.edge.Edge.caller`."""
+        """Return a client of the native server of a service."""
         return self._add(Ros1Caller(self._context, name, side_type, self._doubted, self._remove))
 
     def _tell(self, end: Ros1Caller, known: Mapping[Registration, Facts]) -> None:

@@ -1,4 +1,4 @@
-"""One connection to a publisher: whole messages off the wire, as the bytes they are."""
+"""A connection to one publisher, which delivers whole messages as bytes."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
 _log = logging.getLogger(__name__)
 
 MAX_MESSAGE = 512 * 2**20
-"""A publisher that announces a message of more bytes is taken for a liar, and its connection is closed."""
+"""Size limit in bytes; an announcement of more counts as corrupt, and the connection is closed."""
 
 _CLOSED = "the publisher closed the connection"
 _LENGTH = struct.Struct("<I")
 _CHUNK = 64 * 1024
 _LARGE = 32 * 1024
 _TRUSTED = 16 * 2**20
-"""Bytes for which room is made because they are announced; for more, only once so many have come."""
+"""Bytes that are allocated on announcement; more only after these have arrived."""
 
 _numbers = itertools.count(1)
 
@@ -58,7 +58,7 @@ class PublisherConnection(PolledConnection):
         self._thread = threading.Thread(target=self._run, name=f"midspan-ros1-in{topic}", daemon=True)
 
     def start(self) -> None:
-        """Begin to read, unless it is closed already."""
+        """Begin to read, unless closed."""
         with self._lock:
             if self.done:
                 return
@@ -70,13 +70,13 @@ class PublisherConnection(PolledConnection):
                         self._sock.close()
                     return
             except OSError as err:
-                _log.warning("%s is read on its own: %s", self._thread.name, err)
+                _log.warning("%s is read on a separate thread: %s", self._thread.name, err)
         self._go_on_alone()
 
     @property
     def unread(self) -> bool:
         """Whether a message may have arrived, in full or in part, that has not been delivered yet."""
-        with self._lock:  # the socket is not closed meanwhile
+        with self._lock:  # prevents closing the socket meanwhile
             if self.done:
                 return False
             return not self._started or self._midway or bool(self._taken) or _is_readable(self._sock)
@@ -91,7 +91,7 @@ class PublisherConnection(PolledConnection):
                 self._sock.close()
 
     def take(self) -> Callable[[], None] | None:
-        """See `PolledConnection`."""
+        """Deliver small messages; return how to continue at a large message or at the end, else None."""
         try:
             alone = self._take_small()
         except BlockingIOError:
@@ -110,13 +110,13 @@ class PublisherConnection(PolledConnection):
             self._end(str(err))
 
     def abandon(self) -> None:
-        """See `PolledConnection`."""
+        """Close the connection, as the loop ends."""
         with self._lock:
             self.done = True
             self._sock.close()
 
     def get_transport_info(self) -> str:
-        """In the words that rosnode's parser expects."""
+        """Return the description that rosnode's parser expects."""
         return (
             f"TCPROS connection on port {self._local[1]} to [{self._peer[0]}:{self._peer[1]} on socket {self.fileno()}]"
         )
@@ -144,7 +144,7 @@ class PublisherConnection(PolledConnection):
             self._ended(trouble)
 
     def _take_small(self) -> bool:
-        """Deliver small messages; whether a large one is next. `BlockingIOError`: nothing came; `OSError`: the end."""
+        """Deliver small messages; return whether a large one is next. Raises `BlockingIOError` without data."""
         more = self._sock.recv(_CHUNK, socket.MSG_DONTWAIT)
         if not more:
             raise ConnectionResetError(_CLOSED)
@@ -170,7 +170,7 @@ class PublisherConnection(PolledConnection):
             self._deliver(payload)
 
     def _read(self, buffer: bytes = b"") -> None:
-        """Small messages come many to a chunk; after a large one, the next is read in one piece, without a copy."""
+        """Read small messages in chunks; after a large message, read the next in one piece, without a copy."""
         at, size = 0, 0
         while not self.done:
             left = len(buffer) - at
@@ -185,7 +185,7 @@ class PublisherConnection(PolledConnection):
             (size,) = _LENGTH.unpack_from(buffer, at)
             if size > MAX_MESSAGE:
                 raise Ros1ProtocolError(
-                    f"the publisher announces a message of {size} bytes, at most {MAX_MESSAGE} are read"
+                    f"the publisher announces a message of {size} bytes, the limit is {MAX_MESSAGE}"
                 )
             at += 4
             if size > self._limit:

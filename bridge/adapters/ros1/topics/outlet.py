@@ -1,4 +1,4 @@
-"""One subscriber's connection: written at once where its socket has room, else queued, never waited for."""
+"""A connection to one subscriber: writes at once if the socket has room, else queues, and never blocks."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from collections import Counter, deque
 _log = logging.getLogger(__name__)
 
 MAX_WAITING = 64 * 2**20
-"""Bytes that wait for one subscriber at most, but for the newest message."""
+"""Limit of queued bytes for one subscriber, not counting the newest message."""
 
 MAX_MESSAGES = 20_000
-"""Messages that wait for one subscriber at most, however many sources they have."""
+"""Limit of queued messages for one subscriber, over all sources."""
 
 _LENGTH = struct.Struct("<I")
 _NOW = getattr(socket, "MSG_DONTWAIT", 0)
@@ -23,9 +23,8 @@ _NOW = getattr(socket, "MSG_DONTWAIT", 0)
 class SubscriberConnection:
     """Sends messages to one subscriber without ever blocking the sender.
 
-    While the socket's buffer takes all, the sender's thread writes. A subscriber that is slower gets a thread of its
-    own and a queue in which at most ``depth`` messages of each source wait, and `MAX_WAITING` bytes; the oldest of that
-    source make room.
+    While the socket's buffer has room, the sender's thread writes. A slower subscriber gets a separate thread and a
+    queue of at most ``depth`` messages per source and `MAX_WAITING` bytes; the oldest of the source are dropped.
     """
 
     def __init__(self, sock: socket.socket, name: str) -> None:
@@ -42,11 +41,11 @@ class SubscriberConnection:
 
     @property
     def waiting(self) -> int:
-        """Messages that wait in the queue."""
+        """Number of queued messages."""
         return len(self._queue)
 
     def send(self, payload: bytes, source: str, depth: int) -> bool:
-        """Send or queue one message; False where the connection is broken."""
+        """Send or queue one message; return False if the connection is broken."""
         with self._condition:
             if self._closed:
                 return False
@@ -67,7 +66,7 @@ class SubscriberConnection:
             return True
 
     def close(self) -> None:
-        """Send no more; the socket is its owner's to close."""
+        """Stop sending; the owner closes the socket."""
         with self._condition:
             self._closed = True
             self._queue.clear()
@@ -100,7 +99,7 @@ class SubscriberConnection:
         self._condition.notify()
 
     def _next(self) -> bytes | memoryview | None:
-        """Wait for something to write, None once closed. Called with the lock held."""
+        """Wait for data to write; return None once closed. The lock is held."""
         while not self._closed and not self._rest and not self._queue:
             self._condition.wait()
         if self._closed:

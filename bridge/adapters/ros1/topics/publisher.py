@@ -1,7 +1,7 @@
-"""Publishing bytes: one rospy publication per topic, shared by all of the bridge's publishers of that topic.
+"""Publishers of raw bytes: one rospy publication per topic, shared by the bridge's publishers of that topic.
 
-A ROS 1 node has one publication per topic, while the hub has any number of publishers. Latched messages are kept here
-for each of these and given whole to every late joiner; rospy keeps only a publication's last.
+A ROS 1 node has one publication per topic, while the hub may have any number of publishers. Latched messages are
+retained here for each of them, and every late joiner receives all; rospy retains only a publication's last one.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from bridge.messages.transcode.conversion import SideType
 
 
 class Publication(_PublisherImpl):  # type: ignore[misc]  # rospy has no types
-    """One topic that our node publishes; rospy's TCPROS server hands it its subscribers."""
+    """One topic that this node publishes; rospy's TCPROS server passes it the subscribers."""
 
     def __init__(self, topic: str, side_type: SideType, origin: str, heard_changed: Callable[[], None]) -> None:
-        # rospy compares and announces these attributes; an AnyMsg of its own only serves AnyMsg subscribers.
+        # rospy compares and announces these attributes; a plain AnyMsg would only serve AnyMsg subscribers
         names = {"_type": side_type.name, "_md5sum": side_type.type_id, "_full_text": side_type.definition}
         message = type("Raw", (rospy.AnyMsg,), {**names, "__slots__": []})
         super().__init__(topic, message)
@@ -44,15 +44,15 @@ class Publication(_PublisherImpl):  # type: ignore[misc]  # rospy has no types
 
     @property
     def is_latch(self) -> bool:
-        """What the connection header says as ``latching``."""
+        """The value of ``latching`` in the connection header."""
         return self.latches > 0
 
     @is_latch.setter
     def is_latch(self, value: bool) -> None:
-        """Rospy's constructor sets it; here the publishers that share the topic decide."""
+        """Ignore the value of rospy's constructor: the publishers that share the topic decide."""
 
     def add_connection(self, transport: Any) -> bool:
-        """A subscriber is connected: it gets what is retained, and then everything new."""
+        """Add a subscriber, and send it the retained messages."""
         sock = transport.socket
         sock.deadline = math.inf
         sock.settimeout(None)
@@ -70,7 +70,7 @@ class Publication(_PublisherImpl):  # type: ignore[misc]  # rospy has no types
         return True
 
     def remove_connection(self, transport: Any) -> None:
-        """A subscriber is gone."""
+        """Remove a subscriber."""
         with self.c_lock:
             outlet = self._outlets.get(transport)
             if outlet is not None:
@@ -93,7 +93,7 @@ class Publication(_PublisherImpl):  # type: ignore[misc]  # rospy has no types
         self.connection_poll.poller.close()
 
     def send(self, payload: bytes, source: str, depth: int, *, retain: bool) -> None:
-        """Publish to all subscribers without waiting for any."""
+        """Publish to all subscribers without blocking."""
         with self.c_lock:
             if self.closed:
                 return
@@ -108,7 +108,7 @@ class Publication(_PublisherImpl):  # type: ignore[misc]  # rospy has no types
             transport.close()
 
     def forget(self, source: str) -> None:
-        """Drop what is retained of a source."""
+        """Drop a source's retained messages."""
         with self.c_lock:
             self._retained.pop(source, None)
 
@@ -119,14 +119,14 @@ class Publication(_PublisherImpl):  # type: ignore[misc]  # rospy has no types
 
     @property
     def dropped(self) -> int:
-        """Messages that slow subscribers did not get."""
+        """Number of messages that slow subscribers missed."""
         return self.dropped_before + sum(o.dropped for o in self._outlets.values())
 
 
 def _acquire(
     topic: str, side_type: SideType, origin: str, heard_changed: Callable[[], None], *, latched: bool
 ) -> Publication:
-    """The publication of a topic. rospy's own ``Publisher`` registers before its header fields are set."""
+    """Return the publication of a topic. rospy's own ``Publisher`` registers before its header fields are set."""
     topics = registration.get_topic_manager()
     with topics.lock:
         publication = topics.pubs.get(topic)
@@ -148,14 +148,14 @@ def _acquire(
 
 
 class Ros1Publisher:
-    """One of the bridge's publishers of a topic; see `bridge.routing.edge.EdgePublisher`."""
+    """One of the bridge's publishers of a topic."""
 
     def __init__(
         self, topic: str, side_type: SideType, qos: Qos, origin: str, heard_changed: Callable[[], None]
     ) -> None:
         if not side_type.type_id or side_type.type_id == "*":
             raise MessageTypeError(
-                f"the md5 sum of {side_type.name} is not known, ROS 1 subscribers would refuse it",
+                f"the md5 sum of {side_type.name} is unknown, ROS 1 subscribers would reject it",
                 "give the type's .msg folder under types.folders",
             )
         self._latched, self._depth = qos.latched, max(qos.depth, 1)
@@ -165,7 +165,7 @@ class Ros1Publisher:
         self._publication = _acquire(topic, side_type, origin, heard_changed, latched=qos.latched)
 
     def send(self, payload: bytes, source: str) -> None:
-        """Publish bytes of the hub publisher ``source``; retained for late joiners where this publisher is latched."""
+        """Publish a message of the hub publisher ``source``; retained for late joiners if this publisher is latched."""
         if self._closed:
             return
         if self._latched:
@@ -173,12 +173,12 @@ class Ros1Publisher:
         self._publication.send(payload, source, self._depth, retain=self._latched)
 
     def forget(self, source: str) -> None:
-        """The hub publisher ``source`` is gone: late joiners get its last message no more."""
+        """Drop the retained messages of a hub publisher that left."""
         self._sources.discard(source)
         self._publication.forget(source)
 
     def close(self) -> None:
-        """Give the endpoint back; the topic is unregistered with its last publisher."""
+        """Close the publisher; the last one of a topic unregisters it. Safe to call twice."""
         if self._closed:
             return
         self._closed = True
@@ -191,7 +191,7 @@ class Ros1Publisher:
 
     @property
     def subscribers(self) -> frozenset[str]:
-        """The nodes that are connected to the topic now."""
+        """The nodes that are connected to the topic."""
         return frozenset(transport.endpoint_id for transport in self._publication.connections)
 
     @property
@@ -201,21 +201,21 @@ class Ros1Publisher:
 
     @property
     def dropped(self) -> int:
-        """Messages of this topic that slow subscribers did not get."""
+        """Number of messages of this topic that slow subscribers missed."""
         return self._publication.dropped
 
 
 # -- publications that ended -------------------------------------------------------------------------------------------
-# A subscriber that read of a publication a moment before its end, and connects now, gets a header and is let go.
+# A subscriber that learned of a publication just before its end, and connects later, gets a header and is disconnected.
 #
-# rospy never tries a publisher again whose connection header was an error, or did not come: the connection that failed
-# stays in its list for good, and while one of a publisher is in there, no master's word of that publisher counts
+# rospy never retries a publisher whose connection header was an error or missing: the failed connection stays in its
+# list permanently, and while it is listed, the master's updates about that publisher are ignored
 # (``robust_connect_subscriber`` of ``tcpros_pubsub.py`` and ``_connect_topic`` of ``masterslave.py``, rospy 1.15.15;
-# seen with workers that were killed one after the other). Such a subscriber would hear nothing of a topic that we
-# publish again later, until one of the two is restarted. A connection that ends after its header is removed as usual.
+# observed with workers that were killed in sequence). Such a subscriber would receive nothing on a topic that Midspan
+# publishes again later, until one of the two is restarted. A connection that ends after its header is removed as usual.
 
 _MOST = 2000
-"""Topics that are remembered; of more, those that ended first are forgotten."""
+"""Limit of stored topics; beyond it, those that ended first are dropped."""
 
 _ANY = "*"
 
@@ -224,7 +224,7 @@ _headers: dict[str, dict[str, str]] = {}
 
 
 def note_ended(topic: str, header: Mapping[str, str]) -> None:
-    """A publication ends; ``header`` is what its subscribers got as connection header."""
+    """Store the connection ``header`` of a publication that ends."""
     with _lock:
         _headers.pop(topic, None)
         _headers[topic] = dict(header)
@@ -233,7 +233,7 @@ def note_ended(topic: str, header: Mapping[str, str]) -> None:
 
 
 def late_header(header: Mapping[str, str]) -> dict[str, str] | None:
-    """The connection header for one who comes too late, given its own; None where that is no subscriber of ours."""
+    """Return the connection header for a late subscriber with ``header``; None if the topic or type never matched."""
     with _lock:
         found = _headers.get(header.get("topic", ""))
     return found if found is not None and header.get("md5sum") in {_ANY, found["md5sum"]} else None

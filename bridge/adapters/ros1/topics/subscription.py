@@ -1,9 +1,9 @@
-"""A subscription: registered through rospy, read by our own connections.
+"""Subscriptions that are registered through rospy and read by Midspan's own connections.
 
-rospy's ``Subscriber`` with ``AnyMsg`` connects to every publisher of a topic, whoever made it, puts no limit on a
-message's length, and asks the master for parameters in the caller's thread. Here a connection is opened to publishers
-that are known to be native and of the subscription's type only. Messages of a Midspan are not even received, and a
-latched message is not lost while its publisher is not yet known.
+rospy's ``Subscriber`` with ``AnyMsg`` connects to every publisher of a topic, including Midspan's, does not limit the
+size of messages, and reads parameters from the master in the caller's thread. This module connects only to publishers
+that are known to be native and of the subscription's type. Messages of a Midspan are not even received, and a latched
+message is not lost while its publisher is not yet known.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ _log = logging.getLogger(__name__)
 _FIRST_WAIT = 0.2
 _LONGEST_WAIT = 5.0
 SETTLE_SECONDS = 0.5
-"""How long a publisher that is new is left unread. The other sides are about to make their ends of the topic, and what
-came through before these know each other was lost; so it waits in the connection. Fast DDS often needs over 0.2 s."""
+"""How long a new publisher is left unread. Meanwhile the other sides create their endpoints of the topic; messages sent
+before these have discovered their peers would be lost, so they wait in the connection. Fast DDS often needs over 0.2
+s."""
 
 
 class _SubscribedTopic(_TopicImpl):  # type: ignore[misc]  # rospy has no types
@@ -40,11 +41,12 @@ class _SubscribedTopic(_TopicImpl):  # type: ignore[misc]  # rospy has no types
     def __init__(self, topic: str) -> None:
         super().__init__(topic, rospy.AnyMsg)
         self.resolved_name = self.name = topic
-        # rospy spends an epoll descriptor per topic on broken connections; our readers notice these themselves.
+        # rospy uses an epoll descriptor per topic to detect broken connections; Midspan's readers detect these
+        # themselves
         self.connection_poll.poller.close()
 
     def check(self) -> None:
-        """Nothing to look for; see the constructor."""
+        """Do nothing: the readers detect broken connections."""
 
     def get_stats(self) -> tuple[str, list[tuple[str, int, int, int, bool]]]:
         connections = [(c.id, c.stat_bytes, c.stat_num_msg, -1, not c.done) for c in self.connections]
@@ -79,7 +81,7 @@ class _PublisherState:
     wait: float = _FIRST_WAIT
 
     def is_due(self, now: float, facts: Facts) -> bool:
-        """Whether to connect: without a connection, or again for the latched message of one that latches by now."""
+        """Return whether to connect: for the first time, or again to receive a latched message."""
         missing = self.reader is None or (facts.latching and not self.latching)
         return missing and not self.connecting and self.due <= now
 
@@ -89,7 +91,7 @@ class _PublisherState:
 
 
 class Ros1Subscription:
-    """Keeps a connection to each native publisher of one topic that has the wanted type; TCP loses nothing."""
+    """Maintains a connection to each native publisher of one topic with the wanted type; TCP loses nothing."""
 
     lost = 0
 
@@ -109,19 +111,19 @@ class Ros1Subscription:
 
     @property
     def restless(self) -> bool:
-        """Whether a publisher is to be connected to."""
+        """Whether it needs to connect to a publisher."""
         return any(source.reader is None for source in list(self._publishers.values()))
 
     @property
     def connected(self) -> frozenset[Registration]:
-        """The publishers that are connected now."""
+        """The connected publishers."""
         sources = list(self._publishers.items())
         return frozenset(link for link, source in sources if source.reader is not None and not source.reader.done)
 
     def unread(self, node: str, uri: str, *, listed: bool) -> bool:
-        """Whether a node may have published a message that has not been delivered yet.
+        """Return whether a node may have published a message that is not delivered yet.
 
-        It may have if its connection is not read yet, or has bytes waiting. ``listed``: also if no connection to the
+        That is so if its connection is not read yet, or has unread bytes. ``listed``: also if no connection to the
         node has been made yet, although the master lists it as a publisher of the topic.
         """
         link = Registration(node, self.topic, uri)
@@ -132,7 +134,7 @@ class Ros1Subscription:
         return (source.fresh or listed) if source.reader is None else source.reader.unread
 
     def follow(self, publishers: Mapping[Registration, Facts]) -> None:
-        """Take up the topic's publishers as they are known now."""
+        """Adopt the topic's current publishers, and connect to new ones."""
         wanted = {link for link, facts in publishers.items() if facts.fits(self._md5)}
         now = time.monotonic()
         with self._lock:
@@ -150,7 +152,7 @@ class Ros1Subscription:
             self._context.pool.submit(link.uri, lambda link=link, source=source: self._connect(link, source))  # type: ignore[misc]
 
     def close(self) -> None:
-        """Close all connections and give the registration back. Safe to call twice."""
+        """Close all connections and unregister. Safe to call twice."""
         self._on_closed(self)
         with self._lock:
             if self._closed:
@@ -172,7 +174,7 @@ class Ros1Subscription:
         facts = Facts.of(header)
         if not facts.fits(self._md5):
             sock.close()
-            self._prober.doubt(link, "the publisher changed its type or its maker")
+            self._prober.doubt(link, "the publisher changed its type or its origin")
             return
         self._prober.learned(link, facts)
         endpoint = publisher_id(link, latching=facts.latching)
@@ -183,9 +185,9 @@ class Ros1Subscription:
                 lambda trouble: self._ended(link, source, reader, trouble),
                 self._refused, self._context.limit, self._context.loop,
             )  # fmt: skip
-        except OSError as err:  # it has broken again
+        except OSError as err:  # the connection broke
             sock.close()
-            self._failed(link, source, unanswered(f"{link.node} breaks off", err))
+            self._failed(link, source, unanswered(f"{link.node} disconnected", err))
             return
         with self._lock:
             wanted = self._publishers.get(link) is source
@@ -214,7 +216,7 @@ class Ros1Subscription:
             source.postpone()
         if isinstance(err, UnreachableError):
             self._context.pool.failed(link.uri)
-        if not isinstance(err, ExhaustedError):  # it may be gone though it is listed: unknown until it answers a probe
+        if not isinstance(err, ExhaustedError):  # it may be dead although listed: unknown until it responds to a probe
             self._prober.doubt(link, str(err))
 
     def _ended(self, link: Registration, source: _PublisherState, reader: PublisherConnection, trouble: str) -> None:

@@ -1,4 +1,4 @@
-"""The topics of a ROS 1 graph: which publishers and subscribers there are, and ours."""
+"""The topics of a ROS 1 graph: native publishers and subscribers, and Midspan's."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Ros1Topics(Follower["Ros1Subscription"]):
         self._refused = refused
 
     def endpoints(self, look: MasterState) -> Iterator[Endpoint]:
-        """The other nodes' publishers and subscriptions."""
+        """Yield the other nodes' publishers and subscriptions."""
         own, facts = self._context.node(), self.prober.facts()
         for link in look.publishers:
             if link.node != own:
@@ -38,11 +38,11 @@ class Ros1Topics(Follower["Ros1Subscription"]):
                 yield _subscriber(link, look, midspan=link.node in midspans)
 
     def connected(self) -> frozenset[Registration]:
-        """The publishers to which a subscription is connected."""
+        """Return the publishers to which a subscription is connected."""
         return frozenset(link for end in self._followers() for link in end.connected)
 
     def warnings(self) -> Iterator[str]:
-        """What a person should know."""
+        """Yield publishers that do not announce their type."""
         for link, trouble in sorted(self.prober.troubles().items()):
             yield f"{link.topic}: its publisher {link.node} does not announce its type: {trouble}"
 
@@ -50,14 +50,14 @@ class Ros1Topics(Follower["Ros1Subscription"]):
         self, topic: str, side_type: SideType, deliver: Deliver, suffix: str = "", *, fresh: bool = False,
         settle: bool = True,
     ) -> Ros1Subscription:  # fmt: skip
-        """Subscribe to the native publishers of a topic that have this type, as our node's name with a suffix.
+        """Subscribe to the native publishers of a topic with this type, under this node's name plus ``suffix``.
 
-        ``fresh``: nothing is delivered that was published before the subscription was made, as befits commands.
-        ``settle``: leave a new publisher unread until the other sides have made their ends of the topic.
+        ``fresh``: messages from before the subscription are not delivered, as commands require.
+        ``settle``: leave a new publisher unread until the other sides have created their endpoints of the topic.
         """
         from bridge.adapters.ros1.topics.subscription import SETTLE_SECONDS, Ros1Subscription
 
-        own = not suffix  # the prober's connections bear our node's own name
+        own = not suffix  # the prober's connections use the node's plain name
         take = self.prober.take if own and not fresh else self.prober.discard if own else lambda _: None
         refused = partial(self._refused, topic)
         return self._add(Ros1Subscription(

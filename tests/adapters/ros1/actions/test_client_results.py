@@ -34,10 +34,10 @@ def test_goals_out_of_sight_say_why(world):
     gone, forgotten = world.send(1), world.send(2)
     world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
     world.says((1, Ros1State.ACTIVE))
-    world.client.lost("its action server /move_base is gone")
+    world.client.lost("its action server /move_base left")
     assert accepted(gone)
     assert accepted(forgotten)
-    assert reason(world.ask(1)) == "lost sight of the goal: its action server /move_base is gone"
+    assert reason(world.ask(1)) == "lost sight of the goal: its action server /move_base left"
     assert reason(world.ask(2)) == "lost sight of the goal: the server no longer lists it"
 
 

@@ -148,7 +148,7 @@ def test_a_hub_server_that_goes_ends_its_goals(master, edge, clients):
     abandoned = act.hub.services["get_result"]
     act.hub.close()
     outcome = act.done(1)
-    assert (outcome["state"], outcome["text"]) == (Ros1State.ABORTED, "the action server is gone")
+    assert (outcome["state"], outcome["text"]) == (Ros1State.ABORTED, "the action server left")
     assert edge.ask("calls", id=abandoned)["abandoned"] == [0]
     again = HubServer(edge, "/gone")
     assert peer.ask("wait_for_server", id=act.id, seconds=SECONDS)["there"]

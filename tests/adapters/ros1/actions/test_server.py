@@ -303,7 +303,7 @@ def test_a_server_that_is_gone_ends_all_goals_once(world):
     world.ends(a, GoalState.SUCCEEDED)
     c = world.running("c")
     world.says({c: GoalState.EXECUTING, bytes(range(16)): GoalState.EXECUTING})
-    world.server.close("the action server is gone")
+    world.server.close("the action server left")
     assert [(i, s) for i, s, _, _ in world.results] == [
         ("a", Ros1State.SUCCEEDED), ("b", Ros1State.ABORTED), ("c", Ros1State.ABORTED)
     ]  # fmt: skip

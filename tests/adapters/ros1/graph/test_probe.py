@@ -212,6 +212,6 @@ def test_a_port_of_yarp_that_knows_no_type_yet_is_asked_again(prober):
         link = Registration("/talker", "/t", uri)
         links = frozenset({link})
         prober.follow(links)
-        until(lambda: "names no type" in prober.troubles().get(link, ""), "it has told no type")
+        until(lambda: "has no type" in prober.troubles().get(link, ""), "it has told no type")
         port.type = "std_msgs/String"
         assert known(prober, links, link).type == "std_msgs/String"

@@ -159,7 +159,7 @@ def test_probes_and_clients_of_any_md5(bench):
 def test_clients_that_are_refused(bench):
     _, header = bench.connect(md5sum="0ther")
     assert header == {
-        "error": "/serve: md5 sums differ: /client asks for 0ther, it is pkg/Serve with 5e7e; use the same version of"
+        "error": "/serve: md5 sums differ: /client requests 0ther, it is pkg/Serve with 5e7e; use the same version of"
         " pkg on both sides"
     }
     assert "/midspan does not serve /other" in bench.connect(service="/other")[1]["error"]

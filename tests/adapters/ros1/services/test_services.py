@@ -200,7 +200,7 @@ def test_clients_are_served(master, edge):
                 assert (end["reply"], end["error"]) == ({"success": True, "message": f"{number}"}, "")
         wrong = peer.ask("call", service="/ours/set", type="std_srvs/Empty")["id"]
         assert (
-            "md5 sums differ: /client asks for d41d8cd98f00b204e9800998ecf8427e"
+            "md5 sums differ: /client requests d41d8cd98f00b204e9800998ecf8427e"
             in peer.ask("result", id=wrong)["error"]
         )
     give_back(master, edge, served, "/ours/set")
