@@ -71,8 +71,8 @@ class Ros1Edge(SideEdge):
         self._publishers: frozenset[Registration] = frozenset()
         self._check_due = 0.0
         self._presence = self._links = NodeConnections(self._caller, self._presence_changed, self._wake_master)
-        found, limit = self._peer_changed, config.limits.message_bytes
-        context = Ros1Context(self._pool, self._loop, self._timer, self._caller, config.name, found, limit)
+        peer_changed, limit = self._peer_changed, config.limits.message_bytes
+        context = Ros1Context(self._pool, self._loop, self._timer, self._caller, config.name, peer_changed, limit)
         self._topics = Ros1Topics(context, self._refuse)
         self._services = Ros1Services(context, self._wake_master, self._doubt_service)
         check = config.ros1.goal_frames == "check"
@@ -184,8 +184,8 @@ class Ros1Edge(SideEdge):
 
     def is_heard(self, topic: str) -> bool:
         """Return whether another node subscribes to a topic; called every second, so it creates no endpoints."""
-        look, own = self._look, self._caller()
-        return look is not None and any(s.topic == topic and s.node != own for s in look.subscribers)
+        look, node = self._look, self._caller()
+        return look is not None and any(s.topic == topic and s.node != node for s in look.subscribers)
 
     def others(self) -> Sequence[NodeEntry]:
         """Return the other Midspan nodes on this network that are alive, in the order of their names."""
@@ -209,11 +209,11 @@ class Ros1Edge(SideEdge):
                 " clock.source to sim, or the parameter to false"
             )
         warnings += self._topics.warnings()
-        heard = {(s.topic, s.node) for s in self._look.subscribers} if self._look is not None else set()
+        subscribed = {(s.topic, s.node) for s in self._look.subscribers} if self._look is not None else set()
         turned_away = self._node.turned_away() if self._node is not None else {}
-        for (topic, node), why in sorted(turned_away.items()):
-            if (topic, node) in heard:
-                warnings.append(f"{topic}: {node} does not receive it: {why}")
+        for (topic, node), reason in sorted(turned_away.items()):
+            if (topic, node) in subscribed:
+                warnings.append(f"{topic}: {node} does not receive it: {reason}")
         parameters = [] if self._parameters is None else self._parameters.warnings()
         return [*warnings, *self._services.warnings(), *self._actions.warnings(), *parameters]
 
@@ -249,11 +249,11 @@ class Ros1Edge(SideEdge):
     def _watch_others(self, look: MasterState | None) -> None:
         """Follow the entries of the other Midspan nodes; without a master only their connections remain."""
         assert self._master is not None
-        own = self._master.presence()
-        if look is None or NodeEntry.parse(look.presence.get(own.key)) != own:
+        entry = self._master.presence()
+        if look is None or NodeEntry.parse(look.presence.get(entry.key)) != entry:
             self._settled = float("-inf")
             return
-        self._links.follow(others(look, own))
+        self._links.follow(others(look, entry))
         before, self._settled = self._settled, self._master.looked
         if self._settled - before > _LONG:  # the first read, or the first after a suspension: the watch waits for it
             self._presence_changed()

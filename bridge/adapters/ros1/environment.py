@@ -124,9 +124,9 @@ def _ros1_paths(environ: Mapping[str, str], folder: Path) -> list[str]:
 
 def _foreign_libraries(environ: Mapping[str, str]) -> str:
     """Return LD_LIBRARY_PATH without this Python's own folders, which the ROS 2 wheels add."""
-    own = Path(sys.prefix)
+    prefix = Path(sys.prefix)
     paths = [p for p in environ.get("LD_LIBRARY_PATH", "").split(os.pathsep) if p]
-    return os.pathsep.join(p for p in paths if own not in Path(p).parents)
+    return os.pathsep.join(p for p in paths if prefix not in Path(p).parents)
 
 
 def _set_address(env: dict[str, str], config: Config) -> None:
@@ -166,16 +166,16 @@ def _links(folder: Path, cache: Path) -> Path:
             os.utime(links)
         return links
     cache.mkdir(parents=True, exist_ok=True)
-    made = Path(tempfile.mkdtemp(prefix="ros1-making-", dir=cache))
+    draft = Path(tempfile.mkdtemp(prefix="ros1-making-", dir=cache))
     try:
         for name, target in targets.items():
-            (made / name).symlink_to(target)
-        made.chmod(0o755)
+            (draft / name).symlink_to(target)
+        draft.chmod(0o755)
         # another process may have been faster; its folder is the same
         with contextlib.suppress(OSError):
-            made.rename(links)
+            draft.rename(links)
     finally:
-        shutil.rmtree(made, ignore_errors=True)
+        shutil.rmtree(draft, ignore_errors=True)
     _prune(cache, links)
     return links
 

@@ -56,16 +56,16 @@ class NameTable:
 
     def learn(self, side_names: Iterable[str]) -> None:
         """Update the names that are on the graph."""
-        here, before = frozenset(side_names), self._here
-        self._here = here
-        new = here - before
+        names, before = frozenset(side_names), self._here
+        self._here = names
+        new = names - before
         changed = {name: legal for name in new if (legal := hub_name(name)) != name}
         if len(self._changed) + len(changed) > MAX_NAMES:
-            self._changed = {name: hub_name(name) for name in here if hub_name(name) != name}
+            self._changed = {name: hub_name(name) for name in names if hub_name(name) != name}
             self._own = set()
         else:
             self._changed |= changed
-        taken = here.intersection(self._changed.values())
+        taken = names.intersection(self._changed.values())
         if changed or not taken <= self._own:
             self._own |= taken
             back: dict[str, str] = {}

@@ -187,8 +187,8 @@ class Ros1Actions:
         facts = self._network.facts()
         for caller in callers:
             caller.poll(self._natives(caller.name, facts))
-        for one in served:
-            one.poll(next((s.node for s in self._natives(one.name, facts)), ""))
+        for action in served:
+            action.poll(next((s.node for s in self._natives(action.name, facts)), ""))
 
     def _natives(self, name: str, facts: Mapping[Registration, Facts]) -> list[FoundServer]:
         return [s for s in self._found.servers.get(name, ()) if discovery.is_native(s, facts)]

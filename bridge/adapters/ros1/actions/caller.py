@@ -92,8 +92,8 @@ class ActionCaller(ActionTopics):
         unsure, self._unsure = self._unsure, []
         for _, done, _ in unsure:
             done(_REJECTED)
-        gone = server is not None and not self._is_present(server)
-        self._client.close(GONE.format(server.node) if server is not None and gone else reason)
+        left = server is not None and not self._is_present(server)
+        self._client.close(GONE.format(server.node) if server is not None and left else reason)
 
     def _listen(self, part: str, deliver: Deliver) -> None:
         self._listeners[part].append(deliver)
@@ -153,8 +153,10 @@ class ActionCaller(ActionTopics):
         if server is None:
             return
         listening = {part for part, publisher in self._publishers.items() if server.node in publisher.subscribers}
-        heard = all(server.link(part) in subscription.connected for part, subscription in self._subscriptions.items())
-        ready = heard and listening >= discovery.TO_SERVER
+        subscribed = all(
+            server.link(part) in subscription.connected for part, subscription in self._subscriptions.items()
+        )
+        ready = subscribed and listening >= discovery.TO_SERVER
         if ready and not self._ready:
             self._client.connected()
         elif self._ready and not ready:

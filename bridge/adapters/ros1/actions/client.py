@@ -86,11 +86,11 @@ class ActionlibClient:
         except ConversionError as err:
             done(CallError(str(err)))
             return nothing
-        why = self._gone or ("there are too many goals" if self._goals.full else "")
-        if not why and (uuid == ANY or self._goals.by_uuid(uuid) is not None):
-            why = "its UUID was used before"
-        if why:
-            self._refuse(done, why)
+        reason = self._gone or ("there are too many goals" if self._goals.full else "")
+        if not reason and (uuid == ANY or self._goals.by_uuid(uuid) is not None):
+            reason = "its UUID was used before"
+        if reason:
+            self._refuse(done, reason)
             return nothing
         goal = TrackedGoal(uuid, states.text_of(uuid), self._clock(), body, ours=True, asker=done)
         self._goals.add(goal)
@@ -318,26 +318,26 @@ class ActionlibClient:
             self._cancels.confirmed(goal)
             self._cancels.send()
 
-    def _refuse(self, done: Done, why: str) -> None:
-        _log.warning("%s: a goal is rejected: %s", self.name, why)
+    def _refuse(self, done: Done, reason: str) -> None:
+        _log.warning("%s: a goal is rejected: %s", self.name, reason)
         done(_REFUSED)
 
-    def _drop(self, goal: TrackedGoal, why: str) -> None:
+    def _drop(self, goal: TrackedGoal, reason: str) -> None:
         """Reject a goal that was not accepted."""
         goal.refused, goal.body, goal.result = True, None, b""
         self._goals.end(goal, self._clock())
         asker, goal.asker = goal.asker, None
         if asker is not None:
-            self._refuse(asker, why)
+            self._refuse(asker, reason)
         for done in goal.waiting:
             done(wire.result_response(GoalState.UNKNOWN, self._empty))
         goal.waiting.clear()
         self._cancels.send()
 
-    def _lose(self, goal: TrackedGoal, why: str) -> None:
+    def _lose(self, goal: TrackedGoal, reason: str) -> None:
         """End a goal as UNKNOWN: its state is no longer reported, and it may still be executing."""
-        _log.warning("%s: lost sight of goal %s: %s", self.name, goal.id, why)
-        goal.lost, goal.text = True, LOST + why
+        _log.warning("%s: lost sight of goal %s: %s", self.name, goal.id, reason)
+        goal.lost, goal.text = True, LOST + reason
         asker, goal.asker = goal.asker, None
         if asker is not None:
             asker(CallError(goal.text))

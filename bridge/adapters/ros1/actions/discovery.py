@@ -83,12 +83,12 @@ def find(look: MasterState, own: str) -> FoundActions:
 
 def _by_node(links: Iterable[Registration], own: str) -> dict[tuple[str, str, str], set[str]]:
     """Return which of the five topics each node has, by action, node and address."""
-    found: dict[tuple[str, str, str], set[str]] = defaultdict(set)
+    topics: dict[tuple[str, str, str], set[str]] = defaultdict(set)
     for node, topic, uri in links:
         name, _, part = topic.rpartition("/")
         if node != own and name and (part in FROM_SERVER or part in TO_SERVER):
-            found[name, node, uri].add(part)
-    return found
+            topics[name, node, uri].add(part)
+    return topics
 
 
 def _type(name: str, types: Mapping[str, str]) -> str:
@@ -103,8 +103,8 @@ def _type(name: str, types: Mapping[str, str]) -> str:
 
 def is_native(server: FoundServer, facts: Mapping[Registration, Facts]) -> bool | None:
     """Return whether a server is native and not Midspan's; None until it has responded."""
-    found = [facts.get(server.link(part)) for part in FROM_SERVER]
-    return None if None in found else all(f is not None and f.native for f in found)
+    known = [facts.get(server.link(part)) for part in FROM_SERVER]
+    return None if None in known else all(f is not None and f.native for f in known)
 
 
 def part_type(action_type: str, part: str) -> str:

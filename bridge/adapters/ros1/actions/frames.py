@@ -95,10 +95,10 @@ def names_frames(schema: Schema) -> bool:
 def frames_in(schema: Schema, data: bytes) -> list[FrameId]:
     """Return the frames of all headers in a ROS 1 message, in order; raises `ConversionError` if malformed."""
     walk = _Walk(schema, data)
-    found = list(walk.message(schema.root, ""))
+    frames = list(walk.message(schema.root, ""))
     if walk.at != len(data):
         raise ConversionError(f"{schema.name} has {len(data) - walk.at} bytes too many")
-    return found
+    return frames
 
 
 def without_slashes(data: bytes, frames: list[FrameId]) -> bytes:
@@ -122,8 +122,8 @@ def _empty_size(schema: Schema, definition: Definition) -> int:
             size += 4
             continue
         nested = kind.base not in _SIZES and kind.nested
-        one = _empty_size(schema, schema.types[kind.base]) if nested else _SIZES.get(kind.base, 4)
-        size += one * (kind.length if kind.shape is Shape.ARRAY else 1)
+        item = _empty_size(schema, schema.types[kind.base]) if nested else _SIZES.get(kind.base, 4)
+        size += item * (kind.length if kind.shape is Shape.ARRAY else 1)
     return size
 
 
@@ -221,10 +221,10 @@ class FrameGuard:
     def _follow(self) -> None:
         with self._lock:
             wanted = self._topics if self._users and self._network.check_frames else frozenset()
-            gone = [self._subscriptions.pop(topic) for topic in self._subscriptions.keys() - wanted]
+            removed = [self._subscriptions.pop(topic) for topic in self._subscriptions.keys() - wanted]
             for topic in wanted - self._subscriptions.keys():
                 self._subscriptions[topic] = self._network.subscribe(topic, _TF, self._on_transforms, "_frames")
-        for subscription in gone:
+        for subscription in removed:
             subscription.close()
 
     def _on_transforms(self, payload: bytes, _source: str, _time: int | None) -> None:

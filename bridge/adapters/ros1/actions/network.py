@@ -96,10 +96,10 @@ def types_of(registry: Registry, action_type: str) -> ActionMessages:
 
 
 def _body(message: SideType, name: str) -> Schema:
-    found = parse_full(message.definition, message.name, World.ROS1)
-    if name not in found:
+    definitions = parse_full(message.definition, message.name, World.ROS1)
+    if name not in definitions:
         raise MessageTypeError(f"{message.name} has no {name}: it is not the message of an action")
-    return closure(found[name], found)
+    return closure(definitions[name], definitions)
 
 
 def learn(network: ActionNetwork, topics: Mapping[str, str]) -> None:
@@ -216,12 +216,12 @@ class LingeringPublishers:
             self._close([m for m in self._open.values() if m.until < math.inf])
 
     def _give_back(self, lent: _Lent) -> None:
-        gone = self._is_gone(lent.topic.rpartition("/")[0])
+        absent = self._is_gone(lent.topic.rpartition("/")[0])
         with self._lock:
             if self._open.get(lent.topic) is not lent or lent.until < math.inf:
                 return
             del self._open[lent.topic]
-            if not gone:
+            if not absent:
                 lent.publisher.close()
                 return
             lent.until = time.monotonic() + KEPT_SECONDS

@@ -189,17 +189,17 @@ class ActionlibServer:
 
     def _cancel_answered(self, reply: bytes | CallError) -> None:
         """Log a failed request; ROS 1's clients see it when the goal ends in another state."""
-        why = str(reply)
+        reason = str(reply)
         if isinstance(reply, bytes):
             try:
                 code, _ = wire.read_cancel_response(reply)
             except ConversionError as err:
-                why = str(err)
+                reason = str(err)
             else:
                 if code != CancelCode.REJECTED:
                     return
-                why = "the action server rejected it"
-        _log.warning("%s: a cancel request had no effect: %s", self.name, why)
+                reason = "the action server rejected it"
+        _log.warning("%s: a cancel request had no effect: %s", self.name, reason)
 
     # -- events of the hub's server ------------------------------------------------------------------------------------
 
@@ -207,21 +207,21 @@ class ActionlibServer:
         if entry.state.ended or entry.uuid is None:
             return
         accepted = False
-        why = reply
+        error = reply
         if isinstance(reply, bytes):
             try:
                 accepted = wire.read_goal_response(reply)
             except ConversionError as err:
-                why = CallError(str(err))
+                error = CallError(str(err))
         if accepted:
             entry.accepted = True
             if entry.state is not Ros1State.PENDING and entry.state is not Ros1State.ACTIVE:
                 self._send_cancel(entry)
             self._output.call(GET_RESULT, entry.uuid, lambda result: self._ended(entry, result))
-        elif isinstance(why, UnsentCallError):
-            self._end(entry, Ros1State.REJECTED, self._empty, str(why))
-        elif isinstance(why, CallError):
-            self._end(entry, Ros1State.ABORTED, self._empty, str(why))
+        elif isinstance(error, UnsentCallError):
+            self._end(entry, Ros1State.REJECTED, self._empty, str(error))
+        elif isinstance(error, CallError):
+            self._end(entry, Ros1State.ABORTED, self._empty, str(error))
         else:
             self._end(entry, Ros1State.REJECTED, self._empty, "the action server rejected the goal")
         self._flush()

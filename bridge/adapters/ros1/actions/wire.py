@@ -127,9 +127,9 @@ def goal_id(goal: GoalId) -> bytes:
 def read_goal_id(payload: bytes) -> GoalId:
     """Parse an actionlib_msgs/GoalID."""
     cursor = _Cursor(payload, "a GoalID")
-    found = cursor.goal_id()
+    goal = cursor.goal_id()
     cursor.end()
-    return found
+    return goal
 
 
 def action_goal(goal: GoalId, body: bytes) -> bytes:
@@ -169,9 +169,9 @@ def read_statuses(payload: bytes) -> list[GoalStatus]:
     count = cursor.number()
     if count > MAX_STATUSES:
         raise ConversionError(f"a GoalStatusArray names {count} goals, at most {MAX_STATUSES} are read")
-    found = [cursor.status() for _ in range(count)]
+    entries = [cursor.status() for _ in range(count)]
     cursor.end()
-    return found
+    return entries
 
 
 def read_with_uuid(payload: bytes) -> tuple[bytes, bytes]:
@@ -197,8 +197,8 @@ def read_goal_response(payload: bytes) -> bool:
 
 def result_response(state: int, body: bytes, text: str = "") -> bytes:
     """Serialize a GetResult response; bytes of the text that are not UTF-8 become question marks for ROS 2."""
-    said = text[:MAX_TEXT].encode(errors="replace")
-    return struct.pack("<bI", state, len(said)) + said + body
+    encoded = text[:MAX_TEXT].encode(errors="replace")
+    return struct.pack("<bI", state, len(encoded)) + encoded + body
 
 
 def read_result_response(payload: bytes) -> tuple[int, bytes, str]:
@@ -245,8 +245,8 @@ def goal_states(goals: Iterable[tuple[GoalInfo, int]]) -> bytes:
 def read_goal_states(payload: bytes) -> list[tuple[GoalInfo, int]]:
     """Return the entries of an action_msgs/GoalStatusArray."""
     cursor = _Cursor(payload, "an action_msgs/GoalStatusArray")
-    found = [_STATUS_ENTRY.unpack(entry) for entry in _entries(cursor, cursor.number(), _STATUS_ENTRY)]
-    return [(GoalInfo(uuid, RosTime(secs, nsecs)), state) for uuid, secs, nsecs, state in found]
+    entries = [_STATUS_ENTRY.unpack(entry) for entry in _entries(cursor, cursor.number(), _STATUS_ENTRY)]
+    return [(GoalInfo(uuid, RosTime(secs, nsecs)), state) for uuid, secs, nsecs, state in entries]
 
 
 def _entries(cursor: _Cursor, count: int, entry: struct.Struct) -> list[bytes]:

@@ -110,9 +110,9 @@ class Master:
         client = XmlRpcClient(self.uri, _STOP_TIMEOUT)
         with contextlib.closing(client):
             try:
-                own = self.presence()
-                look = MasterReader(client, own.node).look()
-                for batch in _batches(removal_calls(look, [own])):
+                entry = self.presence()
+                look = MasterReader(client, entry.node).look()
+                for batch in _batches(removal_calls(look, [entry])):
                     client.calls(batch)
                 self._ledger.remember(None)
             except Ros1Error as err:
@@ -157,8 +157,8 @@ class Master:
 
     def _failed(self, err: Ros1Error) -> None:
         self._failures += 1
-        gone = isinstance(err, UnreachableError) and err.refused and self._failures >= _FAILURES
-        if gone or time.monotonic() - self._answered > _PATIENCE:
+        refused = isinstance(err, UnreachableError) and err.refused and self._failures >= _FAILURES
+        if refused or time.monotonic() - self._answered > _PATIENCE:
             if not self.trouble:
                 _log.warning("the ROS 1 master is unreachable: %s", err)
             self.trouble = str(err)
@@ -168,23 +168,23 @@ class Master:
     # -- joining -------------------------------------------------------------------------------------------------------
 
     def _join(self, look: MasterState) -> None:
-        own = self.presence()
-        dead = [e for e in self._ledger.predecessors(look, own) if not is_alive(own.node, e)]
+        entry = self.presence()
+        dead = [e for e in self._ledger.predecessors(look, entry) if not is_alive(entry.node, e)]
         for batch in _batches(removal_calls(look, dead)):
             self._client.calls(batch)
-        gone = {e.uri for e in dead}
+        dead_uris = {e.uri for e in dead}
         for _ in range(_SPARE_NAMES):
-            name = self._free_name(look, gone)
+            name = self._free_name(look, dead_uris)
             if name != self._node.name:
                 _log.info("the name %s is taken on this ROS 1 network; this node is %s", self._node.name, name)
                 self._node.rename(name)
                 self._looker.caller = name
             # Another daemon may be choosing a name, too: the one that then reads the other's entry chooses another
             # name.
-            own = self.presence()
-            self._client.calls([("setParam", (own.node, own.parameter, own.as_dict()))])
+            entry = self.presence()
+            self._client.calls([("setParam", (entry.node, entry.parameter, entry.as_dict()))])
             look = self._looker.look()
-            if self._free_name(look, gone) == name:
+            if self._free_name(look, dead_uris) == name:
                 break
         self._ledger.remember(self.presence())
         self._agree_on_the_clock()
@@ -244,9 +244,9 @@ class Master:
             *(("registerSubscriber", (name, t, subscribed[t], uri)) for t in subscribed.keys() - has_subscribed),
             *self._service_calls(look),
         ]
-        own = self.presence()
-        if NodeEntry.parse(look.presence.get(own.key)) != own:
-            calls.append(("setParam", (name, own.parameter, own.as_dict())))
+        entry = self.presence()
+        if NodeEntry.parse(look.presence.get(entry.key)) != entry:
+            calls.append(("setParam", (name, entry.parameter, entry.as_dict())))
         return calls
 
     def _service_calls(self, look: MasterState) -> list[Call]:
@@ -261,12 +261,12 @@ class Master:
 
     def _check(self, calls: Sequence[Call], values: Sequence[object]) -> None:
         for call, value in zip(calls, values, strict=True):
-            what = _what(call)
-            if value is None and what not in self._refused:
-                _log.warning("the master rejects %s", what)
-                self._refused.add(what)
+            action = _what(call)
+            if value is None and action not in self._refused:
+                _log.warning("the master rejects %s", action)
+                self._refused.add(action)
             elif value is not None:
-                self._refused.discard(what)
+                self._refused.discard(action)
 
 
 def _what(call: Call) -> str:

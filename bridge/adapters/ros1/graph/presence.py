@@ -128,10 +128,10 @@ class Ledger:
 
     def predecessors(self, look: MasterState, own: NodeEntry) -> list[NodeEntry]:
         """Return the entries of this daemon's earlier nodes, from the master and from the state folder."""
-        found = {e.uri: e for e in others(look, own) if e.owner == self.owner}
+        entries = {e.uri: e for e in others(look, own) if e.owner == self.owner}
         if self.last is not None and self.last.uri != own.uri:
-            found.setdefault(self.last.uri, self.last)
-        return list(found.values())
+            entries.setdefault(self.last.uri, self.last)
+        return list(entries.values())
 
     def _load(self) -> Mapping[str, Any]:
         try:

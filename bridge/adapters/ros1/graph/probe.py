@@ -124,11 +124,11 @@ class Prober:
         """Update the publishers that are on the graph, and probe those that are due."""
         now = time.monotonic()
         with self._lock:
-            for gone in self._facts.keys() - links:
-                del self._facts[gone]
-                self._release(gone)
-            for gone in self._open.keys() - links:
-                del self._open[gone]
+            for removed in self._facts.keys() - links:
+                del self._facts[removed]
+                self._release(removed)
+            for removed in self._open.keys() - links:
+                del self._open[removed]
             for new in links - self._facts.keys() - self._open.keys():
                 self._open[new] = _Attempt()
             due = [link for link, a in self._open.items() if link.uri and not a.under_way and a.due <= now]
@@ -263,8 +263,8 @@ class Prober:
             if attempt is None:
                 return
             if trouble != attempt.trouble:
-                who = f"{self._kind} of {link.topic} in {link.node}"
-                _log.info("the %s does not announce its type: %s", who, trouble)
+                peer = f"{self._kind} of {link.topic} in {link.node}"
+                _log.info("the %s does not announce its type: %s", peer, trouble)
             attempt.trouble, attempt.refused, attempt.under_way = trouble, refused, False
             attempt.due, attempt.wait = time.monotonic() + attempt.wait, min(2 * attempt.wait, _LONGEST_WAIT)
 

@@ -93,16 +93,16 @@ class MasterReader:
 
     def _try(self) -> MasterState:
         for _ in range(_TRIES):
-            asked = self._nodes
+            nodes = self._nodes
             answers = self._ask()
             if answers == self._answers and self._look is not None and not self._doubted:
                 return self._look
             self._nodes = tuple(sorted({node for kind in _state(answers) for _, names in kind for node in names}))
-            if self._nodes == asked:
+            if self._nodes == nodes:
                 break
         # if nodes appeared during the address look-up, the next read repeats it
-        self._answers = answers if self._nodes == asked else []
-        look = _read(answers, asked)
+        self._answers = answers if self._nodes == nodes else []
+        look = _read(answers, nodes)
         look = replace(look, servers=self._addresses(_state(answers)[2], look.uris))
         if look != self._look:
             self._look = look
@@ -111,13 +111,13 @@ class MasterReader:
 
     def _addresses(self, services: list[tuple[str, list[str]]], uris: Mapping[str, str]) -> frozenset[Registration]:
         """Return each service's server; look up its address once, and again if its node changes or it is doubted."""
-        there = {Registration(nodes[0], name, uris.get(nodes[0], "")) for name, nodes in services if nodes}
+        listed = {Registration(nodes[0], name, uris.get(nodes[0], "")) for name, nodes in services if nodes}
         doubted, self._doubted = self._doubted, set()
-        self._servers = {k: uri for k, uri in self._servers.items() if k in there and k.topic not in doubted}
-        new = sorted(there - self._servers.keys())
-        found = self._client.calls([("lookupService", (self.caller, link.topic)) for link in new]) if new else []
-        self._servers |= {link: uri for link, uri in zip(new, found, strict=True) if isinstance(uri, str)}
-        return frozenset(Registration(k.node, k.topic, self._servers.get(k, "")) for k in there)
+        self._servers = {k: uri for k, uri in self._servers.items() if k in listed and k.topic not in doubted}
+        new = sorted(listed - self._servers.keys())
+        addresses = self._client.calls([("lookupService", (self.caller, link.topic)) for link in new]) if new else []
+        self._servers |= {link: uri for link, uri in zip(new, addresses, strict=True) if isinstance(uri, str)}
+        return frozenset(Registration(k.node, k.topic, self._servers.get(k, "")) for k in listed)
 
     def _ask(self) -> list[Any]:
         me, self._size = self.caller, 0  # an unreachable master is retried at the normal rate

@@ -70,17 +70,17 @@ class ParameterSharing:
 
     def warnings(self) -> list[str]:
         """Return the problems, for the status document."""
-        found = [self._trouble] if self._trouble else []
+        warnings = [self._trouble] if self._trouble else []
         for part in self._parts:
-            found += [f"parameter {name}: {why}" for name, why in sorted(dict(part.troubles).items())]
-        rest = len(found) - _MAX_SHOWN
-        return [*found[:_MAX_SHOWN], *([f"and {rest} more about parameters"] if rest > 0 else [])]
+            warnings += [f"parameter {name}: {reason}" for name, reason in sorted(dict(part.troubles).items())]
+        hidden = len(warnings) - _MAX_SHOWN
+        return [*warnings[:_MAX_SHOWN], *([f"and {hidden} more about parameters"] if hidden > 0 else [])]
 
     def details(self) -> list[dict[str, Any]]:
         """Return the rules as the status document shows them."""
-        found = [(rule, offered.count) for offered in self._offered for rule in offered.rules]
-        found += [(mirrored.rule, mirrored.count) for mirrored in self._mirrored]
-        return [{"ros1": rule.ros1, "node": rule.node, "owner": rule.owner, "shared": count} for rule, count in found]
+        rules = [(rule, offered.count) for offered in self._offered for rule in offered.rules]
+        rules += [(mirrored.rule, mirrored.count) for mirrored in self._mirrored]
+        return [{"ros1": rule.ros1, "node": rule.node, "owner": rule.owner, "shared": count} for rule, count in rules]
 
     def _submit(self, job: Callable[[], None], waits: Done | None) -> None:
         """Run a job on the thread; a call for which the queue is full ends with an error."""

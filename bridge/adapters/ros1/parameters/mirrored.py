@@ -44,7 +44,7 @@ class MirroredNode:
         self.rule = rule
         self._names = ParameterNames(rule)
         self._hub, self._store, self._submit, self._wake = context.hub, context.store, context.submit, wake
-        self._codecs = {word: codec for word, codec in codecs(context.registry).items() if word in _USED}
+        self._codecs = {service: codec for service, codec in codecs(context.registry).items() if service in _USED}
         self._clients: dict[str, Any] = {}
         self._busy = False
         self._ask_types = False
@@ -78,9 +78,9 @@ class MirroredNode:
     def follow(self) -> None:
         """Begin a comparison with the node, unless one is running."""
         if not self._clients:
-            for word, codec in self._codecs.items():
-                name = f"{self.rule.node}/{word}"
-                self._clients[word] = self._hub.client(name, codec.type.name, codec.type.type_id, self._wake)
+            for service, codec in self._codecs.items():
+                name = f"{self.rule.node}/{service}"
+                self._clients[service] = self._hub.client(name, codec.type.name, codec.type.type_id, self._wake)
         if not self.present:
             self._reset()
         elif not self._busy:
@@ -101,18 +101,18 @@ class MirroredNode:
         self._agreed, self._unknown = {}, frozenset()
         self._problems, self._rejected = {}, {}
 
-    def _call(self, word: str, request: Mapping[str, Any], then: Callable[[dict[str, Any]], bool]) -> None:
+    def _call(self, service: str, request: Mapping[str, Any], then: Callable[[dict[str, Any]], bool]) -> None:
         """Call a service of the node.
 
         ``then`` receives the response on the parameters' thread, and returns whether the comparison continues.
         """
-        client, codec = self._clients[word], self._codecs[word]
+        client, codec = self._clients[service], self._codecs[service]
 
         def respond(result: bytes | CallError) -> None:
             self._submit(lambda: accept(result), None)
 
         def accept(result: bytes | CallError) -> None:
-            if self._clients.get(word) is not client:
+            if self._clients.get(service) is not client:
                 return  # closed meanwhile
             self._busy = False
             if isinstance(result, CallError):
@@ -148,35 +148,35 @@ class MirroredNode:
             # rclcpp and rclpy return no values if any of the parameters was declared but never set.
             self._ask_types = True
             return False
-        rests = [self._names.rest(name) or "" for name in names]
-        node = {rest: value for rest, value in zip(rests, values, strict=True) if value != NOT_SET}
+        paths = [self._names.rest(name) or "" for name in names]
+        node = {path: value for path, value in zip(paths, values, strict=True) if value != NOT_SET}
         ros1 = dict(flatten(self._store.watch([self.rule.ros1])[self.rule.ros1]))
         self._problems = {}
         shown = self._representable(node)
-        copies = {self._names.ros1(rest) for rest in shown}
+        copies = {self._names.ros1(path) for path in shown}
         foreign = frozenset(key for key in self._store.copies if not self.covers(key))
-        leaves = {self._names.ros1(rest) for rest in ros1}
+        leaves = {self._names.ros1(path) for path in ros1}
         # Deletions come first: a name without a value may become the namespace of others.
         writes: dict[str, Any] = dict.fromkeys((self._store.copies - foreign - copies) & leaves)
-        self._agreed = {rest: value for rest, value in self._agreed.items() if rest in shown}
-        self._rejected = {key: why for key, why in self._rejected.items() if self._is_declared(key)}
-        wishes = self._compare(shown, ros1, writes)
-        unset = self._unset(node, {rest: value for rest, value in ros1.items() if self._names.ros1(rest) not in writes})
+        self._agreed = {path: value for path, value in self._agreed.items() if path in shown}
+        self._rejected = {key: reason for key, reason in self._rejected.items() if self._is_declared(key)}
+        changes = self._compare(shown, ros1, writes)
+        unset = self._unset(node, {path: value for path, value in ros1.items() if self._names.ros1(path) not in writes})
         self._report_unknown(ros1)
         for key in self._store.copy(writes, foreign | copies):
             self._problems[key] = "ROS 1's master rejects it"
         if unset:
-            request = {"names": [self._names.ros2(rest) for rest in unset]}
-            self._call("describe_parameters", request, lambda response: self._on_types(shown, wishes, unset, response))
+            request = {"names": [self._names.ros2(path) for path in unset]}
+            self._call("describe_parameters", request, lambda response: self._on_types(shown, changes, unset, response))
             return True
-        return self._set(shown, wishes)
+        return self._set(shown, changes)
 
     def _representable(self, node: _Values) -> _Values:
         """Return the values that ROS 1 can have: it has no name that is both a value and a namespace."""
         shown: _Values = {}
-        for rest, value in sorted(node.items()):  # a name comes before the names below it
-            key = self._names.ros1(rest)
-            above = next((outer for outer in _outer(rest) if outer in shown), None)
+        for path, value in sorted(node.items()):  # a name comes before the names below it
+            key = self._names.ros1(path)
+            above = next((outer for outer in _outer(path) if outer in shown), None)
             if above is not None:
                 self._problems[key] = (
                     f"not copied, since {self._names.ros1(above)} has a value and ROS 1 does not allow names below it;"
@@ -188,26 +188,26 @@ class MirroredNode:
             except UnsayableError as err:
                 self._problems[key] = str(err)
             else:
-                shown[rest] = value
+                shown[path] = value
         return shown
 
     def _compare(self, shown: _Values, ros1: Mapping[str, Any], writes: dict[str, Any]) -> _Values:
         """Add the node's values that ROS 1 lacks to ``writes``; return ROS 1's changes, which the node should get."""
-        wishes: _Values = {}
-        for rest, value in shown.items():
-            key, agreed = self._names.ros1(rest), self._agreed.get(rest)
-            theirs = self._converted(key, ros1[rest], value.kind) if rest in ros1 else None
+        changes: _Values = {}
+        for path, value in shown.items():
+            key, agreed = self._names.ros1(path), self._agreed.get(path)
+            theirs = self._converted(key, ros1[path], value.kind) if path in ros1 else None
             if theirs is not None and theirs != value and agreed == value:
                 if self.rule.write:
-                    wishes[rest] = theirs
+                    changes[path] = theirs
                     continue
                 self._reject(key, f"{theirs.content!r} is not set on {self.rule.node}: {_READ_ONLY}")
             elif agreed != value:
                 self._rejected.pop(key, None)
-            self._agreed[rest] = value
+            self._agreed[path] = value
             if theirs != value:
                 writes[key] = to_ros1(value)
-        return wishes
+        return changes
 
     def _converted(self, key: str, value: Any, kind: ParameterType) -> ParameterValue | None:
         """Return a value of ROS 1 in the type of the node's parameter, None if ROS 2 has no such value."""
@@ -219,73 +219,75 @@ class MirroredNode:
 
     def _unset(self, node: _Values, ros1: Mapping[str, Any]) -> dict[str, Any]:
         """Return ROS 1's values of parameters that the node has declared but not set."""
-        unset = {rest: ros1[rest] for rest in sorted(self._declared - node.keys()) if rest in ros1}
+        unset = {path: ros1[path] for path in sorted(self._declared - node.keys()) if path in ros1}
         if self.rule.write:
             return unset
-        why = f"{self.rule.node} has not set it, and does not get ROS 1's value: {_READ_ONLY}"
-        self._problems |= {self._names.ros1(rest): why for rest in unset}
+        reason = f"{self.rule.node} has not set it, and does not get ROS 1's value: {_READ_ONLY}"
+        self._problems |= {self._names.ros1(path): reason for path in unset}
         return {}
 
     def _report_unknown(self, ros1: Mapping[str, Any]) -> None:
         """Report names in ROS 1 that the node does not have; they stay, as they may belong to another program."""
-        known = [self._names.ros2(rest) for rest in self._declared]
+        known = [self._names.ros2(path) for path in self._declared]
         unknown = {
-            rest for rest in ros1 if rest not in self._declared and self._names.takes(rest) and self._names.ros2(rest)
-        } - {rest for rest in ros1 if self._names.ros1(rest) in self._store.copies}
-        for rest in unknown:
-            name = self._names.ros2(rest)
+            path for path in ros1 if path not in self._declared and self._names.takes(path) and self._names.ros2(path)
+        } - {path for path in ros1 if self._names.ros1(path) in self._store.copies}
+        for path in unknown:
+            name = self._names.ros2(path)
             similar = get_close_matches(name, known, n=1)
             hint = f" (similar: {similar[0]})" if similar else ""
-            self._problems[self._names.ros1(rest)] = (
+            self._problems[self._names.ros1(path)] = (
                 f"set in ROS 1, but {self.rule.node} has no parameter {name}{hint}; delete it in ROS 1, or exclude it"
                 " by 'names' in routing.parameters"
             )
-        new = sorted(self._names.ros1(rest) for rest in unknown - self._unknown)
+        new = sorted(self._names.ros1(path) for path in unknown - self._unknown)
         if new:
             more = f" and {len(new) - _LOGGED} more" if len(new) > _LOGGED else ""
             names = ", ".join(new[:_LOGGED])
             _log.warning("set in ROS 1, but not parameters of %s: %s%s", self.rule.node, names, more)
         self._unknown = frozenset(unknown)
 
-    def _on_types(self, shown: _Values, wishes: _Values, unset: Mapping[str, Any], response: Mapping[str, Any]) -> bool:
+    def _on_types(
+        self, shown: _Values, changes: _Values, unset: Mapping[str, Any], response: Mapping[str, Any]
+    ) -> bool:
         """Convert ROS 1's values of unset parameters to the types that the node has declared."""
         writes: dict[str, Any] = {}
-        for (rest, value), descriptor in zip(unset.items(), response["descriptors"], strict=False):
-            key = self._names.ros1(rest)
-            wish = self._converted(key, value, _kind(descriptor["type"]))
-            if wish is None:
+        for (path, value), descriptor in zip(unset.items(), response["descriptors"], strict=False):
+            key = self._names.ros1(path)
+            change = self._converted(key, value, _kind(descriptor["type"]))
+            if change is None:
                 writes[key] = None
             else:
-                wishes[rest] = wish
+                changes[path] = change
         self._store.write(writes)
-        return self._set(shown, wishes)
+        return self._set(shown, changes)
 
-    def _set(self, shown: _Values, wishes: _Values) -> bool:
-        if not wishes:
+    def _set(self, shown: _Values, changes: _Values) -> bool:
+        if not changes:
             return False
-        parameters = [{"name": self._names.ros2(rest), "value": wish.message()} for rest, wish in wishes.items()]
+        parameters = [{"name": self._names.ros2(path), "value": change.message()} for path, change in changes.items()]
         request = {"parameters": parameters}
-        self._call("set_parameters", request, lambda response: self._on_results(shown, wishes, response))
+        self._call("set_parameters", request, lambda response: self._on_results(shown, changes, response))
         return True
 
-    def _on_results(self, shown: _Values, wishes: _Values, response: Mapping[str, Any]) -> bool:
+    def _on_results(self, shown: _Values, changes: _Values, response: Mapping[str, Any]) -> bool:
         """Reset values that the node rejected."""
         writes: dict[str, Any] = {}
-        for (rest, wish), result in zip(wishes.items(), response["results"], strict=False):
-            key = self._names.ros1(rest)
+        for (path, change), result in zip(changes.items(), response["results"], strict=False):
+            key = self._names.ros1(path)
             if result["successful"]:
                 self._rejected.pop(key, None)
-                self._agreed[rest] = wish
+                self._agreed[path] = change
                 continue
             reason = result["reason"] or "no reason given"
-            self._reject(key, f"{self.rule.node} rejected {wish.content!r}: {reason}")
-            writes[key] = to_ros1(shown[rest]) if rest in shown else None
+            self._reject(key, f"{self.rule.node} rejected {change.content!r}: {reason}")
+            writes[key] = to_ros1(shown[path]) if path in shown else None
         self._store.write(writes)
         return False
 
-    def _reject(self, key: str, why: str) -> None:
-        self._rejected[key] = why
-        _log.warning("parameter %s is reset in ROS 1: %s", key, why)
+    def _reject(self, key: str, reason: str) -> None:
+        self._rejected[key] = reason
+        _log.warning("parameter %s is reset in ROS 1: %s", key, reason)
 
     def _is_declared(self, key: str) -> bool:
         return key.removeprefix(self.rule.ros1).removeprefix("/") in self._declared
@@ -298,7 +300,7 @@ def _kind(number: int) -> ParameterType:
         return ParameterType.NOT_SET
 
 
-def _outer(rest: str) -> Collection[str]:
+def _outer(path: str) -> Collection[str]:
     """Return the names above a name: "" and ``a`` for ``a/b``."""
-    parts = rest.split("/") if rest else []
+    parts = path.split("/") if path else []
     return ["/".join(parts[:count]) for count in range(len(parts))]

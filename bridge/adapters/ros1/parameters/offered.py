@@ -76,9 +76,9 @@ class OfferedNode:
 
     def _open(self) -> None:
         self._closers.append(self._hub.graph.announce(self._token))
-        for word, codec in self._codecs.items():
+        for service, codec in self._codecs.items():
             kind = codec.type
-            server = self._hub.server(f"{self.node}/{word}", kind.name, kind.type_id, partial(self.call, word))
+            server = self._hub.server(f"{self.node}/{service}", kind.name, kind.type_id, partial(self.call, service))
             self._closers.append(server.close)
         publisher = self._hub.publisher(EVENTS, self._event.name, self._event.type_id, _EVENT_QOS)
         self._publish = publisher.put
@@ -88,12 +88,12 @@ class OfferedNode:
         """Yield the parameters by their names on the node; record those that ROS 2 cannot represent."""
         self.troubles = {}
         for names in reversed(self._names):
-            for rest, value in flatten(trees.get(names.rule.ros1, {})):
-                if names.takes(rest) and names.ros2(rest):
+            for path, value in flatten(trees.get(names.rule.ros1, {})):
+                if names.takes(path) and names.ros2(path):
                     try:
-                        yield names.ros2(rest), to_ros2(value)
+                        yield names.ros2(path), to_ros2(value)
                     except UnsayableError as err:
-                        self.troubles[names.ros1(rest)] = str(err)
+                        self.troubles[names.ros1(path)] = str(err)
 
     def _read(self) -> dict[str, ParameterValue]:
         return dict(self._all(self._store.watch([rule.ros1 for rule in self.rules])))
@@ -109,15 +109,15 @@ class OfferedNode:
         if self._publish is not None:
             self._publish(MessageWriter(self._event_schema).message(message))
 
-    def call(self, word: str, request: bytes, done: Done) -> Abandon:
+    def call(self, service: str, request: bytes, done: Done) -> Abandon:
         """Schedule a call; runs on zenoh's receiving thread."""
-        self._submit(lambda: done(self._answer(word, request)), done)
+        self._submit(lambda: done(self._answer(service, request)), done)
         return lambda: None
 
-    def _answer(self, word: str, request: bytes) -> bytes | CallError:
-        codec = self._codecs[word]
+    def _answer(self, service: str, request: bytes) -> bytes | CallError:
+        codec = self._codecs[service]
         try:
-            reply = getattr(self, f"_{word}")(codec.request_value(request))
+            reply = getattr(self, f"_{service}")(codec.request_value(request))
         except Ros1Error as err:
             return CallError(f"ROS 1's parameter server does not respond: {err}")
         except ConversionError as err:
@@ -149,10 +149,10 @@ class OfferedNode:
         prefixes, depth = request["prefixes"], request["depth"]
 
         def wanted(name: str) -> bool:
-            rests = [name] if not prefixes else [
+            suffixes = [name] if not prefixes else [
                 name[len(prefix) + 1 :] for prefix in prefixes if name == prefix or name.startswith(f"{prefix}.")
             ]  # fmt: skip
-            return any(depth == 0 or rest.count(".") < depth for rest in rests)
+            return any(depth == 0 or suffix.count(".") < depth for suffix in suffixes)
 
         names = sorted(name for name in self._read() if wanted(name))
         above = sorted({name.rpartition(".")[0] for name in names if "." in name})
@@ -173,13 +173,13 @@ class OfferedNode:
             place = self._place(name)
             if place is None:
                 return _no(f"no rule of routing.parameters shares {name}")
-            names, rest = place
+            names, path = place
             if not names.rule.write:
                 return _no(f"{name} is read-only (write: false in routing.parameters)")
             if any(other.startswith(f"{name}.") for other in known):
-                return _no(f"{names.ros1(rest)} is a namespace in ROS 1")
+                return _no(f"{names.ros1(path)} is a namespace in ROS 1")
             try:
-                wanted[names.ros1(rest)] = None if value.kind is ParameterType.NOT_SET else to_ros1(value)
+                wanted[names.ros1(path)] = None if value.kind is ParameterType.NOT_SET else to_ros1(value)
             except UnsayableError as err:
                 return _no(f"{name}: {err}")
         refused = self._store.write(wanted)
@@ -188,9 +188,9 @@ class OfferedNode:
     def _place(self, name: str) -> tuple[ParameterNames, str] | None:
         """Return the rule that shares a name, and the part of the name after the rule's."""
         for names in self._names:
-            rest = names.rest(name)
-            if rest is not None:
-                return names, rest
+            path = names.rest(name)
+            if path is not None:
+                return names, path
         return None
 
 

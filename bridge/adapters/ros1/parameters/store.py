@@ -133,4 +133,4 @@ SERVICES = {
 
 def codecs(registry: Registry) -> dict[str, ServiceCodec]:
     """Return the codecs of the services, by the suffix of their names."""
-    return {word: ServiceCodec(registry, f"rcl_interfaces/srv/{name}") for word, name in SERVICES.items()}
+    return {service: ServiceCodec(registry, f"rcl_interfaces/srv/{name}") for service, name in SERVICES.items()}

@@ -98,10 +98,10 @@ def to_ros1(value: ParameterValue) -> Any:
         raise UnsayableError("it has no value")
     if value.kind is ParameterType.BYTE_ARRAY:
         return xmlrpc.client.Binary(content)
-    for one in content if isinstance(content, list) else [content]:
-        if isinstance(one, int) and one not in _INT32:
-            raise UnsayableError(f"ROS 1 has no integer as large as {one}")
-        if isinstance(one, str) and _NO_XML.search(one):
+    for item in content if isinstance(content, list) else [content]:
+        if isinstance(item, int) and item not in _INT32:
+            raise UnsayableError(f"ROS 1 has no integer as large as {item}")
+        if isinstance(item, str) and _NO_XML.search(item):
             raise UnsayableError("its text has characters that ROS 1's XML cannot carry")
     return content
 
@@ -116,13 +116,13 @@ def to_ros2(value: Any, like: ParameterType = ParameterType.NOT_SET) -> Paramete
         return ParameterValue(ParameterType.BYTE_ARRAY, value.data)
     if isinstance(value, list):
         return _list(value, like)
-    found = _scalar(value)
-    if found.kind is ParameterType.INTEGER and like is ParameterType.DOUBLE:
+    converted = _scalar(value)
+    if converted.kind is ParameterType.INTEGER and like is ParameterType.DOUBLE:
         return ParameterValue(ParameterType.DOUBLE, float(value))
-    wanted = (found.kind, like) == (ParameterType.DOUBLE, ParameterType.INTEGER)
+    wanted = (converted.kind, like) == (ParameterType.DOUBLE, ParameterType.INTEGER)
     if wanted and value.is_integer() and int(value) in _INT64:
         return ParameterValue(ParameterType.INTEGER, int(value))
-    return found
+    return converted
 
 
 def _scalar(value: Any) -> ParameterValue:
@@ -139,13 +139,13 @@ def _scalar(value: Any) -> ParameterValue:
 
 
 def _list(values: list[Any], like: ParameterType) -> ParameterValue:
-    kinds = {_scalar(one).kind for one in values}
+    kinds = {_scalar(item).kind for item in values}
     if not kinds:
         return ParameterValue(like if like >= ParameterType.BOOL_ARRAY else ParameterType.STRING_ARRAY, [])
     if kinds == {ParameterType.INTEGER, ParameterType.DOUBLE} or (
         kinds == {ParameterType.INTEGER} and like is ParameterType.DOUBLE_ARRAY
     ):
-        return ParameterValue(ParameterType.DOUBLE_ARRAY, [float(one) for one in values])
+        return ParameterValue(ParameterType.DOUBLE_ARRAY, [float(item) for item in values])
     if len(kinds) > 1:
         raise UnsayableError(f"ROS 2 has no lists of {' and '.join(sorted(kind.name.lower() for kind in kinds))}")
     return ParameterValue(ParameterType(kinds.pop() + ParameterType.BOOL_ARRAY - ParameterType.BOOL), list(values))
@@ -157,8 +157,8 @@ def flatten(tree: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
         yield "", tree
     elif depth < MAX_DEPTH:
         for name, below in tree.items():
-            for rest, value in flatten(below, depth + 1):
-                yield f"{name}/{rest}" if rest else str(name), value
+            for path, value in flatten(below, depth + 1):
+                yield f"{name}/{path}" if path else str(name), value
 
 
 class ParameterNames:
@@ -168,17 +168,17 @@ class ParameterNames:
         self.rule = rule
         self._globs = [glob_regex(glob.strip("/")) for glob in rule.names]
 
-    def takes(self, rest: str) -> bool:
+    def takes(self, path: str) -> bool:
         """Return whether the rule covers a parameter."""
-        return any(glob.fullmatch(rest) for glob in self._globs)
+        return any(glob.fullmatch(path) for glob in self._globs)
 
-    def ros1(self, rest: str) -> str:
+    def ros1(self, path: str) -> str:
         """Return the name on the parameter server."""
-        return f"{self.rule.ros1}/{rest}" if rest else self.rule.ros1
+        return f"{self.rule.ros1}/{path}" if path else self.rule.ros1
 
-    def ros2(self, rest: str) -> str:
+    def ros2(self, path: str) -> str:
         """Return the name on the node."""
-        return ".".join(part for part in (self.rule.prefix, rest.replace("/", ".")) if part)
+        return ".".join(part for part in (self.rule.prefix, path.replace("/", ".")) if part)
 
     def rest(self, ros2_name: str) -> str | None:
         """Return the rest of a node's parameter name; None if the rule excludes it, or ROS 1 has no such names."""

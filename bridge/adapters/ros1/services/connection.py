@@ -104,23 +104,23 @@ class ServiceConnection(PolledConnection):
                 sent = 0
             except OSError:
                 return False
-            rest = memoryview(b"".join(parts))[sent:] if sent < sum(map(len, parts)) else None
-            if rest is not None:
+            unsent = memoryview(b"".join(parts))[sent:] if sent < sum(map(len, parts)) else None
+            if unsent is not None:
                 try:
                     copy = self._sock.dup()
                 except OSError:  # no descriptor left
                     return False
                 self._sending = True
-        if rest is None:
+        if unsent is None:
             self._sent()
         else:
-            threading.Thread(target=self._send_rest, args=(copy, rest), name="midspan-ros1-send", daemon=True).start()
+            threading.Thread(target=self._send_rest, args=(copy, unsent), name="midspan-ros1-send", daemon=True).start()
         return True
 
-    def _send_rest(self, copy: socket.socket, rest: memoryview) -> None:
+    def _send_rest(self, copy: socket.socket, unsent: memoryview) -> None:
         try:
             with copy:
-                copy.sendall(rest)
+                copy.sendall(unsent)
         except OSError:
             self.cut()
         else:

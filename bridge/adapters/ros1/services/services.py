@@ -41,8 +41,8 @@ class Ros1Services(Follower[Ros1Caller]):
 
     def seen(self, look: MasterState | None) -> None:
         """Adopt the master's state; called on its thread."""
-        own = self._context.node()
-        self.take_up(frozenset(s for s in look.servers if s.node != own) if look is not None else frozenset())
+        node = self._context.node()
+        self.take_up(frozenset(s for s in look.servers if s.node != node) if look is not None else frozenset())
         self._check_rivals()
 
     def _check_rivals(self) -> None:
@@ -61,10 +61,10 @@ class Ros1Services(Follower[Ros1Caller]):
 
     def endpoints(self, look: MasterState) -> Iterator[Endpoint]:
         """Yield the other nodes' servers."""
-        own, facts = self._context.node(), self.prober.facts()
+        node, facts = self._context.node(), self.prober.facts()
         midspans = {entry.get("node") for entry in look.presence.values()}
         for link in look.servers:
-            if link.node != own:
+            if link.node != node:
                 yield _endpoint(link, facts.get(link), midspan=link.node in midspans)
 
     def connected(self) -> frozenset[Registration]:

@@ -190,19 +190,19 @@ class PublisherConnection(PolledConnection):
             at += 4
             if size > self._limit:
                 self._refused("large", f"message of {size} bytes, limits.message allows {self._limit}")
-                here = min(left - 4, size)
-                at += here
-                if not self._skip(size - here):
+                available = min(left - 4, size)
+                at += available
+                if not self._skip(size - available):
                     return
                 continue
             if left - 4 >= size:
                 payload = buffer[at : at + size]
                 at += size
             else:
-                rest = self._exactly(size - left + 4)
-                if rest is None:
+                tail = self._exactly(size - left + 4)
+                if tail is None:
                     return
-                payload = buffer[at:] + rest if left > 4 else rest
+                payload = buffer[at:] + tail if left > 4 else tail
                 buffer, at = b"", 0
             self._hand_over(payload)
 
@@ -210,10 +210,10 @@ class PublisherConnection(PolledConnection):
         """Read ``count`` bytes and discard them; return False if the connection ends first."""
         scratch = bytearray(min(count, _CHUNK))
         while count:
-            came = self._sock.recv_into(scratch, min(count, _CHUNK))
-            if not came:
+            received = self._sock.recv_into(scratch, min(count, _CHUNK))
+            if not received:
                 return False
-            count -= came
+            count -= received
         return True
 
     def _exactly(self, count: int) -> bytes | None:

@@ -105,8 +105,8 @@ class SubscriberConnection:
         if self._closed:
             return None
         if self._rest:
-            rest, self._rest = self._rest, b""
-            return rest
+            unsent, self._rest = self._rest, b""
+            return unsent
         source, payload = self._queue.popleft()
         self._waiting[source] -= 1
         self._bytes -= len(payload)

@@ -235,5 +235,5 @@ def note_ended(topic: str, header: Mapping[str, str]) -> None:
 def late_header(header: Mapping[str, str]) -> dict[str, str] | None:
     """Return the connection header for a late subscriber with ``header``; None if the topic or type never matched."""
     with _lock:
-        found = _headers.get(header.get("topic", ""))
-    return found if found is not None and header.get("md5sum") in {_ANY, found["md5sum"]} else None
+        stored = _headers.get(header.get("topic", ""))
+    return stored if stored is not None and header.get("md5sum") in {_ANY, stored["md5sum"]} else None

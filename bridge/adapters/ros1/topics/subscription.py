@@ -140,13 +140,13 @@ class Ros1Subscription:
         with self._lock:
             if self._closed:
                 return
-            gone = [self._publishers.pop(link) for link in self._publishers.keys() - wanted]
+            removed = [self._publishers.pop(link) for link in self._publishers.keys() - wanted]
             for link in wanted - self._publishers.keys():
                 self._publishers[link] = _PublisherState()
             idle = [(link, source) for link, source in self._publishers.items() if source.is_due(now, publishers[link])]
             for _, source in idle:
                 source.connecting = True
-        for source in gone:
+        for source in removed:
             self._drop(source.reader)
         for link, source in idle:
             self._context.pool.submit(link.uri, lambda link=link, source=source: self._connect(link, source))  # type: ignore[misc]

@@ -28,13 +28,13 @@ class Ros1Topics(Follower["Ros1Subscription"]):
 
     def endpoints(self, look: MasterState) -> Iterator[Endpoint]:
         """Yield the other nodes' publishers and subscriptions."""
-        own, facts = self._context.node(), self.prober.facts()
+        node, facts = self._context.node(), self.prober.facts()
         for link in look.publishers:
-            if link.node != own:
+            if link.node != node:
                 yield _publisher(link, look, facts.get(link))
         midspans = {entry.get("node") for entry in look.presence.values()}
         for link in look.subscribers:
-            if link.node != own:
+            if link.node != node:
                 yield _subscriber(link, look, midspan=link.node in midspans)
 
     def connected(self) -> frozenset[Registration]:
@@ -57,8 +57,8 @@ class Ros1Topics(Follower["Ros1Subscription"]):
         """
         from bridge.adapters.ros1.topics.subscription import SETTLE_SECONDS, Ros1Subscription
 
-        own = not suffix  # the prober's connections use the node's plain name
-        take = self.prober.take if own and not fresh else self.prober.discard if own else lambda _: None
+        plain = not suffix  # the prober's connections use the node's plain name
+        take = self.prober.take if plain and not fresh else self.prober.discard if plain else lambda _: None
         refused = partial(self._refused, topic)
         return self._add(Ros1Subscription(
             self._context, self.prober, topic, side_type.type_id, deliver, suffix, take, refused, self._remove,

@@ -17,7 +17,7 @@ from tests.support.wait import until
 
 pytestmark = needs_ros1
 
-LOST = "lost sight of the goal: its action server /driver is gone"
+LOST = "lost sight of the goal: its action server /driver left"
 
 
 class Drive:
