@@ -1,4 +1,4 @@
-"""The zenoh and the YARP worker run on any OS: here whole, with all hidden that Windows does not have."""
+"""The zenoh and the YARP worker run on any OS: complete workers, with everything hidden that Windows lacks."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ sys.exit(main(["worker", sys.argv[1], "--prepared", "--config", sys.argv[2]]))
 
 @pytest.fixture
 def hubs() -> Iterator[QuickHub]:
-    """A hub of the test's own."""
+    """A separate hub for the test."""
     made = QuickHub()
     yield made
     made.stop_router()
@@ -43,9 +43,9 @@ def hubs() -> Iterator[QuickHub]:
 
 @contextmanager
 def worker(side: str, hubs: QuickHub, folder: Path, **sections: Any) -> Iterator[HubSide]:
-    """The worker of a side in a process of its own, which must end well when it is told to; a program on its hub.
+    """Run the worker of a side in a separate process, which must stop cleanly; a program on its hub.
 
-    The daemon is called as no file on Windows can be, and those in its state folder are not.
+    The daemon's name is invalid for a file on Windows; the files in its state folder must be valid.
     """
     file = folder / "midspan.yaml"
     state = folder / "state"
@@ -58,7 +58,7 @@ def worker(side: str, hubs: QuickHub, folder: Path, **sections: Any) -> Iterator
             until(lambda: process.popen.poll() is not None or runs(far), "it runs", 30)
             yield far
             assert process.popen.poll() is None, "it ended by itself"
-            process.signal(signal.SIGINT)  # Ctrl-C, which there is on any OS
+            process.signal(signal.SIGINT)  # Ctrl-C, which every OS has
             assert process.popen.wait(20) == 0
             made = [path.name for path in state.rglob("*")]
             assert "%43ON" in made
@@ -92,7 +92,7 @@ def test_the_yarp_worker(hubs: QuickHub, tmp_path: Path) -> None:
         with worker("yarp", hubs, tmp_path, yarp=yarp) as far:
             assert_crosses(far, program)
             assert "/midspan/from_side:i" in registered(names)
-        until(lambda: not any(name.startswith("/midspan/") for name in registered(names)), "its ports are given back")
+        until(lambda: not any(name.startswith("/midspan/") for name in registered(names)), "its ports are unregistered")
     finally:
         program.stop()
         names.stop()

@@ -1,4 +1,4 @@
-"""A side's worker that stops carries the last replies of navigation: a goal's end comes when the robot stands."""
+"""A stopping worker still forwards navigation results: a goal ends only when the robot stands."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Side:
         raise AssertionError(reason)
 
     def ask_hub(self, action: str, type_name: str = NAVIGATE) -> tuple[Serving, Calling]:
-        """A program of the side asks an action's server on the hub for a result, which it does not have yet."""
+        """Request a pending result from an action server on the hub, as a program of the side."""
         name, kind = f"{action}/_action/get_result", f"{type_name}_GetResult"
         serving = Serving(REGISTRY, kind, {"held": True, **CANCELED})
         self.servers.append(self.hub.server(name, kind, REGISTRY.service_ros2(kind).type_id, serving.call))
@@ -63,7 +63,7 @@ class Side:
         return serving, calling
 
     def ask_side(self, action: str) -> tuple[Serving, Calling]:
-        """The gateway asks a planner's action on the side for a result."""
+        """Request a result from a planner's action on the side, as the gateway."""
         name, kind = f"{action}/_action/get_result", f"{NAVIGATE}_GetResult"
         serving = Serving(REGISTRY, kind, {"held": True, **CANCELED})
         self.network.serve(name, kind, MadeBy.NATIVE, "/planner", serving.call)
@@ -88,7 +88,7 @@ class Side:
 
     @property
     def stopping(self) -> bool:
-        """Whether the worker has begun to stop, and has not ended."""
+        """Return whether the worker is stopping and has not ended."""
         return not self.worker.bridges and self._thread is not None and self._thread.is_alive()
 
     def join(self) -> None:
@@ -112,10 +112,10 @@ def side(tmp_path: Path) -> Iterator[Side]:
             made.close()
 
 
-def test_the_end_of_a_goal_of_the_gateway_crosses_before_the_worker_stops(
+def test_the_worker_forwards_the_end_of_a_gateway_goal_before_it_stops(
     side: Side, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """SIGTERM to the daemon: the gateway stops the robot, and its clients on a side wait for the end of their goal."""
+    """On SIGTERM the gateway stops the robot, and its clients on a side wait for the end of their goal."""
     monkeypatch.setattr(bridge_worker, "DRAIN_SECONDS", 60.0)
     serving, calling = side.ask_hub(GATEWAY)
     drained = watch_drain(monkeypatch)
@@ -127,7 +127,7 @@ def test_the_end_of_a_goal_of_the_gateway_crosses_before_the_worker_stops(
     side.join()
 
 
-def test_the_end_of_a_planners_goal_crosses_before_the_worker_stops(
+def test_the_worker_forwards_the_end_of_a_planner_goal_before_it_stops(
     side: Side, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bridge_worker, "DRAIN_SECONDS", 60.0)
@@ -141,7 +141,7 @@ def test_the_end_of_a_planners_goal_crosses_before_the_worker_stops(
     side.join()
 
 
-def test_results_of_other_actions_do_not_keep_the_worker(side: Side, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_of_other_actions_do_not_delay_the_stop(side: Side, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bridge_worker, "DRAIN_SECONDS", 120.0)
     _serving, calling = side.ask_hub("/lookup", LOOKUP)
     side.stop()
@@ -158,19 +158,19 @@ def test_without_a_pending_result_the_worker_stops_at_once(side: Side, monkeypat
     side.join()
 
 
-def test_a_robot_that_does_not_come_to_rest_does_not_keep_the_worker(
+def test_a_robot_that_keeps_moving_delays_the_stop_only_until_the_deadline(
     side: Side, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bridge_worker, "DRAIN_SECONDS", 0.3)
     _serving, calling = side.ask_hub(GATEWAY)
     side.stop()
     side.join()
-    assert 0.3 <= side.seconds < 10.0, "the robot had its time, and only that"
+    assert 0.3 <= side.seconds < 10.0, "it waited for the deadline and no longer"
     assert calling.result()["error"]
 
 
 def watch_drain(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
-    """An event that is set once the worker has looked for pending results and found one."""
+    """Return an event that is set once the worker has found a pending result."""
     drained, navigates = threading.Event(), bridge_worker._navigates
 
     def watched(route: Any) -> bool:

@@ -23,8 +23,8 @@ def test_values_and_refusals():
             assert client.calls([("one", ("/me",)), ("no", ("/me",)), ("nothing", ("/me",))]) == [7, None, None]
 
 
-def test_no_part_of_a_request_waits_for_an_acknowledgement():
-    """http.client sends the head and the body apart."""
+def test_a_request_is_not_delayed_by_acknowledgements():
+    """http.client sends header and body separately."""
     with node(one=lambda _caller: [1, "", 7]) as uri:
         client = ros1_peers.XmlRpcClient(uri, 2.0)
         with contextlib.closing(client):
@@ -42,7 +42,7 @@ def test_an_unchanged_answer_is_the_same_object():
     assert (first, third) == ([1], [2])
 
 
-def test_a_server_that_went_is_noticed():
+def test_a_stopped_server_is_unreachable():
     with node(one=lambda _caller: [1, "", 1]) as uri:
         client = ros1_peers.XmlRpcClient(uri, 2.0)
         assert client.call("one", "/me") == 1
@@ -89,14 +89,14 @@ def test_servers_that_misbehave(serve, error):
         ros1_peers.ask(f"http://{host}:{port}/", 0.5, "getPid", "/me")
 
 
-def test_long_answers_are_refused(monkeypatch):
+def test_responses_above_the_limit_are_refused(monkeypatch):
     monkeypatch.setattr(ros1_peers, "MAX_NODE_ANSWER", 1000)
     with node(big=lambda _caller: [1, "", "x" * 2000]) as uri, pytest.raises(Ros1ProtocolError, match="longer than"):
         ros1_peers.ask(uri, 2.0, "big", "/me")
 
 
 @pytest.mark.parametrize("length", [5, 95_000_000, 2**64])
-def test_answers_that_are_shorter_than_they_claim_are_refused(length):
+def test_truncated_responses_are_refused(length):
     def serve(sock) -> None:
         sock.recv(65536)
         sock.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n<a>" % length)
@@ -106,7 +106,7 @@ def test_answers_that_are_shorter_than_they_claim_are_refused(length):
 
 
 @pytest.mark.parametrize("body", [b"<bigdecimal></bigdecimal>", b"<a", b"<value><array><data>" * 1000, b"\xff\xfe"])
-def test_answers_that_are_no_xmlrpc_are_refused(body):
+def test_responses_without_xmlrpc_are_refused(body):
     def serve(sock) -> None:
         sock.recv(65536)
         sock.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n" % len(body) + body)
@@ -116,11 +116,11 @@ def test_answers_that_are_no_xmlrpc_are_refused(body):
 
 
 @pytest.mark.parametrize("uri", ["", "rosrpc://a:1", "http://", "http://a:b/", "ftp://a/", "p://[", "http://a\0b:1/"])
-def test_addresses_that_are_none(uri):
+def test_invalid_addresses_are_refused(uri):
     with pytest.raises(Ros1ProtocolError, match="not a ROS 1 address"):
         ros1_peers.XmlRpcClient(uri, 1.0)
 
 
-def test_nobody_there():
+def test_a_refused_connection_is_reported():
     with pytest.raises(UnreachableError):
         ros1_peers.ask(f"http://127.0.0.1:{free_port()}/", 1.0, "getPid", "/me")

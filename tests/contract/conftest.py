@@ -1,4 +1,4 @@
-"""The contract suite's fixtures. An adapter joins by one line in ``SIDES``."""
+"""Fixtures of the contract suite. An adapter joins by one line in ``SIDES``."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ def hubs() -> Iterator[HubNetwork]:
 
 
 IN_TURN = (("ros1", "ros2", "own"), ("zenoh_ros2dds", "zenoh_ros1"))
-"""Sides whose programs and workers are processes, and dialects of one: `make test` tries each test on one of each."""
+"""Sides with programs and workers in processes, and dialects of one side: `make test` runs each test on one of each."""
 
 BASIC = {
     "test_side_to_hub", "test_hub_to_side", "test_latched_before_the_bridge_started",
     "test_from_the_hub_to_a_server_of_the_side", "test_from_the_side_to_a_server_of_the_hub",
 }  # fmt: skip
-"""Tests that `make test` tries on every side."""
+"""Tests that `make test` runs on every side."""
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The other ones of these are `thorough`."""
+    """Mark the tests on the other sides as `thorough`."""
     for item in items:
         if (
             item.path.parent == Path(__file__).parent
@@ -78,12 +78,12 @@ def side(request: pytest.FixtureRequest, hubs: HubNetwork) -> Iterator[Side]:
 
 @pytest.fixture
 def lane() -> bool:
-    """Whether small messages go between the daemon's sessions without zenoh, to and from the far end too."""
+    """Whether small messages between the daemon's sessions, including the far end, bypass zenoh."""
     return LANE
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """What is tried on every side is tried without the lane as well."""
+    """Run tests of all sides also without the lane."""
     if metafunc.definition.originalname in BASIC:
         metafunc.parametrize("lane", [LANE, False] if LANE else [False], ids=["lane", "zenoh"] if LANE else ["zenoh"])
 
@@ -104,7 +104,7 @@ def far(request: pytest.FixtureRequest, hubs: HubNetwork, tmp_path: Path, *, lan
 
 @pytest.fixture
 def config(side: Side, hubs: HubNetwork, tmp_path: Path, *, lane: bool) -> Callable[..., Config]:
-    """Makes configurations for the side under test: ``config(rules=[...], default="allow")``."""
+    """Return a function that makes configurations for the side: ``config(rules=[...], default="allow")``."""
     folders = [CUSTOM_FOLDER] if side.tells_empty_types else [CUSTOM_FOLDER, OWN_FOLDER]
 
     def make(**routing: Any) -> Config:
@@ -124,5 +124,5 @@ def config(side: Side, hubs: HubNetwork, tmp_path: Path, *, lane: bool) -> Calla
 
 @pytest.fixture
 def bridge(side: Side, config: Callable[..., Config]) -> Bridge:
-    """A worker with the default rules."""
+    """Start a worker with the default rules."""
     return side.bridge(config())

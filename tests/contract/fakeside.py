@@ -1,4 +1,4 @@
-"""The contract suite's side in memory: only the engine, with a real hub."""
+"""The side in memory of the contract suite: only the engine, with a real hub."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class FakePeer:
             return list(self._heard[endpoint])
 
     def ask(self, do: str, **params: Any) -> dict[str, Any]:
-        """The words of services; see `tests.support.peer`."""
+        """Execute the commands for services; see `tests.support.peer`."""
         if do == "serve":
             number, name = next(self._ids), service_name(params["type"])
             serving = self._servings[number] = Serving(self._registry, name, params)
@@ -104,7 +104,7 @@ class FakePeer:
 
 
 class FakeBridge:
-    """An engine on the fake network, in the test's own process."""
+    """An engine on the fake network, in the test's process."""
 
     def __init__(self, network: FakeNetwork, registry: Registry, hubs: HubNetwork, config: Config) -> None:
         self._hub = Hub.open(hubs.settings("midspan_fake", lane=lane_folder(config)))

@@ -1,4 +1,4 @@
-"""The far end of the contract suite: a native participant of the hub that publishes and listens by fields."""
+"""The far end of the contract suite: a native participant of the hub that sends and receives messages by fields."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.support.wait import until
 
 
 class HubSide:
-    """Publishes and listens on the hub with messages given by their fields. Types are spelled ``package/Name``."""
+    """Publishes and receives messages on the hub by their fields. Types are spelled ``package/Name``."""
 
     def __init__(self, hub: Hub, registry: Registry) -> None:
         self.hub, self.registry = hub, registry
@@ -98,7 +98,7 @@ class HubSide:
         until(once, "a message from the hub arrives on the side", 20)
 
     def publish_until(self, peer: PeerLike, endpoint: int, message: dict[str, Any], heard: Callable[[], Any]) -> None:
-        """The same from a peer on the side."""
+        """Publish repeatedly from a peer on the side until a message arrives on the hub."""
 
         def once() -> Any:
             peer.publish(endpoint, message)
@@ -123,15 +123,15 @@ class HubSide:
         until(lambda: not self.publishers(topic), f"no publisher of {topic} on the hub", seconds)
 
     def status(self) -> dict[str, Any]:
-        """The bridge worker's status; the router answers too."""
+        """Return the bridge worker's status; the router replies, too."""
 
         def answers() -> list[dict[str, Any]]:
             return [a.value for a in self.hub.ask("status", {}) if isinstance(a.value, dict) and a.worker != "router"]
 
-        return until(answers, "a status answer")[0]
+        return until(answers, "the status")[0]
 
     def serve(self, service: str, type_: str, **params: Any) -> Serving:
-        """A server on the hub; ``server.close`` ends it."""
+        """Serve on the hub until ``server.close``."""
         name = service_name(type_)
         serving = Serving(self.registry, name, params)
         self.servers[service] = self.hub.server(service, name, self.registry.service_ros2(name).type_id, serving.call)
@@ -144,7 +144,7 @@ class HubSide:
         if client is None:
             client = self.hub.client(service, name, self.registry.service_ros2(name).type_id)
             self._clients[service] = client
-        # its token comes after all that a server before it took back
+        # its token arrives after a previous server's tokens have been withdrawn
         until(lambda: self.hub.graph.servers(service) and client.ready, f"a server of {service} on the hub", 60)
         return Calling(self.registry, name, request, client.call)
 
@@ -152,7 +152,7 @@ class HubSide:
         return next((r for r in self.status()["routes"] if r["topic"] == topic and r["direction"] == direction), None)
 
     def takes(self, topic: str, direction: str, *, lane: bool) -> bool:
-        """Whether a route's messages cross the hub by the lane, or over zenoh, now and before."""
+        """Return whether all messages of a route have crossed the hub by the lane, or all over zenoh."""
         routes = [r for r in self.status()["routes"] if (r["hub_topic"], r["direction"]) == (topic, direction)]
         way = "lane" if lane else "zenoh"
         return bool(routes and routes[0]["way"] == way and routes[0]["ways"][way])

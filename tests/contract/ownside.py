@@ -1,4 +1,4 @@
-"""The contract suite's own side: the example of docs/develop/add_a_side.md, in a worker's process as it would run."""
+"""The custom side of the contract suite: the example of docs/develop/add_a_side.md, in a real worker process."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class OwnPeer:
         self._node.publish(end, json.dumps(self._whole(end.type, message)).encode())
 
     def _whole(self, name: str, message: dict[str, Any]) -> dict[str, Any]:
-        """The message with all fields, and octets as lists as the suite has them."""
+        """Return the message with all fields, and octets as lists, as the suite expects."""
         return to_json(self._registry, name, from_json(self._registry, name, message))
 
     def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
@@ -90,7 +90,7 @@ class OwnPeer:
 
 
 class OwnWorker(WorkerProcess):
-    """The side's worker; `Config` of this process knows no section of it."""
+    """The side's worker; this process's `Config` has no section for it."""
 
     def __init__(self, config: Config, section: dict[str, Any]) -> None:
         self._section = section
@@ -102,7 +102,7 @@ class OwnWorker(WorkerProcess):
 
 
 class OwnSide(Side):
-    """A network of datagrams; like DDS it has no centre that could die."""
+    """A network of datagrams; like DDS it has no central process that could crash."""
 
     name = "datagrams"
     tells_listeners = False

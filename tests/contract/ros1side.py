@@ -1,4 +1,4 @@
-"""The contract suite's ROS 1: a real roscore and real rospy programs."""
+"""The ROS 1 side of the contract suite: a real roscore and real rospy programs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.support.ros1 import RosMaster
 
 
 class Ros1Side(Side):
-    """A roscore for each test."""
+    """A roscore per test."""
 
     name = "ros1"
     has_services = True
@@ -31,7 +31,7 @@ class Ros1Side(Side):
         peer = self._master.peer(f"peer{next(self._names)}")
         self._open.append(peer)
         for name in CUSTOM_TYPES:
-            # genpy's text of an empty message has no character
+            # genpy's text of an empty message is empty
             peer.ask("define", type=name, definition=self._registry.ros1(name).definition.rstrip("\n"))
         return peer
 

@@ -1,4 +1,4 @@
-"""The contract suite's ROS 2: real rclpy programs over Fast DDS, on a separate domain."""
+"""The ROS 2 side of the contract suite: real rclpy programs over Fast DDS, on a separate domain."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from tests.support.ros2 import ROS2_PEER, SHORT_LEASE, ros2_domain, ros2_environ
 
 
 class Ros2Side(Side):
-    """A DDS domain. It has no centre that could die; only its programs come and go."""
+    """A DDS domain. It has no central process that could crash; only its programs start and exit."""
 
     name = "ros2"
     has_services = True
     tells_errors = False
-    tells_death = False  # not before a program's lease of 20 s is over
+    tells_death = False  # not before a program's lease of 20 s expires
 
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()
@@ -53,7 +53,7 @@ class Ros2Side(Side):
 
 @functools.cache
 def _custom_prefix() -> Path:
-    """The suite's own message packages, built as a user of them would have them."""
+    """Build the suite's message packages like a user of them."""
     return build(read_folders(PEER_FOLDERS))
 
 

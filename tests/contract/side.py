@@ -1,4 +1,4 @@
-"""What the contract suite needs of a side: its network, real programs on it, and the bridge's worker.
+"""The interface of a side to the contract suite: its network, real programs on it, and the bridge's worker.
 
 An adapter joins the suite by one subclass here and one line in ``conftest.py``.
 """
@@ -21,11 +21,11 @@ from tests.support.wait import until
 
 CUSTOM_FOLDER = Path(__file__).parent / "msgs"
 OWN_FOLDER = Path(__file__).parent / "own"
-"""Types that the bridge gets no folder for, if the side's wire tells enough of them: an empty message."""
+"""Types without a folder for the bridge, if the side's protocol suffices to describe them: an empty message."""
 
 PEER_FOLDERS = (CUSTOM_FOLDER, OWN_FOLDER)
 IMPORTS = ("bridge.cli.daemon.run", "bridge.daemon.process", "bridge.adapters.worker")
-"""What a worker of each side imports."""
+"""The imports of a worker of each side."""
 
 CUSTOM_TYPES = ("contract_msgs/Thing", "octomap_msgs/Octomap", "own_msgs/Ping")
 
@@ -70,26 +70,26 @@ class Side(ABC):
 
     @abstractmethod
     def peer(self) -> PeerLike:
-        """A new real program on the side."""
+        """Start a new real program on the side."""
 
     def mortal(self) -> PeerLike:
-        """A program that is about to be killed, and whose death the side notices without delay."""
+        """Start a program that will be killed, and whose exit the side notices without delay."""
         return self.peer()
 
     @abstractmethod
     def bridge(self, config: Config) -> Bridge:
-        """Start the bridge's worker for this side and return when it has joined."""
+        """Start the bridge's worker for this side; return when it has joined."""
 
     @abstractmethod
     def restart_network(self) -> None:
-        """The network dies and comes back; programs on it are gone."""
+        """Kill and restart the network; programs on it are gone."""
 
     @abstractmethod
     def config(self) -> dict[str, Any]:
-        """The configuration's section of this side, by name."""
+        """Return the configuration's section of this side, by name."""
 
     def close(self) -> None:
-        """End all that was started."""
+        """Stop everything that was started."""
         stop_all(self._open)
         self._open.clear()
 
@@ -116,7 +116,7 @@ class WorkerProcess:
         pipe.flush()
 
     def beat(self) -> dict[str, Any]:
-        """The worker's next heartbeat."""
+        """Return the worker's next heartbeat."""
         pipe = self.process.popen.stdout
         assert pipe is not None
         while True:
@@ -132,7 +132,7 @@ class WorkerProcess:
         self._send({"config": json.loads(config.model_dump_json(by_alias=True))})
 
     def stop(self) -> None:
-        """Stop as the supervisor does."""
+        """Stop the worker like the supervisor."""
         if self.process.popen.poll() is None:
             self._send({"stop": True})
             try:
@@ -143,7 +143,7 @@ class WorkerProcess:
                 self.process.stop()
 
     def kill(self) -> None:
-        """``kill -9``."""
+        """Kill the worker with SIGKILL."""
         self.process.signal(9)
         self.process.popen.wait()
         self.process.stop()

@@ -1,4 +1,4 @@
-"""Bad input is refused with its reason and harms no other route."""
+"""Invalid input is refused with a reason and does not affect other routes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hub endpoints whose QoS is BEST_AVAILABLE, as rmw_zenoh leaves it in its tokens, are bridged like any other."""
+"""Hub endpoints with BEST_AVAILABLE in their tokens, which rmw_zenoh does not resolve, are bridged like any other."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OPEN = Qos(Reliability.BEST_AVAILABLE, Durability.BEST_AVAILABLE, deadline_ns=BE
 
 
 def publisher(far: HubSide, topic: str, type_name: str = STRING, qos: Qos = OPEN) -> Callable[[dict[str, Any]], None]:
-    """A hub publisher; the result publishes one message."""
+    """Create a hub publisher; return a function that publishes one message."""
     endpoint = far.hub.publisher(topic, type_name, far.registry.ros2(type_name).type_id, qos)
     return lambda message: endpoint.put(from_json(far.registry, type_name, message))
 
@@ -53,7 +53,7 @@ def test_to_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
 
 
 def test_the_side_keeps_the_last_message(side: Side, bridge: Bridge, far: HubSide) -> None:
-    """As from a DDS publisher with BEST_AVAILABLE, which is transient local."""
+    """Like messages of a DDS publisher with BEST_AVAILABLE, which is transient local."""
     if not side.tells_latching:
         pytest.skip("this side does not show which topics are latched")
     publish = publisher(far, "/open_state")

@@ -1,4 +1,4 @@
-"""The graph is followed as it changes; a network or a bridge that dies is joined again."""
+"""Changes of the graph are followed; a network that dies is joined again, and a bridge that dies is replaced."""
 
 from __future__ import annotations
 
@@ -87,11 +87,11 @@ def test_killed_and_started_again(side: Side, far: HubSide, config) -> None:
     far.publish_until(peer, out, {"data": "still"}, lambda: far.wait(heard, 1, 0.2))
     assert {m["data"] for m in far.wait(heard, 1)} == {"still"}
     far.drop(far_out)
-    until(lambda: not peer.graph()["publishers"].get("/from_hub"), "the dead one's endpoints are gone", 30)
+    until(lambda: not peer.graph()["publishers"].get("/from_hub"), "the endpoints of the killed bridge are gone", 30)
 
 
 def _until_graph_is(peer: PeerLike, before: dict) -> None:
-    """Endpoints alone count: a ROS master remembers the types of topics that are gone."""
+    """Compare only endpoints: a ROS master keeps the types of topics that no longer exist."""
     kinds = ("publishers", "subscriptions")
     end = time.monotonic() + 10
     while True:

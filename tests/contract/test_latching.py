@@ -1,4 +1,4 @@
-"""Latched state is kept per publisher and given whole to late joiners."""
+"""Latched messages are retained per publisher, and late joiners receive all of them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STRING = "std_msgs/String"
 @pytest.fixture(autouse=True)
 def _told(side: Side) -> None:
     if not side.tells_latching:
-        pytest.skip("this side does not tell what is latched; tests/adapters/zenoh says what becomes of it")
+        pytest.skip("this side does not announce latching; tests/adapters/zenoh covers it")
 
 
 def test_three_latched_publishers_to_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
@@ -27,7 +27,7 @@ def test_three_latched_publishers_to_the_hub(side: Side, bridge: Bridge, far: Hu
     until(lambda: _late(far, "/state", 3) == ["state 0", "state 1", "state 2"], "the last of each crossed", 20)
     assert _late(far, "/state", 3) == ["state 0", "state 1", "state 2"]
     peers[1].drop(ids[1])
-    until(lambda: len(far.publishers("/state")) == 2, "the gone publisher left the hub", 15)
+    until(lambda: len(far.publishers("/state")) == 2, "the closed publisher left the hub", 15)
     assert _late(far, "/state", 2) == ["state 0", "state 2"]
 
 
@@ -39,7 +39,12 @@ def test_three_latched_publishers_to_the_side(side: Side, bridge: Bridge, far: H
     assert _late_peer(side, "/plans", 3) == ["plan 0", "plan 1", "plan 2"]
     assert _late_peer(side, "/plans", 3) == ["plan 0", "plan 1", "plan 2"]
     far.drop(ids[1])
-    until(lambda: far.route("/plans", "out")["sources"] == 2, "the gone publisher is forgotten", 15, every=0.1)
+    until(
+        lambda: far.route("/plans", "out")["sources"] == 2,
+        "the messages of the closed publisher are dropped",
+        15,
+        every=0.1,
+    )
     assert _late_peer(side, "/plans", 2) == ["plan 0", "plan 2"]
 
 
@@ -88,34 +93,35 @@ def test_transforms_that_are_not_latched_pass_beside_static_ones(side: Side, bri
     out = moving.advertise("/robot/tf", "tf2_msgs/TFMessage")
     far.until_published("/robot/tf", 1)
     fixed.publish(fixed.advertise("/robot/tf", "tf2_msgs/TFMessage", latched=True, depth=1), _transforms("fixed"))
-    until(lambda: _frames(_late_tf(far, "/robot/tf")) == ["fixed"], "the static one is kept", 15)
+    until(lambda: _frames(_late_tf(far, "/robot/tf")) == ["fixed"], "the static one is retained", 15)
 
     def alone() -> bool:
         moving.publish(out, _transforms("moving"))
         return _frames(far.wait(heard, 10_000, 0.2)) == ["moving"]
 
-    until(alone, "the moving one passes alone", 15)
+    until(alone, "only the moving one arrives", 15)
     assert _frames(_late_tf(far, "/robot/tf")) == ["fixed"]
 
 
 def test_a_program_that_advertises_anew_without_latching_and_with(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
-    for latched, text in ((True, "kept"), (False, "heard"), (True, "kept again")):
+    for latched, text in ((True, "kept"), (False, "heard"), (True, "retained again")):
         out = peer.advertise("/mode", STRING, latched=latched, depth=1)
         if latched:
             peer.publish(out, {"data": text})
             until(lambda t=text: _late(far, "/mode", 1) == [t], f"{text} is kept", 20)
         else:
-            until(lambda: [p.qos.latched for p in far.publishers("/mode")] == [False], "not latched any more", 20)
+            until(lambda: [p.qos.latched for p in far.publishers("/mode")] == [False], "no longer latched", 20)
             heard = far.subscribe("/mode", STRING)
 
             def crossed(out: int = out, heard: int = heard, text: str = text) -> bool:
                 peer.publish(out, {"data": text})
                 return {"data": text} in far.wait(heard, 1, 0.2)
 
-            until(crossed, "it is heard", 15)
-            # the lane is before zenoh, by which the first late one may hear it live; what is kept comes to each
-            until(lambda: _late(far, "/mode", 0) == [], "nothing is kept", 20)
+            until(crossed, "it is received", 15)
+            # the lane is faster than zenoh, over which the first late one may receive it live; retained messages reach
+            # each
+            until(lambda: _late(far, "/mode", 0) == [], "nothing is retained", 20)
         peer.drop(out)
 
 

@@ -1,4 +1,4 @@
-"""The network of examples/own_side: what a subscription hears that opens while something latched is published."""
+"""The network of examples/own_side: subscriptions that open while a latched message is published."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.support.wait import until
 
 
 def test_latched_heard_both_ways_comes_once() -> None:
-    """Live and again, in either order; an older one after a newer one not at all, of each source."""
+    """Received live and from the cache, in either order; an older message after a newer one is dropped."""
     group = free_group()
     heard: list[str] = []
     node = Node(group, "127.0.0.1", "/listener")
@@ -26,13 +26,13 @@ def test_latched_heard_both_ways_comes_once() -> None:
             publisher.sendto(json.dumps(said).encode(), (address, int(port)))
         said = {"from": "ab.2", "topic": "/mode", "message": "end"}
         publisher.sendto(json.dumps(said).encode(), (address, int(port)))
-        until(lambda: "end" in heard, "all is heard")
+        until(lambda: "end" in heard, "all are received")
     node.close()
     assert heard == ["2", "b1", "3", "end"]
 
 
 def test_a_latched_message_that_was_lost_is_asked_for_again() -> None:
-    """A datagram can be lost; a program that was taken for dead by one side alone is heard again by it."""
+    """A datagram can be lost; a program that only one side considers dead is received again by that side."""
     group = free_group()
     heard: list[str] = []
     node = Node(group, "127.0.0.1", "/listener")
@@ -47,16 +47,16 @@ def test_a_latched_message_that_was_lost_is_asked_for_again() -> None:
             publisher.sendto(json.dumps(said).encode(), (address, int(port)))
 
         node.open("sub", "/mode", "t", latched=True, take=lambda message, _: heard.append(json.loads(message)))
-        hello([7])  # whose datagram was lost
+        hello([7])  # its datagram was lost
         asked, listener = publisher.recvfrom(65536)
         assert json.loads(asked) == {"again": ["ab.1"]}
         said = {"from": "ab.1", "topic": "/mode", "message": "on", "source": "", "number": 7}
         publisher.sendto(json.dumps(said).encode(), listener)
-        until(lambda: heard == ["on"], "what was asked for is heard")
+        until(lambda: heard == ["on"], "the requested message is received")
         hello([7])
         hello([7, 9])
         assert publisher.recvfrom(65536)[0] == asked
         node.close()
         publisher.setblocking(False)
         with pytest.raises(BlockingIOError):
-            publisher.recvfrom(65536)  # nothing was asked for that is known
+            publisher.recvfrom(65536)  # known messages are not requested

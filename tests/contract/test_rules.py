@@ -1,4 +1,4 @@
-"""Rules hold as written, and can be changed while routes run."""
+"""Rules are applied as written, and can change while routes run."""
 
 from __future__ import annotations
 
@@ -37,11 +37,13 @@ def test_deny_rename_and_rate(side: Side, far: HubSide, config) -> None:
     route = until(lambda: _count(far, "/fast_stream", _seen(before) + 20), "all fast messages seen", 10, every=0.1)
     assert route["drops"]["rate"] - before["drops"]["rate"] >= 15
     until(
-        lambda: far.route("/fast_stream", "in")["messages"] == len(far.wait(at_fast, 0)), "what is heard is counted", 10
+        lambda: far.route("/fast_stream", "in")["messages"] == len(far.wait(at_fast, 0)),
+        "received messages are counted",
+        10,
     )
     assert not far.publishers("/secret/not")
     assert not far.publishers("/never")
-    until(lambda: [line["decision"] for line in far.explain("/secret/not")] == ["denied"], "explain tells")
+    until(lambda: [line["decision"] for line in far.explain("/secret/not")] == ["denied"], "explain reports it")
 
 
 def test_default_deny_is_an_allow_list(side: Side, far: HubSide, config) -> None:
@@ -74,8 +76,8 @@ def test_reload_touches_only_what_changed(side: Side, far: HubSide, config) -> N
     peer.publish(kept, {"data": "two"})
     assert [m["data"] for m in far.wait_without(heard, "one", 1)] == ["two"]
     assert far.publishers("/kept")[0].gid == gid
-    # more may have crossed than was heard: the first, before the far end's subscription was known
-    until(lambda: far.route("/kept", "in")["messages"] >= len(far.wait(heard, 2)), "the route goes on counting")
+    # more may have crossed than were received: the first ones, before the far end's subscription was known
+    until(lambda: far.route("/kept", "in")["messages"] >= len(far.wait(heard, 2)), "the route continues to count")
     peer.publish(closed, {"data": "unheard"})
 
 
@@ -89,7 +91,7 @@ def _seen(route: dict) -> int:
 
 
 def test_static_transforms_that_are_denied_leave_both_ways(side: Side, far: HubSide, config) -> None:
-    """They outlive their broadcasters, but not the rule that lets them cross."""
+    """They outlive their broadcasters, but not the rule that allows them."""
     bridge = side.bridge(config())
     peer = side.peer()
     frame = {"transforms": [{"header": {"frame_id": "base"}, "child_frame_id": "lens"}]}

@@ -1,4 +1,4 @@
-"""Services cross both ways: each call ends once, with the reply or with an error."""
+"""Services cross in both directions: each call ends once, with the reply or with an error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.parametrize("side", [name for name, side in SIDES.items
 
 
 def result(peer: PeerLike, call: int, seconds: float = 30.0) -> dict[str, Any]:
-    """How a peer's call ended."""
+    """Return the result of a peer's call."""
     ended = peer.ask("result", id=call, seconds=seconds)
     assert ended["done"], "the call ends"
     return ended
@@ -50,7 +50,7 @@ def test_from_the_side_to_a_server_of_the_hub(side: Side, bridge: Bridge, far: H
     peer = side.peer()
 
     def called() -> bool:
-        """A client of the side may have to see the server first."""
+        """Call until it succeeds, as a client of the side may have to discover the server first."""
         return result(peer, peer.ask("call", service="/do", type=SET, request={"data": True})["id"])["reply"] == YES
 
     until(called, "the reply", 60)
@@ -131,12 +131,12 @@ def test_rules_of_services(side: Side, far: HubSide, config) -> None:
         peer.ask("serve", service=name, type=SET, reply=YES)
     assert far.call("/robot/go", SET).result()["reply"] == YES
     assert far.call("/do", SET).result()["reply"] == YES
-    until(lambda: [line["decision"] for line in far.explain("/secret")] == ["denied"], "explain tells", 20)
+    until(lambda: [line["decision"] for line in far.explain("/secret")] == ["denied"], "explain reports it", 20)
     assert not far.hub.graph.servers("/secret")
 
 
 def test_a_name_that_is_served_on_both_stays_apart(side: Side, bridge: Bridge, far: HubSide) -> None:
-    """A call goes to one server; explain says what helps."""
+    """A call goes to one server; explain gives the cure."""
     far.serve("/do", SET, reply=YES)
     far.until_route("/do", "out", 60)
     peer = side.peer()
@@ -149,10 +149,10 @@ def test_a_name_that_is_served_on_both_stays_apart(side: Side, bridge: Bridge, f
             ("out", "refused"),
         ]
 
-    until(refused, "both ways are refused", 30, every=0.2)
+    until(refused, "both directions are refused", 30, every=0.2)
     assert all("rename" in line["cure"] for line in far.explain("/do"))
     assert far.route("/do", "out") is None
     far.servers["/do"].close()
-    until(lambda: [s for s in far.hub.graph.servers("/do") if not s.own], "the side's own is offered", 30)
+    until(lambda: [s for s in far.hub.graph.servers("/do") if not s.own], "the side's own service is offered", 30)
     assert far.call("/do", SET).result()["reply"]["message"] == "own"
     assert peer.ask("requests", id=own, count=1)["requests"]

@@ -1,4 +1,4 @@
-"""Topics cross both ways, whole, in order and once."""
+"""Topics cross in both directions: completely, in order and once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ def test_side_to_hub(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) ->
         peer.publish(out, {"data": f"number {n}"})
     expected = [f"number {n}" for n in range(50)]
     assert [m["data"] for m in far.wait_without(heard, "probe", 50)] == expected
-    until(lambda: peer.publish(out, {"data": "probe"}) or far.takes("/chatter", "in", lane=lane), "its way", every=0.1)
+    until(
+        lambda: peer.publish(out, {"data": "probe"}) or far.takes("/chatter", "in", lane=lane),
+        "its transport",
+        every=0.1,
+    )
 
 
 def test_hub_to_side(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) -> None:
@@ -33,7 +37,11 @@ def test_hub_to_side(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) ->
     until(lambda: {"data": "number 49"} in peer.wait(heard, 51, 0.2), "the last one")
     got = [m["data"] for m in peer.wait(heard, 51) if m["data"] != "probe"]
     assert got == [f"number {n}" for n in range(50)]
-    until(lambda: far.publish(out, {"data": "probe"}) or far.takes("/orders", "out", lane=lane), "its way", every=0.1)
+    until(
+        lambda: far.publish(out, {"data": "probe"}) or far.takes("/orders", "out", lane=lane),
+        "its transport",
+        every=0.1,
+    )
 
 
 def test_same_topic_both_ways_does_not_loop(side: Side, bridge: Bridge, far: HubSide) -> None:
@@ -114,7 +122,7 @@ def test_octomap_from_a_folder(side: Side, bridge: Bridge, far: HubSide) -> None
     out = peer.advertise("/octomap_binary", "octomap_msgs/Octomap", latched=True)
     far.until_route("/octomap_binary", "in", 90)
 
-    def crossed() -> bool:  # a route may be there a moment before zenoh's programs know of it
+    def crossed() -> bool:  # a route may exist shortly before zenoh's programs have discovered it
         peer.publish(out, tree)
         return bool(far.until_route("/octomap_binary", "in")["messages"])
 
@@ -125,7 +133,7 @@ def test_octomap_from_a_folder(side: Side, bridge: Bridge, far: HubSide) -> None
 
 
 def _bare(message: dict) -> dict:
-    """The fields of a message without the one that ROS 2's C and IDL add to an empty one."""
+    """Return the fields of a message without the one that ROS 2's C and IDL add to an empty message."""
     return {name: value for name, value in message.items() if name != EMPTY_MEMBER}
 
 

@@ -34,7 +34,7 @@ def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_high_rate_topic_crosses_from_its_first_subscriber_on(side: Side, bridge: Bridge, far: HubSide) -> None:
     if not side.tells_listeners:
-        pytest.skip("this side's graph does not list subscribers, so its topics cross all the time")
+        pytest.skip("this side's graph does not list subscribers, so its topics always cross")
     quick, slow = far.advertise("/quick", STRING), far.advertise("/slow", STRING)
     route: dict[str, Any] = {}
     published = 0

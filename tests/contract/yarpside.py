@@ -1,4 +1,4 @@
-"""The contract suite's YARP network: a separate name server, and programs that name their ports ``/topic@/node``."""
+"""The YARP side of the contract suite: a separate name server, and programs with ports named ``/topic@/node``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The contract suite's zenoh dialects: bridges as zenoh's plugins are, see `tests.support.zenoh_programs`.
+"""The zenoh dialects of the contract suite: bridges like zenoh's plugins, see `tests.support.zenoh_programs`.
 
 The adapter runs in the test's process, since it needs no middleware but zenoh.
 """
@@ -22,7 +22,7 @@ from tests.support.wait import until
 from tests.support.zenoh_programs import Ros1Bridge, Ros2ddsBridge, Router, service_texts
 
 PERIOD = 0.25
-"""Seconds between beacons of the ros1 dialect, for all: the plugin's second makes the suite slow."""
+"""Seconds between beacons of the ros1 dialect, for all bridges: the plugin's period of 1 s makes the suite slow."""
 
 
 class ZenohBridge:
@@ -105,7 +105,7 @@ class Ros2ddsSide(ZenohSide):
 
 
 class Ros1KeysSide(ZenohSide):
-    """Bridges of the ros1 dialect, whose keys do not show which topics are latched."""
+    """Bridges of the ros1 dialect, which does not announce latching."""
 
     name = "zenoh_ros1"
     tells_latching = False

@@ -1,1 +1,1 @@
-"""What is lost, and how it comes back."""
+"""Faults and the recovery from them."""

@@ -1,4 +1,4 @@
-"""A goal whose server, client, bridge worker or ROS master is killed in its middle has one end, and no second one.
+"""A goal whose server, client, bridge worker or ROS master is killed meanwhile ends exactly once.
 
 `benchmarks/goals_in_danger.py` does the same many times.
 """
@@ -16,7 +16,7 @@ from tests.interop.deployment import Deployment
 pytestmark = [pytest.mark.thorough, pytest.mark.alone]
 
 FREE = {"client killed", "master killed"}
-"""Dangers in which the goal may go on, so that its server decides how it ends."""
+"""Faults during which the goal may continue, so that its server decides how it ends."""
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("danger", DANGERS)
-def test_a_goal_in_danger_ends_once(scene: Scene, danger: str, way: str) -> None:
+def test_a_goal_ends_exactly_once_after_a_fault(scene: Scene, danger: str, way: str) -> None:
     end = DANGERS[danger](scene, *WAYS[way])
     assert end.good, f"{end}"
     asked_again = danger == "ros2 worker killed" and way.startswith("ROS 2 client")

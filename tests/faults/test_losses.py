@@ -1,4 +1,4 @@
-"""Each loss once, in one deployment: everything flows again by itself, complete, and nothing old with it.
+"""Each loss once, in one deployment: all messages flow again without intervention, completely, and no stale ones.
 
 `benchmarks/recovery.py` does the same many times, one worker at a time, and prints the times.
 """
@@ -19,14 +19,14 @@ pytestmark = [pytest.mark.thorough, pytest.mark.alone]
 
 
 class Fields:
-    """roscore, the daemon, and programs of each side that talk to each other; anew after a test that failed."""
+    """roscore, the daemon, and programs of each side that exchange messages; restarted after a failed test."""
 
     def __init__(self) -> None:
         self._field: Field | None = None
 
     @contextlib.contextmanager
     def one(self) -> Iterator[Field]:
-        """That of the test before, unless that failed."""
+        """Return the deployment of the previous test, or a new one if that test failed."""
         field = self._field = self._field or Field(patient=False)
         try:
             yield field
@@ -61,20 +61,20 @@ LOSSES: dict[str, Callable[[Field], Outcome]] = {
 
 
 @pytest.mark.parametrize("loss", LOSSES)
-def test_everything_comes_back(fields: Fields, loss: str) -> None:
+def test_all_messages_flow_again_after_a_loss(fields: Fields, loss: str) -> None:
     with fields.one() as field:
         outcome = LOSSES[loss](field)
         assert outcome.good, f"{outcome}\n{field.words()}"
 
 
-def test_workers_that_are_killed_again_and_again_leave_no_more_than_once(fields: Fields) -> None:
+def test_repeatedly_killed_workers_leave_no_more_than_one_does(fields: Fields) -> None:
     with fields.one() as field:
         files, _ = litter(field, kills=2, ways=["the workers"])
         assert files.ours <= files.peer, f"{files}\n{field.words()}"
 
 
-def test_the_successor_of_a_killed_daemon_waits_for_no_lease(fields: Fields) -> None:
-    """The dead one's leases last 20 s; benchmarks/recovery.py holds the successor to 3 s."""
+def test_the_successor_of_a_killed_daemon_does_not_wait_for_leases(fields: Fields) -> None:
+    """The killed daemon's leases last 20 s; benchmarks/recovery.py requires the successor within 3 s."""
     with fields.one() as field:
         outcome = cases.daemon(field)
         assert outcome.good, f"{outcome}\n{field.words()}"

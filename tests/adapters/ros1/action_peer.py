@@ -1,12 +1,12 @@
-"""A real rospy program with actionlib's own clients and servers, driven by JSON lines as `tests.support.peer` says.
+"""A real rospy program with actionlib's clients and servers, driven by JSON lines like `tests.support.peer`.
 
 Runs on the system's Python. Actions are ``actionlib/TestAction`` (goal, feedback and result an int32 each) unless
 another type is named. Usage: action_peer.py NODE
 
-What an ``ActionServer`` here does with a goal is in the goal's number: see `OUTCOMES`. A held goal waits for
-``finish``. A cancel request ends a goal as canceled, unless its number is odd in the thousands.
+A goal's number determines what an ``ActionServer`` here does with it: see `OUTCOMES`. A held goal waits for ``finish``.
+A cancel request ends a goal as canceled, unless its thousands digit is odd.
 """
-# ruff: noqa: A002, ANN003, ANN204, ARG002  # parameters are the commands' own words; it runs without Midspan
+# ruff: noqa: A002, ANN003, ANN204, ARG002  # parameters are named as in the commands; it runs without Midspan
 
 import json
 import os
@@ -27,7 +27,7 @@ sys.path.append(str(Path(__file__).parents[2] / "support"))
 from ros1_shutdown import shut_down
 
 OUTCOMES = ("succeed", "abort", "reject", "preempt", "hold")
-"""What becomes of a goal, by its number modulo 10; any other number is held."""
+"""The outcome of a goal, by its number modulo 10; goals with any other number are held."""
 
 
 def action_class(type):
@@ -35,12 +35,12 @@ def action_class(type):
 
 
 def to_plain(value):
-    """A message as JSON can carry it."""
+    """Convert a message to values for JSON."""
     return {n: to_plain(getattr(value, n)) for n in value.__slots__} if hasattr(value, "__slots__") else value
 
 
 class Server:
-    """An actionlib.ActionServer that does what the goals' numbers say."""
+    """An actionlib.ActionServer that acts according to the goals' numbers."""
 
     def __init__(self, name, type):
         self.type, self.handles, self.seen = type, {}, []
@@ -85,7 +85,7 @@ class Server:
 
 
 class Simple:
-    """An actionlib.SimpleActionServer whose goals run until they are pre-empted or their number is finished."""
+    """An actionlib.SimpleActionServer whose goals run until they are preempted or finished by number."""
 
     def __init__(self, name, type):
         self.type, self.done = type, threading.Event()
@@ -108,7 +108,7 @@ class Simple:
 
 
 class Client:
-    """An actionlib.ActionClient; what its goals went through."""
+    """An actionlib.ActionClient that records the states of its goals."""
 
     def __init__(self, name, type):
         self.type, self.goals, self.ready = type, {}, threading.Condition()
@@ -146,7 +146,7 @@ class Client:
 
 
 class Flood:
-    """Goals without an actionlib client, whose books are too slow for a thousand."""
+    """Goals without an actionlib client, which is too slow for a thousand."""
 
     def __init__(self, name, type):
         self.goal = roslib.message.get_message_class(type + "ActionGoal")
@@ -167,7 +167,7 @@ class Flood:
 
 
 class Peer:
-    """Carries out the commands."""
+    """Executes the commands."""
 
     def __init__(self):
         self.parts = {}
@@ -190,7 +190,7 @@ class Peer:
         return {}
 
     def do_finish_all(self, id, **_):
-        """End the held goals, each as its number's hundreds say."""
+        """End the held goals, each according to its number's hundreds digit."""
         server = self.parts[id]
         for goal_id, number in list(server.seen):
             server.finish(goal_id, ("succeed", "abort", "preempt")[number // 100 % 3])
@@ -212,7 +212,7 @@ class Peer:
         return {}
 
     def do_outcomes(self, id, numbers, seconds=40.0, state="DONE", **_):
-        """What became of goals, once each is in a state of the client's or the time is over."""
+        """Return the outcomes of goals, once each is in a state of the client or the time is over."""
         client = self.parts[id]
         with client.ready:
             client.ready.wait_for(lambda: all(state in client.goals[n]["states"] for n in numbers), seconds)
@@ -233,7 +233,7 @@ class Peer:
         return {}
 
     def do_raw_goal(self, id, number, goal="", stamp=(0, 0), **_):
-        """An ActionGoal whose id and stamp are chosen."""
+        """Send an ActionGoal with a given id and stamp."""
         client = self.parts[id]
         message = client.client.ActionGoal()
         message.goal_id = GoalID(id=goal, stamp=rospy.Time(*stamp))
@@ -243,7 +243,7 @@ class Peer:
 
     def do_flood(self, name, count, type="actionlib/Test", **_):
         flood = Flood(name, type)
-        while not flood.publisher.impl.has_connection("/midspan"):  # a probe connects before
+        while not flood.publisher.impl.has_connection("/midspan"):  # a probe connects earlier
             time.sleep(0.01)
         flood.send(count)
         return self.add(flood)
@@ -264,7 +264,7 @@ class Peer:
 
 def main():
     answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # what rospy prints is not an answer
+    os.dup2(2, 1)  # keeps rospy's output apart from the answers
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     rospy.init_node(sys.argv[1], disable_signals=True)
     peer = Peer()

@@ -1,4 +1,4 @@
-"""One roscore, and one edge on it, for the tests of a module that do not stop them."""
+"""One roscore and one edge per module, for tests that do not stop them."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from tests.support.ros1 import RosMaster
 
 @pytest.fixture(scope="module")
 def master() -> Iterator[RosMaster]:
-    """A roscore that stays for the whole module; tests use topic and node names of their own."""
+    """A roscore for the whole module; tests use unique topic and node names."""
     with RosMaster() as master:
         yield master
 
 
 @pytest.fixture(scope="module")
 def edge(master: RosMaster, tmp_path_factory: pytest.TempPathFactory) -> Iterator[EdgeUnderTest]:
-    """An edge on that master, in a process of its own."""
+    """An edge on that master, in a separate process."""
     with edge_on(master, tmp_path_factory.mktemp("state")) as edge:
         yield edge

@@ -1,8 +1,8 @@
-"""A ROS 1 edge in the worker's own environment, driven by JSON lines as the peers of `tests.support.peer` are.
+"""A ROS 1 edge in the worker's environment, driven by JSON lines like the peers of `tests.support.peer`.
 
 Usage: edge_program.py CONFIG STATE. Payloads are base64.
 """
-# ruff: noqa: A002  # parameters are the commands' own words
+# ruff: noqa: A002  # parameters are named as in the commands
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ class Listener:
         self.changes += 1
 
     def presence_changed(self) -> None:
-        """Not asked for."""
+        """Ignore it."""
 
     def message_refused(self, topic: str, reason: str, why: str) -> None:
-        """Not asked for."""
+        """Ignore it."""
 
     def edge_failed(self, reason: str) -> None:
         self.failures.append(reason)
 
 
 class Inbox:
-    """Keeps what a subscription delivers."""
+    """Records what a subscription delivers."""
 
     def __init__(self) -> None:
         self.messages: list[tuple[str, str, int]] = []
@@ -70,7 +70,7 @@ class Inbox:
 
 
 class Calls:
-    """Calls that were begun, and how they ended."""
+    """Calls of a service, and their results."""
 
     def __init__(self, caller: Any) -> None:
         self.caller, self.ready = caller, threading.Condition()
@@ -96,7 +96,7 @@ class Calls:
 
 
 class Served:
-    """A service of the edge's whose calls a test answers."""
+    """A service of the edge; the test replies to its calls."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[bytes, Any]] = []
@@ -110,7 +110,7 @@ class Served:
 
 
 class Program:
-    """Carries out the commands."""
+    """Executes the commands."""
 
     def __init__(self, config: Config, state: Path) -> None:
         self.listener = Listener()
@@ -246,13 +246,13 @@ class Program:
         }
 
     def do_look(self, every: float) -> dict[str, Any]:
-        """Look at the master now, and then so often without a reason; in seconds."""
+        """Read the master now, and from now on with this period in seconds."""
         self.edge._master._period = every
         self.edge._master.wake()
         return {}
 
     def do_stop_timer(self) -> dict[str, Any]:
-        """Run no delayed call from now on."""
+        """Stop running delayed calls."""
         self.edge._timer.after = lambda *_: None  # type: ignore[method-assign]
         return {}
 

@@ -1,4 +1,4 @@
-"""Shorthands for tests of services: requests and replies by their fields, and what came back."""
+"""Helpers for tests of services: requests and replies by their fields, and recorded results."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from bridge.messages.values import MessageReader, MessageWriter
 
 SET_BOOL = "std_srvs/srv/SetBool"
 ECHO = "diagnostic_msgs/srv/AddDiagnostics"
-"""Its reply has room for the text of the request."""
+"""A service type whose response can hold the text of a request."""
 
 
 class Service:
-    """One service type's bytes."""
+    """Encodes and decodes the messages of one service type."""
 
     def __init__(self, registry: Registry, type_name: str) -> None:
         self.type = registry.service_ros2(type_name)
@@ -36,7 +36,7 @@ class Service:
 
 
 class Ends:
-    """Hears of the ends of calls."""
+    """Records the results of calls."""
 
     def __init__(self) -> None:
         self._turn = threading.Condition()
@@ -53,12 +53,12 @@ class Ends:
             return list(self.all)
 
     def replies(self, count: int = 1, seconds: float = 40.0) -> list[bytes]:
-        """So many replies; fails where a call ended with an error."""
+        """Wait for ``count`` replies; fails if a call ended with an error."""
         found = self.wait(count, seconds)
         return [reply for reply in found if isinstance(reply, bytes) or fail(reply)]
 
     def error(self) -> str:
-        """The error with which the only call ended."""
+        """Return the error of the only call."""
         (end,) = self.wait()
         assert isinstance(end, CallError), end
         return str(end)
@@ -69,7 +69,7 @@ def fail(error: CallError) -> bool:
 
 
 class Asked:
-    """What a server of ours was asked; a test answers."""
+    """Records the requests to a server of the edge; the test replies."""
 
     def __init__(self) -> None:
         self._turn = threading.Condition()
@@ -94,11 +94,11 @@ class Asked:
 
 
 def nothing() -> None:
-    """What abandons a call that has ended."""
+    """Abandon a call that has ended."""
 
 
 def answering(response: bytes) -> Call:
-    """A call that has its reply at once."""
+    """Return a `Call` that replies at once."""
 
     def call(_request: bytes, done: Done) -> Abandon:
         done(response)

@@ -20,26 +20,26 @@ from tests.support.wait import until
 
 
 def text(payload: bytes) -> str:
-    """The text in the CDR bytes of a std_msgs/msg/String."""
+    """Return the text in the CDR bytes of a std_msgs/msg/String."""
     assert payload[:4] == b"\0\1\0\0"
     length = int.from_bytes(payload[4:8], "little")
     return payload[8 : 7 + length].decode()
 
 
 def string(data: str) -> bytes:
-    """CDR bytes of a std_msgs/msg/String."""
+    """Return the CDR bytes of a std_msgs/msg/String."""
     encoded = data.encode()
     return b"\0\1\0\0" + (len(encoded) + 1).to_bytes(4, "little") + encoded + b"\0"
 
 
 class Inbox:
-    """What a subscription delivered: payload, source, time."""
+    """Records what a subscription delivers: payload, source, time."""
 
     def __init__(self) -> None:
         self.messages: list[tuple[bytes, str, int | None]] = []
 
     def texts(self) -> list[str]:
-        """Texts of the std_msgs/msg/String that came, sorted."""
+        """Return the texts of the received std_msgs/msg/String, sorted."""
         return sorted(text(payload) for payload, _, _ in self.messages)
 
     def deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
@@ -47,7 +47,7 @@ class Inbox:
 
 
 class RunningEdge:
-    """A started edge with its registry, and shorthands for the tests."""
+    """A started edge with its registry, and helpers for tests."""
 
     def __init__(self, registry: Registry, state: Path) -> None:
         self.registry = registry
@@ -60,10 +60,10 @@ class RunningEdge:
         self.changes += 1
 
     def presence_changed(self) -> None:
-        """Not asked for."""
+        """Ignore it."""
 
     def message_refused(self, topic: str, reason: str, why: str) -> None:
-        """Not asked for."""
+        """Ignore it."""
 
     def edge_failed(self, reason: str) -> None:
         self.failures.append(reason)
@@ -80,7 +80,7 @@ class RunningEdge:
         return self.edge.from_hub(type_name, self.type(type_name).type_id)
 
     def until_seen(self, topic: str, kind: Kind, count: int = 1) -> list[Endpoint]:
-        """The topic's endpoints of one kind, once there are ``count`` whose nodes are known."""
+        """Return the topic's endpoints of one kind, once ``count`` have known nodes."""
 
         def found() -> list[Endpoint] | None:
             there = [e for e in self.edge.endpoints() if e.topic == topic and e.kind is kind]
@@ -105,7 +105,7 @@ def registry() -> Registry:
 
 @pytest.fixture
 def edge(registry: Registry, tmp_path: Path) -> Iterator[RunningEdge]:
-    """An edge that leaves no thread behind."""
+    """An edge that must stop all of its threads."""
     before = set(threading.enumerate())
     running = RunningEdge(registry, tmp_path)
     yield running

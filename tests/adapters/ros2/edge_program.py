@@ -1,4 +1,4 @@
-"""A ROS 2 edge in a process of its own, driven by JSON lines as the peers of `tests.support.peer` are.
+"""A ROS 2 edge in a separate process, driven by JSON lines like the peers of `tests.support.peer`.
 
 Usage: edge_program.py CONFIG STATE, the configuration as JSON. Messages are the texts of std_msgs/msg/String.
 """
@@ -23,7 +23,7 @@ TYPE = "std_msgs/msg/String"
 
 
 class Program:
-    """Carries out the commands."""
+    """Executes the commands."""
 
     def __init__(self, config: Config, state: Path) -> None:
         self.registry = Registry()
@@ -33,13 +33,13 @@ class Program:
         self.edge.start(self)
 
     def graph_changed(self) -> None:
-        """The commands look for themselves."""
+        """Ignore it: the commands read the graph."""
 
     def presence_changed(self) -> None:
-        """Not asked for."""
+        """Ignore it."""
 
     def message_refused(self, topic: str, reason: str, why: str) -> None:
-        """Not asked for."""
+        """Ignore it."""
 
     def edge_failed(self, reason: str) -> None:
         self.failed.append(reason)
@@ -84,9 +84,9 @@ class Program:
 
 
 def main() -> None:
-    """Obey the commands on standard input until it ends."""
+    """Execute the commands from standard input until it ends."""
     answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # what Fast DDS prints is not an answer
+    os.dup2(2, 1)  # keeps Fast DDS's output apart from the answers
     program = Program(Config.model_validate_json(sys.argv[1]), Path(sys.argv[2]))
     for line in sys.stdin:
         params = json.loads(line)

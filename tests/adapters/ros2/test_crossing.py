@@ -1,4 +1,4 @@
-"""The edge in a separate process: other users, a small or full /dev/shm, a sudden death."""
+"""The edge in a separate process: other users, a small or full /dev/shm, crashes."""
 
 from __future__ import annotations
 
@@ -102,8 +102,8 @@ def own_shm(programs: Programs) -> Iterator[Callable[[str], int]]:
         holder.communicate()
 
 
-class Ways:
-    """Endpoints of an edge and of a native program, by which messages go both ways."""
+class Directions:
+    """Endpoints of an edge and of a native program for messages in both directions."""
 
     def __init__(self, edge: Peer, native: Peer) -> None:
         self.edge, self.native = edge, native
@@ -117,7 +117,7 @@ class Ways:
         )
 
     def cross(self, data: str = "x", seconds: float = 40.0) -> None:
-        """Send until this text has come out on both sides."""
+        """Send until this text has arrived on both sides."""
 
         def both() -> bool:
             self.native.publish(self.sends, {"data": data})
@@ -125,16 +125,16 @@ class Ways:
             came = self.edge.ask("wait", id=self.inward, count=1, seconds=0.1)["messages"]
             return data in came and {"data": data} in self.native.wait(self.heard, 1, 0.1)
 
-        until(both, "messages both ways", seconds)
+        until(both, "messages in both directions", seconds)
 
 
 def assert_crosses(edge: Peer, native: Peer, data: str = "x", seconds: float = 40.0) -> None:
-    """Messages go both ways between an edge and a native program."""
-    Ways(edge, native).cross(data, seconds)
+    """Check that messages cross in both directions between an edge and a native program."""
+    Directions(edge, native).cross(data, seconds)
 
 
 def segments(program: Peer) -> set[Path]:
-    """Fast DDS's segments in shared memory that a process has mapped; ports belong to all who use them."""
+    """Return the Fast DDS segments in shared memory that a process has mapped, without shared ports."""
     maps = Path(f"/proc/{program.pid}/maps").read_text()
     return {Path(line.split()[-1]) for line in maps.splitlines() if re.search(r"/dev/shm/fastrtps_[0-9a-f]{16}$", line)}
 
@@ -149,7 +149,7 @@ def need_other_user() -> None:
 
 
 @pytest.mark.parametrize(("edge_user", "native_user"), [(0, NOBODY), (NOBODY, 0)])
-def test_data_crosses_between_users_whoever_came_first(programs: Programs, edge_user: int, native_user: int) -> None:
+def test_data_crosses_between_users_in_any_order_of_start(programs: Programs, edge_user: int, native_user: int) -> None:
     need_other_user()
     native = programs.native(native_user)
     native.graph()
@@ -166,7 +166,7 @@ def test_edge_leaves_shared_memory_when_another_user_appears(
     edge.ask("status")
     native = programs.native(native_user, mounts)
     native.advertise("/x/appears", "std_msgs/String")
-    reasons = until(lambda: edge.ask("status")["failed"], "the edge to ask for a new start")
+    reasons = until(lambda: edge.ask("status")["failed"], "the edge requests a restart")
     assert len(reasons) == 1
     assert "another user" in reasons[0]
     edge.stop()
@@ -180,7 +180,7 @@ def test_data_crosses_to_a_container(programs: Programs, own_shm: Callable[[str]
     ours, theirs = own_shm("1g"), own_shm("1g")
     edge, native = programs.edge(mounts=ours), programs.native(mounts=theirs)
     native.advertise("/x/appears", "std_msgs/String")
-    until(lambda: edge.ask("status")["failed"], "the edge to ask for a new start")
+    until(lambda: edge.ask("status")["failed"], "the edge requests a restart")
     edge.stop()
     assert_crosses(programs.edge(mounts=ours), native)
 
@@ -194,7 +194,7 @@ def test_same_user_keeps_shared_memory(programs: Programs, own_shm: Callable[[st
 
 
 def test_full_shared_memory(programs: Programs, own_shm: Callable[[str], int]) -> None:
-    """Fast DDS uses UDP, and LTTng, which rclpy loads, cannot open the file without whose page it ends the process."""
+    """Fast DDS uses UDP; LTTng, which would crash the process without a page for its file, cannot open that file."""
     mounts = own_shm("1m")
     fill = "head -c 2m /dev/zero > /dev/shm/fill 2> /dev/null"
     subprocess.run(["nsenter", f"--mount=/proc/{mounts}/ns/mnt", "sh", "-c", fill], check=False)
@@ -208,19 +208,19 @@ def test_full_shared_memory(programs: Programs, own_shm: Callable[[str], int]) -
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("transport", ["auto", "shared_memory", "udp"])
-def test_small_shared_memory_will_do(programs: Programs, own_shm: Callable[[str], int], transport: str) -> None:
+def test_a_small_shared_memory_suffices(programs: Programs, own_shm: Callable[[str], int], transport: str) -> None:
     """/dev/shm of 64 MB, Docker's default; large messages among them."""
     mounts = own_shm("64m")
     edge = programs.edge(mounts=mounts, transport=transport)
     assert_crosses(edge, programs.native(mounts=mounts), "x" * 1_000_000, 20)
     assert_crosses(edge, programs.native(mounts=mounts), "x" * 6_000_000, 20)
-    # A dead one's segment must not take the room of the next.
+    # the segment of a dead process must not occupy the space of the next one
     edge.signal(signal.SIGKILL)
     edge = programs.edge(mounts=mounts, transport=transport)
     assert_crosses(edge, programs.native(mounts=mounts), "y" * 1_000_000, 20)
 
 
-def test_killed_edge_vanishes_and_is_never_taken_for_native(programs: Programs, edge: RunningEdge) -> None:
+def test_a_killed_edge_leaves_the_graph_and_never_counts_as_native(programs: Programs, edge: RunningEdge) -> None:
     killed, native = programs.edge(), programs.native()
     killed.ask("advertise", topic="/x/killed")
     (endpoint,) = edge.until_seen("/x/killed", Kind.PUBLISHER)
@@ -228,33 +228,35 @@ def test_killed_edge_vanishes_and_is_never_taken_for_native(programs: Programs, 
     until(lambda: native.graph()["publishers"].get("/x/killed"), "the edge on the native graph")
     killed.signal(signal.SIGKILL)
     programs.edge()  # a worker's successor, with its state
-    until(lambda: not native.graph()["publishers"].get("/x/killed"), "the killed edge to go")
+    until(lambda: not native.graph()["publishers"].get("/x/killed"), "the killed edge leaves the graph")
     edge.until_gone("/x/killed", Kind.PUBLISHER)
 
 
 @pytest.mark.thorough
 @pytest.mark.alone
 @pytest.mark.parametrize("transport", ["shared_memory", "udp"])
-def test_a_successor_hears_at_once_and_not_at_the_next_announcement(programs: Programs, transport: str) -> None:
+def test_a_successor_discovers_others_at_once_and_not_at_their_next_announcement(
+    programs: Programs, transport: str
+) -> None:
     native = programs.native()
     sends = native.advertise("/x/in", "std_msgs/String")
     native.ask("count", id=sends, first=1, count=1_000_000, rate=100)
     for _ in range(5):
         edge = programs.edge(transport=transport)
         heard = edge.ask("subscribe", topic="/x/in")["id"]
-        assert edge.ask("wait", id=heard, count=1, seconds=1.5)["messages"], "announcements come each 3 s"
+        assert edge.ask("wait", id=heard, count=1, seconds=1.5)["messages"], "announcements come every 3 s"
         edge.signal(signal.SIGKILL)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("seconds", [1.0, 3.0])
-def test_everything_crosses_again_after_an_edge_stood_still(programs: Programs, seconds: float) -> None:
+def test_everything_crosses_again_after_an_edge_was_suspended(programs: Programs, seconds: float) -> None:
     edge, native = programs.edge(), programs.native()
-    ways = Ways(edge, native)
+    ways = Directions(edge, native)
     ways.cross()
     for number in range(2):
         edge.signal(signal.SIGSTOP)
-        time.sleep(seconds)  # this is the case: that long it is silent
+        time.sleep(seconds)  # the suspension exceeds the lease
         edge.signal(signal.SIGCONT)
         ways.cross(f"again {number}")
     assert native.graph()["publishers"]["/x/out"] == ["midspan"]
@@ -271,12 +273,12 @@ def test_clean_stop_leaves_nothing_in_shared_memory(programs: Programs) -> None:
     assert not [path for path in made if path.exists()]
 
 
-def test_what_one_edge_announces_another_one_hears(edge: RunningEdge, programs: Programs) -> None:
+def test_records_of_one_edge_reach_the_others(edge: RunningEdge, programs: Programs) -> None:
     edge.edge.announce(b"before it came")
     other = programs.edge()
     until(lambda: other.ask("sightings")["records"] == ["before it came"], "the last record arrives")
     other.ask("announce", record="an answer")
-    until(lambda: [s.record for s in edge.edge.sightings()] == [b"an answer"], "so is the answer")
+    until(lambda: [s.record for s in edge.edge.sightings()] == [b"an answer"], "the response arrives")
     edge.edge.announce(b"more" * 10_000)
     until(lambda: other.ask("sightings")["records"] == ["more" * 10_000], "each record replaces the last")
     until(lambda: edge.edge.settled(0.0), "the participants present at the start")

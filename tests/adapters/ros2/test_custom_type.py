@@ -1,4 +1,4 @@
-"""A type of which this machine has no package, between the edge and a real program that has it built."""
+"""A type without a package on this machine, between the edge and a real program that has it."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ def touch_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def registry(touch_folder: Path) -> Registry:
-    """The edge's registry has the definition alone."""
+    """The edge's registry, which has only the definition."""
     return Registry(folders=[touch_folder])
 
 
-def test_custom_type_goes_there_and_back(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+def test_a_custom_type_crosses_in_both_directions(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
     prefix = build({"touch_msgs": {"msg/Touch.msg": DEFINITION}})
     native = peer(**environment([prefix]))
     publisher = native.advertise("/c/in", "touch_msgs/Touch")
@@ -65,4 +65,4 @@ def test_custom_type_goes_there_and_back(edge: RunningEdge, peer: Callable[..., 
             ours.send(convert(payload), "hub")
         return native.wait(subscription, 1, 0.1)
 
-    assert until(heard, "the message to come back")[0] == FIELDS
+    assert until(heard, "the message comes back")[0] == FIELDS

@@ -22,7 +22,7 @@ def test_rclpy_is_available_here() -> None:
     assert available(Config()) == ""
 
 
-def test_missing_rclpy_is_told_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_rclpy_is_reported_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment, "find_spec", lambda _name: None)
     assert "rclpy is not installed" in available(Config())
     assert "pip install" in available(Config())
@@ -41,7 +41,7 @@ def test_domain(configured: int | None, environ: dict[str, str], domain: str) ->
     assert worker_environment(config(domain=configured), environ)["ROS_DOMAIN_ID"] == domain
 
 
-def test_switches_that_would_undo_the_profile_are_taken_away() -> None:
+def test_variables_that_would_override_the_profile_are_removed() -> None:
     given = {"ROS_LOCALHOST_ONLY": "1", "FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA", "HOME": "/home/robot"}
     result = worker_environment(Config(), given)
     assert "ROS_LOCALHOST_ONLY" not in result
@@ -51,7 +51,7 @@ def test_switches_that_would_undo_the_profile_are_taken_away() -> None:
     assert result["HOME"] == "/home/robot"
 
 
-def test_ros1_packages_are_taken_off_the_path(tmp_path: Path) -> None:
+def test_ros1_packages_are_removed_from_the_path(tmp_path: Path) -> None:
     (tmp_path / "noetic" / "rospy").mkdir(parents=True)
     (tmp_path / "mine").mkdir()
     result = worker_environment(Config(), {"PYTHONPATH": f"{tmp_path / 'noetic'}:{tmp_path / 'mine'}"})
@@ -59,7 +59,7 @@ def test_ros1_packages_are_taken_off_the_path(tmp_path: Path) -> None:
     assert "PYTHONPATH" not in worker_environment(Config(), {"PYTHONPATH": str(tmp_path / "noetic")})
 
 
-def test_sourced_ros2_is_left_as_it_is(tmp_path: Path) -> None:
+def test_a_sourced_ros2_is_kept(tmp_path: Path) -> None:
     (tmp_path / SITE / "rclpy").mkdir(parents=True)
     given = {
         "AMENT_PREFIX_PATH": str(tmp_path),

@@ -1,4 +1,4 @@
-"""The loop that takes messages: idle readers cost nothing, bursts arrive whole, and it does without eventfd."""
+"""The read loop: idle readers cost nothing, bursts arrive complete, and it works without eventfd."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.support.wait import until
 STRING = "std_msgs/msg/String"
 
 
-def test_idle_subscriptions_are_never_looked_at(
+def test_idle_subscriptions_are_never_polled(
     edge: RunningEdge, peer: Callable[..., Peer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looks: Counter[str] = Counter()
@@ -48,7 +48,7 @@ def test_idle_subscriptions_are_never_looked_at(
     assert set(looks) == {"/idle/active"}
 
 
-def test_burst_longer_than_a_turn_arrives_whole(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+def test_a_burst_longer_than_one_cycle_arrives_complete(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
     texts: list[str] = []
     going = threading.Event()
 
@@ -62,7 +62,10 @@ def test_burst_longer_than_a_turn_arrives_whole(edge: RunningEdge, peer: Callabl
     publisher = native.advertise("/burst", "std_msgs/String", depth=2 * count)
     native.advertise("/burst_known", "std_msgs/String")
     edge.until_seen("/burst", Kind.PUBLISHER)
-    until(lambda: native.graph()["subscriptions"].get("/burst") == ["midspan"], "our subscription on the native graph")
+    until(
+        lambda: native.graph()["subscriptions"].get("/burst") == ["midspan"],
+        "the edge's subscription on the native graph",
+    )
     for number in range(count):
         native.publish(publisher, {"data": str(number)})
     going.set()
@@ -70,7 +73,7 @@ def test_burst_longer_than_a_turn_arrives_whole(edge: RunningEdge, peer: Callabl
     assert texts == [str(number) for number in range(count)]
 
 
-def test_route_that_raises_does_not_stop_the_others(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+def test_an_exception_in_one_route_does_not_stop_the_others(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
     def broken(_payload: bytes, _source: str, _time_ns: int | None) -> None:
         raise RuntimeError
 
@@ -83,7 +86,7 @@ def test_route_that_raises_does_not_stop_the_others(edge: RunningEdge, peer: Cal
         native.publish(publisher, {"data": "x"})
         return len(inbox.messages) >= 10
 
-    until(ten, "ten messages beside the broken route")
+    until(ten, "ten messages in spite of the broken route")
 
 
 def test_without_eventfd(
@@ -101,7 +104,7 @@ def test_without_eventfd(
             native.publish(publisher, {"data": "x"})
             return len(inbox.messages) > than
 
-        until(lambda: more(2), "messages by the wait set")
+        until(lambda: more(2), "messages through the wait set")
         closed.close()
         count = len(inbox.messages)
         until(lambda: more(count + 2), "messages after a subscription was closed")

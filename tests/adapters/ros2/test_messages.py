@@ -43,8 +43,8 @@ def test_from_ros2(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
     assert time_ns is not None
 
 
-def test_through_the_edge_without_its_message_package(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
-    """Type support is made from name and hash, so a type needs no package here."""
+def test_a_type_crosses_without_its_message_package(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+    """Type support is created from name and hash, so no package is needed here."""
     native = peer()
     publisher = native.advertise("/m/relay_in", "visualization_msgs/Marker")
     subscription = native.subscribe("/m/relay_out", "visualization_msgs/Marker")
@@ -59,7 +59,7 @@ def test_through_the_edge_without_its_message_package(edge: RunningEdge, peer: C
             ours.send(convert(payload), "hub")
         return native.wait(subscription, 1, 0.1)
 
-    message = until(heard, "the native subscription to hear us")[0]
+    message = until(heard, "the native subscription receives the edge's message")[0]
     assert {key: message[key] for key in MARKER} == MARKER
     assert "visualization_msgs" not in sys.modules
 
@@ -78,12 +78,12 @@ def test_large_messages(edge: RunningEdge, peer: Callable[..., Peer], size: int)
         ours.send(payload, "hub")
         return bool(inbox.messages) and bool(native.wait(subscription, 1, 0.5))
 
-    until(both, "large messages both ways")
+    until(both, "large messages in both directions")
     assert len(inbox.messages[0][0]) == size + 9
     assert native.wait(subscription, 1)[0]["data"] == "x" * size
 
 
-def test_best_effort_and_reliable_publishers_of_one_topic_are_both_heard(
+def test_best_effort_and_reliable_publishers_of_one_topic_are_both_received(
     edge: RunningEdge, peer: Callable[..., Peer]
 ) -> None:
     native = peer()
@@ -102,7 +102,9 @@ def test_best_effort_and_reliable_publishers_of_one_topic_are_both_heard(
     until(all_heard, "messages of all three publishers")
 
 
-def test_no_message_comes_twice_where_publishers_differ(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+def test_no_message_arrives_twice_if_publishers_have_different_qos(
+    edge: RunningEdge, peer: Callable[..., Peer]
+) -> None:
     native = peer()
     publishers = [
         native.advertise("/m/once", "std_msgs/String", **qos)
@@ -116,7 +118,7 @@ def test_no_message_comes_twice_where_publishers_differ(edge: RunningEdge, peer:
             native.publish(endpoint, {"data": "warm"})
         return len({source for _, source, _ in inbox.messages}) == 3
 
-    until(warm, "all three publishers to be heard")
+    until(warm, "messages of all three publishers arrive")
     expected = []
     # One at a time: of a burst, best effort and a history of ten may lose some on a busy machine.
     for number in range(20):
@@ -127,7 +129,7 @@ def test_no_message_comes_twice_where_publishers_differ(edge: RunningEdge, peer:
     assert [t for t in inbox.texts() if t != "warm"] == sorted(expected)
 
 
-def test_what_another_midspan_publishes_is_not_delivered(
+def test_messages_of_another_midspan_are_not_delivered(
     edge: RunningEdge, peer: Callable[..., Peer], tmp_path: Path
 ) -> None:
     profile, _ = marked_profile(tmp_path)
@@ -149,7 +151,7 @@ def test_what_another_midspan_publishes_is_not_delivered(
     assert texts == {"native"}
 
 
-def test_junk_is_refused_before_it_is_published(edge: RunningEdge) -> None:
+def test_malformed_bytes_are_refused_before_publishing(edge: RunningEdge) -> None:
     convert = edge.conversion("geometry_msgs/msg/Twist").convert
     assert convert is not None
     for junk in (b"", b"\0\1\0\0", b"\0\1\0\0" + bytes(44)):
@@ -157,13 +159,13 @@ def test_junk_is_refused_before_it_is_published(edge: RunningEdge) -> None:
             convert(junk)
 
 
-def test_hash_that_differs_is_told(edge: RunningEdge) -> None:
+def test_a_different_type_hash_is_reported(edge: RunningEdge) -> None:
     with pytest.raises(MessageTypeError, match="RIHS01_0000") as caught:
         edge.edge.from_hub("std_msgs/msg/String", "RIHS01_" + "0" * 64)
     assert caught.value.cure
 
 
-def test_subscription_that_cannot_hear_us_is_reported(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+def test_a_subscription_with_incompatible_qos_is_reported(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
     native = peer("late_map_user")
     native.subscribe("/m/deaf", "std_msgs/String", latched=True)
     native.subscribe("/m/hears", "std_msgs/String")
@@ -178,7 +180,7 @@ def test_subscription_that_cannot_hear_us_is_reported(edge: RunningEdge, peer: C
     assert "volatile" in warning
 
 
-def test_closed_subscription_delivers_no_more(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+def test_a_closed_subscription_stops_delivering(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
     native = peer()
     publisher = native.advertise("/m/closed", "std_msgs/String")
     closed: list[bytes] = []
@@ -205,12 +207,12 @@ def test_closed_subscription_delivers_no_more(edge: RunningEdge, peer: Callable[
     assert len(closed) == count
 
 
-def test_a_name_that_ros2_forbids_is_refused_in_plain_words(edge: RunningEdge) -> None:
+def test_an_invalid_topic_name_is_refused_with_a_clear_error(edge: RunningEdge) -> None:
     with pytest.raises(MessageTypeError, match="ROS 2 does not accept /m/1x as std_msgs/msg/String"):
         edge.edge.advertise("/m/1x", edge.type("std_msgs/msg/String"), Qos())
 
 
-def test_a_second_type_of_one_topic_is_refused_in_plain_words(edge: RunningEdge) -> None:
+def test_a_second_type_of_one_topic_is_refused_with_a_clear_error(edge: RunningEdge) -> None:
     edge.subscribe("/m/two", "std_msgs/msg/String")
     for second in (
         lambda: edge.subscribe("/m/two", "std_msgs/msg/Int32"),

@@ -1,4 +1,4 @@
-"""A network that comes after the edge: rclpy on another machine is discovered once the edge has started again."""
+"""A network that appears after the edge's start: rclpy on another machine is discovered after a restart of the edge."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def program(machine: Machine, env: dict[str, str], *words: str) -> Peer:
 
 
 def edge(machine: Machine, state: Path) -> Peer:
-    # the two have one /dev/shm, by which they would find each other without a network
+    # the two share one /dev/shm, through which they would discover each other without a network
     section = {"domain": ros2_domain(), "localhost_only": False, "transport": "udp"}
     config = Config.model_validate({"ros2": section})
     env = {**worker_environment(config, os.environ), "PYTHONPATH": str(ROOT), "HOME": str(state)}
     return program(machine, env, "-m", "tests.adapters.ros2.edge_program", json.dumps({"ros2": section}), str(state))
 
 
-def test_an_edge_ends_when_a_network_comes_and_the_next_one_uses_it(
+def test_an_edge_ends_when_a_network_appears_and_its_successor_uses_it(
     machines: tuple[Machine, Machine], tmp_path: Path
 ) -> None:
     robot, other = machines
@@ -55,9 +55,9 @@ def test_an_edge_ends_when_a_network_comes_and_the_next_one_uses_it(
     with first:
         assert first.ask("status")["failed"] == []
         Cable(robot, other)
-        (reason,) = until(lambda: first.ask("status")["failed"], "the edge asks to be started again", 20)
+        (reason,) = until(lambda: first.ask("status")["failed"], "the edge requests a restart", 20)
         assert "a new address that the ROS 2 side does not use: 10.77.0.1 on eth77: restarting" in reason
-    until(lambda: "state UP" in other.run("ip", "link", "show", "eth77"), "Fast DDS will use the other end, too")
+    until(lambda: "state UP" in other.run("ip", "link", "show", "eth77"), "Fast DDS will use the other interface, too")
     env = ros2_environment(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
     with program(other, env, str(ROS2_PEER), "remote") as remote, edge(robot, tmp_path) as second:
         remote.advertise("/remote", STRING)
@@ -66,7 +66,7 @@ def test_an_edge_ends_when_a_network_comes_and_the_next_one_uses_it(
 
 
 @pytest.mark.parametrize("profile", [None, "own.xml"])
-def test_only_without_a_profile_the_edge_starts_again(
+def test_the_edge_restarts_only_without_a_custom_profile(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, profile: str | None
 ) -> None:
     failures: list[str] = []

@@ -1,4 +1,4 @@
-"""The Fast DDS profile that is generated, and a user's own."""
+"""The generated Fast DDS profile, and a user's custom profile."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def texts(xml: str, tag: str) -> list[str | None]:
     return [element.text for element in ET.fromstring(xml).iter(SPACE + tag)]
 
 
-def test_shared_memory_beside_udp() -> None:
+def test_shared_memory_and_udp() -> None:
     xml = FastDdsProfile(PREFIX, 32 << 20, localhost_only=True).xml()
     assert texts(xml, "type") == ["SHM", "UDPv4"]
     assert texts(xml, "segment_size") == [str(32 << 20)]
@@ -26,14 +26,14 @@ def test_shared_memory_beside_udp() -> None:
     assert texts(xml, "address") == ["127.0.0.1", "239.255.0.1", "127.0.0.1"]
 
 
-def test_udp_alone_on_all_interfaces() -> None:
+def test_only_udp_on_all_interfaces() -> None:
     xml = FastDdsProfile(PREFIX, 0, localhost_only=False).xml()
     assert texts(xml, "type") == ["UDPv4"]
     assert texts(xml, "interfaceWhiteList") == []
 
 
 @pytest.mark.parametrize("space", ["", ' xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"'])
-def test_own_profile_gets_our_mark(tmp_path: Path, space: str) -> None:
+def test_a_custom_profile_gets_the_mark(tmp_path: Path, space: str) -> None:
     own = tmp_path / "own.xml"
     own.write_text(
         f"""<dds{space}><profiles><participant profile_name="other"><rtps/></participant>
@@ -47,7 +47,7 @@ def test_own_profile_gets_our_mark(tmp_path: Path, space: str) -> None:
 
 
 @pytest.mark.parametrize(("text", "why"), [("<dds", "not XML"), ("<dds/>", "is_default_profile")])
-def test_own_profile_that_cannot_serve(tmp_path: Path, text: str, why: str) -> None:
+def test_an_unusable_custom_profile_is_rejected(tmp_path: Path, text: str, why: str) -> None:
     own = tmp_path / "own.xml"
     own.write_text(text)
     with pytest.raises(ValueError, match=why):

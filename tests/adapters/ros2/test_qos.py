@@ -1,4 +1,4 @@
-"""QoS between ours and rclpy's, and which offers meet which requests."""
+"""Conversion of QoS from and to rclpy, and compatibility of offers and requests."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_mismatch(offered: Qos, requested: Qos, why: str) -> None:
     assert bool(found) == bool(why)
 
 
-def test_our_endpoints_have_a_bounded_history() -> None:
+def test_endpoints_of_the_edge_have_a_bounded_history() -> None:
     profile = to_rclpy(Qos(BEST_EFFORT, LATCHED, History.KEEP_ALL, depth=0)).to_dict()
     assert (int(profile["history"]), profile["depth"]) == (int(History.KEEP_LAST), 1)
     assert int(profile["reliability"]) == int(BEST_EFFORT)

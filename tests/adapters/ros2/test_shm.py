@@ -1,4 +1,4 @@
-"""Fast DDS's files in shared memory, on folders of our own."""
+"""Fast DDS's files in shared memory, in temporary folders."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_only_segments_of_the_dead_are_removed(folder: Path) -> None:
+def test_only_segments_of_dead_processes_are_removed(folder: Path) -> None:
     with (folder / f"{HELD}_el").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         before = set(folder.iterdir())
@@ -34,7 +34,7 @@ def test_only_segments_of_the_dead_are_removed(folder: Path) -> None:
         assert before - set(folder.iterdir()) == {folder / DEAD, folder / f"{DEAD}_el"}
 
 
-def test_ports_of_our_own_dead_are_removed_unless_somebody_uses_them(folder: Path) -> None:
+def test_ports_of_dead_predecessors_are_removed_unless_in_use(folder: Path) -> None:
     for number in (7413, 7415):
         for name in ("fastrtps_port{}", "fastrtps_port{}_el", "sem.fastrtps_port{}_mutex"):
             (folder / name.format(number)).touch()
@@ -48,7 +48,7 @@ def test_ports_of_our_own_dead_are_removed_unless_somebody_uses_them(folder: Pat
     assert not list(folder.glob("*7415*"))
 
 
-def test_other_users_count_only_while_they_live(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_users_count_only_while_they_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: mine + 1)
     assert not neighbours.has_other_users(folder)
@@ -60,7 +60,9 @@ def test_other_users_count_only_while_they_live(folder: Path, monkeypatch: pytes
 
 
 @pytest.mark.parametrize(("free_mb", "segment_mb"), [(100_000, 32), (512, 32), (256, 32), (64, 8), (63, 0), (0, 0)])
-def test_segment_is_an_eighth_of_what_is_free(monkeypatch: pytest.MonkeyPatch, free_mb: int, segment_mb: int) -> None:
+def test_the_segment_is_an_eighth_of_the_free_space(
+    monkeypatch: pytest.MonkeyPatch, free_mb: int, segment_mb: int
+) -> None:
     real = os.statvfs("/")
     values = [*tuple(real)[:11]]
     values[1], values[4] = 4096, free_mb * 256
@@ -68,7 +70,7 @@ def test_segment_is_an_eighth_of_what_is_free(monkeypatch: pytest.MonkeyPatch, f
     assert neighbours.segment_size() == segment_mb << 20
 
 
-def test_no_folder_is_no_room(tmp_path: Path) -> None:
+def test_a_missing_folder_has_no_space(tmp_path: Path) -> None:
     assert neighbours.segment_size(tmp_path / "none") == 0
     assert neighbours.clean(tmp_path / "none") == 0
     assert not neighbours.has_other_users(tmp_path / "none")

@@ -1,4 +1,4 @@
-"""LTTng's files in a full /dev/shm, in the place of which a link stands."""
+"""LTTng's files in a full /dev/shm are replaced by links."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NAME = "lttng-ust-wait-6"
 
 
 def names(folder: Path) -> set[str]:
-    """The links in a folder."""
+    """Return the links in a folder."""
     return {file.name for file in folder.iterdir() if file.is_symlink()}
 
 
@@ -26,7 +26,7 @@ def full(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("full")
-def test_links_stand_for_files_without_a_page(tmp_path: Path) -> None:
+def test_links_replace_files_without_a_page(tmp_path: Path) -> None:
     (tmp_path / NAME).touch()
     os.truncate(tmp_path / NAME, 4096)
     (tmp_path / f"{NAME}-{os.getuid()}").write_bytes(bytes(4096))
@@ -38,7 +38,9 @@ def test_links_stand_for_files_without_a_page(tmp_path: Path) -> None:
         os.open(tmp_path / NAME, os.O_RDONLY | os.O_NOFOLLOW)
 
 
-def test_links_of_a_killed_worker_go_when_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_links_of_a_killed_worker_are_removed_when_there_is_space(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(tracing, "_is_full", lambda _folder: True)
         patch.setattr(atexit, "register", lambda *_: None)

@@ -1,4 +1,4 @@
-"""Type support made from name and hash."""
+"""Type support created from name and hash."""
 
 from __future__ import annotations
 
@@ -27,6 +27,6 @@ def test_one_class_per_name_and_hash() -> None:
         ("", HASH),
     ],
 )
-def test_what_is_no_type_is_refused(name: str, hash_: str) -> None:
+def test_invalid_types_are_refused(name: str, hash_: str) -> None:
     with pytest.raises(MessageTypeError):
         TypeSupports().message_class(name, hash_)

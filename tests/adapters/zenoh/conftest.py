@@ -1,4 +1,4 @@
-"""A hub, a zenoh network beside it, and programs on it that are written from the plugins' sources."""
+"""A hub, a separate zenoh network, and programs on it that are modeled on the plugins' sources."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ROS1, ROS2 = Messages(ros1=True, texts=service_texts()), Messages(ros1=False, te
 
 
 class Place:
-    """One test's networks and what was started on them."""
+    """The networks of a test and everything that runs on them."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -38,27 +38,27 @@ class Place:
         self._node: ModuleNode | None = None
 
     def config(self, *dialects: dict[str, Any], name: str = "here", **sections: Any) -> Config:
-        """A configuration with these dialects on the network beside the hub's."""
+        """Return a configuration with these dialects on the separate network."""
         zenoh = {"router": self.router.endpoint, "dialects": list(dialects)}
         hub = {"listen": self.hubs.endpoint}
         return Config.model_validate({"name": name, "state": self.folder, "hub": hub, "zenoh": zenoh, **sections})
 
     def bridge(self, *dialects: dict[str, Any], **sections: Any) -> ZenohBridge:
-        """The adapter with these dialects."""
+        """Start the adapter with these dialects."""
         bridge = ZenohBridge(self.config(*dialects, **sections))
         self._open.append(bridge)
         return bridge
 
     @property
     def far(self) -> HubSide:
-        """A native program of the hub."""
+        """Start a native program on the hub."""
         if self._far is None:
             self._far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
         return self._far
 
     @property
     def node(self) -> ModuleNode:
-        """A node of the hub that has actions."""
+        """Return a node on the hub that supports actions."""
         if self._node is None:
             loop = EventLoop("far")
             loop.start()
@@ -66,19 +66,19 @@ class Place:
         return self._node
 
     def on_node(self, action: Callable[[], Any]) -> Any:
-        """What an action gives on the node's own thread."""
+        """Run an action on the node's thread; return its result."""
         return self.node.loop.call(action)
 
     def ros2dds(self, namespace: str = "") -> Ros2ddsBridge:
-        """A zenoh-bridge-ros2dds."""
+        """Start a zenoh-bridge-ros2dds."""
         return self._keep(Ros2ddsBridge(self.router.endpoint, ROS2, namespace))
 
     def ros1(self, namespace: str = "*", period: float = PERIOD) -> Ros1Bridge:
-        """A zenoh-bridge-ros1."""
+        """Start a zenoh-bridge-ros1."""
         return self._keep(Ros1Bridge(self.router.endpoint, ROS1, namespace, period))
 
     def json(self) -> JsonProgram:
-        """A program without ROS."""
+        """Start a program without ROS."""
         return self._keep(JsonProgram(self.router.endpoint))
 
     def _keep(self, program: Any) -> Any:
@@ -86,32 +86,32 @@ class Place:
         return program
 
     def status(self, side: str) -> dict[str, Any]:
-        """What one dialect's worker tells of itself."""
+        """Return the status of one dialect's worker."""
 
         def told() -> dict[str, Any] | None:
             answers = self.far.hub.ask("status", {}, worker=side)
             return next((a.value for a in answers if isinstance(a.value, dict)), None)
 
-        return until(told, f"{side} tells its status")  # type: ignore[return-value]
+        return until(told, f"{side} reports its status")  # type: ignore[return-value]
 
     def route(self, side: str, topic: str, direction: str) -> dict[str, Any] | None:
-        """One route of one dialect."""
+        """Return one route of one dialect."""
         routes = self.status(side)["routes"]
         return next((r for r in routes if r["topic"] == topic and r["direction"] == direction), None)
 
     def until_route(self, side: str, topic: str, direction: str) -> dict[str, Any]:
-        """Wait for a route."""
+        """Wait for a route and return it."""
         found = until(lambda: self.route(side, topic, direction), f"{side} routes {topic} {direction}", every=0.1)
         assert found is not None
         return found
 
     def explain(self, side: str, topic: str) -> list[dict[str, Any]]:
-        """What one dialect decided of a topic."""
+        """Return the decision of one dialect on a topic."""
         answers = self.far.hub.ask("explain", {"topic": topic}, worker=side)
         return [line for a in answers if isinstance(a.value, list) for line in a.value]
 
     def close_node(self) -> None:
-        """The node leaves."""
+        """Close the node."""
         node, self._node = self._node, None
         if node is not None:
             node.close()
@@ -141,7 +141,7 @@ def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Place]:
 
 
 def cross(sender: Any, out: int, hearer: Any, heard: int, message: dict[str, Any]) -> Any:
-    """Publish until it is heard; what was heard first."""
+    """Publish until a message arrives; return the first one."""
 
     def once() -> list[Any]:
         sender.publish(out, message)

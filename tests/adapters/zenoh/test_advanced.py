@@ -1,4 +1,4 @@
-"""Foreign programs read the dialects with zenoh's advanced subscribers, which go by the source numbers of samples."""
+"""Programs that read the dialects with zenoh's advanced subscribers, which use the source numbers of samples."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_every_message_of_a_dialect_arrives(place: Place, dialect: dict[str, Any
 
 
 def test_every_beacon_of_the_ros1_dialect_arrives(place: Place) -> None:
-    """Such a program received the first beacon only, and dropped the topic soon after."""
+    """Such a program used to receive only the first beacon, and dropped the topic soon after."""
     reader = Reader(place.router.endpoint, "ros1_discovery_info/**")
     place.bridge({"dialect": "ros1"})
     place.far.advertise("/orders", STRING)
@@ -93,5 +93,5 @@ def test_every_beacon_of_the_ros1_dialect_arrives(place: Place) -> None:
 def test_a_sample_that_arrives_live_and_from_the_cache_counts_once(
     sample: tuple[int | None, int], last: tuple[int | None, int], later: bool
 ) -> None:
-    """By number, which wraps; after a restart with the same id by time."""
+    """Recognized by number, which wraps, or by time after a restart with the same id."""
     assert is_later(*sample, *last) == later

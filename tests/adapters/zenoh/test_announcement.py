@@ -1,4 +1,4 @@
-"""What is told of an endpoint of ours, and when."""
+"""When endpoints are announced and their announcements withdrawn."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.support.wait import until
 MODULES = {"ros2dds": (ros2dds, TokenAnnouncer), "ros1": (ros1, Aloha)}
 
 
-def test_it_is_told_once_and_taken_back_once() -> None:
+def test_an_announcement_is_published_once_and_withdrawn_once() -> None:
     said: list[str] = []
 
     def tell() -> Callable[[], None]:
@@ -32,7 +32,7 @@ def test_it_is_told_once_and_taken_back_once() -> None:
     assert said == ["here", "gone"]
 
 
-def test_what_closed_before_is_not_told() -> None:
+def test_an_endpoint_that_closed_before_is_not_announced() -> None:
     said: list[str] = []
     told = Announcement(lambda: lambda: said.append("gone"))
     told.withdraw()
@@ -42,8 +42,8 @@ def test_what_closed_before_is_not_told() -> None:
 
 
 @pytest.mark.parametrize("dialect", MODULES)
-def test_an_endpoint_is_there_before_it_is_told(place: Place, monkeypatch: pytest.MonkeyPatch, dialect: str) -> None:
-    """Who hears of a server calls at once, and who hears of a subscriber publishes."""
+def test_an_endpoint_exists_before_it_is_announced(place: Place, monkeypatch: pytest.MonkeyPatch, dialect: str) -> None:
+    """A client that discovers a server calls at once, and a publisher that discovers a subscriber publishes."""
     done: list[str] = []
     module, announcer = MODULES[dialect]
     noted = functools.partial(_noted, monkeypatch, done)
@@ -52,12 +52,12 @@ def test_an_endpoint_is_there_before_it_is_told(place: Place, monkeypatch: pytes
     noted(announcer, "announce", "told")
     place.bridge({"dialect": dialect})
     place.far.serve("/do", "std_srvs/SetBool", reply={"success": True, "message": "yes"})
-    until(lambda: len(done) == 2, "the service is there and told")
+    until(lambda: len(done) == 2, "the service exists and is announced")
     assert done == ["served", "told"]
     programs = place.ros2dds() if dialect == "ros2dds" else place.ros1()
     programs.advertise("/chatter", "std_msgs/String")
     place.far.subscribe("/chatter", "std_msgs/String")
-    until(lambda: len(done) == 4, "the topic is heard and told")
+    until(lambda: len(done) == 4, "the topic is received and announced")
     assert done[2:] == ["subscribed", "told"]
 
 

@@ -1,4 +1,4 @@
-"""Dialects whose sessions are zenoh clients: zenoh opens no client session without its router."""
+"""Dialects with zenoh sessions in client mode: zenoh cannot open a client session without its router."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_client_waits_for_its_router(
     place.router.stop()
     client = {"mode": "client", "connect": {"endpoints": [place.router.endpoint]}}
     config = place.config(zenoh={"zenoh": client, "dialects": [DIALECTS[dialect]]})
-    monkeypatch.setattr("tests.contract.zenohside.until", lambda *_: None)  # it returns before the dialect has joined
+    monkeypatch.setattr("tests.contract.zenohside.until", lambda *_: None)  # returns before the dialect has joined
     bridge = ZenohBridge(config)
     (joined,) = bridge.bridges
     try:
@@ -49,7 +49,7 @@ def test_a_client_waits_for_its_router(
         assert not [w for w in place.status(joined.name)["warnings"] if "waiting" in w]
         assert sum("waiting for the zenoh router" in record.message for record in caplog.records) <= 1
         place.router.stop()
-        until(lambda: joined.health().state == "waiting", "the router has gone")
+        until(lambda: joined.health().state == "waiting", "the router has left")
         place.router.start()
         until(lambda: joined.health().state == "running", "it joins again")
     finally:

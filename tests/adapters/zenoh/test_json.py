@@ -1,4 +1,4 @@
-"""JSON on plain keys, for programs that have no ROS."""
+"""JSON on plain keys, for programs without ROS."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def keys(*entries: dict[str, Any]) -> dict[str, Any]:
     return {"dialect": "json", "keys": [{"type": "std_msgs/msg/String", **entry} for entry in entries]}
 
 
-def test_what_json_cannot_say_itself() -> None:
+def test_values_that_json_cannot_represent() -> None:
     scan, image = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/CompressedImage"
     text = b'{"header": {"stamp": {"sec": 7, "nanosec": 8}}, "ranges": [1.5, "NaN", "Infinity", "-Infinity"]}'
     back = json.loads(cdr_to_text(REGISTRY, scan)(text_to_cdr(REGISTRY, scan)(text)))
@@ -49,12 +49,12 @@ def test_what_json_cannot_say_itself() -> None:
         (b'{"data": "\\ud800"}', "cannot be encoded"),
     ],
 )
-def test_bad_json_is_refused_with_its_reason(text: bytes, reason: str) -> None:
+def test_invalid_json_is_refused_with_the_reason(text: bytes, reason: str) -> None:
     with pytest.raises(ConversionError, match=reason):
         text_to_cdr(REGISTRY, "std_msgs/msg/String")(text)
 
 
-def test_in_out_and_both(place: Place) -> None:
+def test_keys_in_each_direction(place: Place) -> None:
     program = place.json()
     place.bridge(
         keys(
@@ -70,19 +70,19 @@ def test_in_out_and_both(place: Place) -> None:
     assert cross(place.far, told, program, hears, {"data": "out"}) == {"data": "out"}
     assert cross(place.far, talk, program, talks, {"data": "there"}) == {"data": "there"}
     assert cross(program, program.advertise("talk"), place.far, talked, {"data": "back"}) == {"data": "back"}
-    # what was said on either side did not come back to it
+    # messages of neither side have come back to it
     assert {m["data"] for m in place.far.wait(talked, 10_000, 0.5)} == {"back"}
     wrong = place.far.advertise("/robot/says", STRING)
-    place.far.publish(wrong, {"data": "not for this key"})
+    place.far.publish(wrong, {"data": "not published on this key"})
 
     def decided() -> list[str]:
         return [line["decision"] for line in place.explain(SIDE, "/robot/says") if line["direction"] == "out"]
 
-    assert until(decided, "it is decided", every=0.1) == ["own"]
+    assert until(decided, "the decision", every=0.1) == ["own"]
     assert place.status(SIDE)["refused"] == []
 
 
-def test_samples_and_a_get_by_a_late_reader(place: Place) -> None:
+def test_a_late_reader_gets_the_newest_message(place: Place) -> None:
     place.bridge(keys({"key": "mode", "direction": "out"}))
     program = place.json()
     samples: list[zenoh.Sample] = []
@@ -94,13 +94,13 @@ def test_samples_and_a_get_by_a_late_reader(place: Place) -> None:
     assert (str(samples[0].encoding), samples[0].attachment) == ("application/json", None)
     assert program.get("mode") == [({"data": "first"}, "application/json")]
     place.far.publish(out, {"data": "second"})
-    until(lambda: program.get("mode") == [({"data": "second"}, "application/json")], "the newest is kept")
+    until(lambda: program.get("mode") == [({"data": "second"}, "application/json")], "the newest is cached")
     place.far.drop(out)
-    until(lambda: program.get("mode") == [], "nothing is kept of a publisher that is gone")
+    until(lambda: program.get("mode") == [], "nothing is cached of a publisher that left")
 
 
-def test_a_latched_key_is_asked_for_what_was_put_before(place: Place) -> None:
-    """Whoever keeps a key's value (a program, a zenoh storage) answers a get; late joiners on the hub have it then."""
+def test_a_latched_key_is_queried_for_earlier_values(place: Place) -> None:
+    """A program or zenoh storage that holds a key's value replies to a get, for late joiners on the hub."""
     program = place.json()
     kept = program.session.declare_queryable("mode", lambda query: query.reply("mode", b'{"data": "kept"}'))
     place.bridge(keys({"key": "mode", "direction": "in", "latched": True}))
@@ -109,7 +109,7 @@ def test_a_latched_key_is_asked_for_what_was_put_before(place: Place) -> None:
     kept.undeclare()
 
 
-def test_bad_json_is_counted_and_the_key_goes_on(place: Place) -> None:
+def test_invalid_json_is_counted_and_does_not_stop_the_key(place: Place) -> None:
     program = place.json()
     place.bridge(keys({"key": "talk", "direction": "in"}))
     heard = place.far.subscribe("/talk", STRING)
@@ -123,8 +123,8 @@ def test_bad_json_is_counted_and_the_key_goes_on(place: Place) -> None:
     until(lambda: {"data": "good"} in place.far.wait(heard, 1, 0.1), "the good one")
 
 
-def test_a_velocity_command_is_never_kept(place: Place) -> None:
-    """Not for a get, not for late joiners, whatever the configuration says."""
+def test_a_velocity_command_is_never_cached(place: Place) -> None:
+    """Neither for a get nor for late joiners, whatever the configuration says."""
     program = place.json()
     twist = "geometry_msgs/msg/Twist"
     place.bridge(keys({"key": "cmd_vel", "type": twist, "latched": True}))
@@ -138,7 +138,7 @@ def test_a_velocity_command_is_never_kept(place: Place) -> None:
 
 
 def test_a_key_cannot_carry_cdr_and_json(place: Place) -> None:
-    """The ros2dds dialect on the same network leaves a JSON key alone, both ways, and says so."""
+    """The ros2dds dialect on the same network ignores a JSON key in both directions, and reports that."""
     bridge, program = place.ros2dds(), place.json()
     place.bridge({"dialect": "ros2dds"}, keys({"key": "talk"}))
     heard = program.subscribe("talk")
@@ -149,13 +149,13 @@ def test_a_key_cannot_carry_cdr_and_json(place: Place) -> None:
     def why() -> list[str]:
         return [x["why"] for x in place.explain("zenoh_ros2dds", "/talk") if x["direction"] == "out"]
 
-    assert "JSON" in until(why, "it is decided", every=0.1)[0]
+    assert "JSON" in until(why, "the decision", every=0.1)[0]
     bridge.advertise("/talk", STRING)
     until(lambda: [w for w in place.status("zenoh_ros2dds")["warnings"] if "JSON" in w], "a warning", every=0.1)
 
 
 def test_services_by_a_get(place: Place) -> None:
-    """Those that programs serve, and those that they call."""
+    """Services of programs, and services that programs call."""
     program, set_bool, trigger = place.json(), "std_srvs/srv/SetBool", "std_srvs/srv/Trigger"
     place.bridge(
         {
@@ -194,7 +194,7 @@ def test_services_by_a_get(place: Place) -> None:
     assert "did you mean 'data'" in errors(b'{"dat": true}')
     assert "has no payload" in errors(None)
     assert arm.requests() == [{"data": True}]
-    # who looks at all keys calls nothing
+    # a query for all keys is not a call
     served = place.route(SIDE, "/beep", "out")["calls"]
     assert list(program.session.get("robot/**", timeout=2.0)) == []
     assert place.route(SIDE, "/beep", "out")["calls"] == served

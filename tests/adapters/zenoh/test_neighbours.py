@@ -1,4 +1,4 @@
-"""Midspan's other sessions on a network of keys."""
+"""Midspan's other sessions on a dialect's network."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from tests.adapters.zenoh.conftest import Place
 from tests.support.zenoh_programs import open_session
 
 
-def test_the_end_of_a_stranger_s_moment_is_told_once_however_late(place: Place) -> None:
+def test_the_end_of_a_discovery_period_is_reported_once_however_late(place: Place) -> None:
     told: list[bool] = []
     with open_session(place.router.endpoint) as session:
         neighbours = KeyNeighbours(session, "ros1", "", frozenset(), lambda: told.append(True), lambda: None)
         try:
-            assert neighbours.is_own("5ea"), "its token may be on its way"
+            assert neighbours.is_own("5ea"), "its token may be delayed"
             now = time.monotonic()
             neighbours.tick(now + DISCOVERY_SECONDS / 2)
             assert told == []

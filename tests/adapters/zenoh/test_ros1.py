@@ -171,7 +171,7 @@ def cross_latched(place: Place) -> None:
     until(lambda: (place.route(SIDE, "/state", "out") or {}).get("messages"), "the message has crossed", every=0.1)
 
 
-def test_a_latched_message_is_put_again_for_the_first_subscriber_and_for_another_bridge(place: Place) -> None:
+def test_a_latched_message_is_republished_for_the_first_subscriber_and_for_another_bridge(place: Place) -> None:
     cross_latched(place)
     first = place.ros1()
     subscription = first.subscribe("/state", STRING)
@@ -194,7 +194,7 @@ def test_a_latched_message_is_put_again_for_the_first_subscriber_and_for_another
     assert until(received_by_another_bridge, "the latched message")[0] == {"data": "kept"}
 
 
-def test_a_subscriber_without_beacon_takes_no_latched_message_from_another(place: Place) -> None:
+def test_a_subscriber_without_beacon_does_not_deprive_another_of_latched_messages(place: Place) -> None:
     cross_latched(place)
     mute = place.ros1()
     received = threading.Event()

@@ -43,7 +43,7 @@ def test_tokens_are_written_as_the_plugin_writes_them() -> None:
         (":1:3:0,2", Kind.PUBLISHER, Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=2)),
     ],
 )
-def test_quality_of_service_of_tokens(qos: str, kind: Kind, read: Qos) -> None:
+def test_qos_of_tokens(qos: str, kind: Kind, read: Qos) -> None:
     letters = "MP" if kind is Kind.PUBLISHER else "MS"
     (token,) = parse(f"@/1/@ros2_lv/{letters}/a/std_msgs§msg§String/{qos}")
     assert (token.qos, token.type_hash) == (read, "")
@@ -70,7 +70,7 @@ def test_quality_of_service_of_tokens(qos: str, kind: Kind, read: Qos) -> None:
         "@/1/@ros2_lv/MP/a/std_msgs§msg§String/" + "1" * 5000,
     ],
 )
-def test_tokens_that_are_none(text: str) -> None:
+def test_invalid_tokens_are_rejected(text: str) -> None:
     with pytest.raises(HubWireError):
         parse(text)
 
@@ -96,19 +96,19 @@ def test_tokens_of_services_and_actions() -> None:
     assert kinds == {Kind.CLIENT, Kind.SUBSCRIPTION}
 
 
-def test_a_marked_id_is_taken_by_zenoh_and_random() -> None:
+def test_a_marked_id_is_random_and_accepted_by_zenoh() -> None:
     ids = {new_zid() for _ in range(100)}
     assert len(ids) == 100
     assert all(is_marked(zid) and zid[0] != "0" and len(zid) == 32 for zid in ids)
     assert not is_marked("6d7370616e7a")
 
 
-def test_out_what_a_bridge_sees(place: Place) -> None:
-    """Its token and the sample, byte for byte."""
+def test_a_bridge_receives_exact_tokens_and_samples(place: Place) -> None:
+    """The token and the sample of a hub publisher, byte for byte."""
     bridge = place.ros2dds()
     place.bridge({"dialect": "ros2dds"})
     out = place.far.advertise("/chatter", STRING, depth=7)
-    token = until(lambda: bridge.tokens("/chatter"), "our token")[0]
+    token = until(lambda: bridge.tokens("/chatter"), "Midspan's token")[0]
     zid = token.split("/")[1]
     assert token == f"@/{zid}/@ros2_lv/MP/chatter/std_msgs§msg§String/:1:0:0,1000:typehash={HASH};"
     assert f"@/{zid}/@ros2_lv" in bridge.all_tokens()
@@ -124,16 +124,16 @@ def test_out_what_a_bridge_sees(place: Place) -> None:
     assert samples[0].attachment is None
 
 
-def test_in_what_a_bridge_says(place: Place) -> None:
+def test_the_topic_of_a_bridge_crosses(place: Place) -> None:
     bridge = place.ros2dds()
     out = bridge.advertise("/chatter", STRING)
     place.bridge({"dialect": "ros2dds"})
-    token = until(lambda: bridge.tokens("/chatter", "MS"), "our token")[0]
+    token = until(lambda: bridge.tokens("/chatter", "MS"), "Midspan's token")[0]
     assert token.endswith(f"/MS/chatter/std_msgs§msg§String/:1:0:0,10:typehash={HASH};")
     heard = place.far.subscribe("/chatter", STRING)
     assert cross(bridge, out, place.far, heard, {"data": "hi"}) == {"data": "hi"}
     bridge.drop(out)
-    until(lambda: not bridge.tokens("/chatter", "MS"), "our token goes with the publisher")
+    until(lambda: not bridge.tokens("/chatter", "MS"), "Midspan's token is withdrawn with the publisher")
 
 
 def test_the_namespace_of_a_bridge(place: Place) -> None:
@@ -144,7 +144,7 @@ def test_the_namespace_of_a_bridge(place: Place) -> None:
     other = stranger.advertise("/odom", STRING)
     heard = place.far.subscribe("/odom", STRING)
     place.far.until_published("/odom")
-    stranger.publish(other, {"data": "of another robot"})
+    stranger.publish(other, {"data": "from another robot"})
     assert cross(robot, out, place.far, heard, {"data": "here"}) == {"data": "here"}
     assert not [e for e in place.far.hub.graph.publishers() if "robot" in e.topic]
     back = robot.subscribe("/goal", STRING)
@@ -152,14 +152,14 @@ def test_the_namespace_of_a_bridge(place: Place) -> None:
     assert cross(place.far, goal, robot, back, {"data": "go"}) == {"data": "go"}
 
 
-def test_history_of_a_deep_publisher_comes_whole_and_in_order(place: Place) -> None:
+def test_the_history_of_a_deep_publisher_arrives_complete_and_in_order(place: Place) -> None:
     bridge = place.ros2dds()
     out = bridge.advertise("/log", STRING, latched=True, depth=5)
     for number in range(20):
         bridge.publish(out, {"data": str(number)})
     place.bridge({"dialect": "ros2dds"})
     place.far.until_published("/log")
-    until(lambda: (place.route(SIDE, "/log", "in") or {}).get("messages", 0) >= 5, "the history came", every=0.1)
+    until(lambda: (place.route(SIDE, "/log", "in") or {}).get("messages", 0) >= 5, "the history has arrived", every=0.1)
     heard = place.far.subscribe("/log", STRING, latched=True)
     assert [m["data"] for m in place.far.wait(heard, 5)] == ["15", "16", "17", "18", "19"]
     bridge.publish(out, {"data": "20"})
@@ -168,7 +168,7 @@ def test_history_of_a_deep_publisher_comes_whole_and_in_order(place: Place) -> N
 
 
 def test_static_transforms_of_several_nodes_behind_one_bridge(place: Place) -> None:
-    """The plugin mixes all writers of a topic in one cache; the whole set counts, not its last message."""
+    """The plugin has one cache for all writers of a topic; the whole set counts, not only its last message."""
     bridge = place.ros2dds()
     out = bridge.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True, depth=1)
     for child in ("laser", "camera", "imu"):
@@ -185,7 +185,7 @@ def test_static_transforms_of_several_nodes_behind_one_bridge(place: Place) -> N
 
 
 def test_a_publisher_that_numbers_its_samples(place: Place) -> None:
-    """A Python program with an advanced publisher: its history has numbers beside time stamps, and comes once."""
+    """A Python program with an advanced publisher: its history has numbers and time stamps, and arrives once."""
     session = open_session(place.router.endpoint)
     publisher = ext.declare_advanced_publisher(
         session, "state", cache=ext.CacheConfig(1), publisher_detection=True,
@@ -197,7 +197,7 @@ def test_a_publisher_that_numbers_its_samples(place: Place) -> None:
     publisher.put(ROS2.encode(STRING, {"data": "kept"}))
     try:
         place.bridge({"dialect": "ros2dds"})
-        until(lambda: (place.route(SIDE, "/state", "in") or {}).get("messages"), "it came", 15, every=0.1)
+        until(lambda: (place.route(SIDE, "/state", "in") or {}).get("messages"), "it has arrived", 15, every=0.1)
         heard = place.far.subscribe("/state", STRING, latched=True)
         assert place.far.wait(heard, 1) == [{"data": "kept"}]
         publisher.put(ROS2.encode(STRING, {"data": "new"}))
@@ -211,7 +211,7 @@ def test_a_publisher_that_numbers_its_samples(place: Place) -> None:
 
 
 def test_a_plain_program_on_a_configured_key(place: Place) -> None:
-    """As free_fleet's: it declares no token, and a client of the router stamps no time."""
+    """Like free_fleet's clients: it declares no token, and a client of the router sets no time stamp."""
     place.bridge({"dialect": "ros2dds", "keys": [{"topic": "/robot1/goal", "type": "std_msgs/msg/String"}]})
     heard = place.far.subscribe("/robot1/goal", STRING)
     place.far.until_published("/robot1/goal")
@@ -222,15 +222,19 @@ def test_a_plain_program_on_a_configured_key(place: Place) -> None:
             session.put("robot1/goal", HI)
             return place.far.wait(heard, 1, 0.2)
 
-        assert until(said, "it is heard")[0] == {"data": "hi"}
+        assert until(said, "it is received")[0] == {"data": "hi"}
         session.put("robot1/goal", b"\0\1\0\0junk")
-        until(lambda: place.route(SIDE, "/robot1/goal", "in")["drops"]["bad"] == 1, "junk is counted", every=0.1)
+        until(
+            lambda: place.route(SIDE, "/robot1/goal", "in")["drops"]["bad"] == 1,
+            "malformed messages are counted",
+            every=0.1,
+        )
     finally:
         session.close()
 
 
-def test_nothing_is_heard_of_keys_that_nobody_announced(place: Place) -> None:
-    """The hub's own keys and rmw_zenoh's tokens look like none of this dialect's, though they share a network."""
+def test_keys_without_announcement_are_ignored(place: Place) -> None:
+    """The hub's keys and rmw_zenoh's tokens on the same network do not count as this dialect's."""
     hub = {"listen": place.hubs.endpoint}
     bridge = place.bridge({"dialect": "ros2dds"}, zenoh={"dialects": [{"dialect": "ros2dds"}]}, hub=hub)
     out = place.far.advertise("/chatter", STRING)
@@ -244,7 +248,7 @@ def test_nothing_is_heard_of_keys_that_nobody_announced(place: Place) -> None:
 
 
 def test_a_token_that_claims_a_key_of_the_hub(place: Place) -> None:
-    """It is left out and told; the hub's own topic is not disturbed."""
+    """It is ignored and reported; the hub's own topic is not affected."""
     bridge = place.ros2dds()
     place.bridge({"dialect": "ros2dds"})
     key = f"0§chatter§std_msgs::msg::dds_::String_§{HASH}"
@@ -267,8 +271,8 @@ def test_a_type_hash_that_differs_is_reported(place: Place) -> None:
     token.undeclare()
 
 
-def test_topics_of_actions_are_not_told(place: Place) -> None:
-    """The plugin tells of actions as a whole; free_fleet hears their feedback all the same."""
+def test_topics_of_actions_have_no_tokens(place: Place) -> None:
+    """The plugin announces actions as a whole; free_fleet receives their feedback nevertheless."""
     bridge = place.ros2dds()
     place.bridge({"dialect": "ros2dds"})
     out = place.far.advertise("/go/_action/feedback", STRING)

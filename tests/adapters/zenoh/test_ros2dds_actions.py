@@ -1,4 +1,4 @@
-"""Actions of the ros2dds dialect, against the five parts that the plugin makes of one."""
+"""Actions of the ros2dds dialect, in the five parts of the plugin."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ID = {"goal_id": {"uuid": list(range(16))}}
 
 
 class Sent:
-    """One goal of the hub's node, and how it ended."""
+    """A goal of the hub's node, and its result."""
 
     def __init__(self, place: Place) -> None:
         self.place = place
@@ -39,11 +39,11 @@ def test_from_the_hub_to_a_server_behind_a_bridge(place: Place) -> None:
     server = ActionServer(bridge, "/lookup")
     place.bridge({"dialect": "ros2dds"})
     sent = Sent(place)
-    token = until(lambda: bridge.tokens("/lookup", "AC"), "our token")[0]
+    token = until(lambda: bridge.tokens("/lookup", "AC"), "Midspan's token")[0]
     assert token == f"@/{token.split('/')[1]}/@ros2_lv/AC/lookup/tf2_msgs§action§LookupTransform"
     goal = server.goal()
     assert (goal["goal_id"]["uuid"], goal["goal"]["target_frame"]) == (list(sent.goal.id), "map")
-    until(lambda: (server.report(2), sent.feedback)[1], "feedback comes", every=0.1)
+    until(lambda: (server.report(2), sent.feedback)[1], "feedback arrives", every=0.1)
     assert not sent.ends
     server.get_result.requests()
     server.end(SUCCEEDED, "laser")
@@ -54,7 +54,7 @@ def test_from_the_hub_to_a_server_behind_a_bridge(place: Place) -> None:
         "send_goal": "service", "cancel_goal": "service", "get_result": "service", "feedback": "topic",
         "status": "topic",
     }  # fmt: skip
-    # no part has a token of its own
+    # no part has a separate token
     assert not [t for t in bridge.all_tokens() if "_action" in t]
 
 
@@ -74,7 +74,7 @@ def test_a_goal_is_cancelled_at_a_server_behind_a_bridge(place: Place) -> None:
 
 @pytest.mark.parametrize("end", ["its node", "its bridge"])
 def test_a_server_that_leaves_ends_its_goals(place: Place, end: str) -> None:
-    """The plugin keeps the queries of a node that has left; its goal may be executing, so its state is unknown."""
+    """The plugin keeps the queries of a node that has left; the goal's state is unknown, as it may still execute."""
     bridge = place.ros2dds()
     server = ActionServer(bridge, "/lookup")
     place.bridge({"dialect": "ros2dds"})
@@ -96,7 +96,7 @@ def test_from_a_client_behind_a_bridge_to_a_server_of_the_hub(place: Place) -> N
         return bool(goal.goal["target_frame"] != "no")
 
     place.node.action_server("/lookup", ACTION, take, lambda _goal: True)
-    token = until(lambda: bridge.tokens("/lookup", "AS"), "our token", 30)[0]
+    token = until(lambda: bridge.tokens("/lookup", "AS"), "Midspan's token", 30)[0]
     assert token == f"@/{token.split('/')[1]}/@ros2_lv/AS/lookup/tf2_msgs§action§LookupTransform"
     client = ActionClient(bridge, "/lookup")
     for part in ("send_goal", "cancel_goal", "get_result"):
@@ -121,7 +121,7 @@ def test_from_a_client_behind_a_bridge_to_a_server_of_the_hub(place: Place) -> N
     until(lambda: client.statuses and client.statuses[-1]["status_list"][-1]["status"] == CANCELED, "the status")
     client.close()
     late = ActionClient(bridge, "/lookup")
-    until(lambda: late.statuses and late.statuses[-1]["status_list"][-1]["status"] == CANCELED, "it is kept")
+    until(lambda: late.statuses and late.statuses[-1]["status_list"][-1]["status"] == CANCELED, "it is cached")
     late.close()
 
 
@@ -131,7 +131,7 @@ def test_a_server_of_the_hub_that_leaves(place: Place) -> None:
     place.bridge({"dialect": "ros2dds"})
     place.node.action_server("/lookup", ACTION, lambda _goal: True)
     client = ActionClient(bridge, "/lookup")
-    until(lambda: bridge.tokens("/lookup", "AS"), "our token", 30)
+    until(lambda: bridge.tokens("/lookup", "AS"), "Midspan's token", 30)
     for part in ("send_goal", "get_result"):
         place.until_route(SIDE, f"/lookup/_action/{part}", "out")
     until(lambda: client.ask("send_goal", ID).result()["reply"], "it is taken")
@@ -139,5 +139,5 @@ def test_a_server_of_the_hub_that_leaves(place: Place) -> None:
     until(lambda: place.route(SIDE, "/lookup/_action/get_result", "out")["pending"] == 1, "it waits", every=0.1)
     place.close_node()
     assert result.result(30)["reply"]["status"] == GoalState.UNKNOWN
-    until(lambda: not bridge.tokens("/lookup", "AS"), "our token goes")
+    until(lambda: not bridge.tokens("/lookup", "AS"), "Midspan's token is withdrawn")
     client.close()

@@ -1,4 +1,4 @@
-"""Our tokens of the ros2dds dialect, as a bridge on the network reads them."""
+"""Midspan's tokens of the ros2dds dialect, as a bridge on the network receives them."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ SERVICES = {"send_goal": f"{ACTION}_SendGoal", "cancel_goal": "action_msgs/srv/C
 RESULT = {"get_result": f"{ACTION}_GetResult"}
 TOPICS = {"feedback": f"{ACTION}_FeedbackMessage", "status": "action_msgs/msg/GoalStatusArray"}
 END = "the/end"
-"""A topic that is announced last: tokens of one session come in their order."""
+"""A topic that is announced last: tokens of one session arrive in order."""
 
 
-class Told:
-    """What one announcer says, and what a bridge knows once it has heard that."""
+class Tokens:
+    """The tokens of an announcer, and those that a bridge has received."""
 
     def __init__(self, announcer: TokenAnnouncer, bridge: Ros2ddsBridge) -> None:
         self.announcer, self.bridge, self.registry = announcer, bridge, Registry()
@@ -35,38 +35,38 @@ class Told:
             self.withdraw[part] = self.announcer.announce(kind, f"lookup/_action/{part}", known, Qos())
 
     def tokens(self, letters: str) -> int:
-        """How many of them a bridge knows."""
+        """Return how many of them a bridge has received."""
         end = self.announcer.announce(Kind.PUBLISHER, END, self.registry.ros2("std_msgs/msg/Empty"), Qos())
-        until(lambda: self.bridge.tokens(f"/{END}"), "all has been heard")
+        until(lambda: self.bridge.tokens(f"/{END}"), "all have arrived")
         found = len(self.bridge.tokens("/lookup", letters))
         end()
-        until(lambda: not self.bridge.tokens(f"/{END}"), "the last one goes")
+        until(lambda: not self.bridge.tokens(f"/{END}"), "the last one is withdrawn")
         return found
 
 
 @pytest.fixture
-def told(place: Place) -> Iterator[Told]:
+def told(place: Place) -> Iterator[Tokens]:
     with open_session(place.router.endpoint) as session:
         announcer = TokenAnnouncer(session)
-        yield Told(announcer, place.ros2dds())
+        yield Tokens(announcer, place.ros2dds())
         announcer.close()
 
 
-def test_the_server_of_an_action_is_told_once_it_is_whole(told: Told) -> None:
+def test_an_action_server_is_announced_once_it_is_complete(told: Tokens) -> None:
     told.tell(Kind.SERVER, SERVICES | RESULT)
-    assert told.tokens("AS") == 0, "who sends a goal now hears no feedback"
+    assert told.tokens("AS") == 0, "a client that sends a goal now would miss feedback"
     told.tell(Kind.PUBLISHER, TOPICS)
     assert told.tokens("AS") == 1
     for part in ("feedback", "status", "send_goal"):
         told.withdraw[part]()
-    assert told.tokens("AS") == 1, "results are still to be had"
+    assert told.tokens("AS") == 1, "results are still available"
     told.withdraw["cancel_goal"]()
     told.withdraw["get_result"]()
     assert told.tokens("AS") == 0
-    assert not [t for t in told.bridge.all_tokens() if "_action" in t], "no part has a token of its own"
+    assert not [t for t in told.bridge.all_tokens() if "_action" in t], "no part has a separate token"
 
 
-def test_its_client_is_told_with_its_goals_or_results(told: Told) -> None:
+def test_an_action_client_is_announced_with_its_goals_or_results(told: Tokens) -> None:
     told.tell(Kind.SUBSCRIPTION, TOPICS)
     assert told.tokens("AC") == 0
     told.tell(Kind.CLIENT, RESULT)

@@ -1,4 +1,4 @@
-"""Two daemons that speak a dialect on one network, on one hub or on two: nothing loops, nothing comes twice."""
+"""Two daemons with a dialect on one network, on one hub or on two: nothing loops, nothing arrives twice."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ JSON = {"dialect": "json", "keys": [{"key": "json/both", "topic": "/both", "type
 
 @pytest.mark.parametrize("dialect", ["ros2dds", "ros1", "json"])
 @pytest.mark.parametrize("hubs", ["one hub", "two hubs"])
-def test_nothing_loops_and_nothing_comes_twice(place: Place, dialect: str, hubs: str) -> None:
+def test_nothing_loops_and_nothing_arrives_twice(place: Place, dialect: str, hubs: str) -> None:
     entry = JSON if dialect == "json" else {"dialect": dialect}
     program = {"ros2dds": place.ros2dds, "ros1": place.ros1, "json": place.json}[dialect]()
     topic = "/json/both" if dialect == "json" else "/both"
@@ -31,7 +31,7 @@ def test_nothing_loops_and_nothing_comes_twice(place: Place, dialect: str, hubs:
             far.append(HubSide(Hub.open(other.settings("far")), Registry()))
         try:
             from_far = exchange(program, out, heard, far)
-            if hubs == "one hub":  # whoever stands by takes over
+            if hubs == "one hub":  # the standby takes over
                 active = min((first, second), key=lambda bridge: bridge.bridges[0].health().state != "running")
                 active.stop()
                 until_all_receive(program, out, heard, [(far[0], from_far[0], far[0].subscribe("/both", STRING))])

@@ -1,4 +1,4 @@
-"""From each dialect to each other, and to and from the hub: five types of messages, a latched map among them."""
+"""Between all dialects and the hub, in each direction: five types of messages, including a latched map."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def topic(from_: str, to: str, name: str) -> str:
 
 
 def at(end: str, name: str) -> str:
-    """A topic's name at one end: JSON has keys of its own, since a key cannot carry JSON and CDR at once."""
+    """Return a topic's name at one end: JSON has separate keys, as a key cannot carry both JSON and CDR."""
     return f"/json{name}" if end == "json" else name
 
 
@@ -75,7 +75,7 @@ def ends(place: Place) -> dict[str, Any]:
     return {"hub": place.far, "ros2dds": place.ros2dds(), "ros1": place.ros1(), "json": place.json()}
 
 
-def test_every_pair(ends: dict[str, Any]) -> None:
+def test_messages_cross_between_every_pair(ends: dict[str, Any]) -> None:
     pairs = list(itertools.permutations(ENDS, 2))
     out, heard = {}, {}
     for from_, to in pairs:
@@ -96,18 +96,18 @@ def test_every_pair(ends: dict[str, Any]) -> None:
                 ends[from_].publish(out[place], MESSAGES[name][1])
         return not waiting
 
-    until(all_heard, "every message crosses every way", 60, every=0.3)
+    until(all_heard, "every message crosses in every direction", 60, every=0.3)
 
 
 @pytest.mark.parametrize("from_", ENDS)
-def test_a_map_that_was_said_once_reaches_who_comes_late(ends: dict[str, Any], place: Place, from_: str) -> None:
+def test_a_map_that_was_published_once_reaches_late_joiners(ends: dict[str, Any], place: Place, from_: str) -> None:
     type_, message = MESSAGES["map"]
     for to in (end for end in ENDS if end != from_):
         name = topic(from_, to, "map")
         out = ends[from_].advertise(at(from_, name), type_, latched=True, depth=1)
         side = f"zenoh_{to}" if to != "hub" else f"zenoh_{from_}"
         direction = "out" if to != "hub" else "in"
-        if from_ in ("ros1", "json"):  # these dialects keep nothing themselves: who says it is heard once
+        if from_ in ("ros1", "json"):  # these dialects have no cache: their publishers are received only live
             ends[from_].until_subscribed(out)
         ends[from_].publish(out, message)
         until(
@@ -121,7 +121,7 @@ def test_a_map_that_was_said_once_reaches_who_comes_late(ends: dict[str, Any], p
 
 
 def holds(got: Any, given: Any) -> bool:
-    """Whether a message has the fields that were given; ROS 1's header has a number, octets may be base64."""
+    """Return whether a message has the given fields; ROS 1's header has a number, octets may be base64."""
     if isinstance(given, dict):
         return all(name in got and holds(got[name], value) for name, value in given.items())
     if isinstance(given, list):

@@ -1,4 +1,4 @@
-"""A world without ROS for our side as an actionlib client, and what its answers say."""
+"""A world without ROS for `ActionlibClient`, and parsers of its responses."""
 
 from uuid import UUID
 
@@ -13,7 +13,7 @@ AT = RosTime(5, 0)
 
 
 class World:
-    """What an `ActionlibClient` did, and a clock."""
+    """Records what an `ActionlibClient` does, and has a clock."""
 
     def __init__(self) -> None:
         self.goals, self.cancels, self.states, self.feedbacks = [], [], [], []

@@ -1,4 +1,4 @@
-"""Actions of real actionlib servers for the hub, with native clients on the same servers."""
+"""Actions of real actionlib servers on the hub, with native clients of the same servers."""
 
 import signal
 import struct
@@ -23,14 +23,14 @@ MOVE_BASE = "move_base_msgs/action/MoveBase"
 
 @pytest.fixture(scope="module")
 def servers(master):
-    """A program whose servers have a name for each test."""
+    """A program with servers named per test."""
     with peer_on(master, "servers") as peer:
         yield peer
 
 
 @pytest.fixture(scope="module")
 def clients(master):
-    """A program whose clients have a name for each test."""
+    """A program with clients named per test."""
     with peer_on(master, "clients") as peer:
         yield peer
 
@@ -47,16 +47,16 @@ def test_an_actionlib_server_is_shown_as_a_ros_2_action(master, edge):
             there = [e for e in edge.endpoints() if e["topic"].startswith("/shown/")]
             return {e["topic"]: (e["kind"], e["type"], e["latched"]) for e in there}
 
-        # topics first, as they come one by one, and an action once all are there
+        # first as topics, which appear one by one, then as an action once all exist
         until(lambda: found() == parts, "it is shown as an action", SECONDS)
     with peer_on(master, "alone_client") as client:
         client.ask("client", name="/alone")
         edge.endpoint(topic="/rosout", node="/alone_client", made_by="native")
         mine = lambda: [e for e in edge.endpoints() if e["topic"].startswith("/alone/")]  # noqa: E731
-        until(lambda: not mine(), "neither do a client's topics cross", SECONDS)
+        until(lambda: not mine(), "a client's topics do not cross either", SECONDS)
 
 
-def test_goals_end_in_the_state_that_the_server_gives(master, edge, servers):
+def test_goals_end_in_the_state_that_the_server_reports(master, edge, servers):
     peer = servers
     server = peer.ask("server", name="/end")["id"]
     hub = HubClient(edge, "/end")
@@ -82,9 +82,9 @@ def test_goals_end_in_the_state_that_the_server_gives(master, edge, servers):
     assert hub.result(hub.ask(new_uuid()))[0] is GoalState.UNKNOWN
     hub.close()
     again = HubClient(edge, "/end")
-    assert again.result(again.ask(goal)) == (GoalState.SUCCEEDED, 14), "results outlast the callers"
+    assert again.result(again.ask(goal)) == (GoalState.SUCCEEDED, 14), "results outlive their clients"
     again.close()
-    until(lambda: "/end/goal" not in master.state()["publishers"], "our topics are given back", SECONDS)
+    until(lambda: "/end/goal" not in master.state()["publishers"], "the edge's topics are unregistered", SECONDS)
 
 
 def test_cancel(master, edge, servers):
@@ -106,7 +106,7 @@ def test_cancel(master, edge, servers):
     assert [hub.result(a)[0] for a in asked[1:]] == [GoalState.CANCELED] * 2
     stubborn, sent = hub.send(1_000_004)
     assert hub.accepted(sent)
-    assert hub.cancel(stubborn) == (CancelCode.NONE, {stubborn}), "by the server's library, not by its user"
+    assert hub.cancel(stubborn) == (CancelCode.NONE, {stubborn}), "by the server's library, not by its callbacks"
     hub.until_state(stubborn, GoalState.CANCELING)
     hub.close()
 
@@ -124,12 +124,12 @@ def test_cancel_before_a_time(master, edge, servers):
     hub.until_state(old, GoalState.CANCELED)
     assert hub.states()[new] is GoalState.EXECUTING
     later, sent = hub.send(44)
-    assert hub.accepted(sent), "our goals have no stamp that a cancel request could be after"
+    assert hub.accepted(sent), "the edge's goals have stamp zero, so a cancel request by time does not match them"
     hub.until_state(later, GoalState.EXECUTING)
     hub.close()
 
 
-def test_a_new_goal_pre_empts_and_a_simple_server_tells(master, edge, servers):
+def test_a_new_goal_preempts_the_old_one_of_a_simple_server(master, edge, servers):
     peer = servers
     server = peer.ask("server", name="/simple", simple=True)["id"]
     hub = HubClient(edge, "/simple")
@@ -146,7 +146,7 @@ def test_a_new_goal_pre_empts_and_a_simple_server_tells(master, edge, servers):
     hub.close()
 
 
-def test_goals_of_native_clients_are_seen_followed_and_cancelled(master, edge, servers, clients):
+def test_goals_of_native_clients_are_listed_followed_and_canceled(master, edge, servers, clients):
     server, peer = servers, clients
     server.ask("server", name="/other")
     client = peer.ask("client", name="/other")["id"]
@@ -165,8 +165,8 @@ def test_goals_of_native_clients_are_seen_followed_and_cancelled(master, edge, s
 
 
 @pytest.mark.parametrize("how", ["killed", "restarted", "stopped"])
-def test_of_a_server_that_goes_the_goals_are_unknown(master, edge, how):
-    """It has not reported their end, so the bridge does not either."""
+def test_goals_of_a_server_that_leaves_are_unknown(master, edge, how):
+    """The server has not reported their end, so the bridge does not, either."""
     name = f"/{how}"
     with peer_on(master, f"{how}_server") as peer:
         server = peer.ask("server", name=name)["id"]
@@ -188,7 +188,7 @@ def test_of_a_server_that_goes_the_goals_are_unknown(master, edge, how):
                     new, sent = hub.send(10)
                     return new if hub.accepted(sent) else None
 
-                new = until(taken, "the new server takes goals", SECONDS)
+                new = until(taken, "the new server accepts goals", SECONDS)
                 assert hub.result(hub.ask(new)) == (GoalState.SUCCEEDED, 10)
                 assert hub.result(hub.ask(goal)) == (GoalState.UNKNOWN, 0)
                 until(lambda: goal not in hub.states(), "the new server does not list it", SECONDS)
@@ -199,8 +199,8 @@ def test_of_a_server_that_goes_the_goals_are_unknown(master, edge, how):
         hub.close()
 
 
-def test_who_opens_an_action_again_is_not_turned_away(edge, servers):
-    """Earlier goals keep the caller; it accepts goals again as soon as a part is open."""
+def test_an_action_that_is_opened_again_accepts_goals(edge, servers):
+    """Earlier goals keep the caller alive; it accepts goals again as soon as a part is open."""
     servers.ask("server", name="/again")
     for number in range(10):
         hub = HubClient(edge, "/again")
@@ -210,21 +210,21 @@ def test_who_opens_an_action_again_is_not_turned_away(edge, servers):
         hub.close()
 
 
-def test_a_server_that_comes_back_is_found_by_what_it_does(tmp_path):
-    """Only its connection to our topics shows it: the master is not polled."""
+def test_a_returning_server_is_discovered_by_its_connection(tmp_path):
+    """Only its connection to the edge's topics shows it: the master is not polled."""
     with RosMaster() as master, edge_on(master, tmp_path) as edge:
         with peer_on(master, "returns") as peer:
             peer.ask("server", name="/returns")
             hub = HubClient(edge, "/returns")
             peer.signal(signal.SIGKILL)
         parts = {"topic": "/returns/_action/send_goal", "made_by": "native"}
-        until(lambda: not edge.endpoints(**parts), "its death is known", SECONDS)
+        until(lambda: not edge.endpoints(**parts), "its exit is noticed", SECONDS)
         hub.close()
         edge.ask("look", every=3600.0)
         with peer_on(master, "returns") as peer:
             peer.ask("server", name="/returns")
-            until(lambda: edge.endpoints(**parts), "it is found", SECONDS)
-            edge.ask("look", every=0.1)  # a connection that is not made at once is tried again at a look
+            until(lambda: edge.endpoints(**parts), "it is discovered", SECONDS)
+            edge.ask("look", every=0.1)  # a connection that fails is retried when the master is read
             again = HubClient(edge, "/returns")
             goal, sent = again.send(10)
             assert again.accepted(sent), edge.output()[-3000:]
@@ -233,12 +233,12 @@ def test_a_server_that_comes_back_is_found_by_what_it_does(tmp_path):
 
 
 def test_a_result_that_was_lost_has_the_state_of_the_list(master, edge, servers, clients):
-    """The goal ended while no subscription of ours was connected: results are not latched."""
+    """The goal ended while no subscription of the edge was connected: results are not latched."""
     peer, native = servers, clients
     server = peer.ask("server", name="/lost")["id"]
     client = native.ask("client", name="/lost")["id"]
     assert native.ask("wait_for_server", id=client)["there"]
-    time.sleep(HOLD_SECONDS + 1.5)  # until then the connection by which the server was asked takes the result
+    time.sleep(HOLD_SECONDS + 1.5)  # until then the probe's connection receives the result
     goal = new_uuid()
     native.ask("raw_goal", id=client, number=14, goal=states.text_of(goal))
     peer.ask("goals", id=server)
@@ -250,12 +250,12 @@ def test_a_result_that_was_lost_has_the_state_of_the_list(master, edge, servers,
 
 
 def move_base_goal(frame):
-    """A MoveBaseGoal, which consists of a PoseStamped."""
+    """Return a MoveBaseGoal, which consists of a PoseStamped."""
     text = frame.encode()
     return struct.pack("<IIII", 0, 0, 0, len(text)) + text + struct.pack("<7d", 0, 0, 0, 0, 0, 0, 1)
 
 
-def test_goals_in_frames_that_are_not_there_are_rejected(master, edge, servers):
+def test_goals_in_unknown_frames_are_rejected(master, edge, servers):
     peer = servers
     with master.peer("frames_tf") as tf:
         server = peer.ask("server", name="/frames", type="move_base_msgs/MoveBase")["id"]
@@ -266,7 +266,7 @@ def test_goals_in_frames_that_are_not_there_are_rejected(master, edge, servers):
         def accepted(frame: str) -> bool:
             return hub.accepted(hub.begin("send_goal", new_uuid() + move_base_goal(frame)))
 
-        # until a transform has come, all frames are unknown
+        # until a transform is received, all frames are unknown
         until(lambda: not accepted("mpa"), "the transforms are received")
         for frame, good in (("map", True), ("/map", True), ("odom", True), ("mpa", False), ("", False)):
             assert accepted(frame) is good, frame
@@ -277,7 +277,7 @@ def test_goals_in_frames_that_are_not_there_are_rejected(master, edge, servers):
             frames = [goal[1]["target_pose"]["header"]["frame_id"] for goal in goals]
             return [frame for frame in frames if frame != "mpa"]
 
-        until(lambda: seen() == wanted, "the server has the good goals")
+        until(lambda: seen() == wanted, "the server has the valid goals")
         warnings = [w for w in edge.ask("status")["warnings"] if w.startswith("/frames")]
         assert "'mpa' of target_pose.header.frame_id" in warnings[0]
         assert hub.reply(hub.begin("send_goal", new_uuid() + b"short")).startswith("error: ")
@@ -285,8 +285,8 @@ def test_goals_in_frames_that_are_not_there_are_rejected(master, edge, servers):
 
 
 @pytest.mark.thorough
-def test_a_thousand_goals_at_once_end_as_their_server_says(master, edge, servers):
-    """Refused, ended at once, and all others held until every one of them has been accepted."""
+def test_a_thousand_concurrent_goals_end_as_their_server_reports(master, edge, servers):
+    """Some are rejected, some end at once, all others are held until every one has been accepted."""
     count = 1000
     numbers = [100 * n + (n % 5 if n % 2 else 4) for n in range(count)]
     peer = servers
@@ -309,7 +309,7 @@ def test_a_thousand_goals_at_once_end_as_their_server_says(master, edge, servers
     hub.close()
 
 
-def test_a_dead_worker_leaves_goals_that_the_next_one_follows(tmp_path):
+def test_goals_of_a_killed_worker_are_followed_by_the_next_one(tmp_path):
     with RosMaster() as master, peer_on(master, "kept_server") as peer:
         server = peer.ask("server", name="/kept")["id"]
         with edge_on(master, tmp_path) as first:

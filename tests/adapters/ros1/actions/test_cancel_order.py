@@ -1,4 +1,4 @@
-"""The order of one client's goals and cancel requests: pure, with a clock of the test's."""
+"""The order of one client's goals and cancel requests, with a simulated clock."""
 
 import pytest
 
@@ -11,7 +11,7 @@ ALL = GoalId(ZERO, "")
 
 
 class World:
-    """What reaches the server, in its order, and which clients have unread goals."""
+    """Records the goals and cancel requests at the server in order, and which clients have unread goals."""
 
     def __init__(self) -> None:
         self.now, self.passed, self.known = 100.0, [], set()
@@ -49,7 +49,7 @@ def world():
     return World()
 
 
-def test_goals_and_cancel_requests_that_come_in_order_are_passed_on_at_once(world):
+def test_goals_and_cancel_requests_in_order_are_forwarded_at_once(world):
     world.send("a")
     world.stop(GoalId(ZERO, "a"))
     world.stop(ALL)
@@ -57,7 +57,7 @@ def test_goals_and_cancel_requests_that_come_in_order_are_passed_on_at_once(worl
     assert world.passed == ["goal a", "cancel a", "cancel ", "before 5"]
 
 
-def test_a_cancel_request_that_comes_first_follows_its_goal(world):
+def test_a_cancel_request_that_arrives_first_is_forwarded_after_its_goal(world):
     world.stop(GoalId(ZERO, "a"))
     world.passes(CROSSING_SECONDS / 2)
     assert world.passed == []
@@ -65,10 +65,10 @@ def test_a_cancel_request_that_comes_first_follows_its_goal(world):
     world.send("a")
     assert world.passed == ["goal b", "goal a", "cancel a"]
     world.passes(LONGEST_SECONDS)
-    assert world.passed == ["goal b", "goal a", "cancel a"], "it is passed on once"
+    assert world.passed == ["goal b", "goal a", "cancel a"], "it is forwarded once"
 
 
-def test_one_whose_goal_never_comes_is_remembered_by_the_server(world):
+def test_a_request_whose_goal_never_arrives_is_forwarded_to_the_server(world):
     world.stop(GoalId(ZERO, "a"))
     world.passes(CROSSING_SECONDS)
     assert world.passed == ["cancel a"]
@@ -77,7 +77,7 @@ def test_one_whose_goal_never_comes_is_remembered_by_the_server(world):
 
 
 @pytest.mark.parametrize("why", ["unread", "listed"])
-def test_it_waits_as_long_as_its_clients_goals_are_not_read(world, why):
+def test_a_request_is_held_while_its_clients_goals_are_unread(world, why):
     getattr(world, why).add(ME)
     world.stop(GoalId(ZERO, "a"))
     for _ in range(10):
@@ -90,7 +90,7 @@ def test_it_waits_as_long_as_its_clients_goals_are_not_read(world, why):
     assert world.passed == ["goal a", "cancel a"]
 
 
-def test_it_does_not_wait_for_ever_for_a_client_that_does_not_answer(world):
+def test_a_request_is_not_held_forever_for_an_unresponsive_client(world):
     world.listed.add(ME)
     world.stop(GoalId(ZERO, "a"))
     world.passes(LONGEST_SECONDS - 0.1)
@@ -99,7 +99,7 @@ def test_it_does_not_wait_for_ever_for_a_client_that_does_not_answer(world):
     assert world.passed == ["cancel a"]
 
 
-def test_cancel_all_is_never_late_and_is_repeated_for_goals_that_it_overtook(world):
+def test_cancel_all_is_forwarded_at_once_and_repeated_for_goals_that_it_overtook(world):
     world.unread.add(ME)
     world.stop(ALL)
     assert world.passed == ["cancel "]
@@ -113,22 +113,22 @@ def test_cancel_all_is_never_late_and_is_repeated_for_goals_that_it_overtook(wor
     assert world.passed[-1] == "goal later"
 
 
-def test_a_goal_after_cancel_all_runs_once_all_before_it_was_read(world):
-    """A client that clears the server and then gives its first goal."""
+def test_a_goal_after_cancel_all_runs_once_earlier_goals_are_read(world):
+    """A client that cancels all goals of the server and then sends its first goal."""
     world.listed.add(ME)
     world.stop(ALL)
     world.send("first")
     assert world.passed == ["cancel ", "goal first"]
 
 
-def test_a_stamp_beside_an_id_is_passed_on_at_once(world):
+def test_a_stamp_in_addition_to_an_id_is_forwarded_at_once(world):
     world.stop(GoalId(RosTime(7, 0), "a"))
     assert world.passed == ["before 7"]
     world.send("a")
     assert world.passed == ["before 7", "goal a", "cancel a"]
 
 
-def test_so_many_wait_and_the_oldest_go_first(world, monkeypatch):
+def test_the_oldest_held_requests_are_released_beyond_the_limit(world, monkeypatch):
     monkeypatch.setattr(cancel_order, "MAX_HELD", 2)
     for goal in "abc":
         world.stop(GoalId(ZERO, goal))

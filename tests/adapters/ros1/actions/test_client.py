@@ -1,4 +1,4 @@
-"""Our side as an actionlib client: pure, against a model of an actionlib server whose topics come in any order."""
+"""`ActionlibClient` against a model of an actionlib server whose topics arrive in any order."""
 
 import pytest
 
@@ -30,7 +30,7 @@ def world():
     return World()
 
 
-def test_a_goal_goes_with_a_stamp_of_zero_and_a_name_of_its_own(world):
+def test_a_goal_is_sent_with_stamp_zero_and_a_unique_id(world):
     world.send(1, b"one")
     world.send(2, b"two")
     assert world.goals == [(GoalId(ZERO, name(1)), b"one"), (GoalId(ZERO, name(2)), b"two")]
@@ -38,7 +38,7 @@ def test_a_goal_goes_with_a_stamp_of_zero_and_a_name_of_its_own(world):
 
 
 @pytest.mark.parametrize("state", [Ros1State.PENDING, Ros1State.ACTIVE, Ros1State.PREEMPTING, Ros1State.SUCCEEDED])
-def test_a_goal_is_accepted_with_the_servers_stamp_once_its_state_shows_that(world, state):
+def test_a_goal_is_accepted_with_the_servers_stamp_once_its_state_is_reported(world, state):
     answers = world.send(1)
     world.says()
     assert not answers
@@ -48,7 +48,7 @@ def test_a_goal_is_accepted_with_the_servers_stamp_once_its_state_shows_that(wor
 
 @pytest.mark.parametrize("state", [Ros1State.REJECTED, Ros1State.RECALLED])
 @pytest.mark.parametrize("by_result", [True, False])
-def test_a_goal_that_the_server_refuses_is_rejected(world, state, by_result):
+def test_a_goal_that_the_server_rejects_is_rejected(world, state, by_result):
     answers = world.send(1)
     if by_result:
         world.ends(1, state)
@@ -58,7 +58,7 @@ def test_a_goal_that_the_server_refuses_is_rejected(world, state, by_result):
     assert all(uuid(1) not in states for states in world.states)
 
 
-def test_a_goal_that_is_refused_after_it_was_pending_is_aborted(world):
+def test_a_goal_that_is_rejected_after_it_was_pending_is_aborted(world):
     answers, asked = world.send(1), world.ask(1)
     world.says((1, Ros1State.PENDING))
     world.ends(1, Ros1State.REJECTED, b"why")
@@ -66,7 +66,7 @@ def test_a_goal_that_is_refused_after_it_was_pending_is_aborted(world):
     assert result(asked) == (GoalState.ABORTED, b"why")
 
 
-def test_a_uuid_is_good_for_one_goal(world):
+def test_a_uuid_is_valid_for_one_goal(world):
     world.send(1)
     assert accepted(world.send(1)) is False
     assert len(world.goals) == 1
@@ -82,14 +82,14 @@ def test_too_many_goals_are_rejected(world, monkeypatch):
     assert accepted(world.send(3)) is False
 
 
-def test_malformed_calls_get_an_error(world):
+def test_malformed_calls_end_with_an_error(world):
     for call in (world.client.send_goal, world.client.get_result, world.client.cancel):
         answers = []
         call(b"short", answers.append)
         assert isinstance(answers[0], CallError)
 
 
-def test_a_new_goal_pre_empts_the_old_one(world):
+def test_a_new_goal_preempts_the_old_one(world):
     first, second = world.send(1), world.send(2)
     asked = world.ask(1)
     world.says((1, Ros1State.ACTIVE), (2, Ros1State.PENDING))
@@ -101,7 +101,7 @@ def test_a_new_goal_pre_empts_the_old_one(world):
     assert world.states[-1] == {uuid(1): GoalState.CANCELED, uuid(2): GoalState.EXECUTING}
 
 
-def test_of_a_server_that_is_lost_each_goal_is_unknown_once_and_no_state_is_published(world):
+def test_goals_of_a_lost_server_are_unknown_once_and_no_state_is_published(world):
     waiting, running, over = world.send(1), world.send(2), world.send(3)
     world.says((2, Ros1State.ACTIVE), (3, Ros1State.SUCCEEDED))
     asked = [world.ask(n) for n in (1, 2, 3)]
@@ -113,10 +113,10 @@ def test_of_a_server_that_is_lost_each_goal_is_unknown_once_and_no_state_is_publ
         (GoalState.UNKNOWN, EMPTY), (GoalState.UNKNOWN, EMPTY), (GoalState.SUCCEEDED, EMPTY)
     ]  # fmt: skip
     assert [reason(a) for a in asked[:2]] == [GONE, GONE]
-    assert cancelled(stop) == (CancelCode.REJECTED, set()), "it cannot be confirmed any longer"
-    assert accepted(world.send(4)) is False, "none is kept for a server that is away"
+    assert cancelled(stop) == (CancelCode.REJECTED, set()), "it can no longer be confirmed"
+    assert accepted(world.send(4)) is False, "none is held for an unreachable server"
     world.passes(10.0)
-    assert world.states == states_before, "neither its end, nor a list without it: it may still be executed"
+    assert world.states == states_before, "neither its end, nor a list without it: it may still be executing"
     assert result(world.ask(2)) == (GoalState.UNKNOWN, EMPTY)
     world.client.found()
     world.client.connected()
@@ -131,7 +131,7 @@ def test_goals_that_were_never_sent_to_a_lost_server_are_rejected(world):
     assert accepted(answers) is False
 
 
-def test_a_goal_that_is_in_sight_again_is_followed_to_its_real_end(world):
+def test_a_goal_that_is_reported_again_is_followed_to_its_end(world):
     native = states.uuid_of("/act", "/rviz-1")
     world.send(1)
     world.says((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
@@ -139,7 +139,7 @@ def test_a_goal_that_is_in_sight_again_is_followed_to_its_real_end(world):
     world.client.found()
     world.client.connected()
     assert cancelled(world.stop(1)) == (CancelCode.UNKNOWN_GOAL_ID, set())
-    assert world.cancels == [GoalId(ZERO, name(1))], "a stop is sent all the same"
+    assert world.cancels == [GoalId(ZERO, name(1))], "a stop is sent nevertheless"
     world.says((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
     assert world.states[-1] == {uuid(1): GoalState.EXECUTING, native: GoalState.EXECUTING}
     asked = world.ask(1)
@@ -152,7 +152,7 @@ def test_a_goal_that_is_in_sight_again_is_followed_to_its_real_end(world):
 
 
 def test_the_first_list_of_a_server_is_published_even_if_it_is_empty(world):
-    """It is the proof that the server has no goal; without one that is unknown."""
+    """It proves that the server has no goals, which is unknown before."""
     world.says()
     assert world.states == [{}]
     world.says()
@@ -170,12 +170,12 @@ def test_a_goal_that_its_server_no_longer_lists_is_unknown(world):
     world.says((1, Ros1State.ACTIVE))
     world.says()
     assert result(asked) == (GoalState.UNKNOWN, EMPTY)
-    assert world.states[-1] == {}, "by the server's own list it has no such goal"
+    assert world.states[-1] == {}, "the server's list shows that it has no such goal"
     world.passes(5.0)
-    assert not world.ask(2), "it was never in the list: it may not have arrived yet"
+    assert not world.ask(2), "it was never in the list, so it may not have arrived yet"
 
 
-def test_goals_wait_for_the_connections_and_not_for_ever(world):
+def test_goals_wait_for_the_connections_but_not_forever(world):
     world.client.disconnected()
     answers = world.send(1)
     late = []
@@ -192,7 +192,7 @@ def test_goals_wait_for_the_connections_and_not_for_ever(world):
     assert (answers, late) == ([], [])
 
 
-def test_closing_cancels_what_callers_sent_and_ends_it(world):
+def test_closing_cancels_and_ends_the_goals_of_the_hub(world):
     world.send(1)
     asked, native = world.ask(1), states.uuid_of("/act", "/rviz-1")
     world.says((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
@@ -202,7 +202,7 @@ def test_closing_cancels_what_callers_sent_and_ends_it(world):
     assert world.states[-1] == {uuid(1): GoalState.EXECUTING, native: GoalState.EXECUTING}
 
 
-def test_goals_of_native_clients_appear_and_can_be_followed_and_cancelled(world):
+def test_goals_of_native_clients_appear_and_can_be_followed_and_canceled(world):
     native = states.uuid_of("/act", "/rviz-1")
     world.says(("/rviz-1", Ros1State.ACTIVE))
     assert world.states[-1] == {native: GoalState.EXECUTING}
@@ -214,12 +214,12 @@ def test_goals_of_native_clients_appear_and_can_be_followed_and_cancelled(world)
     assert result(asked) == (GoalState.CANCELED, b"stopped")
     assert wire.read_cancel_response(answers[0])[1] == [GoalInfo(native, RosTime(5, 0))]
     world.says(("/rviz-1", Ros1State.ACTIVE))
-    assert world.states[-1] == {native: GoalState.CANCELED}, "an old list that comes late"
+    assert world.states[-1] == {native: GoalState.CANCELED}, "an old list that arrives late"
     world.says(("/rviz-1", Ros1State.ACTIVE, RosTime(9, 0)))
-    assert world.states[-1] == {native: GoalState.EXECUTING}, "a client that uses the id again"
+    assert world.states[-1] == {native: GoalState.EXECUTING}, "a client that reuses the id"
 
 
-def test_a_goal_of_a_dead_worker_is_taken_up_by_its_id_alone(world):
+def test_a_goal_of_a_killed_worker_is_recognized_by_its_id(world):
     world.says((1, Ros1State.ACTIVE))
     asked = world.ask(1)
     world.ends(1, Ros1State.SUCCEEDED, b"there")

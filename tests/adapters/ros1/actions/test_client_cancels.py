@@ -1,4 +1,4 @@
-"""Cancel requests that go to an actionlib server."""
+"""Cancel requests to an actionlib server."""
 
 import pytest
 
@@ -15,7 +15,7 @@ def world():
     return World()
 
 
-def test_cancel_one(world):
+def test_cancel_one_goal(world):
     world.send(1), world.send(2)
     world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
     answers = world.stop(1)
@@ -26,7 +26,7 @@ def test_cancel_one(world):
     assert cancelled(answers) == (CancelCode.NONE, {1})
 
 
-def test_cancel_what_has_just_ended(world):
+def test_cancel_a_goal_that_has_just_ended(world):
     world.send(1)
     world.says((1, Ros1State.ACTIVE))
     answers = world.stop(1)
@@ -36,7 +36,7 @@ def test_cancel_what_has_just_ended(world):
     assert cancelled(world.stop(7)) == (CancelCode.UNKNOWN_GOAL_ID, set())
 
 
-def test_cancel_all(world):
+def test_cancel_all_goals(world):
     for number in range(4):
         world.send(number)
     world.says((0, Ros1State.PENDING), (1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
@@ -61,7 +61,7 @@ def test_cancel_before_a_time(world):
     assert cancelled(both)[1] >= {3}
 
 
-def test_a_cancel_request_waits_for_the_connections_and_not_for_ever(world):
+def test_a_cancel_request_waits_for_the_connections_but_not_forever(world):
     world.send(1)
     world.says((1, Ros1State.ACTIVE))
     world.client.disconnected()
@@ -77,12 +77,12 @@ def test_a_cancel_request_waits_for_the_connections_and_not_for_ever(world):
     world.client.lost("the server is gone")
     assert cancelled(last) == (CancelCode.REJECTED, set())
     assert cancelled(early) == (CancelCode.REJECTED, set()), "the server has not confirmed it"
-    assert cancelled(world.stop()) == (CancelCode.REJECTED, set()), "none is kept for a server that is away"
+    assert cancelled(world.stop()) == (CancelCode.REJECTED, set()), "none is held for an unreachable server"
     assert len(world.cancels) == 1
 
 
-def test_a_request_that_names_a_goal_is_sent_once_the_server_has_the_goal(world):
-    """They go on two connections, on which the request could be the first to arrive."""
+def test_a_request_for_one_goal_is_sent_once_the_server_reports_the_goal(world):
+    """Goal and request use two connections, so the request could arrive first."""
     world.send(1)
     answers = world.stop(1)
     assert world.cancels == []
@@ -92,7 +92,7 @@ def test_a_request_that_names_a_goal_is_sent_once_the_server_has_the_goal(world)
     assert cancelled(answers) == (CancelCode.NONE, {1})
 
 
-def test_it_is_sent_all_the_same_if_the_server_shows_nothing(world):
+def test_a_request_is_sent_after_a_while_if_the_server_reports_nothing(world):
     world.send(1)
     world.stop(1)
     world.passes(CROSSING_SECONDS / 2)
@@ -101,7 +101,7 @@ def test_it_is_sent_all_the_same_if_the_server_shows_nothing(world):
     assert world.cancels == [GoalId(ZERO, name(1))]
 
 
-def test_it_is_not_sent_for_a_goal_that_has_ended(world):
+def test_a_request_is_not_sent_for_a_goal_that_has_ended(world):
     world.send(1)
     answers = world.stop(1)
     world.ends(1, Ros1State.SUCCEEDED)
@@ -120,7 +120,7 @@ def test_cancel_all_is_sent_at_once_and_repeated_for_a_goal_that_it_overtook(wor
     assert cancelled(answers) == (CancelCode.NONE, {1})
 
 
-def test_a_stop_needs_the_cancel_topic_only(world):
+def test_a_stop_needs_only_the_cancel_topic(world):
     world.send(1)
     world.says((1, Ros1State.ACTIVE))
     world.client.disconnected()

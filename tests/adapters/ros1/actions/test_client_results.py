@@ -1,4 +1,4 @@
-"""What becomes of the results of goals that go to an actionlib server."""
+"""Results of goals that were sent to an actionlib server."""
 
 import pytest
 
@@ -18,8 +18,8 @@ def world():
 @pytest.mark.parametrize(
     ("state", "why"), [(Ros1State.ABORTED, "no way"), (Ros1State.PREEMPTED, "no way"), (Ros1State.SUCCEEDED, "")]
 )
-def test_what_the_server_says_of_a_goals_end_goes_with_its_result(world, state, why, by_result):
-    """Also if the result was lost; a goal that was reached has no error text."""
+def test_the_servers_status_text_is_returned_with_the_result(world, state, why, by_result):
+    """Also if the result was lost; a reached goal has no error text."""
     world.send(1)
     before = world.ask(1)
     if by_result:
@@ -30,7 +30,7 @@ def test_what_the_server_says_of_a_goals_end_goes_with_its_result(world, state, 
     assert [reason(before), reason(world.ask(1))] == [why, why]
 
 
-def test_goals_out_of_sight_say_why(world):
+def test_lost_goals_have_a_reason(world):
     gone, forgotten = world.send(1), world.send(2)
     world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
     world.says((1, Ros1State.ACTIVE))
@@ -41,14 +41,14 @@ def test_goals_out_of_sight_say_why(world):
     assert reason(world.ask(2)) == "lost sight of the goal: the server no longer lists it"
 
 
-def test_a_result_that_comes_before_any_status_accepts_and_ends(world):
+def test_a_result_before_any_status_accepts_and_ends_the_goal(world):
     answers, asked = world.send(1), world.ask(1)
     world.ends(1, Ros1State.SUCCEEDED, b"done")
     assert accepted(answers)
     assert result(asked) == (GoalState.SUCCEEDED, b"done")
 
 
-def test_a_feedback_accepts_and_is_passed_on(world):
+def test_feedback_accepts_the_goal_and_is_forwarded(world):
     answers = world.send(1)
     world.client.feedback(status(1, Ros1State.ACTIVE), b"half")
     assert accepted(answers)
@@ -59,7 +59,7 @@ def test_a_feedback_accepts_and_is_passed_on(world):
     assert world.states[-1] == {uuid(1): GoalState.SUCCEEDED}
 
 
-def test_a_result_is_given_to_all_who_ask_before_and_after(world):
+def test_a_result_is_returned_to_all_earlier_and_later_callers(world):
     world.send(1)
     before = [world.ask(1), world.ask(1)]
     world.says((1, Ros1State.ACTIVE))
@@ -69,7 +69,7 @@ def test_a_result_is_given_to_all_who_ask_before_and_after(world):
         assert result(answers) == (GoalState.CANCELED, b"half way")
 
 
-def test_results_are_kept_for_an_hour_and_within_bounds(world, monkeypatch):
+def test_results_are_stored_for_an_hour_and_within_limits(world, monkeypatch):
     world.send(1)
     world.ends(1, Ros1State.SUCCEEDED)
     world.passes(goal_module.KEEP_SECONDS - 1.0)
@@ -104,7 +104,7 @@ def test_a_lost_result_is_empty_and_has_the_state_of_the_list(world):
     assert result(world.ask(1)) == (GoalState.SUCCEEDED, EMPTY), "the empty one was already delivered"
 
 
-def test_a_late_result_counts_where_nobody_has_asked(world):
+def test_a_late_result_counts_if_it_was_not_requested_before(world):
     world.send(1)
     world.says((1, Ros1State.SUCCEEDED))
     world.passes(RESULT_SECONDS + 0.1)

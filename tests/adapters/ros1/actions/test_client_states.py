@@ -1,4 +1,4 @@
-"""The status topic of goals that go to an actionlib server, and events in any order."""
+"""The status topic of goals that were sent to an actionlib server, and events in any order."""
 
 import random
 
@@ -24,7 +24,7 @@ def world():
     return World()
 
 
-def test_a_goal_never_goes_back(world):
+def test_a_goal_never_steps_back(world):
     world.send(1)
     for state, seen in (
         (Ros1State.ACTIVE, GoalState.EXECUTING),
@@ -46,8 +46,8 @@ def test_ended_goals_leave_the_status_topic(world):
     assert uuid(1) not in world.states[-1]
 
 
-def test_a_list_that_stays_the_same_is_told_again_while_the_server_tells_it(world):
-    """Who drives by the goal knows that its server lives; move_base's list comes five times a second."""
+def test_an_unchanged_list_is_published_while_the_server_publishes_it(world):
+    """It shows clients that the server is alive; move_base publishes its list five times per second."""
     world.send(0)
     world.says((0, Ros1State.ACTIVE))
     told = len(world.states)
@@ -55,7 +55,7 @@ def test_a_list_that_stays_the_same_is_told_again_while_the_server_tells_it(worl
         world.passes(0.2)
         world.says((0, Ros1State.ACTIVE))
     assert len(world.states) == told + 5
-    world.passes(10.0)  # it hangs: nothing is told
+    world.passes(10.0)  # it hangs: nothing is published
     assert len(world.states) == told + 5
     world.ends(0, Ros1State.SUCCEEDED)
     told = len(world.states)
@@ -78,8 +78,8 @@ ENDS = [Ros1State.SUCCEEDED, Ros1State.ABORTED, Ros1State.PREEMPTED, Ros1State.R
 
 @settings(max_examples=150)
 @given(st.integers(0, 1 << 64), st.integers(1, 12), st.floats(0, 1))
-def test_every_goal_ends_in_the_state_that_its_server_gave(seed: int, count: int, loss: float):
-    """The server goes through its states; status lists, feedback and results come late, each in its own order."""
+def test_every_goal_ends_in_the_state_that_its_server_reported(seed: int, count: int, loss: float):
+    """The server passes through its states; status lists, feedback and results arrive late, each topic in order."""
     rng, world = random.Random(seed), World()
     answers = {n: world.send(n) for n in range(count)}
     asked = {n: world.ask(n) for n in range(count)}

@@ -1,4 +1,4 @@
-"""Which actions a look at the master shows."""
+"""Deriving actions from the master's state."""
 
 import pytest
 
@@ -18,7 +18,7 @@ def links(node, name, names):
 
 
 def look(*, servers=(), clients=(), types=MOVE):
-    """Servers and clients as pairs of a node and an action."""
+    """Return a master's state with servers and clients, given as pairs of a node and an action."""
     published = set().union(
         *(links(n, a, FROM_SERVER) for n, a in servers), *(links(n, a, TO_SERVER) for n, a in clients)
     )
@@ -32,22 +32,22 @@ def test_a_server():
     assert found.topics == MOVE
 
 
-def test_our_own_ends_do_not_count():
+def test_endpoints_of_this_node_do_not_count():
     assert not find(look(servers=[(OWN, "/move_base")], clients=[(OWN, "/move_base")]), OWN).topics
 
 
-def test_a_client_alone_has_topics_and_no_server():
+def test_a_client_without_server_has_only_topics():
     found = find(look(clients=[("/rviz", "/move_base")]), OWN)
     assert (found.servers, found.topics) == ({}, MOVE)
 
 
-def test_two_servers_are_in_the_order_of_their_names():
+def test_two_servers_are_ordered_by_name():
     found = find(look(servers=[("/b", "/move_base"), ("/a", "/move_base")]), OWN)
     assert [s.node for s in found.servers["/move_base"]] == ["/a", "/b"]
 
 
 @pytest.mark.parametrize("lacking", sorted(FROM_SERVER | TO_SERVER))
-def test_four_topics_are_no_action(lacking):
+def test_four_topics_are_not_an_action(lacking):
     whole = look(servers=[("/planner", "/move_base")])
     topic = f"/move_base/{lacking}"
     less = MasterState(
@@ -58,14 +58,14 @@ def test_four_topics_are_no_action(lacking):
 
 
 @pytest.mark.parametrize("topic", sorted(MOVE))
-def test_types_that_do_not_belong_together_are_no_action(topic):
+def test_inconsistent_types_are_not_an_action(topic):
     other = find(look(servers=[("/planner", "/move_base")], types={**MOVE, topic: "std_msgs/String"}), OWN)
     assert not other.topics
     unknown = find(look(servers=[("/planner", "/move_base")], types={**MOVE, topic: "*"}), OWN)
     assert bool(unknown.topics) == (topic != "/move_base/result"), "the result names the type"
 
 
-def test_nodes_that_share_the_work_are_no_server():
+def test_topics_of_several_nodes_are_not_a_server():
     publishers = links("/a", "/move_base", FROM_SERVER)
     assert not find(
         MasterState("run", "net", frozenset(publishers), frozenset(links("/b", "/move_base", TO_SERVER))), OWN
@@ -76,7 +76,7 @@ def facts(*, native=True):
     return Facts("t", "m", "", latching=False, native=native)
 
 
-def test_who_made_a_server_is_known_once_it_has_answered():
+def test_the_origin_of_a_server_is_known_once_it_has_responded():
     known = {SERVER.link(part): facts() for part in FROM_SERVER}
     assert is_native(SERVER, known) is True
     assert is_native(SERVER, {**known, SERVER.link("result"): facts(native=False)}) is False

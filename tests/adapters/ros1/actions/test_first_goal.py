@@ -1,4 +1,4 @@
-"""The first goal of a fresh actionlib client, and a cancel request right after it: real roscore, real rospy."""
+"""The first goal of a new actionlib client, and an immediate cancel request, with a real roscore and rospy."""
 
 import contextlib
 import socket
@@ -26,8 +26,8 @@ MD5 = {
 }
 
 
-def test_the_first_goal_of_a_fresh_client_waits_for_nothing(tmp_path):
-    """No delayed call of the edge runs: the goal is passed on when its message comes."""
+def test_the_first_goal_of_a_new_client_is_not_delayed(tmp_path):
+    """No delayed call of the edge runs: the goal is forwarded when its message arrives."""
     with RosMaster() as master, edge_on(master, tmp_path) as edge, peer_on(master, "fresh") as peer:
         edge.ask("stop_timer")
         act = Served(edge, peer, "/fresh")
@@ -39,7 +39,7 @@ def test_the_first_goal_of_a_fresh_client_waits_for_nothing(tmp_path):
 
 
 @pytest.mark.thorough
-def test_a_cancel_right_behind_a_fresh_clients_first_goal_never_overtakes_it(master, edge):
+def test_an_immediate_cancel_request_never_overtakes_a_new_clients_first_goal(master, edge):
     for number in range(20):
         name = f"/behind{number}"
         with peer_on(master, f"behind{number}") as peer:
@@ -55,7 +55,7 @@ def test_a_cancel_right_behind_a_fresh_clients_first_goal_never_overtakes_it(mas
 
 
 class RawClient:
-    """A hand-written actionlib client, whose goal connection answers on the test's signal; its goal waits."""
+    """A hand-written actionlib client whose goal connection responds on the test's signal, so its goal is late."""
 
     def __init__(self, stack, master, name, goal, cancel) -> None:
         self.answers = threading.Event()
@@ -84,14 +84,14 @@ class RawClient:
         until_closed(sock)
 
 
-def test_a_goal_whose_connection_is_late_comes_before_its_cancel(master, edge):
+def test_a_goal_with_a_late_connection_precedes_its_cancel_request(master, edge):
     goal = wire.action_goal(GoalId(wire.RosTime(1, 0), "g"), struct.pack("<i", 7))
     with contextlib.ExitStack() as stack:
         hub = HubServer(edge, "/slow")
         until(lambda: "/midspan" in master.state()["subscribers"].get("/slow/cancel", []), "it is offered", SECONDS)
         client = RawClient(stack, master, "/slow", goal, wire.goal_id(GoalId(ZERO, "g")))
         assert client.cancelled.wait(SECONDS)
-        until(lambda: edge.ask("status")["held_cancels"] == 1, "the request waits for its goal", SECONDS)
+        until(lambda: edge.ask("status")["held_cancels"] == 1, "the request is held for its goal", SECONDS)
         client.answers.set()
         ((uuid, _),) = [wire.read_with_uuid(r) for r in hub.calls("send_goal")]
         hub.accept(0)

@@ -1,4 +1,4 @@
-"""The frames that goals name."""
+"""The frames of goals."""
 
 import struct
 from types import SimpleNamespace
@@ -69,7 +69,7 @@ def test_all_headers_are_found():
 
 
 @given(st.lists(st.sampled_from([b"", b"map", b"/map", b"//odom", b"/"]), min_size=2, max_size=6))
-def test_slashes_go_and_the_rest_stays(names):
+def test_leading_slashes_are_removed(names):
     target, other, *via = names
     data = goal(target, via, other)
     stripped = without_slashes(data, frames_in(SCHEMA, data))
@@ -77,7 +77,7 @@ def test_slashes_go_and_the_rest_stays(names):
 
 
 @given(st.integers(0, 200))
-def test_a_message_that_is_cut_short_is_refused(length):
+def test_a_truncated_message_is_refused(length):
     data = goal(b"map", [b"odom"])
     with pytest.raises(ConversionError):
         frames_in(SCHEMA, data[: min(length, len(data) - 1)])
@@ -97,7 +97,7 @@ def transforms(*pairs: tuple):
     return struct.pack("<I", len(parts)) + b"".join(parts)
 
 
-def test_frames_that_transforms_name():
+def test_frames_in_transforms_are_known():
     frames = KnownFrames()
     wrong = frames_in(SCHEMA, goal(b"mpa"))
     assert not frames
@@ -108,23 +108,23 @@ def test_frames_that_transforms_name():
     for name in (b"map", b"odom", b"base"):
         assert frames.trouble(frames_in(SCHEMA, goal(name))) == ""
     assert frames.trouble(frames_in(SCHEMA, goal(b""))) == "target.header.frame_id is empty"
-    assert frames.trouble(frames_in(SCHEMA, goal(b"map", [], b""))) == "", "a header that nobody uses"
+    assert frames.trouble(frames_in(SCHEMA, goal(b"map", [], b""))) == "", "an unused header"
 
 
 class TopicSubscription:
     def close(self):
-        """Nothing to close."""
+        """Do nothing."""
 
 
 class Side:
-    """A guard, the network that it hears, and its clock."""
+    """A guard, its network and its clock."""
 
     def __init__(self, monkeypatch, *, check=True) -> None:
         self.now, self.heard = 100.0, {}
         monkeypatch.setattr(frames_module, "time", SimpleNamespace(monotonic=lambda: self.now))
 
         def subscribe(topic, _type, deliver, suffix) -> TopicSubscription:
-            assert suffix, "a route of the topic has a connection of its own"
+            assert suffix, "a route of the topic has a separate connection"
             self.heard[topic] = deliver
             return TopicSubscription()
 
@@ -136,9 +136,9 @@ class Side:
         return self.guard.check(SCHEMA, goal(frame))[1]
 
 
-def test_a_guard_waits_until_it_knows(monkeypatch):
+def test_a_guard_waits_for_transforms(monkeypatch):
     side = Side(monkeypatch)
-    assert side.heard == {}, "nobody sends goals"
+    assert side.heard == {}, "no action is open"
     side.guard.open("me")
     assert set(side.heard) == {"/tf", "/old"}
     assert side.check(b"map") is None
@@ -155,7 +155,7 @@ def test_a_guard_waits_until_it_knows(monkeypatch):
     assert side.guard.warnings() == []
 
 
-def test_a_side_without_transforms_lets_all_frames_through(monkeypatch):
+def test_a_side_without_transforms_accepts_all_frames(monkeypatch):
     side = Side(monkeypatch)
     side.guard.open("me")
     side.now += frames_module.SILENT_SECONDS + 0.1
@@ -166,7 +166,7 @@ def test_a_side_without_transforms_lets_all_frames_through(monkeypatch):
     assert bare.check(b"mpa") == "", "there are no topics with transforms"
 
 
-def test_frames_are_left_alone_where_that_is_wanted(monkeypatch):
+def test_frames_are_not_checked_if_disabled(monkeypatch):
     side = Side(monkeypatch, check=False)
     side.guard.open("me")
     assert side.heard == {}

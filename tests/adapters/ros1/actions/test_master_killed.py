@@ -1,4 +1,4 @@
-"""A roscore that is killed while an actionlib server executes goals: real roscore, real rospy."""
+"""A real roscore is killed while an actionlib server of rospy executes goals."""
 
 import base64
 import signal
@@ -21,7 +21,7 @@ LOST = "lost sight of the goal: its action server /driver left"
 
 
 class Drive:
-    """An actionlib server that executes a goal of the hub's and one of a native client, and publishes a command."""
+    """An actionlib server that executes a goal of the hub and one of a native client, and publishes a command."""
 
     def __init__(self, master, edge, server, client) -> None:
         self.master, self.edge, self.server, self.client = master, edge, server, client
@@ -45,14 +45,14 @@ class Drive:
         return len(self.edge.received(self.hub.topics["status"], 0, 0))
 
     def goes_on(self):
-        """The list is published again, and both goals are still in it."""
+        """Check that the list is published again with both goals."""
         before = self.lists()
-        until(lambda: self.lists() >= before + 2, "the list goes on", SECONDS)
+        until(lambda: self.lists() >= before + 2, "the list is still published", SECONDS)
         self.drives()
         assert not self.hub.answered(self.asked)
 
     def ends(self):
-        """A stop reaches the server, and both goals end as the server reports."""
+        """Check that a stop reaches the server, and that both goals end as the server reports."""
         assert self.hub.cancel(self.native) == (CancelCode.NONE, {self.native})
         (outcome,) = self.client.ask("outcomes", id=self.id, numbers=[24])["outcomes"]
         assert (outcome["state"], outcome["done"]) == (Ros1State.PREEMPTED, 1)
@@ -81,7 +81,7 @@ def shown(edge):
     return sorted((e["id"], e["kind"]) for e in edge.endpoints(made_by="native") if "/drive/" in e["topic"])
 
 
-def test_its_goals_go_on_without_a_master_and_can_be_canceled(drive):
+def test_goals_continue_without_a_master_and_can_be_canceled(drive):
     edge, network, before = drive.edge, drive.edge.joined(), shown(drive.edge)
     drive.master.kill()
     until(lambda: "no ROS 1 master" in str(edge.ask("status")["warnings"]), "the loss is noticed", SECONDS)
@@ -91,23 +91,27 @@ def test_its_goals_go_on_without_a_master_and_can_be_canceled(drive):
     drive.ends()
 
 
-def test_another_master_that_does_not_list_it_ends_nothing(drive):
+def test_another_master_without_the_server_ends_no_goals(drive):
     edge, before = drive.edge, shown(drive.edge)
     drive.master.kill()
     drive.master.start()
     edge.joined(drive.master.call("getParam", "/run_id"))
     listed = drive.master.state
-    until(lambda: listed()["publishers"].get("/drive/goal") == ["/midspan"], "our end is registered again", SECONDS)
+    until(
+        lambda: listed()["publishers"].get("/drive/goal") == ["/midspan"],
+        "the edge's endpoint is registered again",
+        SECONDS,
+    )
     assert "/driver" not in drive.master.nodes()
     drive.goes_on()
     assert shown(edge) == before
     goal, sent = drive.hub.send(10)
     assert drive.hub.accepted(sent), "new goals are executed, too"
-    assert drive.hub.feedback(goal) == [10], "each message comes once"
+    assert drive.hub.feedback(goal) == [10], "each message arrives once"
     drive.ends()
 
 
-def test_a_registration_that_is_lost_ends_nothing(drive):
+def test_a_lost_registration_ends_no_goals(drive):
     with ServerProxy(drive.master.uri) as proxy:
         _, _, uri = proxy.lookupNode("/test", "/driver")
         for part in ("status", "feedback", "result"):
@@ -132,14 +136,14 @@ def test_a_server_that_is_killed_later_is_lost(drive, away):
     state, _, why = wire.read_result_response(drive.hub.reply(drive.asked))
     assert (GoalState(state), why) == (GoalState.UNKNOWN, LOST)
     until(lambda: not shown(edge), "it leaves the graph", SECONDS)
-    assert drive.hub.states() == lists, "the list does not show their end"
+    assert drive.hub.states() == lists, "the list does not contain their end"
     if away:
         drive.client.signal(signal.SIGKILL)
         until(lambda: edge.ask("network")["network"] is None, "nothing is left of the network", SECONDS)
         assert edge.endpoints() == []
 
 
-def test_a_goal_of_a_ros_1_client_at_a_hub_server_goes_on_and_is_canceled(master, tmp_path):
+def test_a_goal_of_a_ros_1_client_at_a_hub_server_continues_and_is_canceled(master, tmp_path):
     with edge_on(master, tmp_path) as edge, peer_on(master, "client") as client:
         act = Served(edge, client, "/served")
         act.send(1)
@@ -157,7 +161,7 @@ def test_a_goal_of_a_ros_1_client_at_a_hub_server_goes_on_and_is_canceled(master
         assert len(act.goals(2)) == 2, "new goals arrive, too"
 
 
-def test_the_commands_of_a_node_go_on_without_a_master(master, tmp_path):
+def test_commands_of_a_node_continue_without_a_master(master, tmp_path):
     with edge_on(master, tmp_path) as edge, master.peer("base_driver") as peer:
         out = peer.advertise("/cmd", "std_msgs/String")
         endpoint = edge.endpoint(topic="/cmd", made_by="native")
@@ -188,11 +192,11 @@ def test_the_commands_of_a_node_go_on_without_a_master(master, tmp_path):
         goes_on(3)
         assert edge.endpoints(topic="/cmd") == [endpoint]
         peer.signal(signal.SIGKILL)
-        until(lambda: not edge.endpoints(topic="/cmd", made_by="native"), "its end is known", SECONDS)
+        until(lambda: not edge.endpoints(topic="/cmd", made_by="native"), "its exit is noticed", SECONDS)
 
 
 def test_a_publisher_that_unregisters_leaves_at_once(master, tmp_path):
-    """Its connection ends, and nothing else proves it; the master goes on."""
+    """Its connection ends, and nothing else proves its presence; the master keeps running."""
     with edge_on(master, tmp_path) as edge, master.peer("leaves") as peer:
         out = peer.advertise("/left", "std_msgs/String")
         edge.endpoint(topic="/left", made_by="native")
@@ -204,7 +208,7 @@ def test_a_publisher_that_unregisters_leaves_at_once(master, tmp_path):
         assert time.monotonic() - begin < SECONDS / 2
 
 
-def test_the_services_of_a_node_go_on_without_a_master_and_with_another(master, tmp_path):
+def test_services_of_a_node_continue_without_a_master_and_with_another(master, tmp_path):
     with edge_on(master, tmp_path) as edge, master.peer("serves") as peer:
         peer.ask("serve", service="/serve", type="std_srvs/SetBool", reply={"success": True})
         endpoint = edge.endpoint(topic="/serve", made_by="native")
@@ -229,4 +233,4 @@ def test_the_services_of_a_node_go_on_without_a_master_and_with_another(master, 
         assert edge.endpoints(topic="/serve") == [endpoint]
         assert answers(3)
         peer.signal(signal.SIGKILL)
-        until(lambda: not edge.endpoints(topic="/serve", made_by="native"), "its end is known", SECONDS)
+        until(lambda: not edge.endpoints(topic="/serve", made_by="native"), "its exit is noticed", SECONDS)

@@ -1,4 +1,4 @@
-"""Publications towards action servers: given back, they stay while the server is gone, and no longer than they may."""
+"""Publications for action servers linger after their release while the server is absent, up to a limit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ GOAL, OTHER = SideType("test_msgs/GoAction", "1", ""), SideType("test_msgs/ComeA
 
 
 class TopicPublisher:
-    """A publication that knows whether it is open."""
+    """A publication that records whether it is open."""
 
     dropped = 0
     subscribers: frozenset[str] = frozenset()
@@ -26,14 +26,14 @@ class TopicPublisher:
         self.sent.append(payload)
 
     def forget(self, source: str) -> None:
-        """Nothing is kept."""
+        """Do nothing: no messages are retained."""
 
     def close(self) -> None:
         self.open = False
 
 
 class Side:
-    """What is told, and which servers are there."""
+    """Records publications, and has a set of present servers."""
 
     def __init__(self) -> None:
         self.made: list[TopicPublisher] = []
@@ -48,7 +48,7 @@ class Side:
         return self.publishers.publish(topic, side_type, Qos())
 
 
-def test_one_whose_server_is_there_closes_at_once() -> None:
+def test_a_publication_with_a_present_server_closes_at_once() -> None:
     side = Side()
     publisher = side.open()
     assert "/go/goal" in side.publishers
@@ -57,7 +57,7 @@ def test_one_whose_server_is_there_closes_at_once() -> None:
     assert not side.made[0].open
 
 
-def test_one_whose_server_is_gone_stays_and_is_the_same_for_the_next() -> None:
+def test_a_publication_with_an_absent_server_lingers_and_is_reused() -> None:
     side = Side()
     first = side.open()
     side.gone.add("/go")
@@ -65,13 +65,13 @@ def test_one_whose_server_is_gone_stays_and_is_the_same_for_the_next() -> None:
     side.publishers.tidy()
     assert "/go/goal" in side.publishers
     second = side.open()
-    first.close()  # it has no say any more
+    first.close()  # it no longer has an effect
     second.send(b"x", "")
     side.publishers.close()  # this one is in use
     assert [(m.open, m.sent) for m in side.made] == [(True, [b"x"])]
 
 
-def test_one_of_another_type_takes_the_place() -> None:
+def test_a_publication_of_another_type_replaces_it() -> None:
     side = Side()
     side.gone.add("/go")
     side.open().close()
@@ -79,7 +79,7 @@ def test_one_of_another_type_takes_the_place() -> None:
     assert [m.open for m in side.made] == [False, True]
 
 
-def test_they_stay_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_publications_linger_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
     side = Side()
     side.gone.add("/go")
     monkeypatch.setattr(network, "KEPT_SECONDS", 0.0)
@@ -93,7 +93,7 @@ def test_they_stay_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not any(m.open for m in side.made)
 
 
-def test_only_so_many_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_lingering_publications_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     side = Side()
     monkeypatch.setattr(network, "_MOST", 2)
     names = [f"/go{n}" for n in range(4)]

@@ -19,7 +19,7 @@ pytestmark = needs_ros1
 
 @pytest.fixture(scope="module")
 def clients(master):
-    """A program whose clients have a name for each test."""
+    """A program with clients named per test."""
     with peer_on(master, "clients") as peer:
         yield peer
 
@@ -44,10 +44,10 @@ def test_a_client_runs_a_goal_of_the_hub(master, edge, clients):
     outcome = act.done(5)
     assert (outcome["state"], outcome["result"]) == (Ros1State.SUCCEEDED, 500)
     act.hub.close()
-    until(lambda: "/run/status" not in master.state()["publishers"], "our topics are given back", SECONDS)
+    until(lambda: "/run/status" not in master.state()["publishers"], "the edge's topics are unregistered", SECONDS)
 
 
-def test_ends_of_goals_of_the_hub(master, edge, clients):
+def test_outcomes_of_goals_at_a_hub_server(master, edge, clients):
     ends = {
         1: (GoalState.SUCCEEDED, Ros1State.SUCCEEDED), 2: (GoalState.ABORTED, Ros1State.ABORTED),
         3: (GoalState.CANCELED, Ros1State.PREEMPTED), 4: (GoalState.UNKNOWN, Ros1State.ABORTED),
@@ -99,14 +99,14 @@ def test_cancel_from_ros_1(master, edge, clients):
     assert act.goals(3)[2][1] == body(4)
     until(
         lambda: any(g[0].startswith("/stop-1-") for g in peer.ask("status", id=act.id)["goals"]),
-        "it has got an id",
+        "it has an id",
         SECONDS,
     )
     act.hub.close()
 
 
-def test_a_thousand_goals_of_ros_1_at_once_end_as_the_hub_says(master, edge, clients):
-    """All are accepted, refused or fail before the first one ends."""
+def test_a_thousand_concurrent_goals_of_ros_1_end_as_the_hub_reports(master, edge, clients):
+    """All are accepted, are rejected or fail before the first one ends."""
     count = 1000
     hub = HubServer(edge, "/crowd")
     flood = clients.ask("flood", name="/crowd", count=count)["id"]
@@ -136,7 +136,7 @@ def test_a_thousand_goals_of_ros_1_at_once_end_as_the_hub_says(master, edge, cli
     hub.close()
 
 
-def test_a_hub_server_that_goes_ends_its_goals(master, edge, clients):
+def test_goals_end_when_their_hub_server_leaves(master, edge, clients):
     peer = clients
     act = Served(edge, peer, "/gone")
     act.send(1)
@@ -162,7 +162,7 @@ def test_a_hub_server_that_goes_ends_its_goals(master, edge, clients):
 
 
 @pytest.mark.thorough
-def test_a_dead_worker_leaves_no_client_waiting(tmp_path):
+def test_a_killed_worker_leaves_no_client_waiting(tmp_path):
     with RosMaster() as master, peer_on(master, "left_client") as peer:
         with edge_on(master, tmp_path) as first:
             act = Served(first, peer, "/left")
@@ -183,8 +183,16 @@ def test_a_native_server_keeps_its_name(master, edge):
         act = Served(edge, client, "/rival")
         server = peer.ask("server", name="/rival")["id"]
         why = "/rival: /rival_server serves this action on ROS 1 itself, so the hub's is not offered there"
-        until(lambda: why in edge.ask("status")["warnings"], "a person is told", SECONDS)
-        until(lambda: master.state()["publishers"]["/rival/status"] == ["/rival_server"], "ours gives way", SECONDS)
+        until(lambda: why in edge.ask("status")["warnings"], "a warning is reported", SECONDS)
+        until(
+            lambda: master.state()["publishers"]["/rival/status"] == ["/rival_server"],
+            "the hub's is withdrawn",
+            SECONDS,
+        )
         peer.ask("stop_server", id=server)
-        until(lambda: master.state()["publishers"].get("/rival/status") == ["/midspan"], "ours is back", SECONDS)
+        until(
+            lambda: master.state()["publishers"].get("/rival/status") == ["/midspan"],
+            "the hub's is offered again",
+            SECONDS,
+        )
         act.hub.close()

@@ -1,4 +1,4 @@
-"""Our side as an actionlib server: pure, against a model of the hub's three services and two topics."""
+"""`ActionlibServer` against a model of the hub's three services and two topics."""
 
 import random
 
@@ -19,7 +19,7 @@ ASKED, TAKEN = RosTime(50, 0), RosTime(60, 0)
 
 
 class World:
-    """What an `ActionlibServer` did, and a clock."""
+    """Records what an `ActionlibServer` does, and has a clock."""
 
     def __init__(self) -> None:
         self.lists, self.feedbacks, self.results, self.forgotten = [], [], [], []
@@ -58,7 +58,7 @@ class World:
     def cancel_goal(self, request, done):
         self.cancels.append((wire.read_cancel_request(request), done))
 
-    # -- what the sides do
+    # -- actions of both sides
 
     def goal(self, id_="g", stamp=ASKED, body=b"body"):
         before = len(self.sent)
@@ -94,7 +94,7 @@ def world():
     return World()
 
 
-def test_a_server_tells_at_once_that_it_is_there(world):
+def test_a_server_publishes_its_status_list_at_once(world):
     assert world.lists == [{}]
 
 
@@ -130,12 +130,12 @@ def test_feedback_shows_that_a_goal_executes(world):
         (GoalState.CANCELED, Ros1State.PREEMPTED), (GoalState.UNKNOWN, Ros1State.ABORTED),
     ],
 )  # fmt: skip
-def test_the_states_of_the_end(world, state, seen):
+def test_final_states(world, state, seen):
     world.ends(world.running(), state)
     assert [r[:2] for r in world.results] == [("g", seen)]
 
 
-def test_what_the_server_says_of_the_end_is_the_status_text(world):
+def test_the_servers_text_is_the_status_text(world):
     world.ends(world.running("a"), GoalState.ABORTED, text="no valid path")
     world.ends(world.running("b"), GoalState.UNKNOWN, text="whatever")
     unknown = "the action server no longer knows the goal"
@@ -143,7 +143,7 @@ def test_what_the_server_says_of_the_end_is_the_status_text(world):
     assert world.lists[-1]["a"].text == "no valid path"
 
 
-def test_a_goal_that_is_cancelled_before_it_executes_is_recalled(world):
+def test_a_goal_that_is_canceled_before_it_executes_is_recalled(world):
     uuid = world.goal()
     world.answer(uuid)
     world.server.cancel(GoalId(ZERO, "g"))
@@ -152,7 +152,7 @@ def test_a_goal_that_is_cancelled_before_it_executes_is_recalled(world):
     assert world.results[0][1] is Ros1State.RECALLED
 
 
-def test_a_refused_goal(world):
+def test_a_rejected_goal(world):
     uuid = world.goal()
     world.answer(uuid, accepted=False)
     assert world.results == [("g", Ros1State.REJECTED, EMPTY, "the action server rejected the goal")]
@@ -174,7 +174,7 @@ def test_errors_of_the_calls_abort_the_goal(world):
     assert all(body == EMPTY for _, _, body, _ in world.results)
 
 
-def test_ids_and_stamps_are_made_where_a_client_gave_none(world):
+def test_missing_ids_and_stamps_are_generated(world):
     world.goal("", ZERO)
     world.goal("", ZERO)
     first, second = world.lists[-1].values()
@@ -183,13 +183,13 @@ def test_ids_and_stamps_are_made_where_a_client_gave_none(world):
     assert first.goal.stamp == RosTime(100, 0)
 
 
-def test_an_id_that_is_in_the_list_is_ignored(world):
+def test_a_goal_with_a_listed_id_is_ignored(world):
     world.goal()
     assert world.goal() is None
     assert len(world.lists[-1]) == 1
 
 
-def test_an_id_that_is_being_cancelled_is_ignored_too(world):
+def test_a_goal_with_the_id_of_a_canceling_goal_is_ignored(world):
     uuid = world.goal()
     world.server.cancel(GoalId(ZERO, "g"))
     assert world.goal() is None
@@ -199,23 +199,23 @@ def test_an_id_that_is_being_cancelled_is_ignored_too(world):
     assert world.results == [("g", Ros1State.RECALLED, b"result", "")]
 
 
-def test_a_client_that_uses_an_id_again_later_has_a_new_goal(world):
+def test_an_id_that_is_reused_later_is_a_new_goal(world):
     first = world.running()
     world.ends(first, GoalState.SUCCEEDED)
     world.passes(LIST_SECONDS + 0.1)
     assert world.goal() not in (None, first)
 
 
-def test_cancel_by_id_goes_to_that_goal_alone(world):
+def test_cancel_by_id_affects_only_that_goal(world):
     a, _ = world.running("a"), world.running("b")
     world.server.cancel(GoalId(ZERO, "a"))
     assert [c for c, _ in world.cancels] == [GoalInfo(a, ZERO)]
     assert (world.state("a"), world.state("b")) == (Ros1State.PREEMPTING, Ros1State.ACTIVE)
     world.server.cancel(GoalId(ZERO, "a"))
-    assert len(world.cancels) == 1, "it is being cancelled already"
+    assert len(world.cancels) == 1, "it is already canceling"
 
 
-def test_cancel_all_is_one_call_and_catches_goals_under_way(world):
+def test_cancel_all_is_one_call_and_includes_pending_goals(world):
     world.running("a")
     late = world.goal("late")
     world.server.cancel(GoalId(ZERO, ""))
@@ -226,7 +226,7 @@ def test_cancel_all_is_one_call_and_catches_goals_under_way(world):
     assert world.goal("next") is not None
 
 
-def test_cancel_before_a_time_remembers_the_time(world):
+def test_cancel_before_a_time_also_applies_to_later_goals(world):
     a = world.running("a", RosTime(10, 0))
     world.running("b", RosTime(20, 0))
     world.server.cancel(GoalId(RosTime(15, 0), ""))
@@ -239,7 +239,7 @@ def test_cancel_before_a_time_remembers_the_time(world):
     assert world.goal("unstamped", ZERO) is not None
 
 
-def test_a_cancel_request_may_come_before_its_goal(world):
+def test_a_cancel_request_may_arrive_before_its_goal(world):
     world.server.cancel(GoalId(ZERO, "later"))
     assert world.state("later") is Ros1State.RECALLING
     assert world.goal("later") is None
@@ -250,7 +250,7 @@ def test_a_cancel_request_may_come_before_its_goal(world):
     assert world.goal("never") is not None
 
 
-def test_a_goal_that_cannot_be_cancelled_goes_on(world, caplog):
+def test_a_goal_that_cannot_be_canceled_continues(world, caplog):
     uuid = world.running()
     world.server.cancel(GoalId(ZERO, "g"))
     world.cancels[0][1](wire.cancel_response(CancelCode.REJECTED, ()))
@@ -259,7 +259,7 @@ def test_a_goal_that_cannot_be_cancelled_goes_on(world, caplog):
     assert world.results[0][1] is Ros1State.SUCCEEDED
 
 
-def test_the_list_is_told_at_five_hertz_while_there_is_something(world):
+def test_a_nonempty_list_is_published_at_five_hertz(world):
     before = len(world.lists)
     for _ in range(20):
         world.passes(0.1)
@@ -276,7 +276,7 @@ def test_the_list_is_told_at_five_hertz_while_there_is_something(world):
     assert world.lists[-1] == {}
 
 
-def test_results_are_given_to_who_comes_soon_after(world, monkeypatch):
+def test_results_are_sent_to_subscribers_that_connect_soon_after(world, monkeypatch):
     world.ends(world.running(), GoalState.SUCCEEDED)
     world.passes(RESULT_SECONDS - 1)
     assert world.forgotten == []
@@ -298,7 +298,7 @@ def test_too_many_goals_are_rejected(world, monkeypatch):
     assert set(world.lists[-1]) == {"a", "b"}
 
 
-def test_a_server_that_is_gone_ends_all_goals_once(world):
+def test_all_goals_end_once_when_the_server_leaves(world):
     a, b = world.running("a"), world.goal("b")
     world.ends(a, GoalState.SUCCEEDED)
     c = world.running("c")
@@ -314,7 +314,7 @@ def test_a_server_that_is_gone_ends_all_goals_once(world):
     assert len(world.results) == 3
 
 
-def test_goals_of_the_hub_appear_and_can_be_cancelled(world):
+def test_goals_of_the_hub_appear_and_can_be_canceled(world):
     other = bytes(range(16))
     world.says({other: GoalState.EXECUTING}, RosTime(70, 0))
     id_ = states.text_of(other)
@@ -335,7 +335,7 @@ def test_goals_of_the_hub_appear_and_can_be_cancelled(world):
     assert world.state(id_) is Ros1State.ABORTED
 
 
-def test_another_client_cancels_our_goal(world):
+def test_another_client_cancels_a_goal(world):
     uuid = world.running()
     world.says({uuid: GoalState.CANCELING})
     assert world.state() is Ros1State.PREEMPTING
@@ -358,7 +358,7 @@ ORDER = {Ros1State.PENDING: 0, Ros1State.ACTIVE: 1, Ros1State.RECALLING: 1, Ros1
 
 @settings(max_examples=150)
 @given(st.integers(0, 1 << 64), st.integers(1, 10))
-def test_every_goal_ends_once_in_the_state_that_its_server_gave(seed: int, count: int):
+def test_every_goal_ends_once_in_the_state_that_its_server_reported(seed: int, count: int):
     rng, world = random.Random(seed), World()
     uuids = {str(n): world.goal(str(n), RosTime(n + 1, 0)) for n in range(count)}
     hub = dict.fromkeys(uuids.values(), None)
@@ -399,7 +399,7 @@ def test_every_goal_ends_once_in_the_state_that_its_server_gave(seed: int, count
         assert ranks == sorted(ranks), seen
 
 
-def test_a_clock_that_was_set_back_ends_the_memory_of_a_cancel_request(world):
+def test_setting_the_clock_back_forgets_cancel_requests_by_time(world):
     world.server.cancel(GoalId(RosTime(3600, 0), ""))
     assert world.goal("before", RosTime(15, 0)) is None
     world.server.forget_time()

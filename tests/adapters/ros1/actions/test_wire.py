@@ -1,4 +1,4 @@
-"""The bytes of actions, beside rosbags' own serialisers."""
+"""The bytes of actions, compared with rosbags' serializers."""
 
 import contextlib
 import struct
@@ -48,14 +48,14 @@ def ros1_bytes(message):
 
 
 @given(goals)
-def test_goal_ids_are_as_ros_1_has_them(goal):
+def test_goal_ids_equal_ros_1s_bytes(goal):
     payload = wire.goal_id(goal)
     assert payload == ros1_bytes(native_goal(goal))
     assert wire.read_goal_id(payload) == goal
 
 
 @given(st.integers(0, 2**32 - 1), stamps, st.lists(statuses, max_size=5))
-def test_status_lists_are_as_ros_1_has_them(seq, stamp, found):
+def test_status_lists_equal_ros_1s_bytes(seq, stamp, found):
     payload = wire.statuses(seq, stamp, found)
     header = ROS1.types["std_msgs/msg/Header"](seq=seq, stamp=native_stamp(stamp), frame_id="")
     assert payload == ros1_bytes(
@@ -65,7 +65,7 @@ def test_status_lists_are_as_ros_1_has_them(seq, stamp, found):
 
 
 @given(goals, statuses, st.binary(max_size=50))
-def test_bodies_come_out_as_they_went_in(goal, status, body):
+def test_bodies_are_unchanged(goal, status, body):
     assert wire.read_action_goal(wire.action_goal(goal, body)) == (goal, body)
     assert wire.read_action_outcome(wire.action_outcome(7, RosTime(1, 2), status, body)) == (status, body)
 
@@ -83,8 +83,8 @@ def test_the_parts_of_a_ros_2_action(uuid, stamp, accepted, number, found, body,
     assert wire.read_goal_states(wire.goal_states(states)) == states
 
 
-def test_a_long_text_is_cut_and_what_is_no_utf_8_is_replaced():
-    """On the way in too: another machine's bridge may send any."""
+def test_a_long_text_is_cut_and_invalid_utf_8_is_replaced():
+    """Also when reading: another machine's bridge may send any text."""
     long = wire.result_response(6, b"body", "é" * 3000)
     assert len(long) == 1 + 4 + 2 * wire.MAX_TEXT + len(b"body")
     assert wire.read_result_response(long) == (6, b"body", "é" * wire.MAX_TEXT)
@@ -102,18 +102,18 @@ READERS = [
 
 
 @given(st.sampled_from(READERS), st.binary(max_size=80))
-def test_bytes_that_are_no_such_message_are_refused_or_read(read, data):
+def test_arbitrary_bytes_are_refused_or_parsed(read, data):
     with contextlib.suppress(ConversionError):
         assert read(data) is not None
 
 
 @pytest.mark.parametrize("read", READERS)
-def test_nothing_is_no_message(read):
+def test_empty_bytes_are_refused(read):
     with pytest.raises(ConversionError):
         read(b"")
 
 
-def test_a_status_list_that_claims_too_many_goals_is_refused():
+def test_a_status_list_that_announces_too_many_goals_is_refused():
     payload = bytearray(wire.statuses(0, wire.ZERO, []))
     payload[-4:] = b"\xff\xff\xff\x7f"
     with pytest.raises(ConversionError, match="at most"):
@@ -121,17 +121,17 @@ def test_a_status_list_that_claims_too_many_goals_is_refused():
 
 
 @given(uuids)
-def test_a_goal_of_the_hub_is_known_again_by_its_text_alone(uuid):
+def test_a_goal_of_the_hub_is_recognized_by_its_text(uuid):
     assert states.uuid_of("/any", states.text_of(uuid)) == uuid
 
 
 @given(texts, texts)
-def test_ids_of_ros_1_have_one_uuid_each(one, other):
+def test_each_ros_1_id_has_one_uuid(one, other):
     assert (states.uuid_of("/a", one) == states.uuid_of("/a", other)) == (one == other)
     assert states.uuid_of("/a", one) != states.uuid_of("/b", one) or states.uuid_in(one)
 
 
-def test_every_state_has_one_that_stands_for_it():
+def test_every_state_is_mapped():
     assert set(TO_ROS2) == set(Ros1State)
     assert set(TO_ROS1) == set(GoalState)
     assert all(TO_ROS2[s].ended == s.ended for s in Ros1State)

@@ -1,4 +1,4 @@
-"""What the edge sees of a real ROS 2 graph."""
+"""The edge's view of a real ROS 2 graph."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.support.wait import until
 
 
 def marked_profile(folder: Path) -> tuple[Path, bytes]:
-    """A profile that makes of any ROS 2 program a Midspan participant, for the network; and its prefix."""
+    """Write a profile that turns any ROS 2 program into a Midspan participant; return its path and prefix."""
     prefix = new_prefix(host_prefix())
     path = folder / "marked.xml"
     path.write_text(FastDdsProfile(prefix, 0, localhost_only=True).xml())
@@ -54,10 +54,10 @@ def test_own_endpoints_are_not_listed(edge: RunningEdge, peer: Callable[..., Pee
     native.subscribe("/g/own", "std_msgs/String")
     edge.until_seen("/g/own", Kind.SUBSCRIPTION)
     assert not [e for e in edge.edge.endpoints() if e.topic == "/g/own" and e.kind is Kind.PUBLISHER]
-    until(lambda: native.graph()["publishers"]["/g/own"] == ["midspan"], "our publisher on the native graph")
+    until(lambda: native.graph()["publishers"]["/g/own"] == ["midspan"], "the edge's publisher on the native graph")
 
 
-def test_endpoint_that_goes_is_noticed(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+def test_closed_endpoint_leaves_the_graph(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
     native = peer()
     publisher = native.advertise("/g/gone", "std_msgs/String")
     edge.until_seen("/g/gone", Kind.PUBLISHER)
@@ -67,7 +67,7 @@ def test_endpoint_that_goes_is_noticed(edge: RunningEdge, peer: Callable[..., Pe
     assert edge.changes > before
 
 
-def test_killed_program_is_noticed_after_its_lease(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+def test_killed_program_leaves_the_graph_after_its_lease(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
     native = peer(**SHORT_LEASE)
     native.advertise("/g/killed", "std_msgs/String")
     edge.until_seen("/g/killed", Kind.PUBLISHER)
@@ -75,7 +75,7 @@ def test_killed_program_is_noticed_after_its_lease(edge: RunningEdge, peer: Call
     edge.until_gone("/g/killed", Kind.PUBLISHER)
 
 
-def test_other_midspan_is_known_by_its_mark(edge: RunningEdge, peer: Callable[..., Peer], tmp_path: Path) -> None:
+def test_other_midspan_is_recognized_by_its_mark(edge: RunningEdge, peer: Callable[..., Peer], tmp_path: Path) -> None:
     profile, prefix = marked_profile(tmp_path)
     other = peer("midspan", FASTRTPS_DEFAULT_PROFILES_FILE=str(profile))
     other.advertise("/g/bridged", "std_msgs/String")
@@ -91,11 +91,11 @@ def test_network_is_the_marked_prefix(edge: RunningEdge) -> None:
     assert edge.edge.is_own_network(Origin("ros2", network, "me"))
     assert not edge.edge.is_own_network(Origin("ros1", network, "me"))
     elsewhere = Origin("ros2", new_prefix(b"\x01\x0f\x00\x00").hex(), "elsewhere")
-    until(lambda: not edge.edge.is_own_network(elsewhere), "a participant that is not seen here to be foreign")
+    until(lambda: not edge.edge.is_own_network(elsewhere), "the undiscovered participant counts as foreign")
     assert not edge.edge.is_own_network(Origin("ros2", "no hex", "elsewhere"))
 
 
-def test_hidden_names() -> None:
+def test_names_with_a_leading_underscore_are_hidden() -> None:
     assert is_hidden("/_private")
     assert is_hidden("/_private/_action/feedback")
     assert is_hidden("/fibonacci/_action/other")

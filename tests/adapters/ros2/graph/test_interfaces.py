@@ -1,4 +1,4 @@
-"""New network addresses: which ones count, and that they are reported once."""
+"""New network addresses: which of them count, each reported once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TEXT = "this machine has a new address that the ROS 2 side does not use: "
 
 
 class Calls(DelayedCalls):
-    """Makes the delayed calls when the test wants."""
+    """Runs delayed calls on the test's command."""
 
     def __init__(self) -> None:
         super().__init__("test")
@@ -31,7 +31,7 @@ class Calls(DelayedCalls):
 
 
 class Machine:
-    """A machine with changing addresses, and what the watch reported."""
+    """A machine with changing addresses, and the reports of the watch."""
 
     def __init__(self, *addresses: tuple[str, str]) -> None:
         self.addresses = set(addresses)
@@ -57,7 +57,7 @@ def test_a_new_address_is_reported_once() -> None:
     assert machine.reported == [f"{TEXT}10.8.0.3 on tun0, 192.168.1.7 on wlan0"]
 
 
-def test_an_address_that_goes_and_returns_is_not_new() -> None:
+def test_an_address_that_disappears_and_returns_is_not_new() -> None:
     machine = Machine(WIRED, WIFI)
     for addresses in ({WIRED}, {WIRED, WIFI}, set(), {WIFI}):
         machine.addresses = addresses

@@ -1,4 +1,4 @@
-"""Who can share memory with us, told from the GUID prefix and the process table."""
+"""Detecting from GUID prefixes and the process table which participants can share memory."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def prefix(pid: int, host: bytes = HOST) -> bytes:
 
 
 class Table:
-    """A process table of our own making."""
+    """A fake process table."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -47,7 +47,7 @@ def table(tmp_path: Path) -> Table:
 
 @pytest.fixture
 def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., bool]]:
-    """Whether a stranger is found among some participants that stay."""
+    """Returns whether `MemoryNeighbours` reports a stranger among constant participants."""
     monkeypatch.setattr(neighbours, "CONFIRM_SECONDS", 0.01)
     watches: list[neighbours.MemoryNeighbours] = []
     later = DelayedCalls("test-neighbours")
@@ -56,7 +56,7 @@ def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
         told = threading.Event()
         watch = neighbours.MemoryNeighbours(OWN, 3, told.set, later, table.folder)
         watches.append(watch)
-        if then is not None:  # its end must come before a second look, however slow this machine is
+        if then is not None:  # it must exit before the second check, even on a slow machine
             monkeypatch.setattr(neighbours, "CONFIRM_SECONDS", seconds / 2)
         watch.follow(participants)
         watch.follow(participants if then is None else then)
@@ -68,12 +68,12 @@ def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
     later.close()
 
 
-def test_who_can_share_our_memory(table: Table, strangers: Callable[..., bool]) -> None:
+def test_only_a_local_process_with_fast_dds_shares_memory(table: Table, strangers: Callable[..., bool]) -> None:
     table.add(70000)
     assert not strangers(prefix(70000), OWN, seconds=0.3)
 
 
-def test_no_process_of_ours_is_a_stranger(strangers: Callable[..., bool]) -> None:
+def test_a_participant_without_a_process_of_this_user_is_a_stranger(strangers: Callable[..., bool]) -> None:
     assert strangers(prefix(4711))
 
 
@@ -86,12 +86,12 @@ def test_process_of_another_user_is_a_stranger(
     assert strangers(prefix(4711))
 
 
-def test_process_without_fast_dds_is_none_of_the_participants(table: Table, strangers: Callable[..., bool]) -> None:
+def test_a_process_without_fast_dds_does_not_count(table: Table, strangers: Callable[..., bool]) -> None:
     table.add(1, library="/sbin/init")
     assert strangers(prefix(1))
 
 
-def test_process_with_a_shm_folder_of_its_own_is_a_stranger(
+def test_a_process_with_a_separate_dev_shm_is_a_stranger(
     table: Table, strangers: Callable[..., bool], tmp_path: Path
 ) -> None:
     (tmp_path / "container/dev/shm").mkdir(parents=True)
@@ -99,11 +99,11 @@ def test_process_with_a_shm_folder_of_its_own_is_a_stranger(
     assert strangers(prefix(4711))
 
 
-def test_program_that_has_just_ended_is_no_stranger(strangers: Callable[..., bool]) -> None:
+def test_a_program_that_has_just_ended_is_not_a_stranger(strangers: Callable[..., bool]) -> None:
     assert not strangers(prefix(4711), then=(), seconds=2.0)
 
 
-def test_one_killed_as_it_came_is_no_stranger_until_its_lease_is_over(
+def test_a_killed_program_is_not_a_stranger_before_its_lease_expires(
     table: Table, strangers: Callable[..., bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of three participants of this host, two have a port of domain 3; the third has no process."""
@@ -112,7 +112,7 @@ def test_one_killed_as_it_came_is_no_stranger_until_its_lease_is_over(
     there = (OWN, prefix(70000), prefix(4711))
     assert not strangers(*there, seconds=0.3)
     table.bind(8160, 8162, 8164)
-    assert strangers(*there), "it lives, in a container"
+    assert strangers(*there), "it is alive, in a container"
     table.bind(8160, 8162)
     monkeypatch.setattr(neighbours, "LEASE_SECONDS", 0.1)
     assert strangers(*there), "it stays"
@@ -122,7 +122,7 @@ def test_other_hosts_and_other_midspans_do_not_count(strangers: Callable[..., bo
     assert not strangers(prefix(1, b"\x01\x0f\x99\x99"), new_prefix(HOST), OWN, seconds=0.3)
 
 
-def test_note_holds_until_the_next_boot(tmp_path: Path) -> None:
+def test_udp_is_preferred_until_the_next_boot(tmp_path: Path) -> None:
     assert not neighbours.prefers_udp(tmp_path)
     neighbours.prefer_udp(tmp_path / "deeper")
     assert neighbours.prefers_udp(tmp_path / "deeper")

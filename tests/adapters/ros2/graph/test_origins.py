@@ -1,4 +1,4 @@
-"""Which origins are our own network."""
+"""Which origins count as this network."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def test_own_and_seen_participants(case: Case) -> None:
     assert not origins.is_own("not hex")
 
 
-def test_unknown_participant_counts_as_own_for_a_moment(case: Case) -> None:
+def test_an_undiscovered_participant_counts_as_own_for_a_while(case: Case) -> None:
     origins, other = case.start(new_prefix(HOST)), new_prefix(HOST)
     assert origins.is_own(other.hex())
-    until(case.settled.is_set, "the moment to be over")
-    until(lambda: not origins.is_own(other.hex()), "the origin to be foreign")
+    until(case.settled.is_set, "the time is over")
+    until(lambda: not origins.is_own(other.hex()), "the origin is foreign")
 
 
 def test_dead_predecessors_are_own(case: Case) -> None:
@@ -59,7 +59,7 @@ def test_dead_predecessors_are_own(case: Case) -> None:
     assert origins.is_own(dead.hex())
 
 
-def test_spoiled_or_long_file_is_borne(case: Case) -> None:
+def test_a_corrupt_or_long_file_is_tolerated(case: Case) -> None:
     old = [new_prefix(HOST).hex() for _ in range(100)]
     (case.folder / "prefixes").write_text("\n".join(["junk", *old]))
     case.start(new_prefix(HOST))
@@ -68,7 +68,7 @@ def test_spoiled_or_long_file_is_borne(case: Case) -> None:
     assert kept[-2] == old[-1]
 
 
-def test_a_successor_has_another_number_and_so_other_ports(case: Case) -> None:
+def test_a_successor_gets_another_number_and_other_ports(case: Case) -> None:
     past: list[bytes] = []
     for _ in range(12):
         past.append(new_prefix(HOST, past))
@@ -76,7 +76,7 @@ def test_a_successor_has_another_number_and_so_other_ports(case: Case) -> None:
     assert stored_prefixes(case.folder) == past
     numbers = [participant_number(prefix) for prefix in past]
     assert all(number not in numbers[max(0, i - 8) : i] for i, number in enumerate(numbers))
-    assert all(number >= 32 for number in numbers), "beside those that count from 0"
+    assert all(number >= 32 for number in numbers), "above those that count from 0"
 
 
 def test_ports_of_every_number_exist_in_the_highest_domain() -> None:
@@ -84,6 +84,6 @@ def test_ports_of_every_number_exist_in_the_highest_domain() -> None:
     assert 7400 + 250 * 232 + 11 + 2 * max(numbers) < 65536  # DDSI-RTPS 2.5, 9.6.2.3
 
 
-def test_rubbish_among_the_stored_prefixes_is_passed_over(case: Case) -> None:
+def test_invalid_stored_prefixes_are_ignored(case: Case) -> None:
     (case.folder / "prefixes").write_text(f"no hex\nabcd\n{new_prefix(HOST).hex()}\n")
     assert len(stored_prefixes(case.folder)) == 1

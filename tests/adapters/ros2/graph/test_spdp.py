@@ -1,4 +1,4 @@
-"""Our own words in DDS discovery, read back by the RTPS specification, and who gets them."""
+"""Hand-written DDS discovery messages, parsed by the RTPS specification, and their receivers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GROUP_PORT = 7400 + 250 * DOMAIN  # DDSI-RTPS 2.5, 9.6.2.3: PB + DG * domain + d
 
 
 def parameters(data: bytes) -> tuple[dict[int, bytes], bytes]:
-    """A little-endian parameter list (9.4.2.11), and what follows its sentinel."""
+    """Parse a little-endian parameter list (9.4.2.11); return it and the bytes after its sentinel."""
     found: dict[int, bytes] = {}
     while True:
         pid, length = struct.unpack_from("<HH", data)
@@ -31,7 +31,7 @@ def parameters(data: bytes) -> tuple[dict[int, bytes], bytes]:
 
 
 def data(said: bytes, flags: int) -> tuple[int, bytes]:
-    """The sequence number of a message's one DATA submessage, and what follows it."""
+    """Return the sequence number of a message's only DATA submessage, and the bytes after it."""
     # 9.4.4: the header
     protocol, major, minor, vendor, prefix = struct.unpack_from("4sBB2s12s", said)
     assert (protocol, major) == (b"RTPS", 2)
@@ -52,9 +52,9 @@ def data(said: bytes, flags: int) -> tuple[int, bytes]:
     return (high << 32) + low, body[4 + to_qos :]
 
 
-def test_farewell_is_what_a_leaving_participant_says() -> None:
+def test_disposal_equals_the_message_of_a_leaving_participant() -> None:
     number, rest = data(spdp.disposal(PREFIX), 0b1011)  # little endian (E), inline QoS (Q), no data (D) but a key (K)
-    assert number > 1_000_000, "newer than all that the dead one said"
+    assert number > 1_000_000, "newer than all messages of the dead participant"
     inline, rest = parameters(rest)
     assert inline[0x0070] == GUID, "PID_KEY_HASH"
     assert inline[0x0071] == b"\0\0\0\x03", "PID_STATUS_INFO: disposed and unregistered (9.6.4.9), big endian"
@@ -65,7 +65,7 @@ def test_farewell_is_what_a_leaving_participant_says() -> None:
     assert rest == b""
 
 
-def test_hello_tells_where_the_other_one_is() -> None:
+def test_announcement_has_the_address_of_the_real_participant() -> None:
     number, rest = data(spdp.announcement(PREFIX, DOMAIN, 40), 0b0101)  # little endian, data
     assert number == 1
     assert rest[:4] == b"\0\x03\0\0", "PL_CDR_LE"
@@ -77,12 +77,12 @@ def test_hello_tells_where_the_other_one_is() -> None:
     unicast = struct.pack("<iI12s4s", 1, GROUP_PORT + 10 + 2 * 40, b"", bytes((127, 0, 0, 1)))
     group = struct.pack("<iI12s4s", 1, GROUP_PORT, b"", bytes((239, 255, 0, 1)))
     assert (told[0x0032], told[0x0033]) == (unicast, group), "PID_METATRAFFIC_UNICAST_ and _MULTICAST_LOCATOR"
-    assert struct.unpack("<I", told[0x0058]) == (0b11,), "nothing but SPDP's own endpoints: nobody matches anything"
+    assert struct.unpack("<I", told[0x0058]) == (0b11,), "only SPDP's own endpoints, so nothing else matches"
 
 
 @contextlib.contextmanager
 def listening(address: str, port: int, interface: str = "") -> Iterator[socket.socket]:
-    """A socket as a participant has, in the SPDP group of an interface where one is named."""
+    """Open a socket like a participant's, in the SPDP group of ``interface`` if given."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         sock.bind((address, port))
@@ -94,7 +94,7 @@ def listening(address: str, port: int, interface: str = "") -> Iterator[socket.s
 
 
 @pytest.mark.parametrize("participant", [0, spdp.PARTICIPANTS - 1])
-def test_everybody_on_this_machine_hears_it(participant: int) -> None:
+def test_all_participants_on_this_machine_receive_it(participant: int) -> None:
     unicast = GROUP_PORT + 10 + 2 * participant  # PB + DG * domain + d1 + PG * participant
     with listening("239.255.0.1", GROUP_PORT, "lo") as group, listening("127.0.0.1", unicast) as one:
         spdp.send_all([spdp.disposal(PREFIX)], DOMAIN, localhost_only=True)
@@ -102,7 +102,7 @@ def test_everybody_on_this_machine_hears_it(participant: int) -> None:
 
 
 class Network:
-    """Interfaces lo, eth0 and one without an address; remembers what is sent out of which."""
+    """Interfaces lo, eth0 and one without an address; records what is sent through each."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, refuse: str = "") -> None:
         self.names = {1: "lo", 4: "eth0", 7: "down0"}
@@ -130,7 +130,7 @@ def groups(network: Network) -> list[str]:
 
 
 @pytest.mark.parametrize(("localhost_only", "told"), [(True, ["lo"]), (False, ["lo", "eth0"])])
-def test_each_interface_in_reach_and_none_beyond(
+def test_only_the_interfaces_in_range_are_used(
     monkeypatch: pytest.MonkeyPatch, localhost_only: bool, told: list[str]
 ) -> None:
     network = Network(monkeypatch)
@@ -140,7 +140,7 @@ def test_each_interface_in_reach_and_none_beyond(
 
 
 @pytest.mark.parametrize("refuse", ["239.255.0.1", "127.0.0.1"])
-def test_a_refusal_stops_nothing_else(monkeypatch: pytest.MonkeyPatch, refuse: str) -> None:
+def test_a_failed_send_does_not_stop_the_others(monkeypatch: pytest.MonkeyPatch, refuse: str) -> None:
     network = Network(monkeypatch, refuse)
     spdp.send_all([b"one", b"two"], DOMAIN, localhost_only=False)
     assert sorted(set(groups(network))) == ["eth0", "lo"]

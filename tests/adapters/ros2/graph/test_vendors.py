@@ -1,4 +1,4 @@
-"""Which endpoints keep calls from crossing, by the vendor in their GIDs."""
+"""Which endpoints prevent calls from crossing, by the vendor in their GIDs."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def test_server_on_cyclone_dds_is_not_called() -> None:
     assert "RMW_IMPLEMENTATION=rmw_fastrtps_cpp" in obstacle.cure
 
 
-def test_one_server_of_several_is_enough() -> None:
+def test_one_of_several_servers_on_cyclone_dds_suffices() -> None:
     obstacle = vendors.of_servers("/lamp", [endpoint(FAST), endpoint(CYCLONE)])
     assert obstacle is not None
     assert "(/of_0110) too, and DDS delivers each request to all servers" in obstacle.reason
 
 
 @pytest.mark.parametrize("vendor", [FAST, *OTHERS])
-def test_servers_and_clients_of_other_vendors_stay_as_they_are(vendor: str) -> None:
+def test_servers_and_clients_of_other_vendors_are_no_obstacle(vendor: str) -> None:
     assert vendors.of_servers("/lamp", [endpoint(vendor)]) is None
     assert vendors.of_clients("/lamp", [endpoint(vendor, Kind.CLIENT)]) is None
     assert not vendors.is_cyclone(bytes.fromhex(endpoint(vendor).id))
@@ -47,7 +47,7 @@ def test_clients_on_cyclone_dds_are_named() -> None:
     assert "from Cyclone DDS (/of_0110) are refused" in obstacle.reason
 
 
-def test_report_leaves_services_of_every_node_out() -> None:
+def test_report_omits_services_that_every_node_has() -> None:
     found = vendors.report(
         [
             endpoint(CYCLONE),

@@ -1,4 +1,4 @@
-"""A real ActionClient and a real ActionServer that meet through the edge only, as three services and two topics."""
+"""A real ActionClient and a real ActionServer connected only through the edge, as three services and two topics."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TOPICS = {
 
 
 def relay(running: RunningEdge, real: str, shown: str) -> None:
-    """Show the native action ``real`` under another name, as the engines of two bridges do between two domains."""
+    """Offer the native action ``real`` under another name, as two engines do between two domains."""
     edge, registry = running.edge, running.registry
     for part, name in SERVICES.items():
         running.until_seen(f"{real}/_action/{part}", Kind.SERVER)
@@ -77,7 +77,7 @@ def test_goal_feedback_and_result(edge: RunningEdge, server: Peer, client: Peer)
     state = client.ask("goal", id=goal, until={"status": SUCCEEDED})
     assert (state["status"], state["result"]["error_msg"]) == (SUCCEEDED, "none")
     remaining = [f["distance_remaining"] for f in state["feedback"]]
-    # the first may come before the client's reader is matched, and the result, by another way, before the last
+    # the first may precede the match of the client's reader, and the result may arrive before the last
     assert remaining in ([3.0, 2.0, 1.0], [3.0, 2.0], [2.0, 1.0], [3.0], [2.0], [1.0])
 
 
@@ -107,12 +107,12 @@ def test_cancelled_goal_among_others(edge: RunningEdge, server: Peer, client: Pe
         assert client.ask("goal", id=goal, until={"status": SUCCEEDED})["status"] == SUCCEEDED
 
 
-def test_refused_cancel(edge: RunningEdge, server: Peer, client: Peer) -> None:
+def test_rejected_cancel_request(edge: RunningEdge, server: Peer, client: Peer) -> None:
     acting = act(server, edge, held=True, keeps=True)
     (goal,) = send(client)
     client.ask("goal", id=goal, until={"accepted": True})
     client.ask("cancel", id=goal)
-    assert client.ask("goal", id=goal, until={"cancel": [0, 0]})["cancel"] == [0, 0]  # as rclpy refuses
+    assert client.ask("goal", id=goal, until={"cancel": [0, 0]})["cancel"] == [0, 0]  # like rclpy's rejection
     server.ask("release", id=acting)
     assert client.ask("goal", id=goal, until={"status": SUCCEEDED})["status"] == SUCCEEDED
 

@@ -32,7 +32,7 @@ def set_bool(edge: RunningEdge) -> Service:
 
 @pytest.fixture
 def cyclone() -> Iterator[Callable[[], CyclonePeer]]:
-    """Starts programs on Cyclone DDS."""
+    """Return a function that starts programs on Cyclone DDS."""
     peers: list[CyclonePeer] = []
 
     def start() -> CyclonePeer:
@@ -50,7 +50,7 @@ def seen(edge: RunningEdge, topic: str, kind: Kind, count: int = 1) -> None:
 
 
 def refused(edge: Ros2Edge, name: str, service: Service, request: bytes) -> str:
-    """The reason for which a call is refused at once."""
+    """Return the reason of a call's immediate rejection."""
     ends, began = Ends(), time.monotonic()
     caller = edge.caller(name, service.type)
     caller.call(request, ends.done)
@@ -62,7 +62,7 @@ def refused(edge: Ros2Edge, name: str, service: Service, request: bytes) -> str:
 
 
 def only_own(native: CyclonePeer, server: int, client: CyclonePeer, name: str, service: Service) -> bool:
-    """Whether a server received one request of its own client, sent now, and none of ours before it."""
+    """Return whether a server receives a new request of its own client, and received none from Midspan."""
     call = client.call(name, TYPE, service.request(data=True))
     return service.answer(client.reply(call)) == YES and len(native.requests(server)) == 1
 
@@ -93,7 +93,7 @@ def test_no_part_of_a_cyclone_action_is_called(
     assert native.requests(servers) == []
 
 
-def test_cyclone_server_beside_one_on_fast_dds(
+def test_one_server_on_cyclone_dds_and_one_on_fast_dds(
     edge: RunningEdge, set_bool: Service, peer: Callable[..., Peer], cyclone: Callable[[], CyclonePeer]
 ) -> None:
     fast, native = peer("lamp"), cyclone()
@@ -120,7 +120,7 @@ def test_cyclone_server_that_joins_later(
     monkeypatch: pytest.MonkeyPatch,
     known: bool,
 ) -> None:
-    """Calls go on all the time, and the thread that follows the graph is late."""
+    """Calls continue all the time, and the graph thread is late."""
     if not known:
         monkeypatch.setattr(matching, "_FUNCTIONS", None)
     fast, native = peer("lamp"), cyclone()
@@ -187,7 +187,7 @@ def test_server_replaced_by_one_on_fast_dds(
     assert set_bool.answer(later.replies()[0]) == YES
 
 
-def test_call_reads_no_graph(
+def test_a_call_does_not_read_the_graph(
     edge: RunningEdge, set_bool: Service, peer: Callable[..., Peer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     peer("lamp").ask("serve", service="/c/quick", type=TYPE, reply=YES, depth=200)

@@ -1,4 +1,4 @@
-"""Two ROS 2 networks joined by two workers and the hub: programs of either call and drive those of the other."""
+"""Two ROS 2 networks joined by two workers and the hub: programs on each use services and actions of the other."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MANY = 200
 
 
 class Domains(NamedTuple):
-    """A program on each network, and what starts more."""
+    """A program on each network, and a function that starts more."""
 
     far: Peer
     near: Peer

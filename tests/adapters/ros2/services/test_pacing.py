@@ -1,4 +1,4 @@
-"""How many requests lie before a server, and which processes are gone."""
+"""Limits of requests in flight, and detection of ended processes."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ def test_requests_wait_for_replies(monkeypatch: pytest.MonkeyPatch) -> None:
         requests.sent(number)
     assert requests.wait() == pytest.approx(PATIENCE)
     now[0] += PATIENCE / 2
-    requests.answered(3)  # so 1 and 2 were taken before it
+    requests.answered(3)  # so 1 and 2 were taken before
     assert requests.wait() == 0
     for number in (ROOM + 1, ROOM + 2, ROOM + 3):
         requests.sent(number)
     now[0] += PATIENCE / 2
-    requests.answered(1)  # says nothing of those that lie there
+    requests.answered(1)  # does not show whether queued ones were taken
     assert requests.wait() == pytest.approx(PATIENCE / 2)
     now[0] += PATIENCE / 2 + 0.001
     assert requests.wait() == 0
 
 
-def test_process_that_ended_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_end_of_a_process_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(neighbours, "shares_memory", lambda process: process.exists())
     own = b"\x01\x0f\x00\x01" + os.urandom(8)
     program = subprocess.Popen([sys.executable, "-S", "-c", "input()"], stdin=subprocess.PIPE)
@@ -46,9 +46,9 @@ def test_process_that_ended_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
         assert not watched.has_ended(elsewhere)
         program.kill()
         os.waitid(os.P_PID, program.pid, os.WEXITED | os.WNOWAIT)
-        assert watched.has_ended(prefix)  # though nobody has asked for its end yet
+        assert watched.has_ended(prefix)  # although its parent has not waited for it yet
     finally:
         program.communicate()
     assert watched.has_ended(prefix)
     assert not watched.has_ended(elsewhere)
-    assert not ProcessWatch(own).has_ended(prefix)  # never seen alive: DDS is to say
+    assert not ProcessWatch(own).has_ended(prefix)  # never seen alive: DDS decides

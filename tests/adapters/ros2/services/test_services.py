@@ -43,7 +43,7 @@ def call(peer: Peer, service: str, type_: str = "std_srvs/SetBool", **more: obje
     return int(peer.ask("call", service=service, type=type_, **more)["id"])
 
 
-def test_servers_and_clients_are_seen(edge: RunningEdge, peer: Peers, registry: Registry, tmp_path: Path) -> None:
+def test_servers_and_clients_are_listed(edge: RunningEdge, peer: Peers, registry: Registry, tmp_path: Path) -> None:
     native = peer("worker")
     server = serve(native, "/s/seen")
     (seen,) = edge.until_seen("/s/seen", Kind.SERVER)
@@ -68,7 +68,7 @@ def test_other_definition_is_refused(edge: RunningEdge, peer: Peers) -> None:
         edge.edge.service_to_hub(seen)
 
 
-def test_call_has_its_reply(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
+def test_a_call_receives_its_reply(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
     native = peer()
     server = serve(native, "/s/call", reply={"success": True, "message": "done"})
     edge.until_seen("/s/call", Kind.SERVER)
@@ -78,8 +78,8 @@ def test_call_has_its_reply(edge: RunningEdge, peer: Peers, set_bool: Service) -
     assert native.ask("requests", id=server)["requests"] == [{"data": True}]
 
 
-def test_thousand_calls_at_once_of_a_native_server(edge: RunningEdge, peer: Peers, echo: Service) -> None:
-    """The server keeps 10 requests that it has not taken, as is usual; see `service_window`."""
+def test_a_native_server_receives_a_thousand_concurrent_calls(edge: RunningEdge, peer: Peers, echo: Service) -> None:
+    """The server queues 10 requests that it has not taken, the default; see `service_window`."""
     serve(peer(), "/s/many", "diagnostic_msgs/AddDiagnostics", echo={"message": "load_namespace"})
     edge.until_seen("/s/many", Kind.SERVER)
     caller = edge.edge.caller("/s/many", echo.type)
@@ -90,9 +90,9 @@ def test_thousand_calls_at_once_of_a_native_server(edge: RunningEdge, peer: Peer
     assert answers == [f"number {number}" for number in range(MANY)]
 
 
-def test_held_call_blocks_no_other(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
+def test_a_slow_call_does_not_delay_others(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
     native = peer()
-    held = serve(native, "/s/held", held=True, depth=100)  # 30 replies at once: it keeps 10 for who is slow to hear
+    held = serve(native, "/s/held", held=True, depth=100)  # 30 replies at once: the server keeps 10 for a slow client
     serve(native, "/s/quick")
     edge.until_seen("/s/held", Kind.SERVER)
     edge.until_seen("/s/quick", Kind.SERVER)
@@ -108,7 +108,7 @@ def test_held_call_blocks_no_other(edge: RunningEdge, peer: Peers, set_bool: Ser
     slow.replies(30)
 
 
-def test_server_that_leaves_ends_its_calls(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
+def test_calls_end_when_their_server_leaves(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
     native = peer()
     held = serve(native, "/s/leaves", held=True)
     edge.until_seen("/s/leaves", Kind.SERVER)
@@ -121,7 +121,7 @@ def test_server_that_leaves_ends_its_calls(edge: RunningEdge, peer: Peers, set_b
     assert "has no server" in late.error()
 
 
-def test_killed_server_ends_its_calls_at_once(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
+def test_calls_end_at_once_when_their_server_is_killed(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
     """DDS itself would notice after 20 s."""
     native = peer()
     held = serve(native, "/s/killed", held=True)
@@ -137,7 +137,7 @@ def test_killed_server_ends_its_calls_at_once(edge: RunningEdge, peer: Peers, se
     assert "has no server" in late.error()
 
 
-def test_server_that_comes_back_is_called_again(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
+def test_a_returning_server_is_called_again(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
     native = peer()
     first = serve(native, "/s/back")
     edge.until_seen("/s/back", Kind.SERVER)
@@ -152,7 +152,7 @@ def test_server_that_comes_back_is_called_again(edge: RunningEdge, peer: Peers, 
     assert set_bool.answer(ends.replies(2)[1])["message"] == "again"
 
 
-def test_abandoned_call_is_silent(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
+def test_an_abandoned_call_delivers_no_result(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
     native = peer()
     held = serve(native, "/s/abandoned", held=True)
     edge.until_seen("/s/abandoned", Kind.SERVER)
@@ -167,7 +167,7 @@ def test_abandoned_call_is_silent(edge: RunningEdge, peer: Peers, set_bool: Serv
     assert not ends.all
 
 
-def test_closed_caller_ends_its_calls(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
+def test_closing_a_caller_ends_its_calls(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
     serve(peer(), "/s/closed", held=True)
     edge.until_seen("/s/closed", Kind.SERVER)
     caller, ends = edge.edge.caller("/s/closed", set_bool.type), Ends()
@@ -197,7 +197,7 @@ def test_large_reply_and_large_request(edge: RunningEdge, peer: Peers, registry:
     assert native.ask("result", id=called)["reply"] == {"success": True}
 
 
-def test_native_client_is_answered(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
+def test_a_native_client_receives_replies(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
     native = peer()
     server = edge.edge.serve("/s/ours", set_bool.type, answering(set_bool.response(message="ours")))
     called = call(native, "/s/ours", request={"data": True})
@@ -206,9 +206,11 @@ def test_native_client_is_answered(edge: RunningEdge, peer: Peers, set_bool: Ser
     server.close()
 
 
-def test_last_words_of_a_server_reach_its_clients(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
-    """What ends a call, as the death of its server on the hub, closes the server on DDS in the same moment."""
-    native, last = peer(), set_bool.response(message="last words")
+def test_the_last_replies_of_a_closing_server_reach_its_clients(
+    edge: RunningEdge, peer: Peers, set_bool: Service
+) -> None:
+    """The event that ends the call (its server on the hub dies) also closes the server on DDS."""
+    native, last = peer(), set_bool.response(message="last reply")
     servers = []
     for number in range(20):
         name, asked = f"/s/last{number}", Asked()
@@ -219,7 +221,7 @@ def test_last_words_of_a_server_reach_its_clients(edge: RunningEdge, peer: Peers
         done(last)
         server.close()
     for called, _, _ in servers:
-        assert native.ask("result", id=called, seconds=40)["reply"] == {"success": False, "message": "last words"}
+        assert native.ask("result", id=called, seconds=40)["reply"] == {"success": False, "message": "last reply"}
 
 
 def test_replies_out_of_order(edge: RunningEdge, peer: Peers, echo: Service) -> None:
@@ -233,7 +235,7 @@ def test_replies_out_of_order(edge: RunningEdge, peer: Peers, echo: Service) -> 
     assert [reply["message"] for reply in replies] == [str(n) for n in range(10)]
 
 
-def test_thousand_calls_at_once_of_a_native_client(edge: RunningEdge, peer: Peers, echo: Service) -> None:
+def test_a_native_client_makes_a_thousand_concurrent_calls(edge: RunningEdge, peer: Peers, echo: Service) -> None:
     native, asked = peer(), Asked()
     edge.edge.serve("/s/crowd", echo.type, asked.call)
     requests = [{"load_namespace": str(n)} for n in range(MANY)]
@@ -244,7 +246,7 @@ def test_thousand_calls_at_once_of_a_native_client(edge: RunningEdge, peer: Peer
     assert [reply and reply["message"] for reply in replies] == [str(n) for n in range(MANY)]
 
 
-def test_client_that_leaves_abandons_its_calls(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
+def test_calls_are_abandoned_when_their_client_leaves(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
     asked = Asked()
     edge.edge.serve("/s/left", set_bool.type, asked.call)
     leaving, killed = peer(), peer()
@@ -254,15 +256,15 @@ def test_client_that_leaves_abandons_its_calls(edge: RunningEdge, peer: Peers, s
     asked.wait(2)
     edge.until_seen("/s/left", Kind.CLIENT, 2)
     leaving.stop()
-    until(lambda: asked.abandoned == 1, "the call of the client that left to be abandoned")
+    until(lambda: asked.abandoned == 1, "the call of the client that left is abandoned")
     killed.signal(signal.SIGKILL)
     killed.popen.wait()
-    until(lambda: asked.abandoned == 2, "the call of the killed client to be abandoned", 18)
+    until(lambda: asked.abandoned == 2, "the call of the killed client is abandoned", 18)
     for _, done in asked.requests:
         done(set_bool.response())
 
 
-def test_error_leaves_a_client_without_an_answer(
+def test_an_error_leaves_a_client_without_reply(
     edge: RunningEdge, peer: Peers, set_bool: Service, caplog: pytest.LogCaptureFixture
 ) -> None:
     native, asked = peer(), Asked()
@@ -277,7 +279,7 @@ def test_error_leaves_a_client_without_an_answer(
     assert not native.ask("result", id=first, seconds=0)["done"]
 
 
-def test_request_of_midspan_is_not_taken_up(edge: RunningEdge, peer: Peers, set_bool: Service, tmp_path: Path) -> None:
+def test_requests_of_midspan_are_ignored(edge: RunningEdge, peer: Peers, set_bool: Service, tmp_path: Path) -> None:
     native, asked = peer(), Asked()
     edge.edge.serve("/s/transit", set_bool.type, asked.call)
     profile, _ = marked_profile(tmp_path)
@@ -338,7 +340,7 @@ def test_without_eventfd(
         edge.edge.stop()
 
 
-def test_nothing_is_left_behind(edge: RunningEdge, set_bool: Service) -> None:
+def test_descriptors_are_released(edge: RunningEdge, set_bool: Service) -> None:
     def churn(count: int) -> int:
         for _ in range(count):
             edge.edge.caller("/s/churn", set_bool.type).close()
@@ -349,7 +351,7 @@ def test_nothing_is_left_behind(edge: RunningEdge, set_bool: Service) -> None:
     until(lambda: churn(10) <= before, "as many descriptors as before")
 
 
-def test_where_nothing_was_compiled_services_are_refused_with_the_cure_and_topics_cross(
+def test_without_the_compiled_extension_services_are_refused_and_topics_cross(
     registry: Registry,
     tmp_path: Path,
     peer: Peers,

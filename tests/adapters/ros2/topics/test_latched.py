@@ -1,4 +1,4 @@
-"""State of latched publishers, both ways, per publisher."""
+"""Latched messages in both directions, per publisher."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.support.wait import until
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 
 
-def test_late_subscription_gets_the_last_message_of_each_native_publisher(
+def test_a_late_subscription_receives_the_last_message_of_each_native_publisher(
     edge: RunningEdge, peer: Callable[..., Peer]
 ) -> None:
     natives = [peer(f"latched{number}") for number in range(3)]
@@ -35,7 +35,7 @@ def test_late_subscription_gets_the_last_message_of_each_native_publisher(
     assert second.texts() == ["last 0", "last 2"]
 
 
-def test_publisher_that_comes_after_the_subscription_is_heard_from_its_first_message(
+def test_a_publisher_that_starts_after_the_subscription_is_received_from_its_first_message(
     edge: RunningEdge, peer: Callable[..., Peer]
 ) -> None:
     inbox = edge.subscribe("/l/first", "std_msgs/msg/String", LATCHED)
@@ -45,7 +45,9 @@ def test_publisher_that_comes_after_the_subscription_is_heard_from_its_first_mes
     assert inbox.texts() == ["only"]
 
 
-def test_late_native_gets_the_last_message_of_each_source(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+def test_a_late_native_subscriber_receives_the_last_message_of_each_source(
+    edge: RunningEdge, peer: Callable[..., Peer]
+) -> None:
     publisher = edge.edge.advertise("/l/out", edge.type("std_msgs/msg/String"), LATCHED)
     for number in range(3):
         for data in (f"old {number}", f"last {number}"):
@@ -55,7 +57,7 @@ def test_late_native_gets_the_last_message_of_each_source(edge: RunningEdge, pee
     assert sorted(m["data"] for m in native.wait(first, 3)) == ["last 0", "last 1", "last 2"]
 
     publisher.forget("source1")
-    until(lambda: native.graph()["publishers"]["/l/out"] == ["midspan"] * 2, "one writer to go")
+    until(lambda: native.graph()["publishers"]["/l/out"] == ["midspan"] * 2, "one writer leaves")
     second = native.subscribe("/l/out", "std_msgs/String", latched=True, depth=10)
     assert sorted(m["data"] for m in native.wait(second, 2)) == ["last 0", "last 2"]
 

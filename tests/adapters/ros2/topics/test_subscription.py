@@ -1,4 +1,4 @@
-"""A subscription beside a graph that changes."""
+"""A subscription while the graph changes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def publisher(gid: bytes, qos: Qos) -> Endpoint:
 
 
 class Ros2Graph:
-    """Publishers of one topic."""
+    """The publishers of one topic."""
 
     def __init__(self) -> None:
         self.there = {b"1" * 16: publisher(b"1" * 16, RELIABLE)}
@@ -45,8 +45,8 @@ class Handle:
         pass
 
 
-def test_a_publisher_that_comes_as_it_is_made_is_heard(tmp_path: Path) -> None:
-    """The change is told while DDS makes the first reader: nobody tells it again."""
+def test_a_publisher_that_appears_during_construction_is_received(tmp_path: Path) -> None:
+    """The change is notified only once, while DDS creates the first reader."""
     graph, edge, asked = Ros2Graph(), Ros2Edge(Config(), Registry(), tmp_path), set[Reliability]()
 
     def make_reader(_kind: object, _topic: str, qos: Qos) -> Handle:
