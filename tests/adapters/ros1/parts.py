@@ -1,4 +1,4 @@
-"""What the tests of the ROS 1 edge share."""
+"""Helpers for the tests of the ROS 1 edge."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from tests.support.wait import until
 ROOT = Path(__file__).parents[3]
 PROGRAM = Path(__file__).with_name("edge_program.py")
 CACHE = Path(tempfile.gettempdir()) / f"midspan-test-cache-{os.getuid()}"
-"""One for all, as a user's is: edges in the same environment can be forked of one process."""
+"""Shared by all, like a user's: edges in the same environment can be forked from one process."""
 
 AT_ONCE = 4.0
-"""Seconds: twice what `Edge.start` and `Edge.stop` take at most, for a machine that is busy."""
+"""Seconds: twice the limit of `Edge.start` and `Edge.stop`, for a busy machine."""
 
 
 def string(text: str) -> str:
-    """A std_msgs/String in ROS 1's bytes, as the edge's program takes it."""
+    """Return a std_msgs/String in ROS 1's bytes, in base64 for the edge's program."""
     data = text.encode()
     return base64.b64encode(struct.pack("<I", len(data)) + data).decode()
 
 
 def text(payload: str) -> str:
-    """The text of a std_msgs/String in ROS 1's bytes."""
+    """Return the text of a std_msgs/String in ROS 1's bytes."""
     data = base64.b64decode(payload)
     (length,) = struct.unpack_from("<I", data)
     assert len(data) == length + 4
@@ -42,7 +42,7 @@ def text(payload: str) -> str:
 
 
 class EdgeUnderTest(Peer):
-    """A ROS 1 edge in a process of its own, in the worker's environment."""
+    """A ROS 1 edge in a separate process, in the worker's environment."""
 
     def __init__(self, master: str, state: Path, daemon: str = "robot", clock: str = "system", **ros1: Any) -> None:
         source = ClockSection(source=clock)
@@ -56,7 +56,7 @@ class EdgeUnderTest(Peer):
         super().__init__(PROGRAM, Path(sys.executable), env, config.model_dump_json(by_alias=True), str(state))
 
     def joined(self, network: str = "") -> str:
-        """Wait until a master is joined, that with a given run id where one is given; the network's identity."""
+        """Wait until a master (with a given run id, if any) is joined; return the network's identity."""
 
         def there() -> Any:
             found = self.ask("network")["network"]
@@ -65,25 +65,25 @@ class EdgeUnderTest(Peer):
         return str(until(there, "the edge joins the master"))
 
     def endpoints(self, **like: Any) -> list[dict[str, Any]]:
-        """The endpoints that have these values."""
+        """Return the endpoints with these values."""
         found: list[dict[str, Any]] = self.ask("endpoints")["endpoints"]
         return [e for e in found if all(e[k] == v for k, v in like.items())]
 
     def endpoint(self, **like: Any) -> dict[str, Any]:
-        """The one endpoint that comes to have these values."""
+        """Wait for an endpoint with these values and return it."""
         (found,) = until(lambda: self.endpoints(**like), f"an endpoint {like}")
         return found
 
     def received(self, subscription: int, count: int, seconds: float = 40.0) -> list[tuple[str, str]]:
-        """Payloads and sources so far, once ``count`` have come or the time is over."""
+        """Return payloads and sources so far, once ``count`` have arrived or the time is over."""
         return [(p, s) for p, s, _ in self.ask("wait", id=subscription, count=count, seconds=seconds)["messages"]]
 
     def open(self, topic: str, type_: str, **more: str) -> int:
-        """Subscribe; the subscription's id."""
+        """Subscribe; return the subscription's id."""
         return int(self.ask("subscribe", topic=topic, type=type_, **more)["id"])
 
     def heard(self, publisher: int, count: int = 1) -> None:
-        """Wait until so many subscribers are connected."""
+        """Wait until ``count`` subscribers are connected."""
         until(lambda: self.ask("subscribers", id=publisher)["count"] == count, f"{count} subscribers are connected")
 
     def send(self, publisher: int, text_: str, source: str = "a") -> None:
@@ -92,7 +92,7 @@ class EdgeUnderTest(Peer):
 
 
 def edge_on(master: RosMaster, state: Path, daemon: str = "robot", **ros1: Any) -> EdgeUnderTest:
-    """A started edge that has joined a master."""
+    """Start an edge, and wait until it has joined the master."""
     edge = EdgeUnderTest(master.uri, state, daemon, **ros1)
     edge.ask("start")
     edge.joined()

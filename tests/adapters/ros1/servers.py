@@ -1,4 +1,4 @@
-"""Peers that misbehave: servers on loopback that answer as a test wants."""
+"""Misbehaving peers: servers on loopback whose responses the test determines."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 @contextlib.contextmanager
 def tcp_server(serve: Callable[[socket.socket], None]) -> Iterator[tuple[str, int]]:
-    """A TCP server that hands each connection to ``serve`` on a thread of its own."""
+    """A TCP server that passes each connection to ``serve`` on a separate thread."""
     listener = socket.create_server(("127.0.0.1", 0), backlog=64)
     threads: list[threading.Thread] = []
     connections: list[socket.socket] = []
@@ -49,7 +49,7 @@ def tcp_server(serve: Callable[[socket.socket], None]) -> Iterator[tuple[str, in
 
 
 def until_closed(sock: socket.socket) -> None:
-    """Say nothing until the peer has gone."""
+    """Send nothing until the peer disconnects."""
     while sock.recv(65536):
         pass
 
@@ -58,24 +58,24 @@ class _Handler(SimpleXMLRPCRequestHandler):
     protocol_version = "HTTP/1.1"
 
     def log_message(self, *_: Any) -> None:
-        """Be quiet."""
+        """Log nothing."""
 
 
 class _Server(socketserver.ThreadingMixIn, SimpleXMLRPCServer):
-    """Answers each connection on a thread of its own, and cuts them all when it is closed."""
+    """Serves each connection on a separate thread, and closes all when it is closed."""
 
     def __init__(self) -> None:
         super().__init__(("127.0.0.1", 0), _Handler, allow_none=True)
         self.connections: list[socket.socket] = []
 
     def get_request(self) -> tuple[socket.socket, Any]:
-        """Accept a connection, and remember it."""
+        """Accept a connection, and record it."""
         sock, address = super().get_request()
         self.connections.append(sock)
         return sock, address
 
     def server_close(self) -> None:
-        """Cut all connections and wait for their threads."""
+        """Close all connections and wait for their threads."""
         for sock in self.connections:
             with contextlib.suppress(OSError):
                 sock.shutdown(socket.SHUT_RDWR)
@@ -84,7 +84,7 @@ class _Server(socketserver.ThreadingMixIn, SimpleXMLRPCServer):
 
 @contextlib.contextmanager
 def node(**methods: Callable[..., Any]) -> Iterator[str]:
-    """An XML-RPC server with the given methods, as a ROS 1 node has; its address."""
+    """Run an XML-RPC server with the given methods, like a ROS 1 node's; yield its address."""
     with _Server() as server:
         server.register_multicall_functions()
         for name, method in methods.items():
@@ -100,7 +100,7 @@ def node(**methods: Callable[..., Any]) -> Iterator[str]:
 
 @contextlib.contextmanager
 def publisher(serve: Callable[[socket.socket], None]) -> Iterator[str]:
-    """A node whose publications are all served by ``serve``; its address."""
+    """Run a node whose publications are all served by ``serve``; yield its address."""
     with (
         tcp_server(serve) as (host, port),
         node(requestTopic=lambda _caller, _topic, _protocols: [1, "", ["TCPROS", host, port]]) as uri,

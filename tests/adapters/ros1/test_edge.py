@@ -103,11 +103,11 @@ def test_messages_are_received_with_their_source(master, edge):
 
 
 def test_a_publisher_that_latches_a_moment_after_it_was_registered(master, edge):
-    """The message comes from a latched publisher then, as it is kept for late joiners."""
+    """The message then counts as a latched publisher's, so that it is retained for late joiners."""
     with master.peer("late_latch") as peer:
 
         def latches(number: int) -> bool:
-            """Whether the edge was slower than the program for once; otherwise the race is over before it begins."""
+            """Return whether the edge lost the race against the program; otherwise there is nothing to test."""
             topic = f"/late_latch{number}"
             peer.advertise(topic, "std_msgs/String")
             inbox = edge.open(topic, "std_msgs/String")
@@ -116,7 +116,9 @@ def test_a_publisher_that_latches_a_moment_after_it_was_registered(master, edge)
             with contextlib.suppress(AssertionError):
                 until(lambda: edge.endpoints(topic=topic, made_by="native", latched=True), "it is known to latch", 5)
                 (latched,) = edge.endpoints(topic=topic, made_by="native", latched=True)
-                until(lambda: (string("kept"), latched["id"]) in edge.received(inbox, 1), "the kept message comes")
+                until(
+                    lambda: (string("kept"), latched["id"]) in edge.received(inbox, 1), "the retained message arrives"
+                )
                 return True
             return False
 
@@ -348,7 +350,7 @@ def test_dead_and_malformed_publishers_do_not_affect_a_good_one(master, edge):
         assert [text(p) for p, _ in edge.received(inbox, 1)] == ["alive"]
         assert {e["made_by"] for e in edge.endpoints(node="/hung")} == {"unknown"}
         warning = until(lambda: [w for w in edge.ask("status")["warnings"] if "/odd" in w], "a warning about /odd")
-        assert "connection header claims" in warning[0]
+        assert "connection header announces" in warning[0]
 
 
 def test_a_publisher_that_disconnects_after_its_header_is_connected_again(master, edge):

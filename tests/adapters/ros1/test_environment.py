@@ -15,7 +15,7 @@ from tests.support.ros1 import needs_ros1
 
 @pytest.fixture
 def packages(tmp_path):
-    """A folder as ROS 1's, with things that must not be linked."""
+    """A folder like ROS 1's, with entries that must not be linked."""
     folder = tmp_path / "dist-packages"
     for name in ("rospy", "rosgraph", "genpy", "numpy", "yaml", "rosgraph_msgs/msg", "roscpp/srv", "std_msgs/msg"):
         (folder / name).mkdir(parents=True)
@@ -39,7 +39,7 @@ def links(env):
     return Path(env["PYTHONPATH"].split(os.pathsep)[0])
 
 
-def test_only_ros1_is_linked(tmp_path, packages):
+def test_only_ros1_packages_are_linked(tmp_path, packages):
     env = made(tmp_path, on(packages))
     assert {p.name for p in links(env).iterdir()} == {
         "rospy", "rosgraph", "genpy", "rosgraph_msgs", "roscpp", "std_msgs", "gnupg.py", "defusedxml"
@@ -47,7 +47,7 @@ def test_only_ros1_is_linked(tmp_path, packages):
     assert env["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] == "1"
 
 
-def test_links_follow_what_is_installed(tmp_path, packages):
+def test_links_follow_the_installed_packages(tmp_path, packages):
     before = links(made(tmp_path, on(packages)))
     assert links(made(tmp_path, on(packages))) == before
     (packages / "my_msgs" / "msg").mkdir(parents=True)
@@ -61,7 +61,7 @@ def test_links_follow_what_is_installed(tmp_path, packages):
     (packages / "your_msgs" / "srv").mkdir(parents=True)
     (packages / "your_msgs" / "srv" / "__init__.py").touch()
     made(tmp_path, on(packages))
-    assert not before.exists(), "nobody has used it for long"
+    assert not before.exists(), "it has not been used for long"
 
 
 def test_the_cache_folder(tmp_path, packages):
@@ -70,7 +70,7 @@ def test_the_cache_folder(tmp_path, packages):
     assert links(made(tmp_path, on(packages), CACHE_DIRECTORY=str(tmp_path / "c"))).parent == tmp_path / "c"
 
 
-def test_paths_of_ros2_and_of_the_wheels_are_left_out(tmp_path, packages):
+def test_paths_of_ros2_and_of_the_wheels_are_removed(tmp_path, packages):
     ros2, work = tmp_path / "jazzy", tmp_path / "devel"
     (ros2 / "rclpy").mkdir(parents=True)
     work.mkdir()
@@ -116,7 +116,7 @@ def test_the_log_goes_to_the_state_folder(tmp_path, packages):
     assert made(tmp_path, config)["ROS_LOG_DIR"].startswith(str(tmp_path / "state"))
 
 
-def test_why_it_is_not_available(tmp_path, packages, monkeypatch):
+def test_the_reason_why_ros1_is_not_available(tmp_path, packages, monkeypatch):
     assert available(on(packages), {}) == ""
     assert "ros1.packages" in available(on(tmp_path), {})
     (packages / "std_msgs" / "msg" / "__init__.py").unlink()
@@ -129,13 +129,13 @@ def test_why_it_is_not_available(tmp_path, packages, monkeypatch):
         worker_environment(Config(), {})
 
 
-def test_a_sourced_ros1_comes_first(packages):
+def test_a_sourced_ros1_has_precedence(packages):
     assert packages_folder(Config(), {"PYTHONPATH": f"/nowhere{os.pathsep}{packages}"}) == packages
     assert packages_folder(Config(), {"PYTHONPATH": "/nowhere"}) in (None, *PLACES)
 
 
 @needs_ros1
-def test_real_rospy_beside_our_libraries(tmp_path):
+def test_real_rospy_with_midspans_libraries(tmp_path):
     code = "import rospy, std_msgs.msg, netifaces, numpy, zenoh; print(std_msgs.msg.String._md5sum, numpy.__file__)"
     env = made(tmp_path, PATH=os.environ["PATH"])
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
@@ -146,5 +146,5 @@ def test_real_rospy_beside_our_libraries(tmp_path):
 
 def test_a_cache_that_cannot_be_written_is_named_with_the_cure(tmp_path, packages):
     (tmp_path / "file").write_text("")
-    with pytest.raises(RuntimeError, match=r"file/midspan cannot be written: Not a directory; name .*XDG_CACHE_HOME"):
+    with pytest.raises(RuntimeError, match=r"file/midspan cannot be written: Not a directory; set .*XDG_CACHE_HOME"):
         worker_environment(Config(ros1=Ros1Section(packages=packages)), {"XDG_CACHE_HOME": str(tmp_path / "file")})

@@ -1,4 +1,4 @@
-"""Many connections read by one thread."""
+"""One thread that reads many connections."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def frame(payload: bytes) -> bytes:
 
 
 class Crowd:
-    """Publishers, and readers of one intake at their other ends."""
+    """Publishers, and the readers of one loop at their other ends."""
 
     def __init__(self) -> None:
         self.loop = EpollLoop()
@@ -76,20 +76,20 @@ def crowd() -> Iterator[Crowd]:
     until(lambda: all(reader.fileno() == -1 for reader in made.readers), "all sockets are closed", 20)
 
 
-def test_one_thread_reads_all(crowd: Crowd) -> None:
+def test_one_thread_reads_all_connections(crowd: Crowd) -> None:
     for _ in range(50):
         crowd.add()
     for turn in range(20):
         for number, publisher in enumerate(crowd.publishers):
             publisher.sendall(frame(bytes([number, turn])))
-    until(lambda: len(crowd.heard) == 1000, "all have come", 20)
+    until(lambda: len(crowd.heard) == 1000, "all have arrived", 20)
     assert crowd.threads == {"midspan-ros1-intake"}
     for number in range(50):
         assert [p for n, p in crowd.heard if n == number] == [bytes([number, turn]) for turn in range(20)]
 
 
-def test_a_connection_with_a_large_message_is_read_on_its_own(crowd: Crowd) -> None:
-    """What its publisher has begun to send holds up nobody."""
+def test_a_connection_with_a_large_message_gets_a_separate_thread(crowd: Crowd) -> None:
+    """An incomplete large message does not delay other connections."""
     large, small = crowd.add(), crowd.add()
     large.sendall(frame(b"before") + frame(b"x" * 100_000)[:70_000])
     until(lambda: crowd.heard == [(0, b"before")], "the small one", 20)
@@ -100,7 +100,7 @@ def test_a_connection_with_a_large_message_is_read_on_its_own(crowd: Crowd) -> N
     assert crowd.threads == {"midspan-ros1-intake", "midspan-ros1-in/t0"}
 
 
-def test_one_that_ends_or_fails_harms_no_other(crowd: Crowd) -> None:
+def test_a_connection_that_ends_or_fails_does_not_affect_others(crowd: Crowd) -> None:
     def fails(_: bytes) -> None:
         msg = "on purpose"
         raise RuntimeError(msg)
@@ -108,7 +108,7 @@ def test_one_that_ends_or_fails_harms_no_other(crowd: Crowd) -> None:
     ending, failing, staying = crowd.add(), crowd.add(fails), crowd.add()
     ending.close()
     failing.sendall(frame(b"x"))
-    until(lambda: len(crowd.ended) == 2, "both to be told", 20)
+    until(lambda: len(crowd.ended) == 2, "both are reported", 20)
     assert dict(crowd.ended) == {0: "the publisher closed the connection", 1: "RuntimeError: on purpose"}
     staying.sendall(frame(b"on"))
     until(lambda: crowd.heard == [(2, b"on")], "the third", 20)
@@ -117,7 +117,7 @@ def test_one_that_ends_or_fails_harms_no_other(crowd: Crowd) -> None:
 def test_without_a_thread_for_a_large_message_the_connection_ends(
     crowd: Crowd, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is made again later; see `Subscription`."""
+    """It is opened again later; see `Ros1Subscription`."""
 
     def none_left(_: threading.Thread) -> None:
         msg = "can't start new thread"
@@ -126,11 +126,11 @@ def test_without_a_thread_for_a_large_message_the_connection_ends(
     publisher = crowd.add()
     monkeypatch.setattr(threading.Thread, "start", none_left)
     publisher.sendall(frame(b"x" * 100_000))
-    until(lambda: crowd.ended == [(0, "can't start new thread")], "its end is told", 20)
+    until(lambda: crowd.ended == [(0, "can't start new thread")], "its end is reported", 20)
 
 
-def test_it_stops_while_messages_come(crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its thread sees that it is to end before it is woken up for that."""
+def test_the_loop_stops_while_messages_arrive(crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its thread notices the stop before it is woken."""
     publisher, write = crowd.add(), os.eventfd_write
     thread = crowd.thread()
 
@@ -144,8 +144,10 @@ def test_it_stops_while_messages_come(crowd: Crowd, monkeypatch: pytest.MonkeyPa
     assert not thread.is_alive()
 
 
-def test_one_that_is_closed_as_it_starts_harms_no_other(crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its closing stands still between its look whether it is read and the socket's end."""
+def test_a_connection_that_is_closed_at_its_start_does_not_affect_others(
+    crowd: Crowd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`close` is suspended between checking whether it is read and closing the socket."""
     closing, dropping = threading.Event(), threading.Event()
 
     class Slow(socket.socket):
@@ -174,7 +176,7 @@ def test_one_that_is_closed_as_it_starts_harms_no_other(crowd: Crowd, monkeypatc
     until(lambda: crowd.heard == [(0, b"on")], "the other one", 20)
 
 
-def test_what_comes_after_the_end_is_not_read(crowd: Crowd) -> None:
+def test_data_after_the_end_is_not_read(crowd: Crowd) -> None:
     crowd.add()
     crowd.loop.stop()
     crowd.loop.stop()

@@ -1,4 +1,4 @@
-"""What is known of publishers and servers is followed in the order in which it became known."""
+"""Facts about publishers and servers are passed on in the order of their discovery."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HEADER = {"type": FACTS.type, "md5sum": FACTS.md5}
 
 
 class LateProber:
-    """Tells who asks first what was known before, and only when somebody else has followed what is known now."""
+    """Returns outdated facts to the first caller, and only after another caller has passed on newer ones."""
 
     def __init__(self, follow: Callable[[], None]) -> None:
         self._follow, self._asked = follow, 0
@@ -32,11 +32,11 @@ class LateProber:
             return {LINK: FACTS}
         self.other = threading.Thread(target=self._follow)
         self.other.start()
-        self.other.join(0.2)  # one that waits for the first is not awaited
+        self.other.join(0.2)  # a caller that waits for the first one is not awaited
         return {}
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing."""
 
 
 class End:
@@ -48,11 +48,11 @@ class End:
         self.name = name
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing."""
 
 
 class Following(Follower[End]):
-    """Tells its ends all that is known of their names."""
+    """Passes all known facts to its ends."""
 
     def __init__(self, jobs: list[Callable[[], object]]) -> None:
         pool = SimpleNamespace(submit=lambda _uri, job: jobs.append(job), answered=lambda _uri: None)
@@ -68,7 +68,7 @@ class Following(Follower[End]):
         self.told.append((end.name, known))
 
 
-def test_what_was_known_before_is_not_followed_after_what_is_known_now() -> None:
+def test_older_facts_are_not_passed_on_after_newer_ones() -> None:
     following = Following([])
     following.prober = late = LateProber(following.follow)  # type: ignore[assignment]
     following.add("/t")
@@ -76,8 +76,8 @@ def test_what_was_known_before_is_not_followed_after_what_is_known_now() -> None
     assert following.told == [("/t", {}), ("/t", {LINK: FACTS})]
 
 
-def test_what_becomes_known_of_one_topic_disturbs_no_other() -> None:
-    """With a thousand topics each of a thousand answers would have a thousand subscriptions look, else."""
+def test_facts_about_one_topic_are_not_passed_to_others() -> None:
+    """Otherwise, with a thousand topics, each of a thousand responses would update a thousand subscriptions."""
     jobs: list[Callable[[], object]] = []
     following = Following(jobs)
     following.add("/t", "/u")
@@ -90,7 +90,7 @@ def test_what_becomes_known_of_one_topic_disturbs_no_other() -> None:
 
 
 def test_the_topics_of_an_action_that_is_served_here_never_cross_as_topics() -> None:
-    """A client registers one topic after the other."""
+    """A client registers its topics in sequence."""
 
     def handle(*_: Any) -> Any:
         return SimpleNamespace(close=lambda: None, send=lambda *_: None, forget=lambda *_: None, dropped=0)

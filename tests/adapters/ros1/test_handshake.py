@@ -24,7 +24,7 @@ def field(text: bytes) -> bytes:
     return struct.pack("<I", len(text)) + text
 
 
-def test_bytes_on_the_wire():
+def test_header_bytes():
     # https://wiki.ros.org/ROS/Connection%20Header: lengths are little endian, fields are name=value
     assert encode({"md5sum": "*", "topic": "/a"}) == b"\x18\0\0\0" + b"\x08\0\0\0md5sum=*" + b"\x08\0\0\0topic=/a"
     assert decode(encode(HEADER)[4:]) == HEADER
@@ -33,16 +33,16 @@ def test_bytes_on_the_wire():
 @pytest.mark.parametrize(
     "body", [b"\1\0", field(b"a=b")[:-1], field(b"nothing"), b"\xff\xff\xff\xff" + b"a=b", field(b"a=b") + b"\0"]
 )
-def test_broken_headers_are_refused(body):
+def test_malformed_headers_are_refused(body):
     with pytest.raises(Ros1ProtocolError, match="connection header"):
         decode(body)
 
 
-def test_definitions_in_any_encoding_are_read():
+def test_definitions_in_any_encoding_are_accepted():
     assert decode(field("message_definition=# Müller".encode("latin-1")))["message_definition"].startswith("# M")
 
 
-def test_a_good_publisher():
+def test_a_valid_publisher():
     def serve(sock) -> None:
         sock.recv(65536)
         sock.sendall(encode(HEADER) + b"\2\0\0\0hi")
@@ -52,7 +52,7 @@ def test_a_good_publisher():
         sock, header = connect("/me", uri, "/topic", 5.0)
         with contextlib.closing(sock):
             assert header == HEADER
-            assert sock.recv(100) == b"\2\0\0\0hi", "not a byte behind the header may be lost"
+            assert sock.recv(100) == b"\2\0\0\0hi", "no byte after the header may be lost"
 
 
 def say(data):
@@ -65,7 +65,7 @@ def say(data):
 
 
 def trickle(sock):
-    """A byte now and then, for ever: each one starts a plain time-out anew."""
+    """Send a byte now and then, forever: each one restarts a plain time-out."""
     sock.sendall(struct.pack("<I", 1000))
     sock.settimeout(0.05)
     while True:
@@ -78,7 +78,7 @@ def trickle(sock):
 BAD = [
     (say(struct.pack("<I", MAX_HEADER + 1)), Ros1ProtocolError, "claims 1048577 bytes"),
     (say(b"HTTP/1.1 400 Bad Request\r\n\r\n"), Ros1ProtocolError, "claims"),
-    (say(struct.pack("<I", 5) + b"\xff\xff\xff\xffa"), Ros1ProtocolError, "cut short"),
+    (say(struct.pack("<I", 5) + b"\xff\xff\xff\xffa"), Ros1ProtocolError, "truncated"),
     (say(encode({"error": "no such topic"})), RefusedError, "no such topic"),
     (say(encode({"md5sum": "1"})), Ros1ProtocolError, "has no type"),
     (lambda _sock: None, Ros1Error, "closed the connection|broke off"),
@@ -88,7 +88,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("serve", "error", "words"), BAD)
-def test_publishers_that_misbehave(serve, error, words):
+def test_misbehaving_publishers(serve, error, words):
     with publisher(serve) as uri, pytest.raises(error, match=words):
         connect("/me", uri, "/topic", 0.5)
 
@@ -107,12 +107,12 @@ def test_publishers_that_misbehave(serve, error, words):
         (5, Ros1ProtocolError),
     ],
 )
-def test_answers_of_nodes_that_misbehave(answer, error):
+def test_responses_of_misbehaving_nodes(answer, error):
     with node(requestTopic=lambda *_: answer) as uri, pytest.raises(error):
         connect("/me", uri, "/topic", 2.0)
 
 
-def test_nobody_there():
+def test_refused_connections():
     with pytest.raises(UnreachableError, match="does not answer"):
         connect("/me", f"http://127.0.0.1:{free_port()}/", "/topic", 2.0)
     answer = [1, "", ["TCPROS", "127.0.0.1", free_port()]]
@@ -121,8 +121,8 @@ def test_nobody_there():
 
 
 @pytest.mark.parametrize("name", ["127.0.0.1", "localhost"])
-def test_want_of_descriptors_is_not_the_peers_fault(name):
-    socket.getaddrinfo(name, 11311)  # the resolver has told another number since, once it had read its files
+def test_a_lack_of_descriptors_is_not_the_peers_fault(name):
+    socket.getaddrinfo(name, 11311)  # the resolver reports another errno after it has read its files
     with no_descriptors(), pytest.raises(ExhaustedError, match=r"no file descriptor left.*LimitNOFILE"):
         connect("/me", f"http://{name}:11311/", "/topic", 2.0)
 
@@ -130,12 +130,12 @@ def test_want_of_descriptors_is_not_the_peers_fault(name):
 @pytest.mark.parametrize(
     "address", ["", "nonsense", "rosrpc://", "rosrpc://host", "rosrpc://host:99999", "rosrpc://[::1"]
 )
-def test_services_at_no_address(address):
+def test_services_without_a_valid_address(address):
     with pytest.raises(Ros1ProtocolError, match="not a ROS 1 service's address"):
         connect_service("/me", address, "/serve", 5.0, md5sum="*")
 
 
-def test_a_service_that_tells_no_type():
+def test_a_service_without_a_type():
     with (
         tcp_server(say(encode({"callerid": "/odd"}))) as (host, port),
         pytest.raises(Ros1ProtocolError, match="no type"),

@@ -1,4 +1,4 @@
-"""Joining, losing and leaving a master; dead predecessors; other Midspans."""
+"""Joining, losing and leaving a master; dead predecessors; other Midspan daemons."""
 
 import contextlib
 import signal
@@ -31,7 +31,7 @@ def test_network_identity(master, tmp_path):
 
 
 @pytest.mark.thorough
-def test_nodes_that_start_are_told_to_run_on_the_simulations_clock(master, tmp_path):
+def test_new_nodes_use_the_simulated_clock(master, tmp_path):
     with edge_on(master, tmp_path / "one", node="on_system"):
         assert "/use_sim_time" not in master.parameters()
     with edge_on(master, tmp_path / "two", node="on_sim", clock="sim") as edge:
@@ -53,14 +53,14 @@ def test_a_clean_stop_leaves_nothing(master, tmp_path):
                 edge.ask("advertise", topic=f"/clean/out{n}", type="std_msgs/String", latched=True)
             until(lambda: "/clean/out19" in master.state()["publishers"], "all is registered")
             assert (master.state(), master.parameters()) != before
-            assert edge.ask("stop")["seconds"] < AT_ONCE, "the promise of Edge.stop"
+            assert edge.ask("stop")["seconds"] < AT_ONCE, "the limit of Edge.stop"
             assert (master.state(), master.parameters()) == before
             assert edge.ask("network")["network"] is None
             edge.ask("stop")
 
 
 @pytest.mark.thorough
-def test_what_a_killed_one_left_is_removed(master, tmp_path):
+def test_registrations_of_a_killed_edge_are_removed(master, tmp_path):
     with master.peer("bystander") as peer:
         peer.advertise("/bystander", "std_msgs/String")
         before = (master.state(), master.parameters())
@@ -74,13 +74,13 @@ def test_what_a_killed_one_left_is_removed(master, tmp_path):
         assert "/left" in master.state()["publishers"], "the master does not notice"
         other = edge_on(master, tmp_path / "not_mine", "another", node="third_name")
         with other:
-            assert "/left" in master.state()["publishers"], "another daemon's leftovers are not ours to remove"
+            assert "/left" in master.state()["publishers"], "another daemon's leftovers stay"
             assert "first_name" in presence(master)
-            until(lambda: not other.ask("status")["others"], "the dead one is not counted as present")
+            until(lambda: not other.ask("status")["others"], "the dead edge does not count as present")
         with edge_on(master, tmp_path, node="second_name") as again:
             assert "/left" not in master.state()["publishers"]
             assert "/first_name" not in master.nodes()
-            until(lambda: "second_name" in presence(master), "its own entry is there")
+            until(lambda: "second_name" in presence(master), "its own entry exists")
             assert "first_name" not in presence(master)
             again.ask("stop")
         assert (master.state(), master.parameters()) == before
@@ -93,44 +93,45 @@ def test_the_same_name_again_after_a_kill(master, tmp_path):
     edge.signal(signal.SIGKILL)
     edge.stop()
     with edge_on(master, tmp_path) as again:
-        until(lambda: presence(master).get("midspan", {}).get("pid") == again.pid, "the entry is the new one's")
+        until(lambda: presence(master).get("midspan", {}).get("pid") == again.pid, "the entry belongs to the new edge")
         assert "/same" not in master.state()["publishers"]
 
 
-def test_two_daemons_know_of_each_other(master, tmp_path):
+def test_two_daemons_discover_each_other(master, tmp_path):
     with edge_on(master, tmp_path / "a", "first") as first, edge_on(master, tmp_path / "b", "se-cond") as second:
-        others = until(lambda: first.ask("status")["others"], "the first sees the second")
+        others = until(lambda: first.ask("status")["others"], "the first discovers the second")
         assert [(o["daemon"], o["node"]) for o in others] == [("se-cond", "/midspan_se_cond")]
-        others = until(lambda: second.ask("status")["others"], "the second sees the first")
+        others = until(lambda: second.ask("status")["others"], "the second discovers the first")
         assert [(o["daemon"], o["node"]) for o in others] == [("first", "/midspan")]
-        assert not first.ask("status")["failures"], "the master did not end the first one for its name"
+        assert not first.ask("status")["failures"], "the master did not shut down the first one because of its name"
         second.ask("advertise", topic="/of/second", type="std_msgs/String")
-        until(
-            lambda: master.state()["publishers"].get("/of/second") == ["/midspan_se_cond"], "it has a name of its own"
-        )
+        until(lambda: master.state()["publishers"].get("/of/second") == ["/midspan_se_cond"], "it has another name")
         second.signal(signal.SIGKILL)
-        until(lambda: not first.ask("status")["others"], "a dead one is not there")
+        until(lambda: not first.ask("status")["others"], "a dead edge is not listed")
 
 
-def test_what_one_announces_the_others_hear(master, tmp_path):
+def test_records_of_one_edge_reach_the_others(master, tmp_path):
     with edge_on(master, tmp_path / "a", "first") as first, edge_on(master, tmp_path / "b", "second") as second:
         second.ask("announce", record="before it came")
         third = edge_on(master, tmp_path / "c", "third")
         with third:
-            until(lambda: third.ask("sightings")["settled"], "it has looked at the master, with its own entry there")
-            # Who was there before is seen by then; what it says comes by the connection that is being made.
+            until(lambda: third.ask("sightings")["settled"], "it has read the master with its own entry")
+            # earlier edges are known by then; their records arrive over connections that are being opened
             assert len(third.ask("sightings")["records"]) == 2
-            until(lambda: "before it came" in third.ask("sightings")["records"], "the last record is heard")
+            until(lambda: "before it came" in third.ask("sightings")["records"], "the last record arrives")
             third.ask("announce", record="from the third")
-            until(lambda: "from the third" in first.ask("sightings")["records"], "the first hears it")
+            until(lambda: "from the third" in first.ask("sightings")["records"], "the first receives it")
             first.signal(signal.SIGSTOP)
             for number in range(3):
                 second.ask("announce", record=f"record {number}")
-            until(lambda: "record 2" in third.ask("sightings")["records"], "one that stands still holds up nobody")
+            until(lambda: "record 2" in third.ask("sightings")["records"], "a suspended edge does not delay others")
             first.signal(signal.SIGCONT)
-            until(lambda: "record 2" in first.ask("sightings")["records"], "and hears the newest when it goes on")
+            until(
+                lambda: "record 2" in first.ask("sightings")["records"],
+                "and receives the newest record when it resumes",
+            )
             third.signal(signal.SIGKILL)
-            until(lambda: len(first.ask("sightings")["records"]) == 1, "a death is known by the broken connection")
+            until(lambda: len(first.ask("sightings")["records"]) == 1, "a crash is noticed by the broken connection")
 
 
 @pytest.mark.thorough
@@ -141,35 +142,37 @@ def test_two_that_start_at_once_take_different_names(master, tmp_path):
         for edge in edges:
             stack.enter_context(edge)
         for edge in edges:
-            until(lambda edge=edge: len(edge.ask("status")["others"]) == 2, "it knows both others")
+            until(lambda edge=edge: len(edge.ask("status")["others"]) == 2, "it has discovered both others")
             assert not edge.ask("status")["failures"]
         entries = (master.call("getParam", "/midspan/nodes") or {}).values()
         assert len({e["node"] for e in entries if e["daemon"] in ("one", "two", "three")}) == 3
 
 
-def test_being_asked_to_stop_is_a_failure(master, tmp_path):
+def test_a_shutdown_request_is_a_failure(master, tmp_path):
     with edge_on(master, tmp_path) as edge:
         edge.ask("advertise", topic="/asked", type="std_msgs/String")
         until(lambda: "/asked" in master.state()["publishers"], "it is registered")
-        with master.peer("midspan") as peer:  # the master asks the older node of a name to go
-            reason = until(lambda: edge.ask("status")["failures"], "the edge says so")
+        with master.peer("midspan") as peer:  # the master shuts down the older node of a name
+            reason = until(lambda: edge.ask("status")["failures"], "the edge reports it")
             edge.ask("advertise", topic="/asked/too", type="std_msgs/String")
             out = peer.advertise("/asked/peer", "std_msgs/String")
-            until(lambda: "/asked/peer" in master.state()["publishers"], "the other node lives")
+            until(lambda: "/asked/peer" in master.state()["publishers"], "the other node is alive")
             peer.publish(out, {"data": "alive"})
-            assert not {"/asked", "/asked/too"} & set(master.state()["publishers"]), "the two do not fight for the name"
+            assert not {"/asked", "/asked/too"} & set(master.state()["publishers"]), (
+                "the two do not compete for the name"
+            )
         assert "same name" in reason[0] or "took the name" in reason[0]
 
 
 @pytest.mark.thorough
-def test_joining_a_master_that_comes_later(tmp_path):
+def test_joining_a_master_that_starts_later(tmp_path):
     master = RosMaster()
     try:
         with EdgeUnderTest(master.uri, tmp_path) as edge:
             assert edge.ask("start")["seconds"] < AT_ONCE, "start returns at once"
             publisher = edge.ask("advertise", topic="/early", type="std_msgs/String", latched=True)["id"]
             edge.send(publisher, "early")
-            until(lambda: edge.ask("status")["warnings"], "the missing master is told")
+            until(lambda: edge.ask("status")["warnings"], "the missing master is reported")
             assert "no ROS 1 master" in edge.ask("status")["warnings"][0]
             assert edge.ask("network")["network"] is None
             master.start()
@@ -205,11 +208,11 @@ def test_a_restarted_master_is_joined_again(tmp_path, record_property):
             assert [text(p) for p, _ in edge.received(inbox, 1)] == ["after"]
 
 
-def test_stop_while_the_master_is_away(tmp_path):
+def test_stop_while_the_master_is_unreachable(tmp_path):
     with RosMaster() as master, edge_on(master, tmp_path) as edge:
         edge.ask("advertise", topic="/out", type="std_msgs/String")
         master.signal(signal.SIGSTOP)
         try:
-            assert edge.ask("stop")["seconds"] < AT_ONCE, "the promise of Edge.stop"
+            assert edge.ask("stop")["seconds"] < AT_ONCE, "the limit of Edge.stop"
         finally:
             master.signal(signal.SIGCONT)

@@ -1,4 +1,4 @@
-"""The rule that makes ROS 1 names legal on the hub."""
+"""The mapping of ROS 1 names to legal names on the hub."""
 
 import re
 
@@ -29,11 +29,11 @@ CASES = [
 
 
 @pytest.mark.parametrize(("side", "hub"), CASES)
-def test_rule(side, hub):
+def test_names_follow_the_rule(side, hub):
     assert hub_name(side) == hub
 
 
-def test_long_names_stay_apart():
+def test_long_names_stay_distinct():
     first, second = (hub_name("/" + "a" * 300 + end) for end in "bc")
     assert len(first) == len(second) == MAX_LENGTH
     assert first != second
@@ -48,19 +48,19 @@ def test_always_legal_and_stable(name):
     assert hub_name(hub) == hub
 
 
-def test_the_way_back():
+def test_hub_names_are_mapped_back():
     table = NameTable()
     table.learn(["/camera/1/image", "/scan", "/b-c", "/b.c"])
     assert table.side_name("/camera/n1/image") == "/camera/1/image"
     assert table.side_name("/scan") == "/scan"
     assert table.side_name("/other") == "/other"
-    assert table.side_name("/b_c") == "/b-c", "of two names the first in the alphabet"
+    assert table.side_name("/b_c") == "/b-c", "of two names the alphabetically first one"
     table.learn(["/b_c"])
-    assert table.side_name("/b_c") == "/b_c", "a name that is legal itself wins"
+    assert table.side_name("/b_c") == "/b_c", "a legal name has precedence"
     assert table.side_name("/camera/n1/image") == "/camera/1/image", "names are kept when they leave"
 
 
-def test_names_that_come_and_go_leave_nothing_but_the_illegal_ones():
+def test_only_illegal_names_are_kept_when_they_leave():
     table = NameTable()
     table.learn(["/1/here"])
     for number in range(100):
@@ -70,7 +70,7 @@ def test_names_that_come_and_go_leave_nothing_but_the_illegal_ones():
     assert table.side_name("/n1/here") == "/1/here"
 
 
-def test_too_many_illegal_names_are_forgotten(monkeypatch):
+def test_too_many_illegal_names_are_dropped(monkeypatch):
     monkeypatch.setattr("bridge.adapters.ros1.names.MAX_NAMES", 10)
     table = NameTable()
     for number in range(100):

@@ -41,7 +41,7 @@ PERIOD = 0.1
 OWNER = "1d3f"
 COPIES = copies_parameter(OWNER)
 NOBODY = "http://127.0.0.1:1/"
-"""No master can report changes there: the next comparison finds them."""
+"""No master can report changes to this address: the next comparison detects them."""
 
 VALUES = [
     (True, ParameterValue(ParameterType.BOOL, True)),
@@ -58,7 +58,7 @@ VALUES = [
 
 
 @pytest.mark.parametrize(("ros1", "ros2"), VALUES)
-def test_values_go_there_and_back(ros1: Any, ros2: ParameterValue):
+def test_values_are_converted_in_both_directions(ros1: Any, ros2: ParameterValue):
     assert to_ros2(ros1) == ros2
     assert repr(to_ros1(ros2)) == repr(ros1) or to_ros1(ros2) == ros1
     codec = CODECS["get_parameters"]
@@ -80,7 +80,7 @@ def test_values_go_there_and_back(ros1: Any, ros2: ParameterValue):
         ([], ParameterType.DOUBLE, ParameterValue(ParameterType.STRING_ARRAY, [])),
     ],
 )
-def test_numbers_take_the_kind_that_the_node_has(ros1: Any, like: ParameterType, ros2: ParameterValue):
+def test_numbers_are_converted_to_the_nodes_type(ros1: Any, like: ParameterType, ros2: ParameterValue):
     assert to_ros2(ros1, like) == ros2
 
 
@@ -133,7 +133,7 @@ def test_an_invalid_rule_is_rejected(rules: list[dict[str, Any]], reason: str):
         RoutingSection.model_validate({"parameters": whole})
 
 
-def test_a_nodes_parameter_services_cross_where_a_rule_names_it():
+def test_parameter_services_cross_for_nodes_in_a_rule():
     section = RoutingSection.model_validate({"parameters": [{"ros1": "/a", "node": "/ns/n", "owner": "ros2"}]})
     rules, kind = RuleSet(section), "rcl_interfaces/srv/GetParameters"
     assert rules.enter("ros2", "/ns/n/get_parameters", kind, "service").allowed
@@ -160,7 +160,7 @@ def network() -> Iterator[HubNetwork]:
 
 @pytest.fixture
 def hubs(network: HubNetwork) -> Iterator[tuple[Hub, Hub]]:
-    """The worker's session and that of others."""
+    """The worker's session and another one."""
     with Hub.open(network.settings("midspan_ros1")) as ours, Hub.open(network.settings("others")) as others:
         yield ours, others
 
@@ -170,7 +170,7 @@ def server(master: RosMaster, owner: str = OWNER) -> RecordingServer:
 
 
 class RecordingServer(ParameterServer):
-    """A parameter server that counts the parameters that were written."""
+    """A parameter server that records written parameters."""
 
     written = 0
 
@@ -180,7 +180,7 @@ class RecordingServer(ParameterServer):
 
 
 class Share(Protocol):
-    """Starts the sharing of parameters by some rules."""
+    """Starts to share parameters by rules."""
 
     def __call__(
         self, *rules: ParameterRule, active: Callable[[], bool] = ..., store: ParameterServer | None = ...
@@ -236,7 +236,7 @@ class Client:
 
 
 @needs_ros1
-def test_ros1s_parameters_are_those_of_a_node(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+def test_ros1_parameters_appear_on_a_node(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     master.call(
         "setParam", "/own", {"speed": 1.5, "frames": {"base": "base_link"}, "odd": [[1], [2]], "deep": {"x": 1}}
     )
@@ -245,9 +245,7 @@ def test_ros1s_parameters_are_those_of_a_node(master: RosMaster, hubs: tuple[Hub
     )
     master.call("setParam", "/own_one", 3)
     client = Client(hubs[1], "/ns/own_node")
-    until(
-        lambda: ("own_node", "/ns") in {(n.node, n.namespace) for n in hubs[1].graph.nodes()}, "the node is there", 20
-    )
+    until(lambda: ("own_node", "/ns") in {(n.node, n.namespace) for n in hubs[1].graph.nodes()}, "the node exists", 20)
     assert client.get("speed", "frames.base", "one", "nothing") == [1.5, "base_link", 3, None]
     listed = client.call("list_parameters", prefixes=[], depth=0)["result"]
     assert (listed["names"], listed["prefixes"]) == (["deep.x", "frames.base", "one", "speed"], ["deep", "frames"])
@@ -264,7 +262,7 @@ def test_ros1s_parameters_are_those_of_a_node(master: RosMaster, hubs: tuple[Hub
 
 
 @needs_ros1
-def test_a_node_of_ros2_sets_ros1s_parameters(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+def test_a_ros2_node_sets_ros1_parameters(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     master.call("setParam", "/set", {"speed": 1.5, "below": {"x": 1}, "fixed": 7})
     share(rule("ros1", "/set", "/set_node", names=["speed", "below/**", "new"]))
     client = Client(hubs[1], "/set_node")
@@ -289,7 +287,7 @@ def test_a_node_of_ros2_sets_ros1s_parameters(master: RosMaster, hubs: tuple[Hub
 
 
 @needs_ros1
-def test_changes_of_ros1s_parameters_are_events(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+def test_changes_of_ros1_parameters_are_published_as_events(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     kind = REGISTRY.ros2("rcl_interfaces/msg/ParameterEvent")
     heard: list[dict[str, Any]] = []
 
@@ -309,16 +307,16 @@ def test_changes_of_ros1s_parameters_are_events(master: RosMaster, hubs: tuple[H
     master.call("deleteParam", "/told/goes")
     master.call("setParam", "/told/comes", "new")
     until(lambda: [n["name"] for e in heard for n in e["deleted_parameters"]] == ["goes"], "the deletion is published")
-    until(lambda: [n["value"]["string_value"] for e in heard for n in e["new_parameters"]] == ["new"], "the new")
+    until(lambda: [n["value"]["string_value"] for e in heard for n in e["new_parameters"]] == ["new"], "the new one")
     assert {event["node"] for event in heard} == {"/told_node"}
 
 
 class Node:
-    """A ROS 2 node on the hub that has parameters, some of which it refuses to change.
+    """A ROS 2 node on the hub with parameters, of which it rejects some changes.
 
     Attributes:
         values: the declared parameters; the type of one without a value is in ``types``, DOUBLE by default.
-        asked: how often it was asked for the names of its parameters.
+        asked: number of requests for the names of its parameters.
     """
 
     def __init__(self, hub: Hub, node: str, **values: ParameterValue) -> None:
@@ -356,7 +354,7 @@ class Node:
 
     def _get_parameters(self, request: Any) -> Any:
         values = [self.values.get(name, NOT_SET) for name in request["names"]]
-        return {"values": [] if NOT_SET in values else [value.message() for value in values]}  # as rclcpp does
+        return {"values": [] if NOT_SET in values else [value.message() for value in values]}  # like rclcpp
 
     def _set_parameters(self, request: Any) -> Any:
         return {"results": [self._set(one["name"], ParameterValue.read(one["value"])) for one in request["parameters"]]}
@@ -374,7 +372,7 @@ class Node:
 
 
 @needs_ros1
-def test_a_nodes_parameters_are_kept_in_ros1(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+def test_a_nodes_parameters_are_copied_to_ros1(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = Node(
         hubs[1], "/kept_node",
         FollowPath__speed=ParameterValue(ParameterType.DOUBLE, 1.5),
@@ -420,7 +418,10 @@ def test_a_value_that_is_also_a_prefix_is_copied_without_the_names_below_it(
     )  # fmt: skip
     below = {"exposure": {"1": 100}}
     wanted = {"/hdr": {"exposure": 7500}, "/single": 1.5, "/unset_above": below, "/huge_above": below}
-    until(lambda: {key: master.call("getParam", key) for key in wanted} == wanted, "what ROS 1 can have is copied")
+    until(
+        lambda: {key: master.call("getParam", key) for key in wanted} == wanted,
+        "the representable parameters are copied",
+    )
     written, asked = store.written, hdr.asked
     for node in (hdr, single, unset, huge):
         until(lambda node=node: node.asked > asked + 5, "several comparisons")
@@ -436,7 +437,7 @@ def test_a_value_that_is_also_a_prefix_is_copied_without_the_names_below_it(
 
 
 @needs_ros1
-def test_copies_that_a_killed_process_left_go_with_the_next_ones_stop(
+def test_copies_of_a_killed_process_are_deleted_when_the_next_one_stops(
     master: RosMaster, hubs: tuple[Hub, Hub], share: Share
 ):
     alive = threading.Event()
@@ -445,22 +446,20 @@ def test_copies_that_a_killed_process_left_go_with_the_next_ones_stop(
     rules = rule("ros2", "/killed", "/killed_node"), rule("ros2", "/killed_too", "/killed_node", prefix="turn")
     share(*rules, active=alive.is_set)
     until(lambda: master.call("getParam", "/killed") == {"speed": 1.5, "turn": 0.5}, "both are copied")
-    until(lambda: master.call("getParam", "/killed_too") == 0.5, "the other rule's too")
+    until(lambda: master.call("getParam", "/killed_too") == 0.5, "the other rule's, too")
     assert sorted(master.call("getParam", COPIES)) == ["/killed/speed", "/killed/turn", "/killed_too"]
     alive.clear()  # from here on it does nothing, like a killed process
     node.close()
     master.call("setParam", "/killed/mine", 1)
     again = share(rules[0])
-    until(lambda: master.call("getParam", "/killed_too") is None, "no rule covers this copy any longer")
+    until(lambda: master.call("getParam", "/killed_too") is None, "no rule covers this copy anymore")
     again.stop()
-    assert master.call("getParam", "/killed") == {"mine": 1}, "copies go, and what others have set stays"
+    assert master.call("getParam", "/killed") == {"mine": 1}, "copies are deleted, and values of others stay"
     assert master.call("getParam", COPIES) is None
 
 
 @needs_ros1
-def test_copies_that_another_daemon_made_go_with_the_one_that_took_over(
-    master: RosMaster, hubs: tuple[Hub, Hub], share: Share
-):
+def test_copies_of_another_daemon_are_deleted_by_its_successor(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     first = threading.Event()
     first.set()
     node = Node(hubs[1], "/taken_node", speed=_double(1.5), lasts=_double(2.0))
@@ -476,19 +475,17 @@ def test_copies_that_another_daemon_made_go_with_the_one_that_took_over(
 
 
 @needs_ros1
-def test_copies_that_a_killed_process_left_go_if_no_rule_shares_parameters_any_longer(
-    master: RosMaster, tmp_path: Path
-):
+def test_copies_of_a_killed_process_are_deleted_without_rules(master: RosMaster, tmp_path: Path):
     (tmp_path / "ros1.json").write_text(json.dumps({"owner": "5e1f", "last": None}))
     master.call("setParam", "/unruled", {"gain": 1.0, "mine": 1})
     master.call("setParam", copies_parameter("5e1f"), ["/unruled/gain"])
     with edge_on(master, tmp_path, node="unruled"):
-        until(lambda: master.call("getParam", copies_parameter("5e1f")) is None, "the copies go")
+        until(lambda: master.call("getParam", copies_parameter("5e1f")) is None, "the copies are deleted")
         assert master.call("getParam", "/unruled") == {"mine": 1}
 
 
 @needs_ros1
-def test_names_that_the_node_does_not_have_are_reported(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+def test_unknown_names_are_reported(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = Node(hubs[1], "/names_node", gain=_double(1.0), lens__focus=_double(2.0))
     master.call("setParam", "/names", {"excluded": {"mine": 1}})
     parameters = share(rule("ros2", "/names", "/names_node", names=["*", "lens/**"]))
@@ -507,20 +504,20 @@ def test_names_that_the_node_does_not_have_are_reported(master: RosMaster, hubs:
     assert node.set == []
     master.call("deleteParam", "/names/gian")
     master.call("deleteParam", "/names/lens/focs")
-    until(lambda: parameters.warnings() == [], "all is well again")
+    until(lambda: parameters.warnings() == [], "no problem is left")
 
 
 @needs_ros1
-def test_a_declared_parameter_without_a_value_gets_ros1s(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+def test_a_declared_parameter_without_a_value_is_set_from_ros1(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = Node(hubs[1], "/late_node", lost=NOT_SET, mode=NOT_SET, count=NOT_SET, gain=_double(1.0))
     node.types = {"mode": ParameterType.STRING, "count": ParameterType.INTEGER}
-    master.call("setParam", "/late/lost", 3)  # before the node came, as a launch file does
+    master.call("setParam", "/late/lost", 3)  # before the node starts, like a launch file
     parameters = share(rule("ros2", "/late", "/late_node"))
     until(lambda: node.values["lost"] == _double(3.0), "it has the declared type")
     until(lambda: "/late/lost" in (master.call("getParam", COPIES) or ()), "it is a copy now")
     master.call("setParam", "/late/mode", 5)
-    until(lambda: master.call("getParam", "/late/mode") is None, "the refused value is deleted")
-    assert any("/late/mode: /late_node refused 5: not now" in one for one in parameters.warnings())
+    until(lambda: master.call("getParam", "/late/mode") is None, "the rejected value is deleted")
+    assert any("/late/mode: /late_node rejected 5: not now" in one for one in parameters.warnings())
     master.call("setParam", "/late/count", [[1]])
     until(lambda: master.call("getParam", "/late/count") is None, "ROS 2 has no lists of lists")
     assert any("/late/count: the value set in ROS 1 is not set on /late_node" in one for one in parameters.warnings())
@@ -531,7 +528,7 @@ def test_a_declared_parameter_without_a_value_gets_ros1s(master: RosMaster, hubs
 
 @needs_ros1
 @pytest.mark.parametrize("write", [True, False])
-def test_problems_of_a_node_end_with_it(master: RosMaster, hubs: tuple[Hub, Hub], share: Share, write: bool):
+def test_problems_of_a_node_disappear_with_it(master: RosMaster, hubs: tuple[Hub, Hub], share: Share, write: bool):
     name = f"/ended_{write}".lower()
     node = Node(
         hubs[1], f"{name}_node", huge=_integer(2**40), speed=_double(1.5), speed__x=_double(1.0), fixed=_double(1.0),
@@ -550,7 +547,7 @@ def test_problems_of_a_node_end_with_it(master: RosMaster, hubs: tuple[Hub, Hub]
     until(lambda: reported() == wanted, "all are reported")
     until(lambda: master.call("getParam", f"{name}/fixed") == 1.0, "it is reset")
     node.close()
-    until(lambda: parameters.warnings() == [], "they end with the node")
+    until(lambda: parameters.warnings() == [], "they disappear with the node")
 
 
 @needs_ros1
@@ -568,9 +565,9 @@ def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], 
     until(lambda: node.values["speed"] == ParameterValue(ParameterType.DOUBLE, 3.0), "the node has ROS 1's value")
     node.refuses = {"mode"}
     master.call("setParam", "/asked/mode", "fast")
-    until(lambda: master.call("getParam", "/asked/mode") == "slow", "the refused value is reset")
+    until(lambda: master.call("getParam", "/asked/mode") == "slow", "the rejected value is reset")
     assert ("mode", "fast") in node.set
-    until(lambda: any("refused 'fast': not now" in one for one in parameters.warnings()), "the refusal is reported")
+    until(lambda: any("rejected 'fast': not now" in one for one in parameters.warnings()), "the rejection is reported")
     assert parameters.details() == [{"ros1": "/asked", "node": "/asked_node", "owner": "ros2", "shared": 2}]
 
 
@@ -585,7 +582,7 @@ def test_a_read_only_copy_is_reset(master: RosMaster, hubs: tuple[Hub, Hub], sha
 
 
 @needs_ros1
-def test_values_set_while_the_node_is_away_are_discarded(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+def test_values_set_while_the_node_is_absent_are_discarded(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = Node(hubs[1], "/away_node", speed=ParameterValue(ParameterType.DOUBLE, 1.5))
     parameters = share(rule("ros2", "/away", "/away_node"))
     until(lambda: master.call("getParam", "/away/speed") == 1.5, "it is in ROS 1")
@@ -599,7 +596,7 @@ def test_values_set_while_the_node_is_away_are_discarded(master: RosMaster, hubs
 
 @pytest.mark.thorough
 @needs_ros1
-def test_a_master_that_goes_takes_the_node_with_it(hubs: tuple[Hub, Hub]):
+def test_the_node_is_withdrawn_when_the_master_exits(hubs: tuple[Hub, Hub]):
     with RosMaster() as master:
         master.call("setParam", "/gone/speed", 1.0)
         parameters = ParameterSharing(
@@ -613,7 +610,7 @@ def test_a_master_that_goes_takes_the_node_with_it(hubs: tuple[Hub, Hub]):
             master.start()
             master.call("setParam", "/gone/speed", 2.0)
             assert Client(hubs[1], "/gone_node").get("speed") == [2.0]
-            until(lambda: parameters.warnings() == [], "all is well again")
+            until(lambda: parameters.warnings() == [], "no problem is left")
         finally:
             parameters.stop()
 
@@ -629,4 +626,4 @@ def test_a_worker_on_standby_shares_nothing(master: RosMaster, hubs: tuple[Hub, 
     active.set()
     assert Client(hubs[1], "/standing_node").get("speed") == [1.0]
     active.clear()
-    until(lambda: not hubs[1].graph.servers("/standing_node/get_parameters"), "it is gone again")
+    until(lambda: not hubs[1].graph.servers("/standing_node/get_parameters"), "it is withdrawn again")

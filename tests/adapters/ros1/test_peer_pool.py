@@ -1,4 +1,4 @@
-"""Conversations with other nodes: few at a time with each of them, and none delays another node's."""
+"""Requests to other nodes: few at a time to each of them, without delaying those to others."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NODE, OTHER = "http://127.0.0.1:1/", "http://127.0.0.1:2/"
 
 
 class Talks:
-    """Jobs that go on until they are let go."""
+    """Jobs that run until they are released."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -38,21 +38,22 @@ def pool() -> Iterator[PeerPool]:
     pool.stop()
 
 
-def test_a_node_is_spoken_to_by_few_at_a_time(pool: PeerPool) -> None:
-    """Rospy's and roscpp's servers let five connections wait; one more is dropped, and comes again after a second."""
+def test_concurrent_requests_to_a_node_are_limited(pool: PeerPool) -> None:
+    """The servers of rospy and roscpp have a backlog of five; a sixth connection is dropped and retried after a
+    second."""
     talks, others = Talks(), Talks()
     others.go_on.set()
     for _ in range(20):
         pool.submit(NODE, talks.talk)
     pool.submit(OTHER, others.talk)
-    until(lambda: talks.now == AT_ONCE and others.done, "both nodes are spoken to")
+    until(lambda: talks.now == AT_ONCE and others.done, "requests to both nodes run")
     talks.go_on.set()
-    until(lambda: talks.done == 20, "all conversations were held")
+    until(lambda: talks.done == 20, "all requests have ended")
     assert talks.most == AT_ONCE
 
 
 @pytest.mark.parametrize("doubtful", [False, True])
-def test_a_conversation_that_fails_keeps_no_place(pool: PeerPool, doubtful: bool) -> None:
+def test_a_failed_request_frees_its_place(pool: PeerPool, doubtful: bool) -> None:
     def fail() -> None:
         msg = "no peer"
         raise ValueError(msg)
@@ -64,22 +65,22 @@ def test_a_conversation_that_fails_keeps_no_place(pool: PeerPool, doubtful: bool
         pool.submit(NODE, fail)
     for _ in range(AT_ONCE):
         pool.submit(NODE, talks.talk)
-    until(lambda: talks.now == AT_ONCE, "as many as ever")
+    until(lambda: talks.now == AT_ONCE, "as many as before")
     talks.go_on.set()
-    until(lambda: talks.done == AT_ONCE, "all conversations were held")
+    until(lambda: talks.done == AT_ONCE, "all requests have ended")
 
 
-def test_a_node_that_fails_while_others_wait_keeps_the_first_lane_free(pool: PeerPool) -> None:
-    """Its jobs that wait change to the lane of those that failed."""
+def test_waiting_requests_to_a_failed_node_move_to_the_other_pool(pool: PeerPool) -> None:
+    """Its waiting jobs move to the pool for failed addresses."""
     pool = PeerPool(fresh=1, doubtful=1)
     try:
         dead, good = Talks(), Talks()
         good.go_on.set()
         pool.submit(NODE, lambda: pool.failed(NODE))
         pool.submit(NODE, dead.talk)
-        until(lambda: dead.now == 1, "the dead one's second conversation is under way")
+        until(lambda: dead.now == 1, "the second request to the dead node is running")
         pool.submit(OTHER, good.talk)
-        until(lambda: good.done == 1, "the other node is spoken to")
+        until(lambda: good.done == 1, "the request to the other node runs")
         dead.go_on.set()
     finally:
         pool.stop()

@@ -1,4 +1,4 @@
-"""Asking publishers what they are, the good beside the dead, the slow and the odd."""
+"""Probing publishers: valid, dead, slow and malformed ones."""
 
 import contextlib
 import struct
@@ -49,7 +49,7 @@ def known(prober, links, link):
     return until(look, f"{link} is known")
 
 
-def test_what_a_header_says(prober):
+def test_facts_from_a_header(prober):
     with publisher(serve()) as native, publisher(serve(latching="0", **{ORIGIN_FIELD: "robot2"})) as ours:
         links = frozenset({Registration("/a", "/t", native), Registration("/b", "/t", ours)})
         facts = known(prober, links, Registration("/a", "/t", native))
@@ -60,7 +60,7 @@ def test_what_a_header_says(prober):
         assert prober.facts() == {}
 
 
-def test_one_that_latches_a_moment_later_is_probed_again():
+def test_a_publisher_that_latches_slightly_later_is_probed_again():
     """``rospy.Publisher`` registers with the master before it enables latching."""
     headers = iter([{"latching": "0"}])
 
@@ -82,10 +82,10 @@ def test_one_that_latches_a_moment_later_is_probed_again():
         pool.stop()
 
 
-def test_dead_ones_delay_nobody(prober):
+def test_dead_publishers_do_not_delay_others(prober):
     with contextlib.ExitStack() as stack:
         host, port = stack.enter_context(tcp_server(until_closed))
-        # a hundred publishers of one node that accepts and says nothing, and some that are gone
+        # a hundred publishers of one node that accepts connections but never responds, and some dead ones
         dead = {Registration("/dead", f"/dead{n}", f"http://{host}:{port}/") for n in range(100)}
         dead |= {Registration(f"/gone{n}", "/gone", f"http://127.0.0.1:{free_port()}/") for n in range(5)}
         odd = stack.enter_context(node(requestTopic=lambda *_: "what?"))
@@ -95,13 +95,13 @@ def test_dead_ones_delay_nobody(prober):
         good = Registration("/good", "/t", stack.enter_context(publisher(serve())))
         assert known(prober, frozenset({*dead, good}), good).native
         assert not prober.facts().keys() & dead
-        until(lambda: len(prober.troubles()) >= 6, "their troubles are told")
+        until(lambda: len(prober.troubles()) >= 6, "the problems are reported")
         assert "not a ROS 1 answer" in until(
-            lambda: prober.troubles().get(Registration("/odd", "/odd", odd)), "the odd one's"
+            lambda: prober.troubles().get(Registration("/odd", "/odd", odd)), "the problem of the malformed one"
         )
 
 
-def test_one_that_comes_late_is_asked_again(prober):
+def test_a_publisher_that_is_late_is_probed_again(prober):
     here = threading.Event()
 
     def request(_caller, _topic, _protocols) -> list[Any]:
@@ -110,13 +110,13 @@ def test_one_that_comes_late_is_asked_again(prober):
     with tcp_server(serve()) as address, node(requestTopic=request) as uri:
         link = Registration("/late", "/t", uri)
         prober.follow(frozenset({link}))
-        until(lambda: prober.troubles().get(link) == "not yet", "it was asked")
+        until(lambda: prober.troubles().get(link) == "not yet", "it is probed")
         here.set()
         assert known(prober, frozenset({link}), link).native
         assert not prober.troubles()
 
 
-def test_doubt(prober):
+def test_a_doubted_publisher_is_probed_again(prober):
     with publisher(serve()) as uri:
         link = Registration("/a", "/t", uri)
         links = frozenset({link})
@@ -128,10 +128,10 @@ def test_doubt(prober):
 
 
 class YarpPort:
-    """A publisher's port as a real YARP 3.9.1 was seen to serve it (``TcpRosCarrier.cpp``, ``PortCoreInputUnit.cpp``).
+    """A publisher's port that behaves like a real YARP 3.9.1 (``TcpRosCarrier.cpp``, ``PortCoreInputUnit.cpp``).
 
-    It sends the caller's header back with its own name in it, and its type where it knows one. Whatever the header says
-    (a field ``probe`` too), the caller is an output from then on, until a message cannot be written to it.
+    It returns the caller's header with its own name, and with its type if known. Whatever the header contains (also a
+    field ``probe``), the caller is an output from then on, until a message cannot be written to it.
     """
 
     def __init__(self) -> None:
@@ -150,7 +150,7 @@ class YarpPort:
 
 @pytest.fixture
 def holding():
-    """A prober that keeps the connections to native publishers."""
+    """A prober that holds the connections to native publishers."""
     pool, timer = PeerPool(), DelayedCalls("test")
     made = Prober(asking(pool, timer), lambda _link: None, holds=True)
     yield made
@@ -159,8 +159,8 @@ def holding():
     made.close()
 
 
-def test_who_waits_for_a_listener_writes_to_the_one_that_asked(holding):
-    """A real port of YARP 3.9.1 counted who asked as an output, and its first message went there and nowhere else."""
+def test_a_publisher_that_waits_for_a_subscriber_writes_to_the_probe(holding):
+    """A real port of YARP 3.9.1 counts the probe as an output, and sends its first message only there."""
     port = YarpPort()
     port.type = "std_msgs/String"
     with publisher(port) as uri:
@@ -176,7 +176,7 @@ def test_who_waits_for_a_listener_writes_to_the_one_that_asked(holding):
 
 
 @pytest.mark.parametrize("end", ["time", "gone", "doubt", "close"])
-def test_what_nobody_takes_is_closed(holding, end, monkeypatch):
+def test_connections_that_are_not_reused_are_closed(holding, end, monkeypatch):
     monkeypatch.setattr("bridge.adapters.ros1.graph.probe.HOLD_SECONDS", 0.2 if end == "time" else 60.0)
     closed = threading.Event()
 
@@ -198,20 +198,20 @@ def test_what_nobody_takes_is_closed(holding, end, monkeypatch):
         assert holding.take(link) is None
 
 
-def test_only_native_publishers_are_kept(holding):
+def test_only_connections_to_native_publishers_are_held(holding):
     with publisher(serve(**{ORIGIN_FIELD: "robot2"})) as ours:
         link = Registration("/b", "/t", ours)
         assert not known(holding, frozenset({link}), link).native
         assert holding.take(link) is None
 
 
-def test_a_port_of_yarp_that_knows_no_type_yet_is_asked_again(prober):
-    """It sends our own header back: "*" is no type, and must not be taken for one."""
+def test_a_yarp_port_without_a_type_is_probed_again(prober):
+    """It returns the received header: "*" must not count as a type."""
     port = YarpPort()
     with publisher(port) as uri:
         link = Registration("/talker", "/t", uri)
         links = frozenset({link})
         prober.follow(links)
-        until(lambda: "has no type" in prober.troubles().get(link, ""), "it has told no type")
+        until(lambda: "has no type" in prober.troubles().get(link, ""), "the missing type is reported")
         port.type = "std_msgs/String"
         assert known(prober, links, link).type == "std_msgs/String"

@@ -1,4 +1,4 @@
-"""What the edge shows of the graph while its master is away, and when another one lists less."""
+"""The graph of the edge while its master is unreachable, and when another master lists less."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ EMPTY = MasterState("two#2", "two", types={"/move_base/status": "*"})
 
 
 class Side:
-    """A graph, and the connections that stand."""
+    """A graph, and its existing connections."""
 
     def __init__(self) -> None:
         self.graph = StandingGraph(lambda: Connections(*map(frozenset, (self.publishers, self.heard, self.servers))))
@@ -37,7 +37,7 @@ def side():
     return Side()
 
 
-def test_what_the_master_lists_is_shown_as_it_is(side):
+def test_the_masters_list_is_unchanged(side):
     assert side.graph.state is FULL
     side.cut()
     assert side.graph.update(FULL) is FULL
@@ -48,25 +48,25 @@ def test_without_a_master_the_last_state_stays_while_any_connection_proves_it(si
     assert side.graph.update(None) is FULL
     assert side.graph.unlisted
     side.publishers, side.servers = set(), set()
-    assert side.graph.update(None) is FULL, "the server is connected to our goals"
+    assert side.graph.update(None) is FULL, "the server is connected to the edge's goal topic"
     side.heard = {("/other", "/move_base/goal")}
     assert side.graph.update(None) is None
     assert not side.graph.unlisted
     assert side.graph.update(None) is None
 
 
-def test_a_master_that_never_was_there_leaves_nothing():
+def test_without_any_master_the_graph_is_unknown():
     assert StandingGraph(lambda: Connections(frozenset({STATUS}), frozenset(), frozenset())).update(None) is None
 
 
 @pytest.mark.parametrize("away", [True, False])
-def test_a_restarted_master_does_not_end_what_it_does_not_list(side, away):
+def test_unlisted_registrations_outlive_a_restart_of_the_master(side, away):
     if away:
         side.graph.update(None)
     state = side.graph.update(EMPTY)
     assert (state.run, state.network, state.presence) == ("two#2", "two", {})
     assert (state.publishers, state.subscribers, state.servers) == ({STATUS, SCAN}, {GOAL}, {CLEAR})
-    assert state.types == TYPES, "our own subscription is registered as any type"
+    assert state.types == TYPES, "the edge's own subscription is registered as any type"
     assert state.uris == FULL.uris
     assert side.graph.update(EMPTY) is state, "nothing has changed"
     side.publishers, side.servers = {STATUS}, set()
@@ -76,10 +76,10 @@ def test_a_restarted_master_does_not_end_what_it_does_not_list(side, away):
     assert side.graph.update(EMPTY) is EMPTY
     assert not side.graph.unlisted
     side.publishers = {STATUS}
-    assert side.graph.update(EMPTY) is EMPTY, "it was not there before"
+    assert side.graph.update(EMPTY) is EMPTY, "it did not exist before"
 
 
-def test_a_node_that_registers_again_is_there_once(side):
+def test_a_node_that_registers_again_is_listed_once(side):
     side.graph.update(EMPTY)
     again = replace(
         EMPTY, publishers=frozenset({STATUS}), subscribers=frozenset({GOAL}), uris={"/move_base": STATUS.uri}
@@ -88,8 +88,8 @@ def test_a_node_that_registers_again_is_there_once(side):
     assert (state.publishers, state.subscribers) == ({STATUS, SCAN}, {GOAL})
 
 
-def test_a_node_whose_name_is_taken_over_does_not_stay(side):
-    """The master has asked the older one to stop; one that hangs does not do so."""
+def test_a_node_whose_name_is_taken_over_is_removed(side):
+    """The master has requested the older node's shutdown; one that hangs does not react."""
     new = STATUS._replace(uri="http://c:1/")
     look = replace(FULL, publishers=frozenset({new}), subscribers=frozenset(), uris={"/move_base": new.uri})
     state = side.graph.update(look)
@@ -97,7 +97,7 @@ def test_a_node_whose_name_is_taken_over_does_not_stay(side):
     assert (state.subscribers, state.servers) == (frozenset(), FULL.servers)
 
 
-def test_a_registration_that_a_living_master_lost_stays_but_a_service_does_not(side):
+def test_a_registration_that_a_running_master_lost_stays_except_a_service(side):
     """A server that unregisters may leave its connections open."""
     look = replace(FULL, publishers=frozenset({SCAN}), servers=frozenset())
     state = side.graph.update(look)

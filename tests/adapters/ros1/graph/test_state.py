@@ -1,4 +1,4 @@
-"""Looks at a master's state."""
+"""Reading a master's state."""
 
 import contextlib
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from tests.adapters.ros1.servers import node
 
 
 class Master:
-    """A master's API with a state that a test sets."""
+    """A master's API with a state that the test sets."""
 
     def __init__(self) -> None:
         self.nodes = {"/a": "http://a:1/"}
@@ -24,7 +24,7 @@ class Master:
         self.at_end: Callable[[], None] = lambda: None
 
     def uri(self, _caller: str) -> list[Any]:
-        """The last question of a look that knows of no nodes yet."""
+        """Return the URI: the last call of a read that knows no nodes yet."""
         self.at_end()
         return [1, "", "http://master:11311/"]
 
@@ -64,7 +64,7 @@ def looker(master):
             yield MasterReader(client, "/me")
 
 
-def test_a_look(master, looker):
+def test_a_complete_state(master, looker):
     look = looker.look()
     assert (look.network, look.run) == ("run", "run#42")
     assert look.publishers == {Registration("/a", "/topic", "http://a:1/")}
@@ -82,7 +82,7 @@ def test_a_master_without_a_run_id(master, looker):
     assert looker.look().network == "http://master:11311/#42"
 
 
-def test_a_node_that_comes_during_the_look(master, looker):
+def test_a_node_that_registers_during_a_read(master, looker):
     def arrive() -> None:
         master.nodes["/late"] = "http://late:1/"
         master.publishers = [["/topic", ["/a", "/late"]]]
@@ -98,7 +98,7 @@ def test_a_node_that_moved(master, looker):
     assert looker.look().publishers == {Registration("/a", "/topic", "http://a:2/")}
 
 
-def test_a_services_address_is_asked_for_once(master, looker):
+def test_a_services_address_is_looked_up_once(master, looker):
     first = looker.look()
     master.services["/more"] = ("/b", "rosrpc://b:3")
     assert looker.look().servers == {*first.servers, Registration("/b", "/more", "rosrpc://b:3")}
@@ -106,33 +106,35 @@ def test_a_services_address_is_asked_for_once(master, looker):
     del master.services["/more"]
     assert looker.look().servers == first.servers
     master.services["/more"] = ("/b", "rosrpc://b:4")
-    assert Registration("/b", "/more", "rosrpc://b:4") in looker.look().servers, "one that comes back may be elsewhere"
+    assert Registration("/b", "/more", "rosrpc://b:4") in looker.look().servers, (
+        "a returning service may have another address"
+    )
 
 
-def test_a_service_in_doubt_is_looked_up_again(master, looker):
+def test_a_doubted_service_is_looked_up_again(master, looker):
     first = looker.look()
     looker.doubt("/serve")
-    assert looker.look() is first, "it is where it was"
+    assert looker.look() is first, "its address is unchanged"
     master.services["/serve"] = ("/a", "rosrpc://a:7")
-    assert looker.look() is first, "a new address alone does not show in a master's state"
+    assert looker.look() is first, "a new address is not visible in a master's state"
     looker.doubt("/serve")
     assert looker.look().servers == {Registration("/a", "/serve", "rosrpc://a:7")}
 
 
-def test_a_service_that_went_during_the_look(master, looker):
+def test_a_service_that_unregisters_during_a_read(master, looker):
     master.services["/gone"] = ("/c", 5)
     assert Registration("/c", "/gone", "") in looker.look().servers
 
 
 @pytest.mark.parametrize(("topics", "least", "most"), [(1, 0.5, 0.5), (1500, 0.51, 1.99), (5000, 2.0, 2.0)])
-def test_a_master_with_much_to_tell_is_looked_at_less_often(master, looker, topics, least, most):
+def test_a_master_with_a_large_state_is_read_less_often(master, looker, topics, least, most):
     master.publishers = [[f"/a_topic_of_many/{number}", ["/a"]] for number in range(topics)]
     looker.look()
     assert least <= looker.pause(0.5) <= most
     assert looker.pause(5.0) == 5.0
 
 
-def test_a_master_that_is_away_is_looked_for_as_often_as_ever(master):
+def test_an_unreachable_master_is_retried_at_the_normal_rate(master):
     master.publishers = [[f"/a_topic_of_many/{number}", ["/a"]] for number in range(5000)]
     with node(**master.methods()) as uri:
         client = XmlRpcClient(uri, 5.0)

@@ -1,4 +1,4 @@
-"""Calling ROS 1 servers, the good beside the slow, the odd and the dying."""
+"""Calling ROS 1 servers: valid, slow, malformed and crashing ones."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def request_of(sock: socket.socket) -> bytes:
 
 
 class Server:
-    """A server on loopback; ``serve(sock, header)`` has each connection after the headers."""
+    """A server on loopback; ``serve(sock, header)`` handles each connection after the headers."""
 
     def __init__(self, serve: Callable[[socket.socket, dict[str, str]], None]) -> None:
         self.connections: list[dict[str, str]] = []
@@ -67,7 +67,7 @@ def echo(sock: socket.socket, _header: Any) -> None:
 
 
 class Ends:
-    """How calls ended."""
+    """Records the results of calls."""
 
     def __init__(self) -> None:
         self.all: list[bytes | CallError] = []
@@ -90,7 +90,7 @@ class Ends:
 
 
 class Bench:
-    """A caller with what it needs."""
+    """A caller and its surroundings."""
 
     def __init__(self) -> None:
         self.loop, self.pool, self.doubts = EpollLoop("test-calls"), PeerPool(), []
@@ -105,7 +105,7 @@ class Bench:
         self.caller.follow(self.link)
 
     def look(self) -> None:
-        """What the edge does at each look at the master."""
+        """Do what the edge does after each read of the master."""
         if self.caller.restless:
             self.caller.follow(self.link)
 
@@ -127,14 +127,14 @@ def bench() -> Iterator[Bench]:
     made.pool.stop()
 
 
-def test_calls_one_after_the_other_share_a_connection(bench):
+def test_sequential_calls_share_a_connection(bench):
     server = Server(echo)
     with tcp_server(server) as address:
         bench.toward(address)
         bench.warm()
         for n in range(50):
             assert bench.call(f"call {n}".encode()).wait() == [f"call {n}".encode()[::-1]]
-            until(lambda: bench.caller.load.idle, "it is free again", every=0.001)
+            until(lambda: bench.caller.load.idle, "it is idle again", every=0.001)
         (header,) = server.connections
         assert header == {
             "callerid": "/me", "service": "/serve", "md5sum": "5e7e", "persistent": "1", "tcp_nodelay": "1"
@@ -147,10 +147,10 @@ def test_every_size_both_ways(bench, size):
     with tcp_server(Server(echo)) as address:
         bench.toward(address)
         assert bench.call(body).wait() == [body[::-1]]
-        assert bench.call(body).wait() == [body[::-1]], "the connection is in order behind it"
+        assert bench.call(body).wait() == [body[::-1]], "the connection is still valid afterwards"
 
 
-def test_a_slow_call_blocks_no_other(bench):
+def test_a_slow_call_does_not_delay_others(bench):
     go_on = threading.Event()
 
     def serve(sock, _header) -> None:
@@ -169,8 +169,8 @@ def test_a_slow_call_blocks_no_other(bench):
         assert not any(ends.all for ends in slow)
         go_on.set()
         assert all(ends.wait() == [b"slow"] for ends in slow)
-        assert len(server.connections) < 60, "connections are used again"
-        until(lambda: bench.caller.load.connections <= 8, "few are kept when there is nothing to do")
+        assert len(server.connections) < 60, "connections are reused"
+        until(lambda: bench.caller.load.connections <= 8, "only a few idle ones are kept")
 
 
 def test_a_reply_in_pieces(bench):
@@ -185,7 +185,7 @@ def test_a_reply_in_pieces(bench):
         assert bench.call().wait() == [b"in pieces"]
 
 
-def test_the_servers_error_is_the_callers(bench):
+def test_the_servers_error_reaches_the_client(bench):
     def serve(sock, _header) -> None:
         while True:
             sock.sendall(framed({b"a": "no path: Überall".encode(), b"b": b"\xff\xfe", b"c": b""}[request_of(sock)], 0))
@@ -204,7 +204,7 @@ def test_no_server(bench):
     assert "refused" in until(lambda: bench.doubts, "it is doubted")[0][1]
 
 
-def test_a_server_that_refuses(bench):
+def test_a_server_that_rejects_the_connection(bench):
     def refuse(sock) -> None:
         sock.recv(65536)
         sock.sendall(encode({"error": "md5sums do not match"}))
@@ -212,10 +212,10 @@ def test_a_server_that_refuses(bench):
     with tcp_server(refuse) as address:
         bench.toward(address)
         assert "md5sums do not match" in bench.call().error()
-        until(lambda: bench.doubts, "it is asked anew")
+        until(lambda: bench.doubts, "it is probed again")
 
 
-def test_a_server_that_dies_in_a_call(bench):
+def test_a_server_that_crashes_during_a_call(bench):
     taken = threading.Event()
 
     def serve(sock, _header) -> None:
@@ -230,7 +230,7 @@ def test_a_server_that_dies_in_a_call(bench):
         assert taken.is_set()
 
 
-def test_a_server_that_dies_in_its_reply(bench):
+def test_a_server_that_crashes_during_its_reply(bench):
     def serve(sock, _header) -> None:
         size = int(request_of(sock))
         sock.sendall(framed(bytes(size))[:-1])
@@ -241,7 +241,7 @@ def test_a_server_that_dies_in_its_reply(bench):
             assert "closed the connection before" in bench.call(str(size).encode()).error()
 
 
-def test_the_death_of_a_server_is_known_without_a_call(bench):
+def test_the_crash_of_a_server_is_noticed_without_a_call(bench):
     with tcp_server(Server(echo)) as address:
         bench.toward(address)
         bench.warm()
@@ -251,8 +251,8 @@ def test_the_death_of_a_server_is_known_without_a_call(bench):
     assert "refused" in trouble
 
 
-def test_nothing_is_sent_twice(bench):
-    # a server whose connection dies with the call in it: whether it did what was asked nobody knows
+def test_a_request_is_never_sent_twice(bench):
+    # a server whose connection breaks during the call: it is unknown whether it executed the request
     requests = []
 
     def serve(sock, _header) -> None:
@@ -281,7 +281,7 @@ def test_a_server_that_moved(bench):
         assert "no server" in bench.call().error()
 
 
-def test_too_large_a_reply(bench):
+def test_a_reply_above_the_limit(bench):
     def serve(sock, _header) -> None:
         while True:
             size = int(request_of(sock))
@@ -297,7 +297,7 @@ def test_too_large_a_reply(bench):
         assert bench.call(b"4").wait() == [bytes(4)]
 
 
-def test_one_that_talks_without_being_asked(bench):
+def test_data_without_a_request_closes_the_connection(bench):
     def serve(sock, _header) -> None:
         request_of(sock)
         sock.sendall(framed(b"right") + framed(b"wrong"))
@@ -307,12 +307,12 @@ def test_one_that_talks_without_being_asked(bench):
     with tcp_server(server) as address:
         bench.toward(address)
         for _ in range(10):
-            assert bench.call().wait() == [b"right"], "an answer that nobody asked for answers no later call"
+            assert bench.call().wait() == [b"right"], "unrequested data is not the reply of a later call"
         bench.warm()
         assert bench.call().wait() == [b"right"]
 
 
-def test_the_caller_left(bench):
+def test_closing_the_connection_abandons_a_call(bench):
     arrived, answer = threading.Event(), threading.Event()
     gone = []
 
@@ -331,15 +331,15 @@ def test_the_caller_left(bench):
         abandon = bench.caller.call(b"long", ends)
         assert arrived.wait(20)
         abandon()
-        until(lambda: gone == [b""], "the server sees that the caller has left")
+        until(lambda: gone == [b""], "the server notices that the client has left")
         answer.set()
         abandon()
         assert bench.call(b"next").wait() == [b"late"]
-        assert ends.all == [], "nobody waits for it"
+        assert ends.all == [], "the result is dropped"
         assert bench.caller.load.calls == 0
 
 
-def test_one_that_left_before_the_connection_stood(bench):
+def test_a_client_that_leaves_before_the_connection_is_open(bench):
     go_on = threading.Event()
     requests = []
 
@@ -365,10 +365,10 @@ def test_too_many_calls(bench):
         for abandon in under_way:
             abandon()
         assert not ends.all
-        until(lambda: bench.caller.load.connections == 0 or bench.caller.load.idle, "their connections go")
+        until(lambda: bench.caller.load.connections == 0 or bench.caller.load.idle, "their connections are closed")
 
 
-def test_closing_ends_what_is_under_way(bench):
+def test_closing_ends_pending_calls(bench):
     arrived = threading.Event()
 
     def serve(sock, _header) -> None:
@@ -387,7 +387,7 @@ def test_closing_ends_what_is_under_way(bench):
         until(lambda: bench.caller.load.connections == 0, "all connections are closed")
 
 
-def test_a_large_request_to_one_that_does_not_read(bench):
+def test_a_large_request_to_a_server_that_does_not_read(bench):
     # the first fills the socket; neither its sender nor the next caller waits
     blocked = threading.Event()
 
@@ -404,7 +404,7 @@ def test_a_large_request_to_one_that_does_not_read(bench):
         blocked.set()
 
 
-def test_an_answer_before_the_request_is_read(bench):
+def test_a_reply_before_the_request_is_read(bench):
     def serve(sock, _header) -> None:
         sock.recv(4)
         sock.sendall(framed(b"no thanks", 0))
@@ -429,11 +429,11 @@ def test_without_descriptors(bench):
         bench.toward(address)
         bench.warm()
         with no_descriptors():
-            assert bench.call().wait() == [b"abc"], "the open connection is enough"
-            until(lambda: bench.caller.load.idle, "it is free again", every=0.001)
+            assert bench.call().wait() == [b"abc"], "the open connection suffices"
+            until(lambda: bench.caller.load.idle, "it is idle again", every=0.001)
             slow = bench.call(b"slow")
             assert "no file descriptor" in bench.call().error()
-        assert not bench.doubts, "that says nothing of the server"
+        assert not bench.doubts, "that is not the server's fault"
         go_on.set()
         assert slow.wait() == [b"slow"]
         assert bench.call().wait() == [b"abc"]

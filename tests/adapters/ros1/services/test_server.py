@@ -1,4 +1,4 @@
-"""Serving ROS 1 clients, the good beside the slow, the odd and those that leave."""
+"""Serving ROS 1 clients: valid, slow, malformed and leaving ones."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LIMIT = 1_000_000
 
 
 class Handler:
-    """What answers the calls: at once, later, or never."""
+    """Replies to calls: at once, later, or never."""
 
     def __init__(self) -> None:
         self.requests: list[bytes] = []
@@ -43,7 +43,7 @@ class Handler:
         return lambda: self.abandoned.append(number)
 
     def wait(self, count: int) -> None:
-        until(lambda: len(self.dones) >= count, f"{count} requests have come", every=0.001)
+        until(lambda: len(self.dones) >= count, f"{count} requests have arrived", every=0.001)
 
 
 class Bench:
@@ -61,7 +61,7 @@ class Bench:
         self.changes += 1
 
     def connect(self, **header: str) -> tuple[Client, dict[str, str]]:
-        """A client, and the header that it was answered."""
+        """Connect a client; return it and the server's header."""
         near = socket.create_connection(self._listener.getsockname())
         far, _ = self._listener.accept()
         client = Client(self._clients.enter_context(near))
@@ -84,7 +84,7 @@ class Bench:
 
 
 class Client:
-    """A client's end."""
+    """The client's end of a connection."""
 
     def __init__(self, sock: socket.socket) -> None:
         self.sock = sock
@@ -122,7 +122,7 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     made.close()
 
 
-def test_one_call_a_connection(bench):
+def test_one_call_per_connection(bench):
     client, header = bench.connect()
     assert header == {
         "callerid": "/midspan", "service": "/serve", "type": "pkg/Serve", "md5sum": "5e7e",
@@ -130,7 +130,7 @@ def test_one_call_a_connection(bench):
     }  # fmt: skip
     assert client.call(b"abc") == (1, b"cba")
     assert client.ended()
-    until(lambda: bench.server.clients == 0, "nothing is left of it")
+    until(lambda: bench.server.clients == 0, "it is removed")
 
 
 def test_a_persistent_connection(bench):
@@ -156,7 +156,7 @@ def test_probes_and_clients_of_any_md5(bench):
     assert client.call(b"any") == (1, b"yna")
 
 
-def test_clients_that_are_refused(bench):
+def test_clients_that_are_rejected(bench):
     _, header = bench.connect(md5sum="0ther")
     assert header == {
         "error": "/serve: md5 sums differ: /client requests 0ther, it is pkg/Serve with 5e7e; use the same version of"
@@ -168,7 +168,7 @@ def test_clients_that_are_refused(bench):
     assert not bench.handler.requests
 
 
-def test_errors_are_told_and_the_connection_goes_on(bench):
+def test_errors_are_returned_and_the_connection_stays_open(bench):
     bench.handler.at_once = False
     client = bench.open()
     client.send(b"a")
@@ -182,7 +182,7 @@ def test_errors_are_told_and_the_connection_goes_on(bench):
     bench.handler.dones[1](b"twice")
     assert client.reply() == (1, b"the second")
     bench.handler.at_once = True
-    assert client.call(b"cd") == (1, b"dc"), "and nothing came between"
+    assert client.call(b"cd") == (1, b"dc"), "without anything in between"
 
 
 def test_a_handler_that_fails(bench):
@@ -193,7 +193,7 @@ def test_a_handler_that_fails(bench):
     server.close()
 
 
-def test_a_slow_call_blocks_no_other(bench):
+def test_a_slow_call_does_not_delay_others(bench):
     bench.handler.at_once = False
     slow = [bench.open() for _ in range(100)]
     for n, client in enumerate(slow):
@@ -217,7 +217,7 @@ def test_a_request_in_pieces(bench):
     assert client.reply() == (1, b"seceip ni")
 
 
-def test_requests_in_one_piece_are_answered_one_after_the_other(bench):
+def test_requests_in_one_segment_are_served_in_sequence(bench):
     bench.handler.at_once = False
     client = bench.open()
     client.sock.sendall(b"".join(struct.pack("<I", 1) + bytes([n]) for n in range(5)))
@@ -229,7 +229,7 @@ def test_requests_in_one_piece_are_answered_one_after_the_other(bench):
 
 
 @pytest.mark.parametrize("size", [LIMIT + 1, 20 * LIMIT])
-def test_too_large_a_request(bench, size):
+def test_a_request_above_the_limit(bench, size):
     client = bench.open()
     assert client.call(bytes(size)) == (0, f"the request has {size} bytes, limits.message allows {LIMIT}".encode())
     assert client.call(b"small") == (1, b"llams")
@@ -238,7 +238,7 @@ def test_too_large_a_request(bench, size):
     assert bench.handler.requests == [b"small"]
 
 
-def test_too_large_a_reply(bench):
+def test_a_reply_above_the_limit(bench):
     bench.handler.at_once = False
     client = bench.open()
     client.send(b"")
@@ -247,14 +247,14 @@ def test_too_large_a_reply(bench):
     assert client.reply() == (0, f"the reply has {LIMIT + 1} bytes, limits.message allows {LIMIT}".encode())
 
 
-def test_a_client_that_only_claims(bench):
+def test_a_client_that_announces_a_request_and_sends_nothing(bench):
     liar = bench.open()
     liar.sock.sendall(struct.pack("<I", 2**32 - 1))
     cut_short = bench.open()
     cut_short.sock.sendall(struct.pack("<I", LIMIT) + b"start")
     cut_short.sock.close()
     assert bench.open().call(b"ab") == (1, b"ba")
-    until(lambda: bench.server.clients == 2, "the cut one is gone")
+    until(lambda: bench.server.clients == 2, "the disconnected one is removed")
     assert bench.handler.requests == [b"ab"]
 
 
@@ -266,13 +266,13 @@ def test_a_client_that_leaves_abandons_its_call(bench, persistent):
     bench.handler.wait(1)
     client.sock.close()
     until(lambda: bench.handler.abandoned == [0], "the call is abandoned")
-    until(lambda: bench.server.clients == 0, "nothing is left of it")
+    until(lambda: bench.server.clients == 0, "it is removed")
     bench.handler.dones[0](b"late")
     bench.handler.at_once = True
     assert bench.open().call(b"ab") == (1, b"ba")
 
 
-def test_a_client_that_leaves_with_more_to_say(bench):
+def test_a_client_that_leaves_with_unread_data(bench):
     bench.handler.at_once = False
     client = bench.open()
     client.send(b"long")
@@ -285,7 +285,7 @@ def test_a_client_that_leaves_with_more_to_say(bench):
 
 @pytest.mark.parametrize("bench", [40 * LIMIT], indirect=True)
 def test_a_client_that_does_not_read(bench):
-    large = 40 * LIMIT  # no socket's buffer takes that
+    large = 40 * LIMIT  # more than any socket buffer
     bench.handler.at_once = False
     deaf, leaver, other = bench.open(), bench.open(), bench.open()
     for n, client in enumerate((deaf, leaver, other)):
@@ -294,15 +294,15 @@ def test_a_client_that_does_not_read(bench):
     bench.handler.dones[0](bytes(large))
     bench.handler.dones[1](bytes(large))
     bench.handler.dones[2](b"quick")
-    assert other.reply() == (1, b"quick"), "nobody waits for it"
-    assert deaf.reply() == (1, bytes(large)), "when it reads at last, it gets all"
+    assert other.reply() == (1, b"quick"), "nothing waits for it"
+    assert deaf.reply() == (1, bytes(large)), "when it finally reads, it receives everything"
     leaver.sock.close()
-    until(lambda: bench.server.clients == 2, "it is gone")
+    until(lambda: bench.server.clients == 2, "it is removed")
     bench.handler.at_once = True
     assert deaf.call(b"ab") == (1, b"ba")
 
 
-def test_closing_tells_those_who_wait(bench):
+def test_closing_ends_pending_calls_with_an_error(bench):
     bench.handler.at_once = False
     waiting, idle = bench.open(), bench.open()
     waiting.send(b"long")
@@ -321,7 +321,7 @@ def test_closing_tells_those_who_wait(bench):
     assert bench.open().call(b"ab") == (1, b"ba")
 
 
-def test_closing_abandons_a_call_that_is_just_being_made(bench):
+def test_closing_abandons_a_call_that_is_just_starting(bench):
     def made(request: bytes, done: Any) -> Any:
         abandon = type(bench.handler).__call__(bench.handler, request, done)
         closer = threading.Thread(target=bench.server.close)
@@ -336,10 +336,10 @@ def test_closing_abandons_a_call_that_is_just_being_made(bench):
     until(lambda: bench.handler.abandoned == [0], "the call is abandoned")
 
 
-def test_two_servers_of_a_name(bench):
+def test_two_servers_of_one_name(bench):
     with pytest.raises(MessageTypeError, match="already served on ROS 1 as pkg/Serve"):
         bench.servers.open("/serve", TYPE, bench.handler)
-    with pytest.raises(MessageTypeError, match="md5 sum of pkg/Other is not known"):
+    with pytest.raises(MessageTypeError, match="md5 sum of pkg/Other is unknown"):
         bench.servers.open("/other", SideType("pkg/Other", "", ""), bench.handler)
 
 

@@ -27,12 +27,12 @@ SECONDS = 30.0
 
 
 def reply(success: bool, message: str) -> str:
-    """A std_srvs/SetBool response in ROS 1's bytes."""
+    """Return a std_srvs/SetBool response in ROS 1's bytes."""
     return base64.b64encode(struct.pack("<BI", success, len(message.encode())) + message.encode()).decode()
 
 
 def server_of(edge, name):
-    """The endpoint of a server, once its type is known."""
+    """Wait until the type of a server is known; return its endpoint."""
 
     def known() -> Any:
         return next((e for e in edge.endpoints(kind="server", topic=name) if e["made_by"] != "unknown"), None)
@@ -58,7 +58,7 @@ def requests_at(edge, served, count):
         found = edge.ask("calls", id=served)["requests"]
         return found if len(found) >= count else None
 
-    return until(come, f"{count} calls have come", SECONDS)
+    return until(come, f"{count} calls have arrived", SECONDS)
 
 
 def registered(master, name, node="/midspan"):
@@ -73,7 +73,7 @@ def give_back(master, edge, served, name):
 # -- servers on ROS 1 --------------------------------------------------------------------------------------------------
 
 
-def test_the_servers_of_the_graph(master, edge):
+def test_servers_are_listed(master, edge):
     with master.peer("seen") as peer:
         service = peer.ask("serve", service="/seen/set", type=SET_BOOL)["id"]
         found = server_of(edge, "/seen/set")
@@ -82,7 +82,7 @@ def test_the_servers_of_the_graph(master, edge):
         # roscore's rosout is a roscpp program
         assert server_of(edge, "/rosout/get_loggers")["type"] == "roscpp/GetLoggers"
         peer.drop(service)
-        until(lambda: not edge.endpoints(topic="/seen/set"), "it goes with its server", SECONDS)
+        until(lambda: not edge.endpoints(topic="/seen/set"), "it disappears with its server", SECONDS)
 
 
 def test_calling_a_server(master, edge):
@@ -103,7 +103,7 @@ def test_calling_a_server(master, edge):
 
 
 def test_calling_a_roscpp_server(edge):
-    # its get_loggers is no good for that: the rosout of Debian 12 dies of the first call, whoever calls
+    # not its get_loggers: the rosout of Debian 12 crashes on the first call of any client
     caller = caller_of(edge, "/rosout/set_logger_level", "roscpp/SetLoggerLevel")
     request = b"".join(struct.pack("<I", len(word)) + word for word in (b"ros.rosout", b"info"))
     for number in range(3):
@@ -111,7 +111,7 @@ def test_calling_a_roscpp_server(edge):
         assert ends(edge, caller, number + 1)[str(number)] == [""]
 
 
-def test_a_slow_call_blocks_no_other(master, edge):
+def test_a_slow_call_does_not_delay_others(master, edge):
     with master.peer("slow") as peer:
         service = peer.ask("serve", service="/slow", type=SET_BOOL, held=True)["id"]
         quick = peer.ask("serve", service="/quick", type=SET_BOOL)["id"]
@@ -129,7 +129,7 @@ def test_a_slow_call_blocks_no_other(master, edge):
         assert list(ends(edge, caller, 20).values()) == [[reply(False, "")]] * 20
 
 
-def test_a_server_that_is_killed_in_a_call(master, edge):
+def test_a_server_that_is_killed_during_a_call(master, edge):
     with master.peer("killed") as peer:
         service = peer.ask("serve", service="/killed", type=SET_BOOL, held=True)["id"]
         caller = caller_of(edge, "/killed")
@@ -139,7 +139,7 @@ def test_a_server_that_is_killed_in_a_call(master, edge):
         peer.signal(signal.SIGKILL)
         for end in ends(edge, caller, 5).values():
             assert end == ["error: the server /killed closed the connection before it answered"]
-    until(lambda: edge.endpoints(topic="/killed", made_by="unknown"), "the dead one counts no more", SECONDS)
+    until(lambda: edge.endpoints(topic="/killed", made_by="unknown"), "the dead server no longer counts", SECONDS)
     call(edge, caller, 9)
     assert ends(edge, caller, 6)["9"] == ["error: /killed has no server on ROS 1 now"]
     with master.peer("killed") as peer:
@@ -155,17 +155,17 @@ def test_a_server_that_is_killed_in_a_call(master, edge):
         until(answered, "the same caller reaches the new server", SECONDS)
 
 
-def test_the_death_of_a_server_is_seen_while_nobody_calls(master, edge):
+def test_the_exit_of_a_server_is_noticed_without_calls(master, edge):
     with master.peer("mortal") as peer:
         peer.ask("serve", service="/mortal", type=SET_BOOL)
         caller_of(edge, "/mortal")
         peer.signal(signal.SIGKILL)
-        until(lambda: edge.endpoints(topic="/mortal", made_by="unknown"), "it counts no more", SECONDS)
+        until(lambda: edge.endpoints(topic="/mortal", made_by="unknown"), "it no longer counts", SECONDS)
     told = "/mortal: its server /mortal does not announce its type: cannot connect"
-    until(lambda: any(w.startswith(told) for w in edge.ask("status")["warnings"]), "a person is told", SECONDS)
+    until(lambda: any(w.startswith(told) for w in edge.ask("status")["warnings"]), "a warning is reported", SECONDS)
 
 
-def test_an_abandoned_call_is_nobodys(master, edge):
+def test_an_abandoned_call_delivers_no_result(master, edge):
     with master.peer("patient") as peer:
         service = peer.ask("serve", service="/patient", type=SET_BOOL, held=True)["id"]
         caller = caller_of(edge, "/patient")
@@ -178,7 +178,8 @@ def test_an_abandoned_call_is_nobodys(master, edge):
         assert ends(edge, caller) == {"1": [reply(False, "")]}
 
 
-# -- our servers, and clients on ROS 1 ---------------------------------------------------------------------------------
+# -- the edge's servers, and clients on ROS 1
+# ---------------------------------------------------------------------------
 
 
 def test_clients_are_served(master, edge):
@@ -275,18 +276,18 @@ def test_a_native_server_keeps_its_name(master, edge):
         server_of(edge, "/owned")
         served = edge.ask("serve", service="/owned", type=SET_BOOL)["id"]
         warning = "/owned: /owner serves it on ROS 1 itself, so the hub's is not offered there"
-        until(lambda: warning in edge.ask("status")["warnings"], "a person is told", SECONDS)
+        until(lambda: warning in edge.ask("status")["warnings"], "a warning is reported", SECONDS)
         peer.drop(native)
         registered(master, "/owned")
         peer.ask("serve", service="/owned", type=SET_BOOL)
         registered(master, "/owned", "/owner")
-        until(lambda: warning in edge.ask("status")["warnings"], "a person is told", SECONDS)
+        until(lambda: warning in edge.ask("status")["warnings"], "a warning is reported", SECONDS)
         peer.signal(signal.SIGKILL)
     registered(master, "/owned")
     give_back(master, edge, served, "/owned")
 
 
-def test_what_another_midspan_serves_is_marked(master, edge, tmp_path):
+def test_servers_of_another_midspan_are_marked(master, edge, tmp_path):
     served = edge.ask("serve", service="/marked", type=SET_BOOL)["id"]
     registered(master, "/marked")
     with edge_on(master, tmp_path, "other") as other:
@@ -294,12 +295,12 @@ def test_what_another_midspan_serves_is_marked(master, edge, tmp_path):
         caller = other.ask("caller", service="/marked", type=SET_BOOL)["id"]
         call(other, caller)
         assert ends(other, caller) == {"0": ["error: /marked has no server on ROS 1 now"]}
-    assert edge.endpoints(topic="/marked") == [], "our own are not shown"
+    assert edge.endpoints(topic="/marked") == [], "the edge's own are not listed"
     give_back(master, edge, served, "/marked")
 
 
 @pytest.mark.thorough
-def test_a_restarted_master_has_our_services_again(tmp_path):
+def test_services_are_registered_again_with_a_restarted_master(tmp_path):
     with RosMaster() as master, edge_on(master, tmp_path) as edge:
         served = edge.ask("serve", service="/again", type=SET_BOOL)["id"]
         registered(master, "/again")
@@ -325,7 +326,7 @@ def test_a_clean_stop_ends_calls_and_leaves_nothing(master, tmp_path):
             requests_at(edge, served, 1)
             caller = caller_of(edge, "/stays")
             call(edge, caller)
-            assert edge.ask("stop")["seconds"] < AT_ONCE, "the promise of Edge.stop"
+            assert edge.ask("stop")["seconds"] < AT_ONCE, "the limit of Edge.stop"
             assert "/stopped is no longer served" in peer.ask("result", id=asked)["error"]
             assert edge.ask("calls", id=served)["abandoned"] == [0]
             assert ends(edge, caller) == {"0": ["error: /stays no longer crosses"]}
@@ -333,7 +334,7 @@ def test_a_clean_stop_ends_calls_and_leaves_nothing(master, tmp_path):
             until(lambda: edge.ask("status")["threads"] < 10, "the threads end", SECONDS)
 
 
-def test_what_a_killed_one_served_is_removed(master, tmp_path):
+def test_services_of_a_killed_edge_are_removed(master, tmp_path):
     before = master.state()
     edge = edge_on(master, tmp_path, "mine", node="mine_a")
     edge.ask("serve", service="/left/behind", type=SET_BOOL)
@@ -352,7 +353,7 @@ def test_servers_that_misbehave(master, edge):
         until_closed(sock)
 
     with tcp_server(silent) as (host, port), socket.socket() as deaf:
-        deaf.bind(("127.0.0.1", 0))  # nobody listens there, and nobody else may meanwhile
+        deaf.bind(("127.0.0.1", 0))  # without a listener, and reserved meanwhile
         dead = deaf.getsockname()[1]
         for name, address in (("/odd/silent", f"rosrpc://{host}:{port}"), ("/odd/dead", f"rosrpc://127.0.0.1:{dead}")):
             master.call("registerService", name, address, "http://127.0.0.1:1/")

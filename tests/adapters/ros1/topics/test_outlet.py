@@ -1,4 +1,4 @@
-"""One subscriber's connection: slow ones cost their own messages and nobody's time."""
+"""Connections to subscribers: slow ones lose only their own messages, and delay no others."""
 
 import socket
 import struct
@@ -12,7 +12,7 @@ from tests.support.wait import until
 
 
 class Pair:
-    """An outlet, and the subscriber's end."""
+    """A connection, and its subscriber's end."""
 
     def __init__(self) -> None:
         with socket.create_server(("127.0.0.1", 0)) as listener:
@@ -40,7 +40,7 @@ class Pair:
             thread.join(40)
 
     def threads(self) -> list[threading.Thread]:
-        """The outlet's own."""
+        """Return the threads of the connection."""
         return [thread for thread in threading.enumerate() if thread.name == "test-out"]
 
 
@@ -51,7 +51,7 @@ def pair():
     made.close()
 
 
-def test_a_quick_subscriber_costs_no_thread(pair):
+def test_a_fast_subscriber_needs_no_thread(pair):
     for n in range(100):
         assert pair.outlet.send(b"%d" % n, "a", 1)
         assert pair.message() == b"%d" % n
@@ -59,7 +59,7 @@ def test_a_quick_subscriber_costs_no_thread(pair):
     assert pair.outlet.dropped == 0
 
 
-def test_large_messages_arrive_whole(pair):
+def test_large_messages_arrive_complete(pair):
     sent = [bytes([n]) * 3_000_000 for n in range(6)]
     received = []
     reading = threading.Thread(target=lambda: received.extend(pair.message() for _ in sent))
@@ -70,10 +70,10 @@ def test_large_messages_arrive_whole(pair):
     assert received == sent
 
 
-def test_a_subscriber_that_stands_still_loses_its_oldest(pair):
+def test_a_stalled_subscriber_loses_its_oldest_messages(pair):
     big = 1_000_000
     for n in range(50):
-        assert pair.outlet.send(bytes([n]) * big, "a", 3), "the sender is never held up"
+        assert pair.outlet.send(bytes([n]) * big, "a", 3), "the sender is never blocked"
     pair.outlet.send(b"other", "b", 3)
     total = 51 - pair.outlet.dropped
     assert 0 < pair.outlet.dropped < 50
@@ -88,15 +88,15 @@ def test_a_subscriber_that_stands_still_loses_its_oldest(pair):
             numbers.append(message[0])
     assert numbers == sorted(numbers)
     assert numbers[-3:] == [47, 48, 49], "the newest stay"
-    assert others == [b"other"], "a source's messages make room for its own only"
+    assert others == [b"other"], "a source's messages only displace its own"
 
 
-def test_a_broken_connection_is_told(pair):
+def test_a_broken_connection_is_reported(pair):
     pair.subscriber.close()
     until(lambda: not pair.outlet.send(b"x" * 1000, "a", 1), "the broken connection is noticed")
 
 
-def test_closing_ends_the_thread_of_a_stuck_one(pair):
+def test_closing_ends_the_thread_of_a_stalled_subscriber(pair):
     for _ in range(20):
         pair.outlet.send(b"x" * 1_000_000, "a", 2)
     (thread,) = pair.threads()
@@ -107,7 +107,7 @@ def test_closing_ends_the_thread_of_a_stuck_one(pair):
     assert not pair.outlet.send(b"x", "a", 2)
 
 
-def test_what_waits_is_bounded_in_bytes(pair, monkeypatch):
+def test_queued_bytes_are_limited(pair, monkeypatch):
     monkeypatch.setattr("bridge.adapters.ros1.topics.outlet.MAX_WAITING", 10_000_000)
     big = 4_000_000
     for n in range(20):
@@ -121,7 +121,7 @@ def test_what_waits_is_bounded_in_bytes(pair, monkeypatch):
     assert len(received) + pair.outlet.dropped == 21
 
 
-def test_sources_without_number_are_bounded_too(pair, monkeypatch):
+def test_queued_messages_of_many_sources_are_limited(pair, monkeypatch):
     monkeypatch.setattr(outlet, "MAX_MESSAGES", 10)
     for n in range(200):
         pair.outlet.send(bytes([n]) * 1_000_000, f"goal {n}", 1)

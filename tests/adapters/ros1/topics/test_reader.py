@@ -1,4 +1,4 @@
-"""Messages off a TCPROS connection."""
+"""Reading messages from a TCPROS connection."""
 
 import contextlib
 import socket
@@ -17,7 +17,7 @@ from tests.support.wait import until
 
 
 class Connection:
-    """A publisher's end, and a reader at the other one."""
+    """A publisher's end of a connection, and a reader at the other."""
 
     def __init__(self, loop, limit=module.MAX_MESSAGE) -> None:
         listener = socket.create_server(("127.0.0.1", 0))
@@ -48,7 +48,7 @@ class Connection:
         self.over.set()
 
     def finish(self) -> list[bytes]:
-        """All messages, once the publisher has gone."""
+        """Return all messages, once the publisher has disconnected."""
         self.publisher.close()
         assert self.over.wait(40)
         return self.messages
@@ -59,7 +59,7 @@ class Connection:
 
 @pytest.fixture
 def limit():
-    """Bytes of the longest message; a test may override it."""
+    """Size limit of messages in bytes; a test may override it."""
     return module.MAX_MESSAGE
 
 
@@ -90,7 +90,7 @@ SIZES = [
 
 @pytest.mark.parametrize("sizes", SIZES)
 @pytest.mark.parametrize("piece", [1_000_000_000, 1449, 65537])
-def test_whole_messages_in_order(connection, sizes, piece):
+def test_messages_arrive_complete_and_in_order(connection, sizes, piece):
     expected = [bytes([n % 251]) * size for n, size in enumerate(sizes)]
     stream = b"".join(frame(m) for m in expected)
     for at in range(0, len(stream), piece):
@@ -108,7 +108,7 @@ def test_byte_by_byte(connection):
     assert connection.finish() == [b"abc", b"", b"d"]
 
 
-def test_a_message_cut_short_is_not_delivered(connection):
+def test_a_truncated_message_is_not_delivered(connection):
     connection.publisher.sendall(frame(b"whole") + frame(b"x" * 100_000)[:-1])
     assert connection.finish() == [b"whole"]
 
@@ -124,13 +124,13 @@ def test_a_message_that_is_too_long_ends_the_connection(connection, monkeypatch)
 
 @pytest.mark.parametrize("limit", [1000])
 @pytest.mark.parametrize("size", [1001, 70_000, 3_000_000])
-def test_a_message_over_the_limit_is_passed_over(connection, size, limit):
+def test_a_message_over_the_limit_is_skipped(connection, size, limit):
     connection.publisher.sendall(frame(b"before") + frame(b"x" * size) + frame(b"a" * 1000) * 2)
     assert connection.finish() == [b"before", b"a" * 1000, b"a" * 1000]
     assert connection.refusals == [("large", f"message of {size} bytes, limits.message allows 1000")]
 
 
-def test_an_announced_length_alone_takes_no_memory():
+def test_an_announced_length_allocates_no_memory():
     """The publisher announces 500 MB, and sends nothing."""
     code = (
         "import resource, socket, struct\n"
@@ -151,7 +151,7 @@ def test_an_announced_length_alone_takes_no_memory():
     assert done.stdout == "read\n", done.stderr
 
 
-def test_nothing_is_told_after_close(connection):
+def test_nothing_is_reported_after_close(connection):
     connection.reader.close()
     with contextlib.suppress(OSError):
         connection.publisher.sendall(frame(b"late"))
@@ -160,8 +160,8 @@ def test_nothing_is_told_after_close(connection):
     assert connection.messages == []
 
 
-def test_a_message_that_has_not_been_delivered_is_unread(connection):
-    """The order of two connections of one publisher depends on it."""
+def test_an_undelivered_message_is_unread(connection):
+    """The order between two connections of one publisher depends on this."""
     reader, publisher = connection.reader, connection.publisher
     assert not reader.unread
     publisher.sendall(frame(b"one"))
@@ -171,7 +171,7 @@ def test_a_message_that_has_not_been_delivered_is_unread(connection):
     until(lambda: reader.unread and not module._is_readable(reader._sock), "half a message has been read", 40)
     publisher.sendall(frame(b"two")[5:] + frame(b"x" * 100_000)[:50_000])
     until(lambda: not module._is_readable(reader._sock), "half of a large one has been read", 40)
-    until(lambda: connection.messages == [b"one", b"two"], "the other half came", 40)
+    until(lambda: connection.messages == [b"one", b"two"], "the other half has arrived", 40)
     assert reader.unread
     publisher.sendall(frame(b"x" * 100_000)[50_000:])
     until(lambda: len(connection.messages) == 3, "it is delivered", 40)
