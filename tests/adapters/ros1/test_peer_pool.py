@@ -39,8 +39,7 @@ def pool() -> Iterator[PeerPool]:
 
 
 def test_concurrent_requests_to_a_node_are_limited(pool: PeerPool) -> None:
-    """The servers of rospy and roscpp have a backlog of five; a sixth connection is dropped and retried after a
-    second."""
+    """Servers of rospy and roscpp have a backlog of five; a sixth connection is dropped and retried later."""
     talks, others = Talks(), Talks()
     others.go_on.set()
     for _ in range(20):
