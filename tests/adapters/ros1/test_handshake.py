@@ -76,8 +76,8 @@ def trickle(sock):
 
 
 BAD = [
-    (say(struct.pack("<I", MAX_HEADER + 1)), Ros1ProtocolError, "claims 1048577 bytes"),
-    (say(b"HTTP/1.1 400 Bad Request\r\n\r\n"), Ros1ProtocolError, "claims"),
+    (say(struct.pack("<I", MAX_HEADER + 1)), Ros1ProtocolError, "announces 1048577 bytes"),
+    (say(b"HTTP/1.1 400 Bad Request\r\n\r\n"), Ros1ProtocolError, "announces"),
     (say(struct.pack("<I", 5) + b"\xff\xff\xff\xffa"), Ros1ProtocolError, "truncated"),
     (say(encode({"error": "no such topic"})), RefusedError, "no such topic"),
     (say(encode({"md5sum": "1"})), Ros1ProtocolError, "has no type"),
