@@ -1,6 +1,6 @@
 """Services and actions between every pair of sides, through one daemon, with real middlewares on both ends.
 
-``python -m tests.interop.calls_table [--json FILE]`` prints the table; the test beside it does the same.
+``python -m tests.interop.calls_table [--json FILE]`` prints the table; `test_calls_table` does so, too.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ ROS1_KEYS = "zenoh, ros1 plugin"
 JSON = "zenoh, JSON"
 YARP = "YARP RPC"
 HUB = "zenoh, Midspan's module"
-"""zenoh-ros2-sdk has no actions; their end on the hub is what modules of Midspan use. Those of the plugins are bridges
-as they are, see `tests.support.zenoh_programs`."""
+"""zenoh-ros2-sdk has no actions; on the hub they end at the classes that Midspan's modules use. Those of the plugins
+end at bridges, see `tests.support.zenoh_programs`."""
 
 KEYS = {
     ROS1: "ros1", ROS2: "ros2", ZENOH: "zenoh", ROS2DDS: "ros2dds", ROS1_KEYS: "ros1_keys", JSON: "json", YARP: "yarp",
@@ -53,7 +53,7 @@ SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
 @dataclass(frozen=True)
 class Line:
-    """What crossed between two sides, and what did not."""
+    """The results between two sides."""
 
     kind: str
     server: str
@@ -64,18 +64,18 @@ class Line:
 
     @property
     def good(self) -> bool:
-        """Whether all of it crossed."""
+        """Return whether everything crossed."""
         return not self.failed
 
 
 class ServiceSide(Protocol):
-    """A program that serves services and calls them."""
+    """A program that serves and calls services."""
 
     def serve(self, service: str, message: str) -> None:
-        """Answer true, and this text; False is refused where the side can say so."""
+        """Reply true with this text; reject False if the side supports errors."""
 
     def call(self, service: str, *, data: bool) -> dict[str, Any]:
-        """The reply, or {} where there was an error."""
+        """Return the reply, or {} after an error."""
 
 
 class RosServices:
@@ -94,7 +94,7 @@ class RosServices:
 
 
 class YarpServices:
-    """An RPC port that serves, and clients of the ports of the hub's services."""
+    """An RPC port as a server, and clients of the RPC ports of the hub's services."""
 
     def __init__(self, names: NameClient) -> None:
         self._names = names
@@ -112,7 +112,7 @@ class YarpServices:
         return {"success": values[0] == 1, "message": values[1]}
 
     def stop(self) -> None:
-        """Close its ports."""
+        """Close the ports."""
         for port in self._open:
             port.close()
 
@@ -136,17 +136,17 @@ LOOKUP = "tf2_msgs/LookupTransform"
 
 
 def pose(x: float) -> dict[str, Any]:
-    """A stamped pose in the map."""
+    """Return a stamped pose in the map."""
     return {"header": {"frame_id": "map"}, "pose": {"position": {"x": x}, "orientation": {"w": 1.0}}}
 
 
 def place(message: dict[str, Any]) -> tuple[str, float]:
-    """Frame and place of a stamped pose."""
+    """Return frame and position of a stamped pose."""
     return message["header"]["frame_id"], message["pose"]["position"]["x"]
 
 
 class Pair:
-    """An action's server on one side and its client on the other; both know the commands of `tests.support.peer`."""
+    """An action server on one side and its client on the other, both with the commands of `tests.support.peer`."""
 
     def __init__(self, server: tuple[str, Any], client: tuple[str, Any]) -> None:
         self.sides = server[0], client[0]
@@ -154,7 +154,7 @@ class Pair:
         self._of = "_to_".join(name.split()[-1].split("'")[0].lower() for name in self.sides)
 
     def name(self, kind: str) -> str:
-        """An action's name of this pair's own."""
+        """Return a unique action name of this pair."""
         return f"/{self._of}/{kind}"
 
     def act(self, name: str, **more: Any) -> int:
@@ -168,39 +168,40 @@ class Pair:
         return int(self.client.ask("send_goal", **asked)["id"])
 
     def goal(self, goal: int, **wanted: Any) -> dict[str, Any]:
-        """What the client knows of a goal, once these fields are so."""
+        """Return the client's state of a goal, once it has these fields."""
         return self.told(goal, SECONDS, **wanted)
 
     def told(self, goal: int, seconds: float, **wanted: Any) -> dict[str, Any]:
-        """The same with a time limit of one's own."""
+        """Return the client's state of a goal like `goal`, with a given time limit."""
         found: dict[str, Any] = self.client.ask("goal", id=goal, until=wanted, seconds=seconds)
         seen = {k: len(found[k]) if k == "feedback" else found[k] for k in wanted}
         assert seen == wanted, f"{seen}, not {wanted}"
         return found
 
-    # -- what is said --------------------------------------------------------------------------------------------------
+    # -- messages ------------------------------------------------------------------------------------------------------
 
     def type(self, end: int) -> str:
-        """The action's type at the server (0) and at the client (1)."""
+        """Return the action's type at the server (0) and at the client (1)."""
         return TYPES[self.sides[end]]
 
     def sent(self) -> dict[str, Any]:
-        """The client's goal."""
+        """Return the client's goal."""
         return {FIELDS[self.sides[1]][0]: pose(3.5)}
 
     def feedback(self) -> dict[str, Any]:
-        """The server's feedback."""
+        """Return the server's feedback."""
         return {FIELDS[self.sides[0]][1]: pose(1.5)}
 
     def check(self, seen: dict[str, Any], heard: dict[str, Any]) -> None:
-        """The goal that the server saw, and the feedback that the client heard."""
+        """Check the goal that the server received, and the feedback that the client received."""
         assert place(seen[FIELDS[self.sides[0]][0]]) == ("map", 3.5)
         assert place(heard[FIELDS[self.sides[1]][1]]) == ("map", 1.5)
 
-    # -- what is to cross ----------------------------------------------------------------------------------------------
+    # -- parts of an action
+    # ---------------------------------------------------------------------------------------------
 
     def goal_and_result(self) -> None:
-        """A goal, its feedback and its result."""
+        """Send a goal; check its feedback and its result."""
         acting = self.act(self.name("held"), held=True)
         goal = self.send(self.name("held"))
         heard = self.goal(goal, accepted=True, feedback=1)
@@ -210,12 +211,12 @@ class Pair:
         assert self.goal(goal, status=SUCCEEDED)["result"] is not None
 
     def abort(self) -> None:
-        """A goal that the server aborts."""
+        """Send a goal that the server aborts."""
         self.act(self.name("abort"), outcome="abort")
         self.goal(self.send(self.name("abort")), accepted=True, status=ABORTED)
 
     def cancel(self) -> None:
-        """A goal that the client cancels."""
+        """Send a goal and cancel it."""
         self.act(self.name("cancel"), held=True)
         goal = self.send(self.name("cancel"))
         self.goal(goal, accepted=True, feedback=1)
@@ -223,12 +224,12 @@ class Pair:
         self.goal(goal, cancel=[0, 1], status=CANCELED)
 
     def reject(self) -> None:
-        """A goal that the server rejects."""
+        """Send a goal that the server rejects."""
         self.act(self.name("reject"), outcome="reject")
         self.goal(self.send(self.name("reject")), accepted=False, status=0)
 
     def parts(self) -> dict[str, Callable[[], None]]:
-        """All of it, by name."""
+        """Return all checks by name."""
         return {
             "goal, feedback, result": self.goal_and_result,
             "abort": self.abort,
@@ -238,7 +239,7 @@ class Pair:
 
 
 class LookupPair(Pair):
-    """The same with ``tf2_msgs/LookupTransform``, whose feedback has no fields."""
+    """A pair for ``tf2_msgs/LookupTransform``, whose feedback has no fields."""
 
     def type(self, end: int) -> str:  # noqa: ARG002
         return LOOKUP
@@ -254,7 +255,7 @@ class LookupPair(Pair):
 
 
 def table(deployment: Deployment) -> Iterator[Line]:
-    """Start the daemon, and try every pair."""
+    """Start the daemon, and test every pair."""
     names = Address("127.0.0.1", free_port())
     rule = {"service": "/from_yarp", "port": YARP_RPC, "type": "std_srvs/srv/SetBool"}
     yarp = {"nameserver": "embedded", "address": f"{names.host}:{names.port}", "poll": 0.1, "services": [rule]}
@@ -282,7 +283,7 @@ def table(deployment: Deployment) -> Iterator[Line]:
 
 
 def dialects() -> list[dict[str, Any]]:
-    """What the configuration says of the dialects; in JSON it names each service."""
+    """Return the configuration of the dialects, with each service for JSON."""
     names = {f"/from_{key}": "in" if side == JSON else "out" for side, key in KEYS.items()}
     keys = [
         {"key": f"json{name}", "topic": name, "type": "std_srvs/srv/SetBool", "direction": direction}
@@ -292,7 +293,7 @@ def dialects() -> list[dict[str, Any]]:
 
 
 def services(sides: dict[str, ServiceSide]) -> Iterator[Line]:
-    """Each side serves one service, and each other side calls it."""
+    """Let each side serve one service, and each other side call it."""
     for server, side in sides.items():
         side.serve(f"/from_{KEYS[server]}", f"by {server}")
     for server in sides:
@@ -303,7 +304,7 @@ def services(sides: dict[str, ServiceSide]) -> Iterator[Line]:
 
 
 def ask(side: ServiceSide, service: str, server: str) -> None:
-    """Call a service until it is found; the reply is to be its server's."""
+    """Call a service until it is discovered; check that the reply is its server's."""
     end = time.monotonic() + SECONDS
     while True:
         reply: object = "no server"
@@ -318,7 +319,7 @@ def ask(side: ServiceSide, service: str, server: str) -> None:
 
 
 def actions(peers: dict[str, Any]) -> Iterator[Line]:
-    """Each side drives each other's servers."""
+    """Let each side send goals to the servers of all others."""
     for server in peers.items():
         for client in peers.items():
             if client[0] != server[0]:
@@ -327,7 +328,7 @@ def actions(peers: dict[str, Any]) -> Iterator[Line]:
 
 
 def line(kind: str, server: str, client: str, parts: dict[str, Callable[[], None]]) -> Line:
-    """Try what is to cross between two sides."""
+    """Test the parts between two sides."""
     began = time.monotonic()
     passed, failed = [], []
     for name, part in parts.items():
@@ -340,7 +341,7 @@ def line(kind: str, server: str, client: str, parts: dict[str, Callable[[], None
 
 
 def text(lines: list[Line]) -> str:
-    """The table."""
+    """Return the table as text."""
     rows = [("kind", "server", "client", "crossed", "seconds", "failed")]
     rows += [(n.kind, n.server, n.client, n.passed, f"{n.seconds:.2f}", n.failed) for n in lines]
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
@@ -348,7 +349,7 @@ def text(lines: list[Line]) -> str:
 
 
 def main() -> int:
-    """Print the table; 1 where something did not cross."""
+    """Print the table; return 1 if anything did not cross."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the table to this file")
     args = parser.parse_args()

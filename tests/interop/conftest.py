@@ -26,7 +26,7 @@ def running(deployment: Deployment) -> Deployment:
 
 @pytest.fixture(scope="module")
 def of_all_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Deployment]:
-    """One such deployment for a file."""
+    """A running deployment for a file."""
     with Deployment(tmp_path_factory.mktemp("shared")) as made:
         made.start()
         yield made
@@ -34,6 +34,6 @@ def of_all_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Deploymen
 
 @pytest.fixture
 def shared(of_all_tests: Deployment) -> Iterator[Deployment]:
-    """The deployment of the file's tests, which use topics of their own; the programs are this test's."""
+    """The deployment of the file, whose tests use separate topics; programs are stopped after each test."""
     yield of_all_tests
     of_all_tests.stop_programs()

@@ -37,7 +37,7 @@ ANSWER_SECONDS = 5.0
 
 
 class Deployment:
-    """Everything on one machine, started by `midspan run` as a user would."""
+    """Everything on one machine, started by `midspan run` like a user would."""
 
     def __init__(self, folder: Path) -> None:
         for reason in (ROS2, COMPILER):
@@ -174,7 +174,7 @@ class Deployment:
         os.kill(self.daemon.pid, signal.SIGHUP)
 
     def stop_programs(self) -> None:
-        """Stop the programs that a test has started; daemon and master run on for the next test."""
+        """Stop the programs that a test has started; daemon and master keep running for the next test."""
         programs = self._open[self._own :]
         del self._open[self._own :]
         stop_all(programs)

@@ -1,4 +1,4 @@
-"""A program on the hub itself with actions: a module's node, by the commands of `tests.support.peer`."""
+"""A program with actions on the hub: a module's node with the commands of `tests.support.peer`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.support.wait import until
 
 
 class Acting:
-    """An action server: each goal gives its feedback, waits where it is held, and ends as it was told."""
+    """An action server: each goal publishes feedback, waits if held, and ends as configured."""
 
     def __init__(self, node: ModuleNode, params: dict[str, Any]) -> None:
         self._feedback, self._held = params.get("feedback") or [], bool(params.get("held"))
@@ -62,7 +62,7 @@ class Acting:
 
 
 class Sent:
-    """A goal, and what was heard of it."""
+    """A goal, with its received states, feedback and result."""
 
     def __init__(self, node: ModuleNode, params: dict[str, Any]) -> None:
         client = node.action_client(params["action"], full(params["type"]))
@@ -113,7 +113,7 @@ class HubActions:
         self._ends: list[Any] = []
 
     def ask(self, do: str, **params: Any) -> dict[str, Any]:
-        """Carry out a command."""
+        """Execute a command."""
         if do in ("act", "send_goal"):
             self._ends.append((Acting if do == "act" else Sent)(self._node, params))
             return {"id": len(self._ends) - 1}
@@ -133,18 +133,18 @@ class HubActions:
 
 
 def waited(state: Callable[[], dict[str, Any]], wanted: dict[str, Any], seconds: float) -> dict[str, Any]:
-    """What is known of a goal, once these fields are so (of feedback: at least so many) or the time is over."""
+    """Return the state of a goal, once it has these fields (or this much feedback) or the time is over."""
 
     def there() -> bool:
         known = state()
         return all(len(known[k]) >= v if k == "feedback" else known[k] == v for k, v in wanted.items())
 
-    with contextlib.suppress(AssertionError):  # who asks looks at what is there
+    with contextlib.suppress(AssertionError):  # the caller checks the state
         until(there, "the goal's state", seconds)
     return state()
 
 
 def full(name: str) -> str:
-    """``package/Name`` as ROS 2 spells an action's type."""
+    """Return ``package/Name`` in ROS 2's spelling of an action type."""
     package, _, short = name.partition("/")
     return f"{package}/action/{short}"

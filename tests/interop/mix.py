@@ -1,7 +1,7 @@
 """One daemon with a gateway, a client on each side, and one planner after the other; real middlewares on both ends.
 
-The configuration changes the planner while the daemon runs. "ours" is Midspan's RobotPathPlanner over its RobotGoto;
-their robot has no body, so that it is quick. move_base and Nav2 are stand-ins, which drive a base of their side.
+The configuration changes the planner while the daemon runs. "ours" is Midspan's RobotPathPlanner with its RobotGoto;
+their robot has no mass, so that it is fast. move_base and Nav2 are stand-ins, which drive a base of their side.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 
 SPEED, PATIENCE = 2.0, 0.5
-"""Of the stand-ins: m/s, and seconds until a goal that cannot be reached is given up."""
+"""Of the stand-ins: m/s, and seconds until an unreachable goal is aborted."""
 
 QUICK = {
     "max_lin_speed": SPEED,
@@ -55,12 +55,12 @@ QUICK = {
     "ang_speed_gain": 4.0,
     "reaction": 0.1,
 }
-"""Of RobotGoto, whose robot has no weight."""
+"""Of RobotGoto, whose robot has no mass."""
 
 OURS, MOVE_BASE, NAV2 = "ours (RobotPathPlanner)", "move_base (actionlib server)", "Nav2 (ROS 2 action server)"
 IDS = {OURS: "robot_path_planner", MOVE_BASE: "move_base", NAV2: "nav2"}
 OWN = {(MOVE_BASE, ROS1), (NAV2, ROS2)}
-"""Clients that speak to the planner itself: the gateway serves no action there, and pauses none of their goals."""
+"""Clients that use the planner directly: the gateway serves no action there, and does not pause their goals."""
 
 
 class Mix:
@@ -106,7 +106,7 @@ class Mix:
         self._hub.node.subscription("/navigation/status", STATUS, self._on_status, LATCHED)
         self.clients = self._clients()
         self.callers: dict[str, Caller] = {**self.clients, COMMAND: CommandLine(deployment)}
-        """Who can ask for a stop."""
+        """Return the clients that can request a stop."""
 
     @classmethod
     def over(cls, deployment: Deployment, planner: str, **options: Any) -> Self:
@@ -171,7 +171,7 @@ class Mix:
         self._bases[planner] = self.deployment.keep(base)
 
     def choose(self, planner: str) -> None:
-        """Have the gateway use a planner, by the configuration, without a restart."""
+        """Select the gateway's planner in the configuration, without a restart."""
         self.kind = planner
         self.deployment.configure(**self._sections(planner))
         self.deployment.hang_up()
@@ -185,13 +185,13 @@ class Mix:
         return running and workers["gateway"]["planner"] == IDS[planner]
 
     def end(self) -> None:
-        """Stop the planner's programs in good order: ROS's master keeps the names of those that are killed."""
+        """Stop the planner's programs cleanly: the ROS master would keep the names of killed ones."""
         self.planner.stop()
         if self.kind in self._bases:
             self._bases.pop(self.kind).stop()
 
     def recover(self) -> None:
-        """Restart the planner after a fault that went wrong, without goals."""
+        """Restart the planner without goals after a failed fault test."""
         if self._masterless:
             self.restart_ros1()
             return
@@ -204,12 +204,12 @@ class Mix:
         self._masterless = True
 
     def restart(self) -> None:
-        """Start move_base again; ROS's master still has the dead one, so only its output shows that it is up."""
+        """Restart move_base; the ROS master still lists the dead one, so only its output shows that it is up."""
         self.start(MOVE_BASE)
         until(lambda: "ready" in self.planner.output(), "move_base is up again", SECONDS)
 
     def restart_navigator(self) -> None:
-        """Start bt_navigator again; a server of ROS 2 publishes no list before its first goal."""
+        """Restart bt_navigator; a ROS 2 server publishes no status list before its first goal."""
         self.planner.start("bt_navigator")
         until(self.planner.ready, "bt_navigator is up again", SECONDS)
         self.listed = {}
@@ -239,7 +239,7 @@ class Mix:
     # -- the daemon ----------------------------------------------------------------------------------------------------
 
     def pid(self, worker: str) -> int:
-        """Return the process of a worker that is to be killed; `back` waits for all workers that run now."""
+        """Return the process of a worker that will be killed; `back` waits for all workers that are running now."""
         self._pids |= self._processes()
         return self._pids[worker]
 
@@ -247,7 +247,7 @@ class Mix:
         return {str(worker.get("worker")): int(worker["pid"]) for worker in self.deployment.status() if "pid" in worker}
 
     def back(self) -> bool:
-        """Whether all workers run, and the gateway has its planner."""
+        """Return whether all workers are running, and the gateway has its planner."""
         return self._chosen(self.kind) and self._processes().keys() >= self._pids.keys()
 
     def _follow(self, planner: str) -> None:
@@ -266,15 +266,15 @@ class Mix:
         self.statuses.append((time.monotonic(), message))
 
     def driving(self) -> set[bytes]:
-        """The goals that the planner executes."""
+        """Return the goals that the planner executes."""
         return {goal for goal, status in list(self.listed.items()) if not status.ended}
 
     def state(self) -> str:
-        """The gateway's state."""
+        """Return the gateway's state."""
         return self.status()[0]
 
     def status(self) -> tuple[str, str]:
-        """The gateway's state, and its reason."""
+        """Return the gateway's state and its reason."""
         last = self.statuses[-1][1] if self.statuses else {"state": "", "reason": ""}
         return str(last["state"]), str(last["reason"])
 

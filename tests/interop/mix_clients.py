@@ -27,14 +27,14 @@ _ENDS = {4: "succeeded", 5: "canceled", 6: "aborted"}
 _STATUSES = {0: "unknown", 1: "accepted", 2: "executing", 3: "canceling", **_ENDS}
 
 Answer = Callable[[], tuple[float, str] | None]
-"""The answer to a stop or a pause: when it came (monotonic), and "" for success, else the reason. None: not yet."""
+"""The reply to a stop or a pause: its time (monotonic), and "" for success, else the reason. None: not yet."""
 
 
 class Caller(Protocol):
     """A program that stops the robot."""
 
     def ask(self, word: str) -> Answer:
-        """Ask for ``stop``, ``pause`` or ``resume`` without waiting for the answer."""
+        """Request ``stop``, ``pause`` or ``resume`` without waiting for the reply."""
 
 
 class Client(Caller, Protocol):
@@ -81,7 +81,7 @@ class YarpClient:
         assert self._remote.stop_navigation_RPC()
 
     def ask(self, word: str) -> Answer:
-        """Use a second connection: the answer may take a while, and the status is polled meanwhile."""
+        """Use a second connection: the reply may take a while, and the status is polled meanwhile."""
         call = {
             "stop": self._another.stop_navigation_RPC,
             "pause": lambda: self._another.suspend_navigation_RPC(math.inf),
@@ -207,7 +207,7 @@ class ZenohClient:
         self.goal.cancel()
 
     def ask(self, word: str) -> Answer:
-        """Wait on a thread, so that the time of the answer is its own."""
+        """Wait on a thread, to record the time of the reply."""
         answers: list[tuple[float, str]] = []
         call = self._far.call(f"/navigation/{word}", TRIGGER)
 

@@ -1,7 +1,7 @@
-"""What clients see while a part of the path to the planner fails, and stops are asked for meanwhile.
+"""What clients receive while a part of the path to the planner fails, and stops are requested meanwhile.
 
-The measure is the base's own program (`tests.interop.mix_truth`): no client may receive "ok" to a stop, or a state that
-means an end, while the base moves by the planner's doing.
+The reference is the base's own program (`tests.interop.mix_truth`): no client may receive "ok" to a stop, or a state
+that means an end, while the planner moves the base.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ STANDS_SECONDS = 9.0
 """The base stands within this time after a stop that is sent while the planner can be reached."""
 
 LOST_SECONDS = 8.0
-"""An answer that has not come after so long was lost with the gateway."""
+"""A reply that has not arrived after this time was lost with the gateway."""
 
 STOP_AFTER = 0.5
-"""Seconds after a fault at which a stop is asked for."""
+"""Seconds after a fault at which a stop is requested."""
 
 UNCONFIRMED = "may still be moving"
-"""Part of the answer to each stop that is not confirmed."""
+"""Part of the reply to each stop that is not confirmed."""
 
 MAY_MOVE = "aborted, and may still be moving"
 """An end that does not claim that the robot stands."""
@@ -44,15 +44,11 @@ class Fault:
     """A fault.
 
     Attributes:
-        begin: makes it.
-        end: mends it, if the daemon does not.
-        planner: over which it happens.
-        stop_after: seconds until a stop is asked for.
-        client_dies: whether a goal of the planner's own client is lost by it.
-        gateway_dies: whether calls fail for a while.
-        stopped: whether all clients ask for a stop, also of a goal of the planner's own client; else the client that
-            gave the goal does, and the planner's own client cancels its goal later.
-        clients: those that `make mix` tries it with.
+        begin: causes it. end: repairs it, if the daemon does not. planner: the planner in use. stop_after: seconds
+        until a stop is requested. client_dies: whether it loses a goal of the planner's own client. gateway_dies:
+        whether calls fail for a while. stopped: whether all clients request a stop, also of a goal of the planner's own
+    client; otherwise only the goal's client does, and the planner's own client cancels its goal later. clients: those
+    that `make mix` tests it with.
     """
 
     begin: Callable[[Mix], None]
@@ -76,7 +72,7 @@ def _hang(mix: Mix) -> None:
 
 
 def kill_workers(*workers: str) -> Callable[[Mix], None]:
-    """Return a fault's begin that kills workers of the daemon at once."""
+    """Return a `begin` that kills workers of the daemon at once."""
 
     def kill(mix: Mix) -> None:
         for pid in [mix.pid(worker) for worker in workers]:
@@ -121,11 +117,10 @@ class Watch:
 
     Attributes:
         client: whose goal it is; "" for a goal that no client of the mix follows.
-        own: whether it is the planner's own client: the end of its goal is then the planner's word.
-        words: the words that each client received, in order.
-        texts: the gateway's states with their reasons, for people.
-        answers: to the stops, by client: when, and "" or the reason.
-        allowance: seconds that the base may move on after a word of an end.
+        own: whether it is the planner's own client: the end of its goal is then the planner's report. words: the states
+    that each client received, in order. texts: the gateway's states with their reasons, for people. answers: the
+    replies to stops by client: the time, and "" or the reason. allowance: seconds that the base may move after a
+    reported end.
     """
 
     mix: Mix
@@ -147,7 +142,7 @@ class Watch:
             self._note("status", self.began, self.mix.status()[0])
 
     def poll(self) -> None:
-        """Note what clients received since the last time."""
+        """Record what clients have received since the last call."""
         for at, status in self.mix.statuses[self._read :]:
             self._read += 1
             state, reason = str(status["state"]), str(status["reason"])
@@ -184,9 +179,9 @@ class Watch:
             raise AssertionError(f"{err}; {self}") from None
 
     def ask(self, word: str, clients: Sequence[str], *, lost: bool = False) -> None:
-        """Have clients ask for a stop, a pause or a resume, all at once; returns when all have their answers.
+        """Let clients request a stop, a pause or a resume, all at once; return when all have their replies.
 
-        With ``lost``, an answer may be lost with the gateway: rclpy's client waits for it for ever.
+        With ``lost``, a reply may be lost with the gateway: rclpy's client waits for it forever.
         """
         asked = {name: self.mix.callers[name].ask(word) for name in clients}
         end = time.monotonic() + LOST_SECONDS
@@ -204,7 +199,7 @@ class Watch:
                 self.trouble.append(f"{name} received ok to a {word}: {wrong}")
 
     def close(self) -> None:
-        """Check the words so far against what the base did; raises `AssertionError`."""
+        """Compare the received states with the base's motion; raises `AssertionError`."""
         end = time.monotonic()
         for who, words in self.words.items():
             seconds = untrue([word for word in words if word[1] != SILENT], self.base, end)
@@ -230,19 +225,19 @@ class Watch:
 
 
 def start_driving(mix: Mix, client: Client, progress: int = 5) -> None:
-    """Give a client's goal, and wait until the base moves and this many reports of progress have arrived."""
+    """Send a client's goal, and wait until the base moves and this many progress reports have arrived."""
     client.goto(AWAY)
 
     def drives() -> object:
         if client.end() == "canceled":
-            client.goto(AWAY)  # the last stop was of all goals, and reached a planner that was away only now
+            client.goto(AWAY)  # the last stop was for all goals, and reached an unreachable planner only now
         return mix.base.moves and mix.state() == "moving" and client.progress() >= progress
 
     until(drives, "it moves", SECONDS, _POLL)
 
 
 def attempt(mix: Mix, fault: Fault, name: str, watches: list[Watch], *, own: bool) -> str:
-    """Have one client drive until a fault, and return the mark. The watch is added to ``watches``."""
+    """Let one client drive until a fault, and return the mark. The watch is added to ``watches``."""
     client = mix.clients[name]
     start_driving(mix, client)
     watch = Watch(mix, name, own=own)
@@ -265,7 +260,7 @@ def attempt(mix: Mix, fault: Fault, name: str, watches: list[Watch], *, own: boo
 
 
 def _again(mix: Mix, client: Client) -> None:
-    """Drive and cancel as if nothing had happened."""
+    """Drive and cancel as without a fault."""
     client.goto(AWAY)
     until(lambda: mix.base.moves, "it drives again", SECONDS)
     client.cancel()
@@ -273,8 +268,10 @@ def _again(mix: Mix, client: Client) -> None:
 
 
 def _stop(watch: Watch, client: Client, fault: Fault) -> None:
-    """Ask for stops at once; the fault ends after their answers."""
-    callers = (YARP, ROS2, ZENOH) if fault.planner == MOVE_BASE else (YARP, ROS1, ROS2, ZENOH)  # who reaches services
+    """Request stops at once; the fault ends after their replies."""
+    callers = (
+        (YARP, ROS2, ZENOH) if fault.planner == MOVE_BASE else (YARP, ROS1, ROS2, ZENOH)
+    )  # clients that can reach services
     watch.ask("stop", callers if fault.stopped else [watch.client], lost=fault.gateway_dies)
     for name, (_, answer) in watch.answers.items():
         if answer and answer != "not ok":  # YARP has no text
@@ -287,7 +284,7 @@ def _stop(watch: Watch, client: Client, fault: Fault) -> None:
 
 
 def _own(watch: Watch, client: Client, fault: Fault) -> None:
-    """A client of the planner itself sees what it would without Midspan."""
+    """Check that a client of the planner itself sees the same as without Midspan."""
     assert client.end() == "", "its goal ended"
     fault.end(watch.mix)
     if fault.client_dies:

@@ -1,4 +1,4 @@
-"""Clients of every side over planners of every side, by one daemon's gateway, in one table.
+"""Clients on every side with planners on every side, through one daemon's gateway, in one table.
 
 ``python -m tests.interop.mix_table [--json FILE]`` (`make mix`) prints it; `tests.interop.test_mix` checks it.
 """
@@ -25,11 +25,11 @@ from tests.navigation.gateway.rig import pose
 from tests.support.wait import until
 
 NEAR, FAR, NOWHERE = 1.0, 40.0, 999.0
-"""Goals in meters along x: reached soon, not reached for a while, unreachable."""
+"""Goals in meters along x: reached soon, reached late, unreachable."""
 
 PARTS = ("goto", "feedback", "pause", "resume", "cancel", "abort")
 WHY = {OURS: "is outside the map", MOVE_BASE: "Failed to find a valid plan.", NAV2: "no path to the goal"}
-"""Each planner's reason for a goal that cannot be reached."""
+"""Each planner's reason for an unreachable goal."""
 
 ONE_EACH = {
     "planner dies": (YARP,),
@@ -41,16 +41,16 @@ ONE_EACH = {
     "bt_navigator gives up": (ROS2,),
     "bt_navigator dies": (YARP,),
 }
-"""Clients that the test tries each fault with; ``make mix`` tries more."""
+"""Clients that the test uses for each fault; ``make mix`` uses more."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One part of a client's use, over one planner.
+    """One part of a client's use, with one planner.
 
     Attributes:
         seen: ``yes``, ``own`` (it is the planner's own client), or what failed.
-        seconds: its duration; of a fault, how long at most the robot moved on after a word that it stands.
+        seconds: its duration; for a fault, the longest time that the robot still moved after it was reported to stand.
         note: what clients received of a fault.
     """
 
@@ -63,19 +63,19 @@ class Cell:
 
     @property
     def good(self) -> bool:
-        """Whether it is as it should be."""
+        """Return whether the result is as expected."""
         own = (self.planner, self.client) in OWN and self.part in ("pause", "resume", *FAULTS)
         return self.seen == ("own" if own else "yes")
 
 
 class Trials:
-    """What is tried with a `Mix`."""
+    """The tests with a `Mix`."""
 
     def __init__(self, mix: Mix) -> None:
         self.mix = mix
 
     def cells(self, planner: str, name: str) -> Iterator[Cell]:
-        """All parts, by one client."""
+        """Test all parts with one client."""
         client = self.mix.clients[name]
         own = (planner, name) in OWN
         tries: dict[str, Callable[[], str]] = {
@@ -90,7 +90,7 @@ class Trials:
             yield _tried(planner, name, part, tries[part])
 
     def others(self, planner: str) -> Iterator[Cell]:
-        """Goals on topics, a frame that does not exist, and programs that are killed while the robot drives."""
+        """Test goals on topics, an unknown frame, and programs that are killed while the robot drives."""
         tries: dict[str, list[tuple[str, str, Callable[[str, Client], str]]]] = {
             OURS: [
                 ("a goal on /move_base_simple/goal", ROS1, partial(self._publish, "/move_base_simple/goal")),
@@ -107,7 +107,7 @@ class Trials:
             yield _tried(planner, name, part, partial(attempt, planner, self.mix.clients[name]))
 
     def faults(self, planner: str, *, every: bool) -> Iterator[Cell]:
-        """The faults between clients and a planner, each for several clients, or for one."""
+        """Test the faults between clients and a planner, each with several clients, or with one."""
         for part, fault in FAULTS.items():
             if fault.planner != planner:
                 continue
@@ -141,7 +141,7 @@ class Trials:
 
     def _unknown_frame(self, _planner: str, client: Client) -> str:
         assert isinstance(client, RosClient)
-        client.goto(NEAR, frame="nowhere")  # move_base itself would follow it for ever
+        client.goto(NEAR, frame="nowhere")  # move_base itself would follow it forever
         self._ends(client, "aborted", "aborted")
         return "yes"
 
@@ -158,7 +158,7 @@ class Trials:
         until(client.progress, "progress is reported", SECONDS)
         mix.planner.stop(0)
         until(lambda: "not available; waiting for it" in mix.status()[1], "the status gives the reason", SECONDS)
-        assert mix.state() in ("moving", "preparing_before_move"), mix.state()  # no end: it goes on by itself
+        assert mix.state() in ("moving", "preparing_before_move"), mix.state()  # no end: it continues by itself
         assert client.end() == "", f"the client's goal ended: {client.end()}"
         mix.start(planner)
         before = client.progress()
@@ -243,7 +243,7 @@ def _tried(planner: str, client: str, part: str, attempt: Callable[[], str]) -> 
 
 
 def table(deployment: Deployment, *, every: bool = False) -> Iterator[Cell]:
-    """Start the daemon, and try every client over every planner; with ``every``, faults with more clients."""
+    """Start the daemon, and test every client with every planner; with ``every``, faults with more clients."""
     mix = Mix(deployment)
     trials = Trials(mix)
     for planner in IDS:
@@ -257,7 +257,7 @@ def table(deployment: Deployment, *, every: bool = False) -> Iterator[Cell]:
 
 
 def text(cells: list[Cell]) -> str:
-    """Return the tables: clients over planners, and faults by clients."""
+    """Return the tables: clients by planners, and faults by clients."""
     clients = (YARP, ROS1, ROS2, ZENOH)
     seen = {(cell.planner, cell.client, cell.part): cell for cell in cells}
     parts = [("planner", "client", *PARTS)]
@@ -273,8 +273,8 @@ def text(cells: list[Cell]) -> str:
     rows += [f"{c.part} ({c.planner}; {c.client}): {_mark(c)}" for c in cells if c.part not in (*PARTS, *FAULTS)]
     rows += [f"{c.part} ({c.client}): {c.note}" for c in cells if c.note]
     rows += [
-        "own: the planner's own client, whose protocol has no pause; -: not tried",
-        "seconds of a fault: how long at most the robot moved on after a word that it stands",
+        "own: the planner's own client, whose protocol has no pause; -: not tested",
+        "seconds of a fault: the longest time that the robot still moved after it was reported to stand",
     ]
     return "\n".join([*rows, *(f"{c.planner}, {c.client}, {c.part}: {c.seen}" for c in cells if not c.good)])
 
@@ -290,7 +290,7 @@ def _mark(cell: Cell, *, fault: bool = False) -> str:
 
 
 def main() -> int:
-    """Print the table; 1 if anything is not as it should be."""
+    """Print the table; return 1 if any result is not as expected."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the table to this file")
     args = parser.parse_args()

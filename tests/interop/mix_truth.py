@@ -1,4 +1,4 @@
-"""The truth about the robot, from its base's own program, and the check of status words and answers against it."""
+"""The real motion of the robot, from its base's own program, and checks of reported states against it."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from tests.support.ros2 import ros2_environment, ros2_python
 SUPPORT = Path(__file__).parents[1] / "support"
 
 UNTRUE_SECONDS = 0.5
-"""The base must stand within this time after a word that means an end: a planner reports its goal's end and zero
-velocity by different connections. An answer "ok" to a stop or a pause has no such allowance."""
+"""The base must stand within this time after a reported end: a planner reports its goal's end and zero velocity on
+different connections. A reply "ok" to a stop or a pause has no such allowance."""
 
 JERK_SECONDS = 0.3
 """A planner that wakes up may command one more velocity before it receives a stop that was confirmed meanwhile."""
 
 ENDS = {"idle", "goal_reached", "succeeded", "canceled", "aborted", "paused", "error", "failing"}
-"""States after which nobody expects the robot to move."""
+"""States in which the robot is not expected to move."""
 
 PREPARING = "preparing_before_move"
 
 Word = tuple[float, str]
-"""When a word was received (monotonic), and the word."""
+"""The time (monotonic) and the text of a received state."""
 
 
 class Base:
@@ -69,11 +69,11 @@ class Base:
 
     @property
     def moves(self) -> bool:
-        """Whether it moves now."""
+        """Return whether it moves now."""
         return self.moved_at(math.inf)
 
     def moved_at(self, at: float) -> bool:
-        """Whether it moved at a time."""
+        """Return whether it moved at a time."""
         before = [moves for moves, since in self.changes() if since <= at]
         return bool(before) and before[-1]
 
@@ -84,18 +84,18 @@ class Base:
         return next((since for moves, since in self.changes(at) if not moves), math.inf)
 
     def moved(self, begin: float, end: float) -> float:
-        """Return for how many seconds it moved in that time."""
+        """Return for how many seconds it moved in that interval."""
         times = [begin, *(since for _, since in self.changes() if begin < since < end), end]
         spans = itertools.pairwise(times)
         return sum(after - before for before, after in spans if self.moved_at(before))
 
 
 class Nav2:
-    """The stand-ins for Nav2's servers, a process each, as in Nav2.
+    """The stand-ins for Nav2's servers, one process each, as in Nav2.
 
     Args:
         speed: of the robot, m/s.
-        patience: seconds until a goal that cannot be reached is given up.
+        patience: seconds until an unreachable goal is aborted.
         navigator: further options of bt_navigator.
         controller: further options of controller_server.
         lease: environment with the DDS lease, if other than the default.
@@ -126,7 +126,7 @@ class Nav2:
         self.servers[name] = Process([ros2_python(), *self._commands[name]], self._env)
 
     def ready(self) -> bool:
-        """Whether all servers are up."""
+        """Return whether all servers are up."""
         return all("ready" in server.output() for server in self.servers.values())
 
     def kill(self, name: str) -> None:
@@ -135,7 +135,7 @@ class Nav2:
         self.servers[name].popen.wait()
 
     def give_up(self) -> None:
-        """Have bt_navigator abort its goal, as after a late acknowledgment: controller_server drives on."""
+        """Let bt_navigator abort its goal, as after a late acknowledgment: controller_server keeps driving."""
         self.servers["bt_navigator"].signal(signal.SIGUSR1)
 
     def stop(self, seconds: float = 6.0) -> None:
@@ -146,9 +146,9 @@ class Nav2:
 
 
 def untrue(words: Sequence[Word], base: Base, end: float) -> float:
-    """Return for how many seconds at most the robot moved on after a word that it stands, until ``end`` (monotonic).
+    """Return the longest time that the robot still moved after a report that it stands, until ``end`` (monotonic).
 
-    A word of an end counts until the base stood, even if it was withdrawn at once; `PREPARING` while it lasted.
+    A reported end counts until the base stood, even if it was withdrawn at once; `PREPARING` counts while it lasted.
     """
     worst = 0.0
     for (at, word), (until_, _) in itertools.pairwise([*words, (end, "")]):
@@ -169,8 +169,8 @@ def released(output: str, since: float) -> float:
 
 
 def stood(base: Base, at: float) -> str:
-    """Return what is wrong with an answer "ok" at a time, "" if nothing is."""
+    """Return why a reply "ok" at a time is wrong, "" if it is right."""
     if not base.moved_at(at):
         return ""
     later = base.stands_after(at)
-    return f"the base moved, and stood {later - at:.2f} s later" if math.isfinite(later) else "the base moves on"
+    return f"the base moved, and stood {later - at:.2f} s later" if math.isfinite(later) else "the base keeps moving"

@@ -1,6 +1,6 @@
-"""Actions of nodes behind a bridge as zenoh-bridge-ros2dds is, by the commands of `tests.support.peer`.
+"""Actions of nodes behind a bridge like zenoh-bridge-ros2dds, with the commands of `tests.support.peer`.
 
-Their one action is ``tf2_msgs/LookupTransform``, whose feedback has no fields.
+Their only action is ``tf2_msgs/LookupTransform``, whose feedback has no fields.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tests.support.zenoh_services import Calling
 
 
 class Acting:
-    """An action server that takes one goal, and ends it as it was told."""
+    """An action server that accepts one goal, and ends it as configured."""
 
     def __init__(self, bridge: Ros2ddsBridge, params: dict[str, Any]) -> None:
         self._server = ActionServer(bridge, params["action"])
@@ -32,7 +32,9 @@ class Acting:
         if not self._server.send_goal.requests(1, self._seconds):
             return
         self._server.cancel_goal.reply = {"goals_canceling": [{"goal_id": self._server.goal()["goal_id"]}]}
-        until(lambda: self._server.feedback.matching_status.matching, "somebody hears of the goal", self._seconds)  # type: ignore[attr-defined]
+        until(
+            lambda: self._server.feedback.matching_status.matching, "a client has discovered the server", self._seconds
+        )  # type: ignore[attr-defined]
         self._server.report(EXECUTING)
         if not self._held:
             self._end(ABORTED if self._outcome == "abort" else SUCCEEDED)
@@ -44,22 +46,22 @@ class Acting:
             self._server.end(status, "laser")
 
     def goals(self) -> list[dict[str, Any]]:
-        """The goals that came."""
+        """Return the received goals."""
         return [request["goal"] for request in self._server.send_goal.requests()]
 
     def release(self) -> None:
-        """End the goal that is held."""
+        """End the held goal."""
         self._end(SUCCEEDED)
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the network."""
         self._server.close()
         if self._thread is not None:
             self._thread.join(self._seconds)
 
 
 class Sent:
-    """A goal, and what was heard of it."""
+    """A goal, with its received states, feedback and result."""
 
     def __init__(self, bridge: Ros2ddsBridge, number: int, params: dict[str, Any]) -> None:
         self._client = ActionClient(bridge, params["action"])
@@ -68,7 +70,7 @@ class Sent:
         until(lambda: bridge.tokens(params["action"], "AS"), f"{params['action']} is announced", params["seconds"])
 
         def answered() -> Any:
-            """The plugin's client has no reply before the other side's server is there."""
+            """Return the reply; the plugin's client has none before the other side's server exists."""
             return self._client.ask("send_goal", asked).result()["reply"]
 
         reply = until(answered, f"there is a server of {params['action']}", params["seconds"], every=0.1)
@@ -77,11 +79,11 @@ class Sent:
         self._cancelled: Calling | None = None
 
     def cancel(self) -> None:
-        """Ask for the goal's end."""
+        """Request the goal's cancellation."""
         self._cancelled = self._client.ask("cancel_goal", {"goal_info": self._id})
 
     def state(self) -> dict[str, Any]:
-        """What is known."""
+        """Return the state of the goal."""
         ended = None if self._result is None else self._result.result(0)["reply"]
         told = None if self._cancelled is None else self._cancelled.result(0)["reply"]
         return {
@@ -93,7 +95,7 @@ class Sent:
         }
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the network."""
         if self._result is not None:
             self._result.token.cancel()
         self._client.close()
@@ -103,7 +105,7 @@ class Ros2ddsActions:
     """The nodes.
 
     Args:
-        bridge: theirs.
+        bridge: their bridge.
         seconds: how long a server waits for a goal.
     """
 
@@ -112,7 +114,7 @@ class Ros2ddsActions:
         self._ends: list[Any] = []
 
     def ask(self, do: str, **params: Any) -> dict[str, Any]:
-        """Carry out a command."""
+        """Execute a command."""
         if do in ("act", "send_goal"):
             params = {"seconds": self._seconds, **params}
             self._ends.append(
@@ -128,6 +130,6 @@ class Ros2ddsActions:
         return {}
 
     def stop(self) -> None:
-        """Leave."""
+        """Leave the network."""
         for end in self._ends:
             end.close()

@@ -1,4 +1,4 @@
-"""Several daemons: each with a state folder, a name and networks of its own, or shared with others."""
+"""Several daemons, each with its own state folder, name and networks, or with shared networks."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ class Network(Protocol):
     side: str
 
     def settings(self) -> dict[str, Any]:
-        """The side's section of a daemon's configuration."""
+        """Return the side's section of a daemon's configuration."""
 
     def program(self, name: str) -> Peer:
-        """A native program on it."""
+        """Start a native program on it."""
 
     def close(self) -> None:
-        """End it."""
+        """Stop the network."""
 
 
 class Ros1Network:
-    """A roscore of its own."""
+    """A separate roscore."""
 
     side = "ros1"
 
@@ -65,7 +65,7 @@ class Ros1Network:
 
 
 class Ros2Network:
-    """A DDS domain of its own."""
+    """A separate DDS domain."""
 
     side = "ros2"
 
@@ -80,7 +80,7 @@ class Ros2Network:
         return Peer(ROS2_PEER, ros2_python(), env, name)
 
     def close(self) -> None:
-        """A domain lives as long as its participants."""
+        """Do nothing: a domain ends with its participants."""
 
 
 @dataclass
@@ -95,11 +95,11 @@ class Daemon:
     watch: Hub | None = field(default=None, repr=False)
 
     def start(self) -> None:
-        """Start it; does not wait for anything."""
+        """Start it without waiting for its workers."""
         self.process = Process([*MIDSPAN, "run", "--config", self.file], imports=DAEMON)
 
     def status(self, side: str) -> dict[str, Any]:
-        """One of its workers' status."""
+        """Return the status of one of its workers."""
         if self.watch is None:
             settings = HubSettings(router=f"tcp/127.0.0.1:{self.port}", node="watch", shared_memory=False)
             self.watch = Hub.open(settings)
@@ -107,19 +107,19 @@ class Daemon:
         return next((a.value for a in answers if isinstance(a.value, dict) and a.worker == side), {})
 
     def explain(self, side: str, topic: str) -> list[dict[str, Any]]:
-        """What one of its workers decided of a topic."""
+        """Return the decision of one of its workers on a topic."""
         assert self.watch is not None
         answers = self.watch.ask("explain", {"topic": topic}, daemon=self.name, timeout=ANSWER_SECONDS)
         return next((a.value for a in answers if isinstance(a.value, list) and a.worker == side), [])
 
     def processes(self, side: str = "") -> list[psutil.Process]:
-        """Its processes, or those of one worker."""
+        """Return its processes, or those of one worker."""
         assert self.process is not None
         whole = [psutil.Process(self.process.pid), *psutil.Process(self.process.pid).children(recursive=True)]
         return [p for p in whole if not side or p.pid == self.status(side).get("pid")]
 
     def kill(self) -> float:
-        """SIGKILL all of it, the daemon first; the time of it."""
+        """Kill all its processes, the daemon first; return the time."""
         processes = self.processes()
         at = time.monotonic()
         for process in processes:
@@ -131,20 +131,20 @@ class Daemon:
         return at
 
     def signal(self, number: int) -> float:
-        """Send a signal to all of it, the daemon first."""
+        """Send a signal to all its processes, the daemon first."""
         at = time.monotonic()
         for process in self.processes():
             os.kill(process.pid, number)
         return at
 
     def end(self) -> None:
-        """Tell it to stop; `close` waits for that."""
+        """Request its stop; `close` waits for it."""
         if self.process is not None and self.process.popen.poll() is None:
             self.signal(signal.SIGCONT)
             self.process.signal(signal.SIGTERM)
 
     def close(self) -> None:
-        """Stop it."""
+        """Stop it, and wait for its end."""
         if self.watch is not None:
             self.watch.close()
         if self.process is not None:
@@ -162,11 +162,11 @@ class Several:
         self._names = 0
 
     def ros1(self) -> Network:
-        """A new ROS 1 network."""
+        """Start a new ROS 1 network."""
         return self._opened(Ros1Network())
 
     def ros2(self) -> Network:
-        """A new ROS 2 network."""
+        """Return a new ROS 2 network."""
         return self._opened(Ros2Network())
 
     def _opened(self, network: Network) -> Network:
@@ -174,7 +174,7 @@ class Several:
         return network
 
     def daemon(self, name: str, *networks: Network, join: Daemon | None = None, node: str = "midspan") -> Daemon:
-        """A daemon on these networks with a hub of its own; its router joins that of ``join``."""
+        """Return a daemon on these networks with a separate hub; its router joins that of ``join``."""
         folder = self.folder / name
         folder.mkdir()
         port = free_port()
@@ -194,13 +194,13 @@ class Several:
         return made
 
     def _short_folder(self) -> str:
-        """A folder whose name leaves room for a socket's; pytest's own may be too long."""
+        """Return a folder with a path short enough for Unix sockets; pytest's may be too long."""
         folder = tempfile.mkdtemp(prefix="midspan-")
         self._folders.append(folder)
         return folder
 
     def start(self, *daemons: Daemon) -> None:
-        """Start them in the same moment, and wait until each worker has found its part."""
+        """Start them at the same time, and wait until each worker is active or on standby."""
         for daemon in daemons:
             daemon.start()
         try:
@@ -221,7 +221,7 @@ class Several:
         return daemon.status(side).get("state") in ("running", "standby")
 
     def program(self, network: Network) -> Peer:
-        """A native program."""
+        """Start a native program."""
         self._names += 1
         peer = network.program(f"program_{self._names}")
         self._open.append(peer)
@@ -245,7 +245,7 @@ class Several:
 
 
 class Flow:
-    """Numbers from one program to others, counted."""
+    """A stream of numbers from one program to others, which are counted."""
 
     def __init__(self, source: Peer, topic: str, *sinks: Peer, first: int = 0) -> None:
         self.source, self.sinks, self._first = source, sinks, first
@@ -253,40 +253,40 @@ class Flow:
         self._out = source.advertise(topic, STRING, depth=1000, queue=1000)
 
     def until_through(self) -> None:
-        """Publish now and then until each sink has heard something."""
+        """Publish periodically until each sink has received something."""
 
         def through() -> bool:
             self.source.publish(self._out, {"data": str(self._first)})
             self._first += 1
             return all(tally["received"] for tally in self.tallies())
 
-        until(through, "every sink hears the source", 30, every=0.1)
+        until(through, "every sink receives from the source", 30, every=0.1)
 
     def start(self, count: int, rate: float) -> None:
-        """Publish so many numbers, beside whatever else is done."""
+        """Publish ``count`` numbers on a thread."""
         self.source.ask("count", id=self._out, first=self._first, count=count, rate=rate)
         self._first += count
 
     def end(self, *, now: bool = False) -> int:
-        """Wait until all is published; how many."""
+        """Wait until all are published; return their number."""
         return int(self.source.ask("counted", id=self._out, now=now)["sent"])
 
     def tallies(self, since: float = 0.0) -> list[dict[str, Any]]:
-        """What each sink has heard."""
+        """Return what each sink has received."""
         return [s.ask("tally", id=i, since=since) for s, i in zip(self.sinks, self._heard, strict=True)]
 
     def duplicates(self) -> int:
-        """Numbers that any sink has heard more than once."""
+        """Return the numbers that any sink has received more than once."""
         return sum(t["received"] - t["distinct"] for t in self.tallies())
 
     def silence(self, since: float, seconds: float) -> float:
-        """The longest time without a message at any sink, in so many seconds from a moment on."""
-        until(lambda: all(t["last"] > since + seconds for t in self.tallies()), "messages go on", 30, every=0.1)
+        """Return the longest time without a message at any sink, within some seconds from a time on."""
+        until(lambda: all(t["last"] > since + seconds for t in self.tallies()), "messages continue", 30, every=0.1)
         return max(float(t["silence"]) for t in self.tallies(since))
 
 
 def ring(several: Several, *, joined: bool, node: str = "midspan") -> tuple[list[Daemon], list[Network]]:
-    """Two daemons, started in the same moment, that join the same ROS 1 and ROS 2 networks."""
+    """Start two daemons at the same time that join the same ROS 1 and ROS 2 networks."""
     networks = [several.ros1(), several.ros2()]
     first = several.daemon("first", *networks)
     second = several.daemon("second", *networks, join=first if joined else None, node=node)
@@ -295,11 +295,11 @@ def ring(several: Several, *, joined: bool, node: str = "midspan") -> tuple[list
 
 
 def triangle(several: Several, *, joined: bool, node: str = "midspan") -> tuple[list[Daemon], list[Network]]:
-    """Three networks, each two of them joined; by hubs of their own, or by hubs that are joined too."""
+    """Join each two of three networks, by separate hubs, or by hubs that are joined, too."""
     one, two, three = several.ros1(), several.ros2(), several.ros1()
     first = several.daemon("one_two", one, two)
     second = several.daemon("two_three", two, three, join=first if joined else None, node=node)
-    # A daemon joins one ROS 1 network; the third side joins two, by two workers on one hub, as on two machines.
+    # A daemon joins one ROS 1 network; the third link joins two, by two workers on one hub, as on two machines.
     third = several.daemon("one", one, join=first if joined else None)
     fourth = several.daemon("three", three, join=third, node=node)
     daemons = [first, second, third, fourth]
@@ -308,7 +308,7 @@ def triangle(several: Several, *, joined: bool, node: str = "midspan") -> tuple[
 
 
 def flows(several: Several, networks: list[Network]) -> list[Flow]:
-    """From each network to all others, messages through in each."""
+    """Return a flow from each network to all others, once messages cross on each."""
     programs = [several.program(n) for n in networks]
     made = [
         Flow(source, f"/from_{number}", *(p for p in programs if p is not source))
@@ -320,7 +320,7 @@ def flows(several: Several, networks: list[Network]) -> list[Flow]:
 
 
 def pour(made: list[Flow], count: int, rate: float) -> None:
-    """Publish so many numbers on each flow at once, and wait until nothing more comes."""
+    """Publish ``count`` numbers on each flow at once, and wait until nothing more arrives."""
     for flow in made:
         flow.start(count, rate)
     for flow in made:
@@ -329,7 +329,7 @@ def pour(made: list[Flow], count: int, rate: float) -> None:
 
 
 def quiet(made: list[Flow]) -> None:
-    """Wait until nothing comes any more."""
+    """Wait until nothing more arrives."""
     before: list[Any] = []
 
     def still() -> bool:
@@ -338,4 +338,4 @@ def quiet(made: list[Flow]) -> None:
         same, before = now == before, now
         return same
 
-    until(still, "nothing more comes", 60, every=0.7)
+    until(still, "nothing more arrives", 60, every=0.7)

@@ -1,4 +1,4 @@
-"""Squares driven by a program of one side: its commands and what it hears of odometry cross that side alone."""
+"""Squares driven by a program of one side: its commands and odometry cross only that side."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SIDES = 4
 
 
 class Pose(NamedTuple):
-    """Metres, metres, radians."""
+    """Meters, meters, radians."""
 
     x: float
     y: float
@@ -19,22 +19,22 @@ class Pose(NamedTuple):
 
 
 class Program(Protocol):
-    """Who drives."""
+    """The program that drives."""
 
     def command(self, x: float, turn: float) -> None:
         """Command a velocity: m/s, rad/s."""
 
     def pose(self, after_ns: int) -> Pose:
-        """The odometry, stamped at that time or later."""
+        """Return the odometry, stamped at that time or later."""
 
 
 def driven(program: Program, side: float, step: Callable[[], int]) -> Iterator[Pose]:
-    """Drive a square, leg after leg, each closed on odometry; the pose at each corner, as the odometry says it.
+    """Drive a square by odometry, one side after the other; return the odometry's pose at each corner.
 
     Args:
-        program: who drives.
-        side: metres.
-        step: lets a moment pass; the simulation's time after it, nanoseconds.
+        program: the driver.
+        side: meters.
+        step: advances the simulation; returns its time in nanoseconds.
     """
     now = step()
     start = program.pose(now)
@@ -62,7 +62,7 @@ def _ahead(start: Pose, corner: int, side: float) -> tuple[float, float]:
 
 
 def _towards(pose: Pose, heading: float, goal: tuple[float, float] | None) -> tuple[float, float]:
-    """What to command on the way to a point, or to turn to a heading; zero where that is reached."""
+    """Return the command toward a point, or to turn to a heading; zero once that is reached."""
     if goal is None:
         left = math.remainder(heading - pose.theta, 2 * math.pi)
         return (0.0, 0.0) if abs(left) < 0.005 else (0.0, _clipped(2.5 * left, TURN))
@@ -80,7 +80,7 @@ def _clipped(value: float, most: float) -> float:
 
 
 def pose_of(odometry: dict[str, Any]) -> tuple[int, Pose]:
-    """The stamp (nanoseconds) and the pose of a `nav_msgs/Odometry`, whichever side spells its stamp."""
+    """Return the stamp (nanoseconds) and the pose of a `nav_msgs/Odometry` in any side's spelling."""
     stamp, pose = odometry["header"]["stamp"], odometry["pose"]["pose"]
     seconds, nanoseconds = stamp.get("sec", stamp.get("secs")), stamp.get("nanosec", stamp.get("nsecs"))
     theta = 2.0 * math.atan2(pose["orientation"]["z"], pose["orientation"]["w"])

@@ -1,4 +1,4 @@
-"""The shipped allow list at work; the demo runs demo.yaml, and default.yaml changes no default."""
+"""The shipped allow list in use; the demo runs demo.yaml, and default.yaml changes no default."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FILE = Path(__file__).parents[2] / "configs" / "allow_list.yaml"
 STRING, ODOMETRY = "std_msgs/String", "nav_msgs/Odometry"
 
 
-def test_what_is_not_named_does_not_cross(deployment: Deployment) -> None:
+def test_unlisted_topics_do_not_cross(deployment: Deployment) -> None:
     deployment.start(**yaml.safe_load(FILE.read_text()))
     ros1, ros2 = deployment.ros1(), deployment.ros2()
     for sender in (ros1, ros2):

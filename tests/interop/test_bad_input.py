@@ -1,4 +1,4 @@
-"""Bad input from each network is refused with its reason and counted, while a good topic flows beside it."""
+"""Invalid input from each network is refused with a reason and counted, while a valid topic keeps crossing."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LIMIT = 16
 
 
 class Siege:
-    """A deployment, a topic that is to flow whatever happens, and programs that mean no good."""
+    """A deployment, a topic that must always cross, and hostile programs."""
 
     def __init__(self, deployment: Deployment, stack: contextlib.ExitStack) -> None:
         self.deployment, self.stack = deployment, stack
@@ -44,7 +44,7 @@ class Siege:
         self.still_flows()
 
     def still_flows(self) -> None:
-        """One message each way between ROS 1 and ROS 2."""
+        """Check that a message crosses in each direction between ROS 1 and ROS 2."""
         for side, sender, hearer in (("ros1", self.ros1, self.ros2), ("ros2", self.ros2, self.ros1)):
             self._number += 1
             message = {"data": f"good {self._number}"}
@@ -56,12 +56,12 @@ class Siege:
             until(crosses, f"{message} crosses from {side}", 30)
 
     def name(self, word: str) -> str:
-        """A topic's name that no other test has."""
+        """Return a unique topic name."""
         self._names += 1
         return f"/{word}{self._names}"
 
     def route(self, side: str, topic: str, direction: str, **drops: int) -> dict[str, Any]:
-        """The route of a topic, once it has counted so many drops."""
+        """Return the route of a topic, once it has these counts of drops."""
 
         def counted() -> dict[str, Any] | None:
             route = self.deployment.route(side, topic, direction)
@@ -72,12 +72,12 @@ class Siege:
         return found
 
     def refusal(self, topic: str) -> dict[str, Any]:
-        """Why a topic does not cross, once it is told."""
+        """Return why a topic does not cross, once reported."""
         told = lambda: [line for line in self.deployment.explain(topic) if line["decision"] == "refused"]  # noqa: E731
         return until(told, f"{topic} is refused", 30, every=0.1)[0]
 
     def warning(self, topic: str) -> str:
-        """What the ros1 worker says of a topic."""
+        """Return the ros1 worker's warning about a topic."""
         told = lambda: [w for w in self.deployment.worker("ros1").get("warnings", []) if w.startswith(f"{topic}:")]  # noqa: E731
         return str(until(told, f"a warning about {topic}", 30, every=0.1)[0])
 
@@ -95,7 +95,7 @@ class Siege:
             master.unregisterPublisher(node, topic, uri)
 
     def session(self) -> zenoh.Session:
-        """A zenoh session that knows nothing of Midspan."""
+        """Open a plain zenoh session without Midspan."""
         tree = session_tree(f"tcp/127.0.0.1:{self.deployment.port}", shared_memory=False, max_payload=256 * MEGABYTE)
         session = zenoh.open(make_config(tree, None))
         self.stack.callback(session.close)
@@ -111,7 +111,7 @@ def besieged(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Siege]:
 
 @pytest.fixture
 def siege(besieged: Siege) -> Iterator[Siege]:
-    """The good topic flows after each test."""
+    """The deployment; the valid topic must still cross after each test."""
     yield besieged
     besieged.still_flows()
 
@@ -122,7 +122,7 @@ def header(**fields: str) -> bytes:
 
 
 def says(*parts: bytes) -> Callable[[socket.socket], None]:
-    """A publisher that says this to whoever connects, and then nothing."""
+    """Return a publisher that sends this to each subscriber, and then nothing."""
 
     def serve(sock: socket.socket) -> None:
         sock.recv(65536)
@@ -148,21 +148,21 @@ def text(data: str) -> bytes:
     ("said", "why"),
     [
         (b"\xff\xff\xff\xff", "announces 4294967295 bytes"),
-        (struct.pack("<I", 8) + struct.pack("<I", 1000) + b"type", "cut short"),
+        (struct.pack("<I", 8) + struct.pack("<I", 1000) + b"type", "truncated"),
         (struct.pack("<I", 9) + struct.pack("<I", 5) + b"hello", "no '='"),
         (encode({"callerid": "/hostile"}), "has no type"),
         (encode({"error": "go away"}), "go away"),
     ],
     ids=["huge", "field too long", "no equals", "no type", "error"],
 )
-def test_ros1_headers_that_lie(siege: Siege, said: bytes, why: str) -> None:
+def test_invalid_ros1_headers(siege: Siege, said: bytes, why: str) -> None:
     topic = siege.name("header")
     siege.hostile(topic, says(said))
     assert why in siege.warning(topic)
 
 
-def test_ros1_messages_that_lie(siege: Siege) -> None:
-    """The text in the message is longer than the message; nothing follows it; something is left over."""
+def test_invalid_ros1_messages(siege: Siege) -> None:
+    """The text in the message is longer than the message, the message is empty, or bytes are left over."""
     topic = siege.name("lying")
     good = frame(text("good"))
     siege.hostile(
@@ -170,21 +170,21 @@ def test_ros1_messages_that_lie(siege: Siege) -> None:
     )
     route = siege.route("ros1", topic, "in", bad=3)
     assert "std_msgs/String" in route["error"]
-    until(lambda: siege.route("ros1", topic, "in")["messages"] == 1, "the good one behind them crosses")
+    until(lambda: siege.route("ros1", topic, "in")["messages"] == 1, "the valid one after them crosses")
 
 
-def test_a_ros1_length_that_cannot_be(siege: Siege) -> None:
+def test_an_impossible_ros1_length(siege: Siege) -> None:
     topic = siege.name("endless")
     siege.hostile(topic, says(header(), struct.pack("<I", 0xFFFFFFF0) + b"x"))
     assert "4294967280 bytes" in siege.route("ros1", topic, "in", bad=1)["error"]
 
 
-def test_64_megabytes_on_ros1_where_the_limit_says_16(siege: Siege) -> None:
+def test_64_megabytes_on_ros1_with_a_limit_of_16(siege: Siege) -> None:
     topic = siege.name("huge")
     siege.hostile(topic, says(header(), frame(bytes(64 * MEGABYTE)), frame(text("small"))))
     route = siege.route("ros1", topic, "in", large=1)
     assert f"{64 * MEGABYTE} bytes, limits.message allows {LIMIT * MEGABYTE}" in route["error"]
-    until(lambda: siege.route("ros1", topic, "in")["messages"] == 1, "the small one behind it crosses")
+    until(lambda: siege.route("ros1", topic, "in")["messages"] == 1, "the small one after it crosses")
 
 
 LOOP = "=" * 80 + "\nMSG: loop_msgs/Loop\nloop_msgs/Loop again\n"
@@ -211,7 +211,7 @@ LOOP = "=" * 80 + "\nMSG: loop_msgs/Loop\nloop_msgs/Loop again\n"
         "endless name",
     ],
 )
-def test_ros1_types_that_are_none(siege: Siege, fields: dict[str, str], why: str) -> None:
+def test_invalid_ros1_types(siege: Siege, fields: dict[str, str], why: str) -> None:
     topic = siege.name("type")
     siege.hostile(topic, says(header(**fields)))
     line = siege.refusal(topic)
@@ -227,7 +227,7 @@ def test_ros1_names_with_illegal_characters(siege: Siege) -> None:
 
 
 def test_hostile_ros1_subscribers(siege: Siege) -> None:
-    """Raw connections to our node: lying headers, another md5, and one that is admitted and never reads."""
+    """Raw connections to the node: invalid headers, another md5, and one that is admitted and never reads."""
     topic = siege.name("outward")
     heard = siege.ros1.subscribe(topic, STRING)
     out = siege.ros2.advertise(topic, STRING)
@@ -237,7 +237,7 @@ def test_hostile_ros1_subscribers(siege: Siege) -> None:
         siege.ros2.publish(out, {"data": "x" * 100_000})
         return bool(siege.ros1.wait(heard, 1, 0.2))
 
-    until(crosses, "our node publishes", 30)
+    until(crosses, "the node publishes", 30)
     with xmlrpc.client.ServerProxy(siege.deployment.master.uri) as master:
         uri = str(master.lookupNode("/test", "/midspan")[2])  # type: ignore[index]
     with xmlrpc.client.ServerProxy(uri) as node:
@@ -251,16 +251,16 @@ def test_hostile_ros1_subscribers(siege: Siege) -> None:
     ):
         with socket.create_connection((host, int(str(port))), timeout=20) as sock:
             sock.sendall(said)
-            until(lambda sock=sock: sock.recv(65536) == b"", "our node hangs up", 20)  # type: ignore[misc]
+            until(lambda sock=sock: sock.recv(65536) == b"", "the node disconnects", 20)  # type: ignore[misc]
     with socket.create_connection((host, int(str(port)))) as deaf:
         deaf.sendall(encode(ask) + b"\xff" * 1000)
         for number in range(40):
             siege.ros2.publish(out, {"data": f"{number}" + "x" * 400_000})
         seen = lambda: any(m["data"].startswith("39x") for m in siege.ros1.wait(heard, 100_000, 0.2))  # noqa: E731
-        until(seen, "the other subscriber hears all that while", 30)
+        until(seen, "the other subscriber receives messages all the time", 30)
 
 
-def test_hostile_requests_to_our_ros1_node(siege: Siege) -> None:
+def test_hostile_requests_to_the_ros1_node(siege: Siege) -> None:
     with xmlrpc.client.ServerProxy(siege.deployment.master.uri) as master:
         uri = str(master.lookupNode("/test", "/midspan")[2])  # type: ignore[index]
     bomb = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10 if n else "lol"}">' for n in range(10))
@@ -274,7 +274,7 @@ def test_hostile_requests_to_our_ros1_node(siege: Siege) -> None:
         request = urllib.request.Request(uri, body.encode())
         with contextlib.suppress(urllib.error.URLError), urllib.request.urlopen(request, timeout=20) as answer:
             assert b"fault" in answer.read()
-    # 100 GB are announced: told off at once, without a byte of them.
+    # 100 GB are announced: rejected at once, without reading a byte
     host, port = uri.removeprefix("http://").rstrip("/").split(":")
     with socket.create_connection((host, int(port)), timeout=20) as sock:
         sock.sendall(b"POST / HTTP/1.1\r\nContent-Length: 100000000000\r\n\r\n<a>")
@@ -284,18 +284,18 @@ def test_hostile_requests_to_our_ros1_node(siege: Siege) -> None:
 # -- ROS 2 -------------------------------------------------------------------------------------------------------------
 
 
-def test_cdr_that_is_none_on_ros2(siege: Siege) -> None:
-    """Cut short, big-endian, with rubbish behind it, no CDR at all; each from a real rclpy publisher of raw bytes."""
+def test_invalid_cdr_on_ros2(siege: Siege) -> None:
+    """Truncated, big-endian, with trailing bytes, or not CDR; each from a real rclpy publisher of raw bytes."""
     topic = siege.name("raw")
     out = siege.ros2.advertise(topic, STRING)
     heard = siege.zenoh.subscribe(topic, STRING)
     siege.deployment.until_route("ros2", topic, "in")
     good = b"\0\1\0\0" + struct.pack("<I", 5) + b"good\0"
     bad = {
-        "cut short": good[:-3],
+        "truncated": good[:-3],
         "big-endian": b"\0\0\0\0" + struct.pack(">I", 5) + b"good\0",
         "rubbish": good + b"rubbish behind the message",
-        "a length that lies": b"\0\1\0\0\xff\xff\xff\xffgood\0",
+        "an invalid length": b"\0\1\0\0\xff\xff\xff\xffgood\0",
         "no CDR": b'{"a": 1}',
     }  # fmt: skip
     for count, (what, payload) in enumerate(bad.items(), 1):
@@ -304,13 +304,11 @@ def test_cdr_that_is_none_on_ros2(siege: Siege) -> None:
         assert route["drops"]["bad"] == count, what
         assert "std_msgs/msg/String" in route["error"], what
     siege.ros2.ask("publish_raw", id=out, hex=good.hex())
-    until(
-        lambda: siege.zenoh.wait(heard, 1, 0.2) == [{"data": "good"}], "the good one behind them, and it alone, crosses"
-    )
+    until(lambda: siege.zenoh.wait(heard, 1, 0.2) == [{"data": "good"}], "only the valid one after them crosses")
     assert "bad 5" in siege.deployment.command("explain", topic).stdout
 
 
-def test_64_megabytes_on_ros2_where_the_limit_says_16(siege: Siege) -> None:
+def test_64_megabytes_on_ros2_with_a_limit_of_16(siege: Siege) -> None:
     topic = siege.name("raw")
     out = siege.ros2.advertise(topic, STRING)
     siege.deployment.until_route("ros2", topic, "in")
@@ -325,14 +323,14 @@ def test_64_megabytes_on_ros2_where_the_limit_says_16(siege: Siege) -> None:
 # -- zenoh -------------------------------------------------------------------------------------------------------------
 
 
-def test_samples_that_are_none_on_the_hub(siege: Siege) -> None:
-    """No attachment, attachments of nonsense, CDR of nonsense, too large; refused on the way to ROS 1 and to ROS 2."""
+def test_invalid_samples_on_the_hub(siege: Siege) -> None:
+    """Missing and invalid attachments, invalid CDR, too large samples; refused toward ROS 1 and ROS 2."""
     topic = siege.name("hub")
     heard = siege.ros1.subscribe(topic, STRING)
     out = siege.zenoh.advertise(topic, STRING)
     siege.zenoh.hub_publish_until(out, {"data": "probe"}, lambda: siege.ros1.wait(heard, 1, 0.2))
     key = topic_key(0, topic, "std_msgs/msg/String", siege.zenoh.registry.ros2("std_msgs/msg/String").type_id)
-    # blocking: a single one counts, and zenoh drops of the others what a busy machine does not take at once
+    # blocking: each sample counts, and zenoh would drop some on a busy machine
     raw = siege.session().declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
     good = b"\0\1\0\0" + struct.pack("<I", 5) + b"good\0"
     sides = ("ros1", "ros2")
@@ -358,10 +356,10 @@ def test_samples_that_are_none_on_the_hub(siege: Siege) -> None:
     attached = pack_attachment(1, 1, bytes(16))
     refused(lambda: raw.put(huge, attachment=attached), "large", f"{64 * MEGABYTE} bytes")
     siege.zenoh.publish(out, {"data": "good"})
-    until(lambda: {"data": "good"} in siege.ros1.wait(heard, 100_000, 0.2), "a good one crosses")
+    until(lambda: {"data": "good"} in siege.ros1.wait(heard, 100_000, 0.2), "a valid one crosses")
 
 
-def test_tokens_of_nonsense_on_the_hub(siege: Siege) -> None:
+def test_invalid_tokens_on_the_hub(siege: Siege) -> None:
     session = siege.session()
     good = topic_token(siege, "/tokens", "std_msgs::msg::dds_::String_", "RIHS01_" + "ab" * 32)
     tokens = [
@@ -388,15 +386,15 @@ def test_tokens_of_nonsense_on_the_hub(siege: Siege) -> None:
     for token in tokens:
         token.undeclare()  # type: ignore[no-untyped-call]
     gone = lambda: not siege.deployment.explain("/undefined")  # noqa: E731
-    until(gone, "what is gone is forgotten", 20, every=0.1)
+    until(gone, "withdrawn tokens are dropped", 20, every=0.1)
 
 
 def topic_token(siege: Siege, topic: str, dds_type: str, type_hash: str) -> str:
     return f"@ros2_lv/0/{'7' * 32}/0/9/MP/%/%/raw/{topic.replace('/', '%')}/{dds_type}/{type_hash}/::,7:,:,:,,"
 
 
-def test_questions_of_nonsense(siege: Siege) -> None:
-    """The control plane answers each with an error, and the next good one as ever."""
+def test_invalid_control_queries(siege: Siege) -> None:
+    """The control plane replies to each with an error, and to the next valid one as usual."""
     session = siege.session()
     for payload in (
         b"",

@@ -1,4 +1,4 @@
-"""The simulated R1, driven by BaseControl, driven by programs of all sides through the whole daemon, in lock-step."""
+"""The simulated R1 and BaseControl, driven by programs of all sides through the whole daemon, in lock-step."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ SCALE = 0.03
 
 
 class RosLike:
-    """A program whose topics carry ROS's messages.
+    """A program whose topics carry ROS messages.
 
-    With ``hub``, another program there, it goes on when its command has come to the hub: the simulation waits for no
-    commands, and on a busy machine one of real time could come some of its ticks too late.
+    With ``hub``, another program there, it continues when its command has arrived on the hub: the simulation does not
+    wait for commands, which on a busy machine could arrive some ticks too late.
     """
 
     def __init__(self, peer: Any, hub: HubSide | None = None) -> None:
@@ -45,7 +45,7 @@ class RosLike:
         self._last: tuple[int, Pose] = (-1, Pose(0.0, 0.0, 0.0))
 
     def command(self, x: float, turn: float) -> None:
-        # what BaseControl does not drive by has values of its own: a crossing that mixed axes would be seen
+        # unused axes have distinct values, so that swapped axes would be noticed
         linear, angular = {"x": x, "y": 0.5, "z": 0.25}, {"x": 0.125, "y": 0.75, "z": turn}
         self._peer.publish(self._out, {"linear": linear, "angular": angular})
         if self._hub is not None:
@@ -67,15 +67,13 @@ class RosLike:
 
 
 class YarpProgram:
-    """A program that writes to BaseControl's port and reads its odometry, by YARP alone."""
+    """A program that writes to BaseControl's port and reads its odometry, only through YARP."""
 
     def __init__(self, names: NameClient) -> None:
         self._writer = Writer("/square/command:o", naming=names).open()
         self._reader = Reader("/square/odometry:i", naming=names).open()
         connect = connections.connect
-        until(
-            lambda: connections.exists(names, "/baseControl/odometry/odometry:o"), "BaseControl's ports are there", 20
-        )
+        until(lambda: connections.exists(names, "/baseControl/odometry/odometry:o"), "BaseControl's ports exist", 20)
         self._writer.connect("/baseControl/input/command/data:i")
         connect(names, "/baseControl/odometry/odometry:o", "/square/odometry:i")
         self._last = (-1, Pose(0.0, 0.0, 0.0))
@@ -125,22 +123,22 @@ class Robot:
         return reply
 
     def step(self) -> int:
-        """Let a moment pass; the time after it, nanoseconds."""
+        """Advance the simulation; return its time in nanoseconds."""
         reply = self.call(TICK, "base_control")
         assert reply["success"], reply
         self.now = reply["stamp"]["sec"] * 1_000_000_000 + reply["stamp"]["nanosec"]
         return self.now
 
     def truth(self) -> Pose:
-        """Where the robot really is, now."""
+        """Return the robot's true pose now."""
         found: tuple[int, Pose] = (-1, Pose(0.0, 0.0, 0.0))
 
         def current() -> bool:
             nonlocal found
             found = pose_of(self.far.wait(self._truth, 1)[-1])
-            return found[0] > self.now - 30_000_000  # it is told at 50 Hz
+            return found[0] > self.now - 30_000_000  # it is published at 50 Hz
 
-        until(current, "the truth is told", 20)
+        until(current, "the true pose is published", 20)
         return found[1]
 
 
@@ -151,7 +149,7 @@ class _Stopped:
 
 
 def moved(start: Pose, pose: Pose) -> Pose:
-    """A pose as seen from another."""
+    """Return a pose relative to another."""
     dx, dy = pose.x - start.x, pose.y - start.y
     cos, sin = math.cos(start.theta), math.sin(start.theta)
     theta = math.remainder(pose.theta - start.theta, 2 * math.pi)
@@ -162,7 +160,7 @@ CORNERS = ((SIDE, 0.0), (SIDE, SIDE), (0.0, SIDE), (0.0, 0.0))
 
 
 @pytest.mark.thorough
-@pytest.mark.timeout(300)  # some hundred steps, each of which waits for four processes
+@pytest.mark.timeout(300)  # several hundred steps, each of which waits for four processes
 def test_squares_through_every_side(deployment: Deployment) -> None:
     robot = Robot(deployment)
     yarp = deployment.keep(YarpProgram(robot.names))
@@ -184,7 +182,7 @@ def test_squares_through_every_side(deployment: Deployment) -> None:
 
 
 def connected(robot: Robot, program: Program) -> None:
-    """Return when the program's commands move the robot, and its odometry comes; the robot stands still again."""
+    """Wait until the program's commands move the robot and its odometry arrives; the robot stands again afterwards."""
     begin = robot.truth()
 
     def moves() -> bool:
@@ -203,7 +201,7 @@ def connected(robot: Robot, program: Program) -> None:
 
 
 @pytest.mark.thorough
-def test_encoders_with_an_error_tell_odometry_with_that_error(deployment: Deployment) -> None:
+def test_odometry_has_the_error_of_the_encoders(deployment: Deployment) -> None:
     robot = Robot(deployment, encoders={"scale": [SCALE, SCALE]})
     program = RosLike(robot.far)
     connected(robot, program)
@@ -217,7 +215,7 @@ def test_encoders_with_an_error_tell_odometry_with_that_error(deployment: Deploy
 
 
 @pytest.mark.thorough
-def test_the_base_stops_when_the_worker_of_its_commander_is_killed_and_goes_on_with_the_next(
+def test_the_base_stops_when_its_commanders_worker_is_killed_and_resumes_with_the_next(
     deployment: Deployment,
 ) -> None:
     robot = Robot(deployment)
@@ -225,7 +223,7 @@ def test_the_base_stops_when_the_worker_of_its_commander_is_killed_and_goes_on_w
     connected(robot, program)
 
     def goes() -> float:
-        """Metres that the robot comes along in some ticks of commands, the last one."""
+        """Command for some ticks; return how many meters the robot moved in the last one."""
         before = robot.truth()
         for _ in range(3):
             before = robot.truth()
@@ -236,4 +234,4 @@ def test_the_base_stops_when_the_worker_of_its_commander_is_killed_and_goes_on_w
     until(lambda: goes() > 0.1 * TICK, "it drives", 20)
     os.kill(deployment.worker("ros1")["pid"], signal.SIGKILL)
     until(lambda: goes() < 1e-5, "it stands, whatever the program commands", 20)
-    until(lambda: goes() > 0.1 * TICK, "it drives by the next worker", 40)
+    until(lambda: goes() > 0.1 * TICK, "it drives through the next worker", 40)

@@ -1,4 +1,4 @@
-"""The buffer of frames, asked by the real tf2_ros.BufferClient of ROS 1 and by rclpy through the real daemon."""
+"""The buffer server, used by the real tf2_ros.BufferClient of ROS 1 and by rclpy through the real daemon."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SUCCEEDED = 4
 
 @pytest.fixture
 def buffer(running: Deployment) -> Iterator[TransformBuffer]:
-    """What a module serves: map to base moves at 1 m/s for 10 s, base to laser is fixed."""
+    """A module's buffer: map to base moves at 1 m/s for 10 s, base to laser is fixed."""
     loop = EventLoop("tf")
     loop.start()
     hub = Hub.open(running.settings("transform_server"))
@@ -56,7 +56,7 @@ class Ros1:
         assert self._peer.ask("server", seconds=40)["there"], "there is no server"
 
     def lookup(self, target: str, source: str, stamp: int, timeout: float = 0.0, **more: Any) -> tuple[Any, ...]:
-        """The pose, or the error and its text."""
+        """Return the pose, or the error and its text."""
         found = self._peer.ask("lookup", target=target, source=source, stamp=stamp, timeout=timeout, **more)
         return tuple(found["pose"]) if "pose" in found else (found["error"], found["text"])
 
@@ -65,7 +65,7 @@ class Ros1:
 
 
 class Ros2:
-    """rclpy's action client, as tf2_ros.BufferClient of ROS 2 uses it, which has no wheel."""
+    """rclpy's action client, used like in tf2_ros.BufferClient of ROS 2, which has no wheel."""
 
     ERRORS = ("", "LookupException", "ConnectivityException", "ExtrapolationException", "InvalidArgumentException")
 
@@ -73,7 +73,7 @@ class Ros2:
         self._peer = deployment.ros2()
 
     def lookup(self, target: str, source: str, stamp: int, timeout: float = 0.0, **more: Any) -> tuple[Any, ...]:
-        """The pose, or the error and its text."""
+        """Return the pose, or the error and its text."""
         goal = {
             "target_frame": target,
             "source_frame": source,
@@ -105,10 +105,10 @@ def stamp_of(ns: int) -> dict[str, int]:
 
 
 def assert_answers(client: Ros1 | Ros2, buffer: TransformBuffer) -> None:
-    """Everything that a BufferClient can ask."""
+    """Check all lookups of a BufferClient."""
     found = until(
         lambda: (said := client.lookup("map", "laser", START + S // 4)) and len(said) == 8 and said,
-        "a goal goes through: what is sent during discovery may be lost", 60,
+        "a goal arrives: goals during discovery may be lost", 60,
     )  # fmt: skip
     assert found == pytest.approx((START + S // 4, 0.25, 2, 0, 0, 0, 0.6, 0.8))
     full = client.lookup("base", "base", START, target_stamp=START + S, fixed="map")

@@ -1,4 +1,4 @@
-"""Many nodes join one side at once, as a fleet's programs do after a restart (zenoh-plugin-ros2dds #690)."""
+"""Many nodes join one side at once, like a fleet's programs after a restart (zenoh-plugin-ros2dds #690)."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ pytestmark = [pytest.mark.long, pytest.mark.alone, pytest.mark.timeout(300)]
 STRING, TF = "std_msgs/String", "tf2_msgs/TFMessage"
 NODES, PUBLISHED, SUBSCRIBED = 13, 8, 7
 SECONDS = 90.0
-"""Within them everything arrives, on a machine that is so busy that links have to be made again."""
+"""Seconds within which everything arrives, on a machine so busy that links have to be restored."""
 
 PAUSE = 1.0
-"""Seconds that /tf may pause on its way between two sides."""
+"""Seconds that /tf may pause between two sides."""
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def join(make: Callable[[], Any], topics: str) -> Joined:
 
 
 class Transforms:
-    """``/tf`` from a rospy program to an rclpy program, and to another rospy program, for pauses of the machine."""
+    """``/tf`` from a rospy to an rclpy program, and to another rospy program to measure pauses of the machine."""
 
     def __init__(self, site: Deployment) -> None:
         self._sender, self._across, self._beside = site.ros1(), site.ros2(), site.ros1()
@@ -74,7 +74,7 @@ class Transforms:
         until(lambda: all(last > since for last, _ in self._arrivals(since)), "transforms arrive", every=0.1)
 
     def pauses(self, since: float) -> tuple[float, float]:
-        """Return the longest pause since a time, across and beside."""
+        """Return the longest pauses since a time, across the bridge and within ROS 1."""
         (_, across), (_, beside) = self._arrivals(since)
         return across, beside
 
@@ -85,7 +85,7 @@ class Transforms:
 
 
 @pytest.mark.parametrize("side", ["ros1", "ros2", "yarp", "zenoh"])
-def test_every_route_stands_after_a_burst_and_tf_goes_on(
+def test_all_routes_work_after_a_burst_and_tf_continues(
     site: tuple[Deployment, Names], tmp_path: Path, side: str
 ) -> None:
     deployment, names = site

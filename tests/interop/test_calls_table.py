@@ -1,4 +1,4 @@
-"""Every pair of sides for services and actions, both ways, in one table, which is printed at the end of the run."""
+"""Services and actions between every pair of sides in both directions; the table is printed at the end of the run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`clock.source` by a reload, with a real master; and simulated time for which nobody publishes `/clock`."""
+"""`clock.source` changed by a reload, with a real master; and simulated time without a publisher of `/clock`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ CLOCK, NOBODY = "rosgraph_msgs/Clock", "no message on /clock"
 
 
 def simulated(running: Deployment) -> bool:
-    """Whether the ROS 1 worker has joined with simulated time, and has set the parameter on the master."""
+    """Return whether the ROS 1 worker has joined with simulated time, and has set the parameter on the master."""
     joined = running.worker("ros1").get("state") == "running"
     return joined and any(name == "/use_sim_time" for name in running.master.parameters())
 
@@ -54,7 +54,7 @@ def test_simulated_time_begins_and_ends_by_a_reload(running: Deployment) -> None
     running.configure()
     running.hang_up()
     until(
-        lambda: running.worker("ros1").get("pid") not in {None, after["ros1"]} and running.joined(), "they start again",
+        lambda: running.worker("ros1").get("pid") not in {None, after["ros1"]} and running.joined(), "they restart",
         40, every=0.1,
     )  # fmt: skip
     assert "set clock.source to sim, or the parameter to false" in str(running.worker("ros1")["warnings"])

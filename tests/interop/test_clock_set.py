@@ -38,7 +38,7 @@ class ShiftedChain(Chain):
         begin = self.truth
         assert begin is not None
         moved = lambda: math.dist((self.truth.x, self.truth.y), (begin.x, begin.y)) > meters  # type: ignore[union-attr]  # noqa: E731
-        until(moved, "the robot drives on", seconds)
+        until(moved, "the robot keeps driving", seconds)
 
 
 @pytest.mark.alone
@@ -50,7 +50,7 @@ class ShiftedChain(Chain):
         pytest.param((4200, 4198), id="10 min forward, 2 s back", marks=pytest.mark.thorough),
     ],
 )
-def test_the_robot_drives_on(tmp_path: Path, shifts: tuple[int, ...]) -> None:
+def test_the_robot_keeps_driving(tmp_path: Path, shifts: tuple[int, ...]) -> None:
     with ShiftedChain(tmp_path, sim={"people": False}) as chain:
         chain.start()
         asked = chain.goto("kitchen")

@@ -1,4 +1,4 @@
-"""Real Cyclone DDS programs and the real daemon: each caller of their services gets the reason at once."""
+"""Real Cyclone DDS programs and the real daemon: each client of their services receives the reason at once."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def session_config(deployment: Deployment) -> zenoh.Config:
 
 
 def until_refused(deployment: Deployment, name: str, direction: str = "in") -> dict[str, Any]:
-    """The decision on a name that Cyclone DDS serves or calls."""
+    """Return the decision on a name that Cyclone DDS serves or calls."""
 
     def found() -> dict[str, Any] | None:
         lines = [line for line in deployment.explain(name) if (line["topic"], line["direction"]) == (name, direction)]
@@ -129,7 +129,7 @@ def test_yarp_and_json_clients_of_cyclone_dds(shared: Deployment) -> None:
         def asked() -> list[zenoh.Reply]:
             return list(session.get("json/lamp", payload=json.dumps({"data": True}), timeout=AT_ONCE))
 
-        (reply,) = until(asked, "an answer", 20)
+        (reply,) = until(asked, "a reply", 20)
     assert reply.err is not None
     assert "Cyclone DDS" in reply.err.payload.to_string()
     assert native.requests(server) == []
@@ -178,7 +178,7 @@ def test_halt_reports_what_it_cannot_cancel(shared: Deployment) -> None:
 
 
 def test_zenoh_clients_of_a_refused_action_get_error_and_refusal(shared: Deployment) -> None:
-    """A client of rmw_zenoh logs an error reply and goes on waiting; the refusal ends its call."""
+    """A client of rmw_zenoh logs an error reply and keeps waiting; the rejecting response ends its call."""
     native = cyclone(shared)
     servers = native.act("/cyclone_zenoh", ACTION)
     until_refused(shared, "/cyclone_zenoh/_action/send_goal")

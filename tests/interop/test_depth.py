@@ -1,4 +1,4 @@
-"""The simulator's depth camera by real rospy and rclpy programs, and by a YARP reader of the robot's own port."""
+"""The simulator's depth camera, read by real rospy and rclpy programs, and by a YARP reader of the robot's port."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ AHEAD = 9.95 - 0.5 - 0.1
 
 
 @pytest.mark.thorough
-def test_every_side_sees_how_far_the_wall_is(tmp_path: Path) -> None:
+def test_every_side_receives_the_distance_of_the_wall(tmp_path: Path) -> None:
     names = Names()
     camera = {"rate": 5.0, "width": 32, "height": 24, "noise": 0.0, "pitch": 0.0}
     try:
@@ -47,7 +47,7 @@ def test_every_side_sees_how_far_the_wall_is(tmp_path: Path) -> None:
             told = {one["child_frame_id"] for one in rclpy.wait(frames, 1, 40)[-1]["transforms"]}
             assert told >= {messages.CAMERA_FRAME, messages.OPTICAL_FRAME}
             port = "/cer/depthCamera/depthImage:o"
-            until(lambda: connections.exists(names.client, port), "the robot's port is there", 40)
+            until(lambda: connections.exists(names.client, port), "the robot's port exists", 40)
             with Reader("/test/depth:i", naming=names.client) as reader:
                 connections.connect(names.client, port, "/test/depth:i")
                 received = until(reader.read_now, "a picture", 40)
@@ -60,6 +60,6 @@ def test_every_side_sees_how_far_the_wall_is(tmp_path: Path) -> None:
 
 
 def array(data: Any, kind: str) -> np.ndarray:
-    """Bytes of a message, however a peer writes them."""
+    """Return the array in a message, in any peer's spelling."""
     raw = base64.b64decode(data) if isinstance(data, str) else bytes(data)
     return np.frombuffer(raw, kind)

@@ -1,7 +1,7 @@
 """`midspan doctor` is all OK for each documented configuration, with the middlewares and programs that it names.
 
 If a program is not started yet, doctor names it, and nothing fails. One roscore and one ROS domain serve the whole
-file. Checks of the machine (compiler, shared memory, clock) are left out: they do not depend on the configuration.
+file. Checks of the machine (compiler, shared memory, clock) are excluded: they do not depend on the configuration.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ VOLATILE = ("daemon", "types", "type-hash", "keys")
 
 ALL_CHECKS = frozenset(check.id for check in CHECKS) - MACHINE_CHECKS
 MOST = ALL_CHECKS - {"two-bridges"}
-"""Without the check that listens for 5 s; its result is the same in most deployments."""
+"""Without the check that takes 5 s; its result is the same in most deployments."""
 
 NO_WORKER = {Phase.OFF.value, Phase.UNAVAILABLE.value}
 OF_MODULES = "modules"
@@ -95,7 +95,7 @@ class Fresh:
         self.stack.enter_context(Reader("/baseControl/control:i", naming=self.names))
 
     def is_up(self) -> bool:
-        """Whether all enabled workers and hosted modules answer."""
+        """Return whether all enabled workers and hosted modules respond."""
         config = load(self.file)
         status = ask_daemon(config)
         if status is None:
@@ -103,7 +103,7 @@ class Fresh:
         workers = {worker["worker"] for worker in status["workers"] if worker["phase"] not in NO_WORKER}
         wanted = {f"{config.name}/{name}" for name in {*workers, *config.hosted} - {OF_MODULES}}
         answered = {f["seen"].partition(" ")[0] for f in self.doctor("daemon")}
-        return all(any(node.startswith(name) for node in answered) for name in wanted)  # one zenoh node a dialect
+        return all(any(node.startswith(name) for node in answered) for name in wanted)  # one zenoh node per dialect
 
     def doctor(self, *only: str) -> list[dict[str, str]]:
         """Return the findings of these checks."""
@@ -144,7 +144,7 @@ def in_configs(store: Config) -> Config:
 
 
 def matches(problems: list[str], patterns: tuple[str, ...]) -> bool:
-    """Whether the problems are warnings, one for each pattern."""
+    """Return whether the problems are warnings, one for each pattern."""
     return len(problems) == len(patterns) and all(
         any(line.startswith("warn ") and re.search(pattern, line) for line in problems) for pattern in patterns
     )
@@ -213,7 +213,7 @@ def test_the_pages_combined(fresh: Begin) -> None:
     fresh(from_pages()).until_all_is_well(ALL_CHECKS)
 
 
-def test_map_server_beside_map2d_server(fresh: Begin) -> None:
+def test_map_server_and_map2d_server_together(fresh: Begin) -> None:
     site = fresh(from_file("ros_map_server.yaml"))
     site.until_it_waits(
         "localization_server waits: waiting for a map on /map",

@@ -25,7 +25,7 @@ MOUNT[:3, 3] = 0.5, 0.25, 1.0
 
 
 class Speaker:
-    """A ROS program that says where a frame is, and where another is mounted on it."""
+    """A ROS program that publishes a frame, and another one that is mounted on it."""
 
     def __init__(self, peer: Peer, words: tuple[str, str], parent: str, child: str, mounted: str, x: float) -> None:
         self.peer, self.words, self.parent, self.child, self.x = peer, words, parent, child, x
@@ -70,14 +70,14 @@ PARTS = (("translation", "xyz"), ("rotation", "xyzw"))
 
 
 def stamped(words: tuple[str, str], parent: str, child: str, x: float) -> dict[str, Any]:
-    """A frame that is so far ahead, and turned by 90 degrees to the left."""
+    """Return a frame at distance ``x`` ahead, turned by 90 degrees to the left."""
     stamp = dict(zip(words, divmod(time.time_ns(), 10**9), strict=True))
     half = 0.5**0.5
     pose = {"translation": {"x": x, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": half, "w": half}}
     return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": pose}
 
 
-def test_a_chain_from_three_sides_is_the_same_for_all(deployment: Deployment) -> None:
+def test_a_chain_of_frames_from_three_sides_is_the_same_on_all(deployment: Deployment) -> None:
     number = free_port()
     deployment.start(
         yarp={"address": f"127.0.0.1:{number}", "nameserver": "embedded", "poll": 0.1},
@@ -85,7 +85,7 @@ def test_a_chain_from_three_sides_is_the_same_for_all(deployment: Deployment) ->
     )
     names = NameClient(Address("127.0.0.1", number))
     ports = "/frameTransformServer/frameTransformGet_nws_yarp/tf:o"
-    until(lambda: named(names, ports), "the server's ports are there", 40, 0.2)
+    until(lambda: named(names, ports), "the server's ports exist", 40, 0.2)
     speakers = (
         Speaker(deployment.ros1(), ("secs", "nsecs"), "map", "odom", "beacon", 2.0),
         Speaker(deployment.ros2(), ("sec", "nanosec"), "odom", "base", "bumper", 3.0),
@@ -106,7 +106,7 @@ def test_a_chain_from_three_sides_is_the_same_for_all(deployment: Deployment) ->
                 np.testing.assert_allclose(found.translation, want[:3, 3], atol=1e-9)
                 until(
                     lambda one=listener: all(one.look("map", n) for n in ("beacon", "bumper")),
-                    "and all mounts",
+                    "and all mounted frames",
                     60,
                     0.1,
                 )

@@ -1,4 +1,4 @@
-"""Imported configurations at work: real programs, and the examples of the bridges' own documentation."""
+"""Imported configurations in use: real programs, and the examples of the bridges' own documentation."""
 
 from __future__ import annotations
 
@@ -112,18 +112,18 @@ def test_the_example_of_ros1_bridge(deployment: Deployment, tmp_path: Path) -> N
     assert ros2.wait(late, 1)[0]["transforms"][0]["child_frame_id"] == "laser"
     for server, client, service in ((ros1, ros2, "/lamp"), (ros2, ros1, "/door")):
         served(server, client, service, service)
-    # a service crosses one way only
+    # a service crosses in one direction only
     for server, service in ((ros1, "/gate"), (ros2, "/add_two_ints")):
         server.ask("serve", service=service, type=SERVICE)
         until(lambda name=service: "no rule allows it" in str(deployment.explain(name)), f"{service} is refused", 20)
-    # what the file does not name stays
+    # unlisted topics do not cross
     ros1.advertise("/other", STRING)
     until(lambda: "no rule allows it" in str(deployment.explain("/other")), "the other is decided on", 20)
     assert deployment.route("ros1", "/other", "in") is None
 
 
 def served(server: Peer, client: Peer, name: str, called: str) -> None:
-    """A server replies to a client that calls it by another name."""
+    """Check that a server replies to a client that calls it by another name."""
     reply = {"success": True, "message": name}
     server.ask("serve", service=name, type=SERVICE, reply=reply)
 
@@ -155,7 +155,7 @@ class TwoDomains:
             until(lambda d=daemon: "ready: " in d.output(), "the daemon is ready", 40)
 
     def program(self, index: int) -> Peer:
-        """A real rclpy program in one of the domains."""
+        """Start a real rclpy program in one of the domains."""
         env = ros2_environment(ROS_DOMAIN_ID=str(self.domains[index]))
         peer = Peer(ROS2_PEER, ros2_python(), env, f"program_{index}")
         self.open.append(peer)
@@ -164,7 +164,7 @@ class TwoDomains:
 
 @pytest.fixture
 def two_domains(tmp_path: Path) -> Iterator[TwoDomains]:
-    """An imported domain bridge at work."""
+    """An imported domain bridge in use."""
     made = TwoDomains(tmp_path)
     yield made
     for process in reversed(made.open):
@@ -182,7 +182,7 @@ def test_a_domain_bridge(two_domains: TwoDomains) -> None:
     for sender, hearer in ((first, second), (second, first)):
         heard = hearer.subscribe("/both", STRING)
         out = sender.advertise("/both", STRING)
-        assert cross(sender, out, hearer, heard, {"data": "both ways"}) == {"data": "both ways"}
+        assert cross(sender, out, hearer, heard, {"data": "both directions"}) == {"data": "both directions"}
     second.publish(second.advertise("/latched", STRING, latched=True), {"data": "kept"})
     heard = first.subscribe("/latched", STRING, latched=True)
     assert first.wait(heard, 1) == [{"data": "kept"}]
@@ -193,6 +193,6 @@ def test_a_domain_bridge(two_domains: TwoDomains) -> None:
     second.ask("act", action="/go", type=ACTION)
     goal = first.ask("send_goal", action="/go", type=ACTION, goal={"behavior_tree": "x"}, seconds=40.0)["id"]
     assert first.ask("goal", id=goal, until={"status": 4}, seconds=40.0)["accepted"]
-    # one copy of each, although each daemon sees the other
+    # one copy of each, although the daemons discover each other
     topics = second.graph()["topics"]
     assert [name for name in topics if "domain" in name] == []

@@ -1,4 +1,4 @@
-"""The daemon's life: reload, restart of its parts, clean stop, what a stopped worker must not replay."""
+"""The daemon's life cycle: reload, clean stop, and commands that a suspended worker must not replay."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STRING = "std_msgs/String"
 TWIST = "geometry_msgs/Twist"
 
 
-def test_hangup_with_a_good_and_with_a_broken_file(running: Deployment) -> None:
+def test_reload_with_a_valid_and_with_an_invalid_file(running: Deployment) -> None:
     ros1, ros2 = running.ros1(), running.ros2()
     heard = ros2.subscribe("/kept", STRING)
     out = ros1.advertise("/kept", STRING)
@@ -57,21 +57,21 @@ def test_a_clean_stop_leaves_nothing_on_the_master(running: Deployment) -> None:
 
 
 @pytest.mark.thorough
-def test_commands_that_piled_up_before_a_stopped_worker_are_dropped(running: Deployment) -> None:
+def test_commands_queued_for_a_suspended_worker_are_dropped(running: Deployment) -> None:
     ros1, ros2 = running.ros1(), running.ros2()
     heard = ros1.subscribe("/cmd_vel", TWIST)
     out = ros2.advertise("/cmd_vel", TWIST, depth=100)
     cross(ros2, out, ros1, heard, twist(0.1))
-    if LANE:  # where commands may wait in the socket of the worker that stands still
-        until(lambda: (running.route("ros1", "/cmd_vel", "out") or {}).get("way") == "lane", "commands go by the lane")
+    if LANE:  # commands may wait in the socket of the suspended worker
+        until(lambda: (running.route("ros1", "/cmd_vel", "out") or {}).get("way") == "lane", "commands use the lane")
     for side in ("ros2", "ros1"):
         pid = running.worker(side)["pid"]
         before = len(ros1.wait(heard, 0, 0))
         os.kill(pid, signal.SIGSTOP)
-        until(lambda pid=pid: is_stopped(pid), f"{side} stands still")
+        until(lambda pid=pid: is_stopped(pid), f"{side} is suspended")
         for _ in range(10):
             ros2.publish(out, twist(9.0))
-        # The commands must have grown old when the worker goes on.
+        # the commands must be stale when the worker resumes
         assert not [m for m in ros1.wait(heard, 10_000, 1.5)[before:] if m["linear"]["x"] == 9.0], side
         os.kill(pid, signal.SIGCONT)
 
@@ -79,10 +79,10 @@ def test_commands_that_piled_up_before_a_stopped_worker_are_dropped(running: Dep
             ros2.publish(out, twist(0.2))
             return any(m["linear"]["x"] == 0.2 for m in ros1.wait(heard, 0, 0)[before:])
 
-        until(fresh, f"fresh commands cross after {side} goes on", 20)
+        until(fresh, f"new commands cross after {side} resumes", 20)
         assert not [m for m in ros1.wait(heard, 0, 0)[before:] if m["linear"]["x"] == 9.0], side
 
 
 def twist(x: float) -> dict:
-    """A forward speed."""
+    """Return a Twist with this forward speed."""
     return {"linear": {"x": x, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}

@@ -1,4 +1,4 @@
-"""A thousand topics cross within the limits that the daemon sets itself."""
+"""A thousand topics cross within the daemon's own limits."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_a_thousand_topics(running: Deployment) -> None:
         ros1.publish(number, {"data": f"message {number}"})
 
     def crossed(side: str) -> int:
-        routes = running.worker(side).get("routes", [])  # one that is busy may not answer in time
+        routes = running.worker(side).get("routes", [])  # a busy worker may not respond in time
         return sum(1 for r in routes if r["topic"].startswith("/many/") and r["messages"] >= 1)
 
     for side in ("ros1", "ros2"):

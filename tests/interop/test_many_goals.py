@@ -1,4 +1,4 @@
-"""A thousand goals at once through one bridge: each ends in the state that its server gave it."""
+"""A thousand concurrent goals through one bridge: each ends in the state that its server reports."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ SECONDS = 60.0
 OUTCOMES = {"succeed": SUCCEEDED, "abort": ABORTED, "cancel": CANCELED, "reject": 0}
 
 
-def test_a_thousand_goals_at_once_end_as_their_servers_say(running: Deployment) -> None:
+def test_a_thousand_concurrent_goals_end_as_their_servers_report(running: Deployment) -> None:
     peers = {ROS1: running.ros1(), ROS2: running.ros2()}
-    for end in ("client", "server"):  # what actionlib itself queues by default is 10 and 50
+    for end in ("client", "server"):  # actionlib's default queues are 10 and 50
         peers[ROS1].ask("set_param", name=f"/actionlib_{end}_pub_queue_size", value=GOALS)
     for server, client in ((ROS1, ROS2), (ROS2, ROS1)):
         assert_all_end(Pair((server, peers[server]), (client, peers[client])))
 
 
 def assert_all_end(pair: Pair) -> None:
-    """All goals are under way before the first one ends."""
+    """Check that all goals end; all are executing before the first one ends."""
     acting = {o: pair.act(pair.name(o), held=True, outcome=o, depth=GOALS) for o in OUTCOMES}
     goals = {outcome: list[int]() for outcome in OUTCOMES}
     for _ in range(GOALS // len(OUTCOMES)):
@@ -34,7 +34,9 @@ def assert_all_end(pair: Pair) -> None:
     for outcome, sent in goals.items():
         for goal in sent:
             found = pair.told(goal, SECONDS, accepted=outcome != "reject")
-            assert found["ends"] == int(pair.sides[1] == ROS1 and outcome == "reject")  # to actionlib that is an end
+            assert found["ends"] == int(
+                pair.sides[1] == ROS1 and outcome == "reject"
+            )  # for actionlib that is a final state
     for goal in goals["cancel"]:
         pair.client.ask("cancel", id=goal)
     for outcome in ("succeed", "abort"):

@@ -1,4 +1,4 @@
-"""A real rclpy program publishes a cloud, rospy hears the layer and saves it, and rclpy gets the map of the store."""
+"""A real rclpy program publishes a cloud, rospy receives and saves the layer, and rclpy gets the stored map."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_cloud_of_ros2_is_a_layer_on_ros1(deployment: Deployment) -> None:
 
 
 def value(message: dict[str, Any], x: float, y: float) -> int:
-    """A cell of a layer; -1 beyond it."""
+    """Return a cell of a layer; -1 outside of it."""
     info, origin = message["info"], message["info"]["origin"]["position"]
     column, row = int((x - origin["x"]) / info["resolution"]), int((y - origin["y"]) / info["resolution"])
     inside = 0 <= column < info["width"] and 0 <= row < info["height"]

@@ -21,7 +21,7 @@ from yarp_compat.pythonic import Client
 GRID = "nav_msgs/OccupancyGrid"
 
 
-def test_every_side_hears_at_once_what_another_changed(deployment: Deployment) -> None:
+def test_changes_of_one_side_reach_all_others_at_once(deployment: Deployment) -> None:
     number = free_port()
     deployment.start(
         yarp={"address": f"127.0.0.1:{number}", "nameserver": "embedded", "poll": 0.1},
@@ -34,7 +34,7 @@ def test_every_side_hears_at_once_what_another_changed(deployment: Deployment) -
         def current() -> str:
             return str(words.ask(["current"], timeout=30)[0])
 
-        # YARP writes: both worlds of ROS hear it, early and late
+        # YARP writes: both ROS versions receive it, early and late
         ros1, ros2 = deployment.ros1(), deployment.ros2()
         on_ros1 = ros1.subscribe("/map", GRID)
         on_ros2, mask = (
@@ -46,7 +46,7 @@ def test_every_side_hears_at_once_what_another_changed(deployment: Deployment) -
         assert words.ask(["use", "office"], timeout=30) == ["ok"]
         for peer, heard in ((ros1, on_ros1), (ros2, on_ros2)):
             until_heard(peer, heard, office)
-        until(lambda: 100 in newest(ros2, mask)["data"], "the mask is heard", 30, 0.1)
+        until(lambda: 100 in newest(ros2, mask)["data"], "the mask is received", 30, 0.1)
         assert np.argmax(newest(ros2, mask)["data"]) == 11 * 20 + 5
         office.occupancy[5, 5] = 100
         maps.maps["office"] = office
@@ -56,7 +56,7 @@ def test_every_side_hears_at_once_what_another_changed(deployment: Deployment) -
             asked(ros1, "/static_map", "nav_msgs/GetMap")["map"]["data"], newest(ros1, on_ros1)["data"]
         )
 
-        # ROS 2 chooses another map, then ROS 1 the first again
+        # ROS 2 selects another map, then ROS 1 the first one again
         hall = maps.maps["hall"] = grid("hall", wall=7)
         assert asked(ros2, "/map_server/load_map", "nav2_msgs/LoadMap", waits=False, map_url="hall")["result"] == 0
         until_heard(ros1, on_ros1, hall)
@@ -68,7 +68,7 @@ def test_every_side_hears_at_once_what_another_changed(deployment: Deployment) -
         assert asked(ros1, "/change_map", "nav_msgs/LoadMap", map_url="../office.yaml")["result"] != 0
         assert current() == "office"
 
-        # a mapper on ROS 1 publishes a map: it is in the store, and its topic is its own
+        # a mapper on ROS 1 publishes a map: it is stored, and nothing else is published on its topic
         slam = grid("slam", wall=9)
         mapper = deployment.ros1()
         out = mapper.advertise("/map", GRID, latched=True)
@@ -99,7 +99,7 @@ def newest(peer: Peer, heard: int) -> dict[str, Any]:
 
 
 def until_heard(peer: Peer, heard: int, wanted: MapGrid2D) -> None:
-    """Wait until the newest map that a program heard is this one."""
+    """Wait until this is the newest map that a program has received."""
 
     def same() -> bool:
         found = newest(peer, heard)
@@ -109,7 +109,7 @@ def until_heard(peer: Peer, heard: int, wanted: MapGrid2D) -> None:
 
 
 def asked(peer: Peer, service: str, type_: str, *, waits: bool = True, **request: Any) -> dict[str, Any]:
-    """A call of a program, once the service is there: the ROS 2 program waits for it by itself."""
+    """Call a service once it exists: the ROS 2 program waits for it by itself."""
     if waits:
         peer.ask("await_service", service=service, seconds=30.0)
     call = peer.ask("call", service=service, type=type_, request=request, seconds=30.0)["id"]

@@ -1,4 +1,4 @@
-"""roscore is killed while move_base drives: the stand-in on rospy, the whole daemon, and a program on the hub."""
+"""roscore is killed while move_base drives: with the stand-in on rospy, the whole daemon, and a program on the hub."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FAR = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 800.0}, "orient
 
 
 class HubProgram:
-    """What a program on the hub receives of the planner, and its goals."""
+    """A program on the hub that receives the planner's status and sends goals."""
 
     def __init__(self, place: Deployment) -> None:
         self.loop, self.hub = EventLoop("program"), Hub.open(place.settings("program", "p"))
@@ -52,7 +52,7 @@ class HubProgram:
         })  # fmt: skip
 
     def do(self, work: Any) -> Any:
-        """Run something on the loop, on which a client is used; its value."""
+        """Run ``work`` on the loop of the client; return its value."""
         done, values = threading.Event(), []
 
         def run() -> None:
@@ -67,14 +67,14 @@ class HubProgram:
         return self.do(lambda: self.client.send({"pose": FAR}, lambda g, r, why: self.ended.append((g.status, r, why))))
 
     def active(self) -> list[bytes]:
-        """The goals that the newest list names as unfinished."""
+        """Return the unfinished goals of the newest list."""
         return [goal for goal, state in self.lists[-1].items() if not state.ended] if self.lists else []
 
     def drives_on(self, goal: bytes) -> None:
-        """From now on the list goes on to name the goal, and commands go on to come."""
+        """Check that the list still contains the goal, and that commands continue."""
         lists, commands = len(self.lists), len(self.moving)
-        until(lambda: len(self.lists) >= lists + 3, "the list goes on", SECONDS)
-        until(lambda: len(self.moving) >= commands + 10, "the commands go on", SECONDS)
+        until(lambda: len(self.lists) >= lists + 3, "the list is still published", SECONDS)
+        until(lambda: len(self.moving) >= commands + 10, "the commands continue", SECONDS)
         assert all(listed.get(goal) is GoalState.EXECUTING for listed in self.lists[lists:])
 
     @property
@@ -102,7 +102,7 @@ def stand_in(running: Deployment, program: HubProgram) -> Iterator[Process]:
 
 
 def native_goal(running: Deployment) -> tuple[Peer, int]:
-    """A goal of a ROS 1 client, which drives."""
+    """A goal of a ROS 1 client that is being executed."""
     peer = running.ros1("native")
     sent = peer.ask("send_goal", action=ACTION, type="move_base_msgs/MoveBase", goal={"target_pose": FAR})["id"]
     assert peer.ask("goal", id=sent, until={"accepted": True})["accepted"]
@@ -114,7 +114,7 @@ def without_a_master(running: Deployment) -> None:
     until(lambda: "no ROS 1 master" in str(running.worker("ros1").get("warnings")), "its loss is noticed", SECONDS)
 
 
-def test_the_goal_of_a_ros_1_client_goes_on_and_is_canceled(
+def test_the_goal_of_a_ros_1_client_continues_and_is_canceled(
     running: Deployment, program: HubProgram, stand_in: Process
 ) -> None:
     peer, sent = native_goal(running)
@@ -127,13 +127,13 @@ def test_the_goal_of_a_ros_1_client_goes_on_and_is_canceled(
     program.drives_on(goal)
     assert all(state is GoalState.EXECUTING for listed in program.lists[1:] for state in listed.values())
     program.do(lambda: program.client.cancel(goal))
-    assert peer.ask("goal", id=sent, until={"ends": 1})["status"] == 5, "PREEMPTED, by its client's own words"
-    until(lambda: program.lists[-1][goal] is GoalState.CANCELED, "the list shows it", SECONDS)
+    assert peer.ask("goal", id=sent, until={"ends": 1})["status"] == 5, "PREEMPTED, as reported by its client"
+    until(lambda: program.lists[-1][goal] is GoalState.CANCELED, "the list reports it", SECONDS)
     until(lambda: program.moving[-1] == 0.0, "it stands", SECONDS)
     assert stand_in.popen.poll() is None
 
 
-def test_the_goal_of_a_hub_client_goes_on_and_a_killed_planner_is_lost(
+def test_the_goal_of_a_hub_client_continues_and_a_killed_planner_is_lost(
     running: Deployment, program: HubProgram, stand_in: Process
 ) -> None:
     sent = program.send()
@@ -147,11 +147,11 @@ def test_the_goal_of_a_hub_client_goes_on_and_a_killed_planner_is_lost(
     until(lambda: program.active() == [sent.id], "another goal is listed, still without a master", SECONDS)
     program.drives_on(sent.id)
     stand_in.signal(signal.SIGKILL)
-    until(lambda: program.ended, "the client gets the end", SECONDS)
+    until(lambda: program.ended, "the client receives the end", SECONDS)
     ((_, result, why),) = program.ended
-    assert (sent.accepted, result) == (True, None), "this is no result of the planner"
+    assert (sent.accepted, result) == (True, None), "this is not a result of the planner"
     # zenoh may deliver the loss of the action's services before the reply that names the cause
     lost, left = "lost sight of the goal: its action server /move_base left", "left before it answered"
     assert why == lost or why.endswith(left)
     until(lambda: not program.there, "the planner leaves the hub", SECONDS)
-    assert program.lists[-1][sent.id] is GoalState.EXECUTING, "no list shows its end"
+    assert program.lists[-1][sent.id] is GoalState.EXECUTING, "no list contains its end"

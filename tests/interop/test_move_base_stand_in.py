@@ -1,4 +1,4 @@
-"""The stand-in for move_base behaves as the real one was measured to, so that what is tried over it says something."""
+"""The stand-in for move_base behaves like measurements of the real one, so that tests with it are meaningful."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SECONDS = 30.0
 
 
 class Direct:
-    """A rospy program that speaks actionlib's topics itself."""
+    """A rospy program that uses actionlib's topics directly."""
 
     def __init__(self, peer: Peer) -> None:
         self.peer = peer
@@ -34,8 +34,12 @@ class Direct:
         self._statuses = peer.subscribe("/move_base/status", "actionlib_msgs/GoalStatusArray")
         self.targets = peer.subscribe("/move_base/current_goal", "geometry_msgs/PoseStamped")
         for end in (self._goals, self._cancels, self._simple):
-            until(lambda end=end: peer.ask("connections", id=end)["count"], "the stand-in hears", SECONDS)
-        until(lambda: peer.wait(self._statuses, 1, 0.5), "the stand-in says", SECONDS)
+            until(
+                lambda end=end: peer.ask("connections", id=end)["count"],
+                "the stand-in is connected to the goals",
+                SECONDS,
+            )
+        until(lambda: peer.wait(self._statuses, 1, 0.5), "the stand-in publishes its status", SECONDS)
 
     def goal(self, name: str, x: float, secs: int = 0, frame: str = "map", w: float = 1.0) -> None:
         target = {**pose(x, frame=frame), "pose": {"position": {"x": x}, "orientation": {"w": w}}}
@@ -49,17 +53,17 @@ class Direct:
         self.peer.publish(self._simple, pose(x))
 
     def listed(self) -> dict[str, tuple[int, str]]:
-        """State and text of each goal in the newest status list."""
+        """Return state and text of each goal in the newest status list."""
         newest = self.peer.wait(self._statuses, 1, 1.0)[-1]
         return {one["goal_id"]["id"]: (one["status"], one["text"]) for one in newest["status_list"]}
 
     def is_in(self, name: str, state: int) -> str:
-        """The text of a goal, once it is in a state."""
+        """Return the text of a goal, once it is in a state."""
         until(lambda: self.listed().get(name, (-1, ""))[0] == state, f"{name} is in state {state}", SECONDS)
         return self.listed()[name][1]
 
     def result(self, name: str) -> dict[str, Any]:
-        """A goal's result."""
+        """Return a goal's result."""
         found = [m["status"] for m in self.peer.wait(self._results, 0, 0.0) if m["status"]["goal_id"]["id"] == name]
         return found[0] if len(found) == 1 else {}
 
@@ -71,17 +75,17 @@ def direct() -> Iterator[Direct]:
         yield Direct(peer)
 
 
-def test_the_stand_in_behaves_as_move_base_was_measured_to(direct: Direct) -> None:
-    # ends, and their texts
+def test_the_stand_in_behaves_like_measurements_of_move_base(direct: Direct) -> None:
+    # final states, and their texts
     direct.goal("near", 1.0)
     assert direct.is_in("near", SUCCEEDED) == "Goal reached."
-    until(lambda: direct.result("near"), "the result came", SECONDS)
+    until(lambda: direct.result("near"), "the result has arrived", SECONDS)
     direct.goal("nowhere", 999.0)
     assert direct.is_in("nowhere", ABORTED).startswith("Failed to find a valid plan.")
     direct.goal("turned", 1.0, w=0.0)
     assert direct.is_in("turned", ABORTED) == "Aborting on goal because it was sent with an invalid quaternion"
 
-    # another goal takes the place; a cancellation has an empty text
+    # another goal replaces it; a cancellation has an empty text
     direct.goal("first", 500.0)
     direct.is_in("first", ACTIVE)
     direct.goal("second", 500.0)
@@ -89,9 +93,9 @@ def test_the_stand_in_behaves_as_move_base_was_measured_to(direct: Direct) -> No
     assert "another goal was recieved" in direct.is_in("first", PREEMPTED)
     direct.cancel("second")
     assert direct.is_in("second", PREEMPTED) == ""
-    assert len(direct.listed()) >= 3  # a list of many
+    assert len(direct.listed()) >= 3  # a list with many goals
 
-    # a frame that nobody knows, or with a slash: active for ever, told again at each control cycle
+    # an unknown frame, or one with a slash: active forever, reported again in each control cycle
     before = len(direct.peer.wait(direct.targets, 0, 0.0))
     direct.goal("lost", 1.0, frame="/map")
     assert len(direct.peer.wait(direct.targets, before + 5, SECONDS)) >= before + 5
@@ -99,7 +103,7 @@ def test_the_stand_in_behaves_as_move_base_was_measured_to(direct: Direct) -> No
     direct.cancel()
     direct.is_in("lost", PREEMPTED)
 
-    # ids and stamps, as actionlib's server has it
+    # ids and stamps, as in actionlib's server
     direct.simple(500.0)
     name = until(
         lambda: next((n for n, (s, _) in direct.listed().items() if s == ACTIVE), ""), "a goal has an id", SECONDS
@@ -112,15 +116,15 @@ def test_the_stand_in_behaves_as_move_base_was_measured_to(direct: Direct) -> No
     direct.goal("late", 1.0, secs=1_900_000_000)
     assert "before the timestamp of the last cancel request" in direct.is_in("late", RECALLED)
     direct.cancel("never seen", secs=2_000_000_001)
-    direct.is_in("never seen", RECALLING)  # a goal comes on a connection of its own, and could be there first
+    direct.is_in("never seen", RECALLING)  # a goal arrives on a separate connection, and could arrive first
     direct.goal("never seen", 1.0, secs=2_100_000_000)
     direct.is_in("never seen", RECALLED)
     direct.goal("again", 1.0, secs=2_100_000_000)
     direct.is_in("again", SUCCEEDED)
-    direct.goal("again", 500.0, secs=2_100_000_001)  # ignored: it is in the list
+    direct.goal("again", 500.0, secs=2_100_000_001)  # ignored, as it is listed
     direct.goal("last", 1.0, secs=2_100_000_002)
     direct.is_in("last", SUCCEEDED)
     assert direct.listed().get("again", (SUCCEEDED, ""))[0] == SUCCEEDED
-    until(lambda: direct.result("last"), "the result came", SECONDS)  # which the status may be ahead of
+    until(lambda: direct.result("last"), "the result has arrived", SECONDS)  # the status may precede it
     late = direct.peer.subscribe("/move_base/result", RESULT)
     assert not direct.peer.wait(late, 1, 1.0)  # a result is not latched

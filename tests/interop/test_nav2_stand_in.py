@@ -46,7 +46,7 @@ class Direct:
         return int(sent["id"])
 
     def end(self, goal: int) -> tuple[int, int, str]:
-        """Status, code and text of a goal that ends."""
+        """Return status, code and text of a goal once it ends."""
         seen = self.peer.ask("goal", id=goal, until={"ends": 1}, seconds=SECONDS)
         assert seen["ends"] == 1, seen
         return seen["status"], seen["result"]["error_code"], seen["result"]["error_msg"]
@@ -78,7 +78,7 @@ def test_goals(direct: Direct) -> None:
     assert direct.end(direct.goto(999.0)) == (ABORTED, 208, "")  # a code, and no text
     assert direct.end(direct.goto(1.0, frame="nowhere")) == (ABORTED, 0, "")
 
-    # a new goal ends the old one ABORTED without a code, and the robot goes on
+    # a new goal ends the old one ABORTED without a code, and the robot keeps driving
     first = direct.goto(FAR)
     direct.moves()
     second = direct.goto(FAR + 100.0)
@@ -89,13 +89,13 @@ def test_goals(direct: Direct) -> None:
     direct.stands()
 
 
-def test_the_tree_gives_up_while_the_controller_drives(direct: Direct) -> None:
+def test_the_tree_aborts_while_the_controller_keeps_driving(direct: Direct) -> None:
     goal = direct.goto(FAR)
     direct.moves()
     direct.nav2.give_up()
     assert direct.end(goal) == (ABORTED, 0, "")
     before = len(direct.base.changes())
-    again = direct.goto(FAR + 100.0)  # its path replaces the one that was left
+    again = direct.goto(FAR + 100.0)  # its path replaces the abandoned one
     feedback = direct.peer.ask("goal", id=again, until={"feedback": 5}, seconds=SECONDS)["feedback"]
     assert len(feedback) >= 5
     assert len(direct.base.changes()) == before, "it never stood"

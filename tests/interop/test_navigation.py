@@ -1,6 +1,6 @@
-"""A robot on its way while something fails, over the whole deployment: simulator, localiser, planner, gateway.
+"""A driving robot during faults, in the whole deployment: simulator, localizer, planner, gateway.
 
-Each fault by itself, and more of them: ``benchmarks/nav_faults.py``.
+``benchmarks/nav_faults.py`` tests each fault in isolation, and more faults.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ VIEWS = Path(__file__).parents[2] / "configs" / "views"
 
 
 def missing_topics(chain: Chain) -> set[str]:
-    """What the views of rviz and Foxglove show or say, and nobody of the deployment says or hears."""
+    """Return topics in the views of rviz and Foxglove without a counterpart in the deployment."""
     graph = chain.client.node.hub.graph
     there = {end.topic for end in (*graph.publishers(), *graph.subscriptions())}
     texts = [file.read_text() for file in (VIEWS / "navigation.rviz", VIEWS / "navigation.foxglove.json")]
@@ -30,42 +30,48 @@ def missing_topics(chain: Chain) -> set[str]:
     return named - there
 
 
-def stands_and_says(chain: Chain, fault: str, word: str) -> None:
-    """Have a sensor fail on the way: the wheels stand, the client hears why; and then the robot drives on."""
+def stops_and_reports(chain: Chain, fault: str, word: str) -> None:
+    """Let a sensor fail during the drive: the wheels stop, the client receives the reason, then the robot continues."""
     since = time.monotonic()
     chain.fail(fault)
     chain.until_still(20)
-    until(lambda: any(word in why for _, why in chain.statuses_since(since)), f"the client hears of the {word}", 20)
+    until(lambda: any(word in why for _, why in chain.statuses_since(since)), f"the client receives the {word}", 20)
     chain.until_still(20)
     chain.mend(fault)
     chain.until_moving(30)
 
 
 @pytest.mark.thorough
-def test_faults_on_the_way(tmp_path: Path) -> None:
+def test_faults_during_a_drive(tmp_path: Path) -> None:
     with Chain(tmp_path) as chain:
         chain.start()
         asked = chain.goto("kitchen")
         chain.until_moving()
-        until(lambda: not missing_topics(chain), "all that the views in configs/ name is there", 20)
-        stands_and_says(chain, "laser_silent", "laser is silent")
-        stands_and_says(chain, "encoders_silent", "odometry is stale")
+        until(lambda: not missing_topics(chain), "all topics of the views in configs/ exist", 20)
+        stops_and_reports(chain, "laser_silent", "laser is silent")
+        stops_and_reports(chain, "encoders_silent", "odometry is stale")
         assert asked.ended is None
-        until(lambda: chain.statuses_since(asked.began)[-1][0] == "moving", "the client hears that it goes on", 20)
+        until(
+            lambda: chain.statuses_since(asked.began)[-1][0] == "moving",
+            "the client receives that the drive continues",
+            20,
+        )
 
         killed = chain.kill("robot_path_planner")
         chain.until_still(20)
-        until(lambda: asked.ended, "the client hears of the end", 30)
+        until(lambda: asked.ended, "the client receives the end", 30)
         assert asked.status is GoalState.ABORTED
         assert asked.reason
 
-        until(lambda: chain.status("gateway").get("pid", killed) != killed, "the modules run again", 40, every=0.2)
+        until(
+            lambda: chain.status("gateway").get("pid", killed) != killed, "the modules are running again", 40, every=0.2
+        )
         assert chain.truth
-        assert chain.truth.still, "nothing that was commanded before is obeyed"
+        assert chain.truth.still, "earlier commands are not executed"
         asked = chain.goto("kitchen")
         chain.until_moving()
         command = [sys.executable, "-m", "bridge.cli.main", "halt", "--config", str(chain.file)]
         subprocess.run(command, check=True, capture_output=True, timeout=60)
         chain.until_still(20)
-        until(lambda: asked.ended, "the client hears of the halt", 30)
+        until(lambda: asked.ended, "the client receives the halt", 30)
         assert asked.status is GoalState.CANCELED

@@ -1,7 +1,7 @@
-"""The deployments of configs/ whose planner is not ours, as they are written, with stand-ins for what is ROS's.
+"""The unchanged deployments of configs/ with external planners, with stand-ins for ROS's programs.
 
-The paper's second scenario: a robot on YARP, driven by ROS 1's move_base with amcl and map_server, asked by a YARP
-client; and Nav2, asked by one.
+The paper's second scenario: a robot on YARP, driven by ROS 1's move_base with amcl and map_server, with a YARP client;
+and Nav2 with a YARP client.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ SECONDS = 40.0
 
 
 class Site:
-    """A deployment of a file, with its own ports and networks, beside the name server of a robot where it has one."""
+    """A deployment of a file, with its own ports and networks, and with a robot's name server if the file needs one."""
 
     def __init__(self, deployment: Deployment, file: str) -> None:
         self.deployment, self._stack = deployment, ExitStack()
@@ -60,17 +60,17 @@ class Site:
         self.deployment.keep(Process([python, SUPPORT / script, *words], env))
 
     def client(self) -> Navigation2DClient:
-        """A YARP program that knows of places alone."""
+        """A YARP program that only uses places."""
 
         def opened() -> Navigation2DClient | None:
-            # the name server may be the yarp worker's, which comes up after those of ROS; a port is known a moment
-            # before it is open, and may have to take another number
+            # the name server may be the yarp worker's, which starts after those of ROS; a port is registered shortly
+            # before it is open, and may have to use another number
             try:
                 return self._stack.enter_context(Navigation2DClient(naming=self.names, timeout=SECONDS))
             except (NoNameServerError, PortError):
                 return None
 
-        found = until(opened, "all of YARP's doors are open", SECONDS, every=0.2)
+        found = until(opened, "all of YARP's entry points are open", SECONDS, every=0.2)
         assert found is not None
         return found
 
@@ -78,7 +78,7 @@ class Site:
         return self._stack.enter_context(Reader(port, naming=self.names))
 
     def reaches(self, port: str) -> bool:
-        """Whether the bridge is connected to a port of the robot's."""
+        """Return whether the bridge is connected to a port of the robot."""
         ports = self.deployment.worker("yarp").get("ports", [])
         return any(peer["port"] == port for one in ports for peer in one["peers"])
 
@@ -102,14 +102,14 @@ def until_the_map_is_known(client: Navigation2DClient) -> None:
 
 
 def assert_goes(client: Navigation2DClient, place: str) -> None:
-    """Send the robot to a place; the planner may be found a moment later than its door."""
-    until(lambda: bool(client.gotoTargetByLocationName(place)), f"{place} is taken for a goal", SECONDS, every=0.5)
+    """Send the robot to a place; the planner may be discovered shortly after its entry point."""
+    until(lambda: bool(client.gotoTargetByLocationName(place)), f"{place} is accepted as a goal", SECONDS, every=0.5)
     reached = NavigationStatusEnum.navigation_status_goal_reached
     until(lambda: client.status == reached, f"{place} is reached", SECONDS, every=0.1)
 
 
 @pytest.mark.parametrize("site", ["yarp_robot_move_base.yaml"], indirect=True)
-def test_a_robot_of_yarp_is_driven_by_move_base_and_found_by_amcl(site: Site) -> None:
+def test_a_yarp_robot_is_driven_by_move_base_and_localized_by_amcl(site: Site) -> None:
     environment = site.deployment.master.env
     wheels = site.reader("/baseControl/control:i")
     site.program(ROS1_PYTHON, "ros1_map_server.py", APARTMENT, **environment)
@@ -126,14 +126,14 @@ def test_a_robot_of_yarp_is_driven_by_move_base_and_found_by_amcl(site: Site) ->
             (1.6, 2.4), abs=0.1
         )
 
-    until(arrived, "the frames say that it is there", SECONDS, every=0.2)
-    assert here.map_id == "apartment"  # as the locations' map, though /map has no name
+    until(arrived, "the frames report its arrival", SECONDS, every=0.2)
+    assert here.map_id == "apartment"  # the map of the locations, although /map has no name
     assert covariance.numpy().shape == (3, 3)
     assert covariance.numpy()[0, 0] == pytest.approx(0.04)
     commands = []
     while (message := wheels.read_now()) is not None:
         commands.append(message.values)
-    assert commands, "its wheels hear nothing"
+    assert commands, "its wheels receive nothing"
     assert commands[-1][0] == 3
 
 

@@ -1,6 +1,6 @@
 """A robot and an operator's computer, each a network namespace with a real daemon, joined by TLS over a real link.
 
-They run ``configs/robot.yaml`` and ``configs/operator.yaml``, with certificates that ``midspan keys`` made.
+They run ``configs/robot.yaml`` and ``configs/operator.yaml``, with certificates from ``midspan keys``.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ def publish_until_received(
 
 
 @pytest.mark.thorough
-def test_topics_cross_both_ways_latched_ones_too(pair: Pair) -> None:
+def test_topics_cross_in_both_directions_including_latched_ones(pair: Pair) -> None:
     for sender, receiver, name in ((pair.ros1, pair.ros2, "to_operator"), (pair.ros2, pair.ros1, "to_robot")):
         out, subscriber = sender.advertise(f"/{name}", STRING), receiver.subscribe(f"/{name}", STRING)
         kept = sender.advertise(f"/{name}_kept", STRING, latched=True)
@@ -175,7 +175,7 @@ def test_topics_cross_both_ways_latched_ones_too(pair: Pair) -> None:
 
 
 def stream(crossing: Crossing, seconds: float, stop: Callable[[], bool] = lambda: False) -> None:
-    """Send the time as a command, 20 times a second."""
+    """Send the time as a command, 20 times per second."""
     end = time.monotonic() + seconds
     while time.monotonic() < end and not stop():
         crossing.send(time.monotonic())
@@ -211,14 +211,14 @@ def test_a_link_is_cut_and_restored(pair: Pair, seconds: float) -> None:
     pair.cable.mend()
     stream(drive, 40, lambda: len(drive.received()) > before)
     commands_back = time.monotonic() - restored
-    until(lambda: ros2.ask("tally", id=counted)["received"] > cut_off + 20, "numbers come again", 40)
+    until(lambda: ros2.ask("tally", id=counted)["received"] > cut_off + 20, "numbers arrive again", 40)
     numbers_back = ros2.ask("tally", id=counted)["last"] - restored
     stream(drive, 1.0)
     print(f"link cut for {seconds:g} s: commands resumed after {commands_back:.1f} s, data after {numbers_back:.1f} s")
     later = drive.received()[before:]
     assert later
     assert min(later) > restored - STALE, (
-        f"a command {restored - min(later):.1f} s old came after the link was restored"
+        f"a command {restored - min(later):.1f} s old arrived after the link was restored"
     )
     for peer, subscriber in seen.items():
         until(lambda p=peer, s=subscriber: {"data": "changed"} in p.wait(s, 10_000, 0.2), "state is complete", 40)
@@ -258,5 +258,5 @@ def test_a_guest_reaches_only_the_external_listener(pair: Pair) -> None:
     args = [pair.folder / "keys", "tls/robot1:7448", f"tcp/{pair.cable.addresses[1]}:0"]
     report = json.loads(pair.operator.run(sys.executable, GUEST, *args, env={**os.environ, "PYTHONPATH": str(ROOT)}))
     assert [link.partition("/")[0] for link in report["links"]] == ["tls"]
-    assert report["topics"], "it sees the robot's graph"
+    assert report["topics"], "it discovers the robot's graph"
     assert 66.0 not in [message["linear"]["x"] for message in pair.ros1.wait(commands, 10_000, 0.5)]

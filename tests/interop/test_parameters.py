@@ -24,7 +24,7 @@ RULES = [
 EVENT = "rcl_interfaces/ParameterEvent"
 
 
-def test_parameters_are_shared_both_ways(deployment: Deployment) -> None:
+def test_parameters_are_shared_in_both_directions(deployment: Deployment) -> None:
     deployment.master.start()
     deployment.configure(routing={"parameters": RULES})
     ros1 = deployment.ros1()
@@ -35,22 +35,22 @@ def test_parameters_are_shared_both_ways(deployment: Deployment) -> None:
     ros2.ask("declare", parameters=declared | ambiguous, unset={"late": "DOUBLE"})
     deployment.run()
 
-    _ros1s_are_a_nodes(ros1, ros2)
-    _a_nodes_are_in_ros1(ros1, ros2)
+    _ros1_parameters_appear_on_a_node(ros1, ros2)
+    _node_parameters_appear_in_ros1(ros1, ros2)
     _unusual_names_are_reported(deployment, ros1, ros2)
     parameters = {one["ros1"]: one["shared"] for one in deployment.worker("ros1")["parameters"]}
     assert parameters["/robot"] == 5
     assert parameters["/nav/controller"] >= 4
-    # the services that carry them do not reach ROS 1
+    # parameter services do not cross to ROS 1
     assert not [name for name in deployment.master.state()["services"] if "get_parameters" in name]
-    _a_reload_takes_up_other_rules(deployment, ros1, ros2)
+    _a_reload_applies_other_rules(deployment, ros1, ros2)
     assert deployment.stop_daemon() == 0
     left = ros1.ask("get_param", name="/nav/controller")["value"]
     assert {name: value for name, value in left.items() if value != {}} == {"trise": 3}, "the copies are deleted"
     assert ros1.ask("get_param", name="/robot/speed")["value"] == 2.5
 
 
-def _ros1s_are_a_nodes(ros1: Peer, ros2: Peer) -> None:
+def _ros1_parameters_appear_on_a_node(ros1: Peer, ros2: Peer) -> None:
     """ROS 1 owns them: a ROS 2 program discovers a node, reads, sets and receives events."""
     node = "/ns/robot_parameters"
     names = ["speed", "name", "limits.turn", "ranges"]
@@ -79,19 +79,19 @@ def _changed(event: dict[str, Any], node: str, name: str) -> bool:
     return event["node"] == node and any(one["name"] == name for one in event["changed_parameters"])
 
 
-def _a_nodes_are_in_ros1(ros1: Peer, ros2: Peer) -> None:
-    """A ROS 2 node owns them: rospy reads and sets them; the node may refuse, and changes its own."""
+def _node_parameters_appear_in_ros1(ros1: Peer, ros2: Peer) -> None:
+    """A ROS 2 node owns them: rospy reads and sets them; the node may reject values, and changes its own."""
 
     def in_ros1(name: str) -> Any:
         return ros1.ask("get_param", name=f"/nav/controller/{name}")["value"]
 
     until(lambda: in_ros1("FollowPath/speed") == 0.5, "the node's parameters are in ROS 1", 30)
     assert (in_ros1("mode"), in_ros1("tries"), in_ros1("weights")) == ("slow", 3, [1.0, 2.0])
-    ros1.ask("set_param", name="/nav/controller/FollowPath/speed", value=2)  # as `rosparam set` spells 2.0
+    ros1.ask("set_param", name="/nav/controller/FollowPath/speed", value=2)  # `rosparam set` writes 2.0 like this
     until(lambda: ros2.ask("own", name="FollowPath.speed")["value"] == 2.0, "the node has ROS 1's value", 30)
     ros2.ask("refuse", names=["mode"])
     ros1.ask("set_param", name="/nav/controller/mode", value="fast")
-    until(lambda: in_ros1("mode") == "slow", "the refused value is reset", 30)
+    until(lambda: in_ros1("mode") == "slow", "the rejected value is reset", 30)
     ros2.ask("refuse", names=[])
     assert ros2.ask("change", name="tries", value=9)["successful"]
     until(lambda: in_ros1("tries") == 9, "the node's own change is in ROS 1", 30)
@@ -113,17 +113,17 @@ def _unusual_names_are_reported(deployment: Deployment, ros1: Peer, ros2: Peer) 
     until(lambda: wanted <= reported(), "status has both", 30)
 
 
-def _a_reload_takes_up_other_rules(deployment: Deployment, ros1: Peer, ros2: Peer) -> None:
+def _a_reload_applies_other_rules(deployment: Deployment, ros1: Peer, ros2: Peer) -> None:
     deployment.configure(routing={"parameters": [{**RULES[0], "node": "/renamed"}, RULES[1]]})
     deployment.hang_up()
     assert ros2.ask("get_of", node="/renamed", names=["speed"])["values"] == [2.5]
     until(lambda: "/ns/robot_parameters" not in ros2.ask("nodes")["names"], "the old node is gone", 30)
-    until(lambda: ros1.ask("get_param", name="/nav/controller/tries")["value"] == 9, "the other rule holds", 30)
+    until(lambda: ros1.ask("get_param", name="/nav/controller/tries")["value"] == 9, "the other rule applies", 30)
 
 
 @pytest.mark.parametrize("owner", ["ros2", "ros1"])
-def test_the_parameters_of_a_node_of_the_hub(deployment: Deployment, owner: str) -> None:
-    """A native node of the hub, as rmw_zenoh declares it, and one that no rule names."""
+def test_parameters_of_a_hub_node(deployment: Deployment, owner: str) -> None:
+    """A native node of the hub, declared like rmw_zenoh's, and one without a rule."""
     deployment.master.start()
     deployment.configure(routing={"parameters": [{"ros1": "/copy", "node": "/ns/named", "owner": owner}]})
     ros1 = deployment.ros1()

@@ -1,4 +1,4 @@
-"""A bag of ROS 1 is played: RViz 2's client library, a YARP reader, Mapper2D and a rospy node hear it, on its time."""
+"""A ROS 1 bag is played: RViz 2's client library, a YARP reader, Mapper2D and a rospy node receive it, on its time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ IMPORTS = ("bridge.bags.play.output", "bridge.bags.play.player", "bridge.cli.bag
 
 
 def drive() -> Iterator[Said]:
-    """A robot in a round room: frames at 20 Hz, scans and velocities at 5 Hz."""
+    """Return the messages of a robot in a round room: frames at 20 Hz, scans and velocities at 5 Hz."""
     yield Said(0.0, "/tf_static", TF, {"transforms": [transform("base_link", "laser", x=0.2)]})
     for tick in range(int(20 * SECONDS) + 1):
         at = tick / 20
@@ -64,7 +64,7 @@ def site(tmp_path_factory: pytest.TempPathFactory, names: Names) -> Iterator[Dep
 
 
 def mapper_of(site: Deployment) -> list[dict[str, Any]]:
-    """The status document of Mapper2D."""
+    """Return the status document of Mapper2D."""
     return [document for document in site.status() if "scans" in document]
 
 
@@ -76,7 +76,7 @@ def in_the_bag(seconds: float) -> bool:
     return START / NS <= seconds <= START / NS + SECONDS
 
 
-def test_each_side_and_the_mapper_hear_a_bag_of_ros_1_on_its_time(site: Deployment, bag: Path, names: Names) -> None:
+def test_each_side_and_the_mapper_receive_a_ros_1_bag_on_its_time(site: Deployment, bag: Path, names: Names) -> None:
     rviz, rospy = site.ros2(), site.ros1()
     yarp = site.keep(YarpProgram(names, "/reader", Definitions((CUSTOM_FOLDER,))))
     scans, frames = rviz.subscribe("/scan", SCAN), rviz.subscribe("/tf_static", TF, latched=True)
@@ -102,12 +102,12 @@ def test_each_side_and_the_mapper_hear_a_bag_of_ros_1_on_its_time(site: Deployme
     assert rviz.wait(velocities, 0) == []
 
 
-def test_velocities_that_are_asked_for_reach_each_side_and_end_with_zero(site: Deployment, bag: Path) -> None:
+def test_requested_velocities_reach_each_side_and_end_with_zero(site: Deployment, bag: Path) -> None:
     rviz, rospy = site.ros2(), site.ros1()
     ends = [(peer, peer.subscribe("/cmd_vel", TWIST)) for peer in (rviz, rospy)]
     with play(site, bag, "--commands", "--topics", "/cmd_vel", "--duration", "1") as player:
         for peer, end in ends:
-            until(lambda peer=peer, end=end: zero(peer.wait(end, 1)), "zero is heard", 30)  # type: ignore[misc]
+            until(lambda peer=peer, end=end: zero(peer.wait(end, 1)), "zero is received", 30)  # type: ignore[misc]
             assert [each["linear"]["x"] for each in peer.wait(end, 1)][-2:] == [0.25, 0.0]
         until(lambda: player.popen.poll() is not None, "it ends", 10)
         assert "the robot may move: /cmd_vel" in player.output()
@@ -117,7 +117,7 @@ def zero(twists: list[dict[str, Any]]) -> bool:
     return bool(twists) and twists[-1]["linear"]["x"] == 0.0
 
 
-def test_a_rospy_program_steps_and_goes_on_and_its_time_is_the_bags(site: Deployment, bag: Path) -> None:
+def test_a_rospy_program_steps_and_resumes_on_the_bags_time(site: Deployment, bag: Path) -> None:
     rospy = site.ros1()
     scans = rospy.subscribe("/scan", SCAN)
     with play(site, bag, "--clock", "--paused", "--topics", "/scan"):
@@ -128,7 +128,7 @@ def test_a_rospy_program_steps_and_goes_on_and_its_time_is_the_bags(site: Deploy
             assert rospy.ask("result", id=call, seconds=20)["reply"]["success"]
             assert len(rospy.wait(scans, count)) == count
         at = START / NS + 0.2
-        until(lambda: rospy.ask("now")["seconds"] == pytest.approx(at), "its time is the second scan's", 10)
+        until(lambda: rospy.ask("now")["seconds"] == pytest.approx(at), "its time is that of the second scan", 10)
         call = rospy.ask("call", service=PAUSE, type="std_srvs/SetBool", request={"data": False})["id"]
         assert rospy.ask("result", id=call, seconds=20)["reply"]["success"]
         assert len(rospy.wait(scans, 21)) == 21

@@ -39,7 +39,7 @@ def names() -> Iterator[Names]:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory, names: Names) -> Iterator[Deployment]:
-    """A deployment that records, with one ROS 1 topic that no rule lets onto the hub."""
+    """A deployment that records, with one ROS 1 topic that the rules keep off the hub."""
     with Deployment(tmp_path_factory.mktemp("recorded")) as deployment:
         deployment.start(
             record={"enabled": True, "exclude": ["^/diagnostics", "^/rosout"]},
@@ -144,7 +144,10 @@ def test_a_topic_that_is_not_bridged_is_recorded_on_its_side(recorded: Deploymen
     home, other = ros1.advertise("/home", STRING, latched=True), ros1.advertise("/out", STRING)
     ros1.publish(home, {"data": "at home"})
     ros1.publish(other, {"data": "not requested"})
-    until(lambda: any(line["topic"] == "/home" for line in recorded.explain("/home")), "the daemon sees the topic")
+    until(
+        lambda: any(line["topic"] == "/home" for line in recorded.explain("/home")),
+        "the daemon has discovered the topic",
+    )
     file = tmp_path / "home.mcap"
     command = ["record", "/home", "-o", file, "--config", recorded.file]
     with Process([*MIDSPAN, *command]) as recorder:
@@ -192,7 +195,7 @@ def test_messages_reported_as_written_survive_kill_9_and_the_daemon_continues(re
 
 
 def written_by_verb(deployment: Deployment, file: Path) -> bool:
-    """Whether the verb that writes this file has written a message; it publishes a status like a worker."""
+    """Return whether the verb that writes this file has written a message; it publishes a status like a worker."""
     recordings = [document.get("recording", {}) for document in deployment.status()]
     return any(recording.get("file") == str(file) and recording["messages"] for recording in recordings)
 

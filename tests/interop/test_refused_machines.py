@@ -1,4 +1,4 @@
-"""Two daemons whose certificates are from different authorities: each end reports it, once, and forgets it."""
+"""Two daemons whose certificates are from different authorities: each reports it once, and clears it later."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OFF = {"enabled": False}
 
 
 class Daemon:
-    """`midspan run`, or only the router's worker as systemd runs it."""
+    """`midspan run`, or only the router's worker as run by systemd."""
 
     def __init__(self, folder: Path, name: str, keys: Path, run: list[str], **door: Any) -> None:
         self.name = name
@@ -48,7 +48,7 @@ class Daemon:
 
 @pytest.fixture
 def short() -> Iterator[Path]:
-    """A folder whose name leaves room for the names of Unix sockets."""
+    """A folder with a path short enough for Unix sockets."""
     with tempfile.TemporaryDirectory(prefix="midspan-") as folder:
         yield Path(folder)
 
@@ -79,7 +79,7 @@ def test_both_ends_report_a_foreign_authority(short: Path, run: list[str]) -> No
         assert len(operator.lines("hub.open.connect")) == 1
         assert len(robot.lines("hub.open.listen")) <= 2, "refused, and refused by the other machine"
         operator.process.stop()
-        until(lambda: robot.lines("no machine is refused any longer"), "the robot forgets it")
+        until(lambda: robot.lines("no machine is refused anymore"), "the robot clears the report")
         assert robot.endpoint()["state"] == "listening"
         joined = Daemon(short, "operator1", short / "a", run, connect=[place])
         with joined.process:

@@ -17,15 +17,15 @@ COUNT = 20
 
 
 def test_the_velocities_of_a_ros1_program_arrive_up_to_the_stop(shared: Deployment) -> None:
-    """The node received the first 0.2 m/s only; the stop never arrived."""
+    """The node used to receive only the first 0.2 m/s, and never the stop."""
     ros1, node = shared.ros1(), shared.zenoh()
     received = node.subscribe("/cmd_vel", TWIST)
     out = ros1.advertise("/cmd_vel", TWIST)
     probe = {"linear": {"x": 0.1}}
-    until(lambda: ros1.publish(out, probe) or node.wait(received, 1, 0.2), "the route is there")
+    until(lambda: ros1.publish(out, probe) or node.wait(received, 1, 0.2), "the route exists")
     speeds = [0.2] * 10 + [0.0] * 10
     before = _settled(node, received)
-    for number, speed in enumerate(speeds, 1):  # of waiting commands only the newest is kept
+    for number, speed in enumerate(speeds, 1):  # of queued commands only the newest is kept
         ros1.publish(out, {"linear": {"x": speed}})
         node.wait(received, before + number)
     assert [message["linear"]["x"] for message in node.wait(received, before + COUNT)][before:] == speeds
@@ -63,7 +63,7 @@ NUMBER: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("side", ["ros1", "ros2"])
-def test_streams_of_a_robot_arrive_whole(shared: Deployment, side: str) -> None:
+def test_streams_of_a_robot_arrive_completely(shared: Deployment, side: str) -> None:
     program, node = getattr(shared, side)(), shared.zenoh()
     for topic, (kind, message) in STREAMS.items():
         received = node.subscribe(topic, kind)
@@ -78,7 +78,7 @@ def test_streams_of_a_robot_arrive_whole(shared: Deployment, side: str) -> None:
         program.drop(out)
 
 
-def test_the_feedback_of_an_action_arrives_whole(shared: Deployment) -> None:
+def test_the_feedback_of_an_action_arrives_completely(shared: Deployment) -> None:
     server, node = shared.ros2(), shared.zenoh()
     kind, rounds = "nav2_msgs/NavigateToPose", [{"number_of_recoveries": number} for number in range(COUNT)]
     acting = server.ask("act", action="/count", type=kind, feedback=rounds, held=True)["id"]
@@ -98,7 +98,7 @@ def test_the_feedback_of_an_action_arrives_whole(shared: Deployment) -> None:
     server.ask("release", id=acting)
 
 
-def test_the_messages_of_midspan_topic_pub_arrive_whole(shared: Deployment) -> None:
+def test_the_messages_of_midspan_topic_pub_arrive_completely(shared: Deployment) -> None:
     node = shared.zenoh()
     received = node.subscribe("/said", STRING)
     done = shared.command("topic", "pub", "/said", STRING, "{data: hi}", "--rate", "20", "--count", "10")

@@ -1,4 +1,4 @@
-"""Several real daemons on the same networks: one carries, nothing twice, and another takes over."""
+"""Several real daemons on the same networks: one is active, nothing arrives twice, and another takes over."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ RATE = 1000.0
 
 @pytest.fixture
 def several(tmp_path: Path) -> Iterator[Several]:
-    """Daemons and networks that the test makes itself."""
+    """Daemons and networks that the test creates."""
     with Several(tmp_path) as made:
         yield made
 
 
 def active(daemons: list[Daemon], side: str) -> list[str]:
-    """The daemons that are active on a side."""
+    """Return the daemons that are active on a side."""
     return [d.name for d in daemons if d.process is not None and d.status(side).get("state") == "running"]
 
 
 @pytest.mark.parametrize(("joined", "node"), [(True, "midspan"), (False, "other_name")], ids=["joined", "apart"])
-def test_a_triangle_brings_nothing_twice(several: Several, joined: bool, node: str) -> None:
+def test_nothing_arrives_twice_in_a_triangle(several: Several, joined: bool, node: str) -> None:
     _, networks = triangle(several, joined=joined, node=node)
-    assert_each_comes_once(flows(several, networks), COUNT, RATE / 2)
+    assert_each_arrives_once(flows(several, networks), COUNT, RATE / 2)
 
 
-def assert_each_comes_once(made: list[Flow], count: int, rate: float) -> None:
+def assert_each_arrives_once(made: list[Flow], count: int, rate: float) -> None:
     """Publish on all flows at once: each number reaches each sink, once."""
     pour(made, count, rate)
     for flow in made:
@@ -48,12 +48,12 @@ def assert_each_comes_once(made: list[Flow], count: int, rate: float) -> None:
 
 
 @pytest.mark.parametrize(("joined", "node"), [(True, "midspan"), (False, "other_name")], ids=["joined", "apart"])
-def test_a_ring_of_two_started_at_once_brings_nothing_twice_and_outlives_either(
+def test_nothing_arrives_twice_in_a_ring_and_either_daemon_takes_over(
     several: Several, joined: bool, node: str
 ) -> None:
     daemons, networks = ring(several, joined=joined, node=node)
     made = flows(several, networks)
-    assert_each_comes_once(made, COUNT, RATE)
+    assert_each_arrives_once(made, COUNT, RATE)
     for side in ("ros1", "ros2"):
         (name,) = active(daemons, side)
         (other,) = (d for d in daemons if d.name != name)
@@ -82,7 +82,7 @@ def test_a_ring_of_two_started_at_once_brings_nothing_twice_and_outlives_either(
     assert not [f.duplicates() for f in made if f.duplicates()]
 
 
-def test_another_takes_over_from_a_worker_that_dies_alone_or_stands_still(several: Several) -> None:
+def test_another_daemon_takes_over_from_a_killed_or_suspended_worker(several: Several) -> None:
     daemons, networks = ring(several, joined=True)
     made = flows(several, networks)
     for flow in made:
@@ -101,7 +101,7 @@ def test_another_takes_over_from_a_worker_that_dies_alone_or_stands_still(severa
     took = [flow.silence(at, 2.5) for flow in made]
     print(f"taken over after {took}")
     stopped.signal(signal.SIGCONT)
-    until(lambda: stopped.status("ros2").get("state") in ("standby", "running"), "it goes on", 30, every=0.2)
+    until(lambda: stopped.status("ros2").get("state") in ("standby", "running"), "it resumes", 30, every=0.2)
     for flow in made:
         flow.end(now=True)
     quiet(made)

@@ -1,4 +1,4 @@
-"""Latched state between real ROS 1 and ROS 2 programs."""
+"""Latched messages between real ROS 1 and ROS 2 programs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ STRING = "std_msgs/String"
 
 
 def late(program: Any, topic: str, count: int, type_: str = STRING, seconds: float = 40) -> list[dict]:
-    """What a late joiner gets, once so many have come or the time is over."""
+    """Return what a late joiner receives, once ``count`` have arrived or the time is over."""
     heard = program.subscribe(topic, type_, latched=True, depth=100)
     program.wait(heard, count, seconds)
     messages: list[dict] = program.wait(heard, count + 1, 0.5)
@@ -28,8 +28,8 @@ def test_three_latched_ros1_publishers_reach_late_ros2_and_zenoh(shared: Deploym
     far, sdk = shared.zenoh(), shared.sdk()
     for joiner in (shared.ros2(), shared.ros2(), far):
         assert sorted(m["data"] for m in late(joiner, "/note", 3)) == ["note 0", "note 1", "note 2"]
-    # zenoh-ros2-sdk 0.1.8 asks the caches with zenoh's default consolidation, which gives it one answer for each key,
-    # and it asks once, of the publishers that it knows by then
+    # zenoh-ros2-sdk 0.1.8 queries the caches with zenoh's default consolidation, which returns one reply per key, and
+    # only once, from the publishers that it knows by then
     heard = until(lambda: late(sdk, "/note", 1, seconds=5), "zenoh-ros2-sdk joins late", 30)
     assert {m["data"] for m in heard} <= {"note 0", "note 1", "note 2"}
     publishers[0].stop()
@@ -50,7 +50,7 @@ def test_three_latched_ros2_publishers_reach_late_ros1(shared: Deployment) -> No
     assert sorted(m["data"] for m in late(shared.ros1(), "/word", 2)) == ["word 1", "word 2"]
 
 
-def test_whole_tf_static_of_three_broadcasters_both_ways(shared: Deployment) -> None:
+def test_complete_tf_static_of_three_broadcasters_in_both_directions(shared: Deployment) -> None:
     for make, side, joiner in ((shared.ros1, "ros2", shared.ros2), (shared.ros2, "ros1", shared.ros1)):
         frames = [f"from_{side}_{number}" for number in range(3)]
         for frame in frames:
@@ -66,6 +66,6 @@ def test_whole_tf_static_of_three_broadcasters_both_ways(shared: Deployment) -> 
 
 
 def transform(child: str) -> dict:
-    """One static transform."""
+    """Return a static transform."""
     pose = {"translation": {"x": 1.0, "y": 2.0, "z": 3.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
     return {"transforms": [{"header": {"frame_id": "base_link"}, "child_frame_id": child, "transform": pose}]}

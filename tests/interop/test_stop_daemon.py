@@ -1,4 +1,4 @@
-"""The daemon ends while the robot drives: each client's goal ends once, and not before the base stands."""
+"""The daemon exits while the robot drives: each client's goal ends once, and not before the base stands."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from tests.interop.mix_clients import ROS1, ROS2, YARP, ZENOH, RosClient, ZenohC
 from tests.interop.mix_faults import STANDS_SECONDS, Watch, start_driving
 
 STRICT = 0.01
-"""Seconds: the processes note their times after the event."""
+"""Seconds, as the processes record times after the event."""
 
 CYCLE = 0.4
-"""Seconds: the planner lets go of its goal, and stops the robot, at its next control cycle."""
+"""Seconds, as the planner releases its goal, and stops the robot, in its next control cycle."""
 
 END_SECONDS = 30.0
 thorough = pytest.mark.thorough
 
 
 def assert_ends(mix: Mix, name: str, number: int) -> None:
-    """Drive, end the daemon by a signal, and check the base and the client's goal."""
+    """Drive, stop the daemon by a signal, and check the base and the client's goal."""
     client = mix.clients[name]
     start_driving(mix, client)
     watch = Watch(mix, name)
     daemon = mix.deployment.daemon
     assert daemon is not None
     os.kill(daemon.pid, number)
-    watch.until(lambda: not watch.base.moves, "the base stands though the daemon is gone", STANDS_SECONDS)
+    watch.until(lambda: not watch.base.moves, "the base stands although the daemon has exited", STANDS_SECONDS)
     if isinstance(client, RosClient | ZenohClient):
         watch.until(client.end, "the client's goal has an end", END_SECONDS)
         watch.until(
@@ -45,18 +45,18 @@ def assert_ends(mix: Mix, name: str, number: int) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("client", [ROS2, *(pytest.param(name, marks=thorough) for name in (YARP, ZENOH))])
-def test_over_move_base(deployment: Deployment, client: str, number: int) -> None:
+def test_with_move_base(deployment: Deployment, client: str, number: int) -> None:
     assert_ends(Mix.over(deployment, MOVE_BASE, cycle=CYCLE), client, number)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("client", [pytest.param(ROS1, marks=thorough), pytest.param(ZENOH, marks=thorough)])
-def test_over_nav2(deployment: Deployment, client: str, number: int) -> None:
+def test_with_nav2(deployment: Deployment, client: str, number: int) -> None:
     assert_ends(Mix.over(deployment, NAV2), client, number)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("run", range(10))
 def test_every_goal_has_an_end(deployment: Deployment, run: int) -> None:
-    """One client of forty waited for its end in vain."""
+    """One client of forty used to wait forever for its end."""
     assert_ends(Mix.over(deployment, MOVE_BASE, cycle=CYCLE), (ROS2, ZENOH)[run % 2], signal.SIGKILL)

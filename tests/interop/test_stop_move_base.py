@@ -1,4 +1,4 @@
-"""Stops, pauses and goals while the path to ROS 1's move_base fails; the measure is the base's own program."""
+"""Stops, pauses and goals while the path to ROS 1's move_base fails; the reference is the base's own program."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from tests.interop.mix_faults import (
 from tests.support.wait import until
 
 GATEWAY = (YARP, ROS2, ZENOH)
-"""Clients whose goals the gateway executes; they also reach its services while ROS 1 is away."""
+"""Clients whose goals the gateway executes; they also reach its services while ROS 1 is unreachable."""
 
 thorough = pytest.mark.thorough
 
 
 def drive(deployment: Deployment, client: str, **options: object) -> Watch:
-    """Have a client drive over move_base."""
+    """Let a client drive with move_base."""
     mix = Mix.over(deployment, MOVE_BASE, **options)
     start_driving(mix, mix.clients[client])
     return Watch(mix, client, own=(MOVE_BASE, client) in OWN)
@@ -61,7 +61,7 @@ def assert_ends_once(watch: Watch) -> None:
 
 
 def assert_refused_or_stands(watch: Watch) -> None:
-    """Check the words of answers that do not confirm."""
+    """Check that unconfirmed stops are reported as such, or that the base stands."""
     for name, (_, answer) in watch.answers.items():
         assert not answer or answer == "not ok" or UNCONFIRMED in answer, f"{name} received {answer!r}; {watch}"
 
@@ -74,8 +74,10 @@ def test_stop_while_the_master_is_dead(deployment: Deployment, client: str) -> N
     wait(watch, 1.0)
     watch.ask("stop", [*GATEWAY, COMMAND])
     assert_refused_or_stands(watch)
-    stands(watch, "the stop reaches move_base by the connections that still stand")
-    watch.until(lambda: watch.mix.state() in ("idle", "aborted"), "its end is known without a master", STANDS_SECONDS)
+    stands(watch, "the stop reaches move_base over the remaining connections")
+    watch.until(
+        lambda: watch.mix.state() in ("idle", "aborted"), "its end is reported without a master", STANDS_SECONDS
+    )
     watch.close()
     watch.ask("stop", [*GATEWAY, COMMAND])
     assert not any(answer for _, answer in watch.answers.values()), f"it stands, and a stop is not ok; {watch}"
@@ -89,7 +91,7 @@ def test_halt_while_the_master_is_dead(deployment: Deployment) -> None:
     watch.mix.kill_master()
     wait(watch, 0.5)
     halted = watch.mix.callers[COMMAND].ask("halt")
-    watch.until(halted, "halt is answered")
+    watch.until(halted, "halt returns")
     watch.answers = {COMMAND: halted() or (0.0, "")}
     stands(watch)
     watch.close()
@@ -115,19 +117,19 @@ def test_pause_after_the_ros1_worker_was_killed(deployment: Deployment, asks: st
     wait(watch, 0.3)
     watch.ask("pause", [asks])
     assert_refused_or_stands(watch)
-    stands(watch, "the pause is kept until it reaches move_base")
+    stands(watch, "the pause is pending until it reaches move_base")
     watch.until(lambda: watch.mix.state() == "paused", "it is paused", STANDS_SECONDS)
     watch.until(watch.mix.back, "everything is back")
-    assert not watch.base.moves, f"the pause is kept; {watch}"
+    assert not watch.base.moves, f"the pause is still pending; {watch}"
     watch.close()
     watch.ask("resume", [asks])
-    watch.until(lambda: watch.base.moves, "it drives on", STANDS_SECONDS)
+    watch.until(lambda: watch.base.moves, "it keeps driving", STANDS_SECONDS)
     cancel(watch)
 
 
 @pytest.mark.parametrize("client", [ZENOH, pytest.param(ROS2, marks=thorough)])
 def test_the_ros1_worker_is_killed_as_the_robot_starts(deployment: Deployment, client: str) -> None:
-    """Odometry that ended before the robot moved does not show that it stands."""
+    """Odometry that ended before the robot moved does not prove that it stands."""
     mix = Mix.over(deployment, MOVE_BASE)
     start_driving(mix, mix.clients[client], progress=1)
     watch = Watch(mix, client)
@@ -148,7 +150,7 @@ def test_stop_of_the_planners_own_goal(deployment: Deployment, fault: str) -> No
 @thorough
 @pytest.mark.parametrize("client", [YARP, ROS1])
 def test_stop_after_ros1_and_modules_were_killed(deployment: Deployment, client: str) -> None:
-    """Without the clients of the gateway's action: their goals end with their server, whatever the robot does."""
+    """Without clients of the gateway's action: their goals end with their server, whatever the robot does."""
     watch = drive(deployment, client)
     kill_workers("ros1", "gateway")(watch.mix)
     end = time.monotonic() + 40.0
@@ -169,12 +171,12 @@ def test_new_goal_after_the_ros1_worker_was_killed(deployment: Deployment, other
     watch = drive(deployment, ROS2)
     first = watch.mix.clients[ROS2]
     assert isinstance(first, RosClient)
-    watch.client = ""  # the first goal is canceled by the new one, while the robot may drive on
+    watch.client = ""  # the new goal cancels the first one, while the robot may keep driving
     kill_workers("ros1")(watch.mix)
     wait(watch, 0.3)
     watch.mix.clients[other].goto(AWAY / 2)
     watch.client = other
-    watch.until(lambda: first.end() == "canceled", "the new goal takes the place of the first one")
+    watch.until(lambda: first.end() == "canceled", "the new goal replaces the first one")
     watch.until(watch.mix.back, "everything is back")
     progress = watch.mix.clients[other].progress()
     watch.until(lambda: watch.mix.clients[other].progress() > progress and watch.base.moves, "the new goal is executed")
@@ -190,7 +192,7 @@ def test_stop_of_a_base_that_brakes(deployment: Deployment, client: str) -> None
     watch.ask("stop", [*GATEWAY, ROS1])
     assert_refused_or_stands(watch)
     stands(watch)
-    watch.allowance = 1.5  # it brakes for a second, and the planner may report its goal's end before
+    watch.allowance = 1.5  # it brakes for a second, and the planner may report its goal's end earlier
     watch.close()
 
 

@@ -1,4 +1,4 @@
-"""Stops and goals while a server of Nav2 gives up, dies or is cut off; the measure is the base's own program."""
+"""Stops and goals while a Nav2 server aborts, crashes or is disconnected; the reference is the base's own program."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.support.wait import until
 ALL = (YARP, ROS1, ROS2, ZENOH)
 PATIENCE = 10.0
 NO_NAVIGATOR = 9011
-"""The status's code while the planner is away."""
+"""The status's code while the planner is unreachable."""
 
 PATH = {"path": {"header": {"frame_id": "map"}, "poses": [pose(AWAY)]}}
 BACKUP = "nav2_msgs/BackUp", {"target": {"x": -AWAY}, "speed": -0.5}
@@ -31,7 +31,7 @@ thorough = pytest.mark.thorough
 
 
 def drive(deployment: Deployment, client: str, **options: object) -> Watch:
-    """Have a client drive over Nav2."""
+    """Let a client drive with Nav2."""
     mix = Mix.over(deployment, NAV2, **options)
     start_driving(mix, mix.clients[client])
     return Watch(mix, client, own=(NAV2, client) in OWN)
@@ -43,7 +43,7 @@ def wait(watch: Watch, seconds: float) -> None:
 
 
 def assert_stops(watch: Watch, *callers: str) -> None:
-    """Have clients ask for a stop, which reaches whatever moves the base."""
+    """Let clients request a stop, which reaches whatever moves the base."""
     watch.ask("stop", callers or ALL)
     for name, (_, answer) in watch.answers.items():
         assert not answer or answer == "not ok" or UNCONFIRMED in answer, f"{name} received {answer!r}; {watch}"
@@ -61,19 +61,19 @@ def assert_ends_once(watch: Watch) -> None:
 
 @thorough
 @pytest.mark.parametrize("client", ALL)
-def test_stop_after_bt_navigator_gave_up(deployment: Deployment, client: str) -> None:
+def test_stop_after_bt_navigator_aborted(deployment: Deployment, client: str) -> None:
     watch = drive(deployment, client)
     watch.mix.planner.give_up()
     wait(watch, 0.5)
     assert_stops(watch, *ALL, COMMAND)
     assert_ends_once(watch)
-    start_driving(watch.mix, watch.mix.clients[client])  # as if nothing had happened
+    start_driving(watch.mix, watch.mix.clients[client])  # as without a fault
     watch.mix.clients[client].cancel()
     until(lambda: not watch.base.moves, "it stands", STANDS_SECONDS)
 
 
-def test_nobody_stops_after_bt_navigator_gave_up(deployment: Deployment) -> None:
-    """Whether or not the gateway stops the controller by itself: no end is reported while the base moves."""
+def test_no_end_is_reported_while_the_base_moves_after_bt_navigator_aborted(deployment: Deployment) -> None:
+    """No client requests a stop; the gateway may stop the controller by itself."""
     watch = drive(deployment, ZENOH)
     watch.mix.planner.give_up()
     wait(watch, 4.0)
@@ -129,7 +129,7 @@ def test_stop_of_a_behavior_of_another_client(deployment: Deployment, action: st
 def test_stop_while_it_brakes(
     deployment: Deployment, client: str, base: tuple[str, ...], controller: tuple[str, ...]
 ) -> None:
-    """bt_navigator reports its goal's end 50 ms after the cancel, whether or not the robot stands."""
+    """bt_navigator reports its goal's end 50 ms after the cancel request, even if the robot still moves."""
     watch = drive(deployment, client, base=base, nav2={"controller": controller})
     wait(watch, 1.5)  # until it is at full speed
     watch.allowance = 1.5
@@ -159,19 +159,21 @@ def test_stop_after_a_server_was_killed(deployment: Deployment, server: str) -> 
 
 @pytest.mark.parametrize("client", [ZENOH, *(pytest.param(name, marks=thorough) for name in (YARP, ROS1))])
 @pytest.mark.parametrize("lease", [pytest.param("short", marks=thorough), "default"])
-def test_bt_navigator_is_killed_and_comes_back(deployment: Deployment, client: str, lease: str) -> None:
+def test_bt_navigator_is_killed_and_restarted(deployment: Deployment, client: str, lease: str) -> None:
     options = {} if lease == "short" else {"nav2": {"lease": {}}}
     watch = drive(deployment, client, navigation={"patience": PATIENCE}, **options)
     watch.mix.planner.kill("bt_navigator")
     gateway = watch.mix.clients[client]
-    watch.until(lambda: watch.mix.statuses[-1][1]["error_code"] == NO_NAVIGATOR, "the planner is away", STANDS_SECONDS)
+    watch.until(
+        lambda: watch.mix.statuses[-1][1]["error_code"] == NO_NAVIGATOR, "the planner is unreachable", STANDS_SECONDS
+    )
     assert watch.mix.state() == "moving", watch
     wait(watch, PATIENCE - 3.0)
     assert gateway.end() == "", f"its goal ended; {watch}"
     assert watch.mix.state() == "moving", watch
     watch.mix.restart_navigator()
     progress = gateway.progress()
-    watch.until(lambda: gateway.progress() > progress and watch.mix.driving(), "its goal goes on")
+    watch.until(lambda: gateway.progress() > progress and watch.mix.driving(), "its goal continues")
     watch.close()
     gateway.cancel()
     watch.until(lambda: gateway.end() == "canceled", "its goal is canceled", STANDS_SECONDS)
@@ -179,11 +181,11 @@ def test_bt_navigator_is_killed_and_comes_back(deployment: Deployment, client: s
 
 
 @thorough
-def test_bt_navigator_stays_away(deployment: Deployment) -> None:
+def test_bt_navigator_is_not_restarted(deployment: Deployment) -> None:
     watch = drive(deployment, ZENOH, navigation={"patience": PATIENCE})
     watch.mix.planner.kill("bt_navigator")
     client = watch.mix.clients[ZENOH]
-    watch.until(client.end, "the patience ends")
+    watch.until(client.end, "the waiting time ends")
     assert client.ended_at() - watch.began > PATIENCE - 1.0, watch
     watch.close()
     assert_stops(watch)
@@ -200,22 +202,22 @@ def test_bt_navigator_stays_away(deployment: Deployment) -> None:
 def test_the_ros2_worker_is_killed_and_transforms_are_missing(
     deployment: Deployment, client: str, navigator: tuple[str, ...], controller: tuple[str, ...]
 ) -> None:
-    """The base is on ROS 1: transforms reach Nav2 by the worker that was killed."""
+    """The base is on ROS 1: transforms reach Nav2 through the killed worker."""
     nav2 = {"navigator": navigator, "controller": controller}
-    assert_goes_on(drive(deployment, client, base_side="ros1", nav2=nav2, navigation={"patience": 30.0}))
+    assert_continues(drive(deployment, client, base_side="ros1", nav2=nav2, navigation={"patience": 30.0}))
 
 
 @thorough
 @pytest.mark.parametrize("client", [YARP, ZENOH])
 def test_the_ros2_worker_is_killed(deployment: Deployment, client: str) -> None:
-    assert_goes_on(drive(deployment, client, navigation={"patience": 30.0}))
+    assert_continues(drive(deployment, client, navigation={"patience": 30.0}))
 
 
-def assert_goes_on(watch: Watch) -> None:
-    """Kill the ros2 worker; the client's goal goes on when it is back."""
+def assert_continues(watch: Watch) -> None:
+    """Kill the ros2 worker; the client's goal continues after its restart."""
     client, mix = watch.mix.clients[watch.client], watch.mix
     os.kill(mix.pid("ros2"), signal.SIGKILL)
-    watch.until(lambda: not watch.base.moves or time.monotonic() > watch.began + 3.0, "it is cut off")
+    watch.until(lambda: not watch.base.moves or time.monotonic() > watch.began + 3.0, "it is disconnected")
     progress = client.progress()
     watch.until(mix.back, "everything is back")
 

@@ -1,4 +1,4 @@
-"""Topics of real programs cross every way."""
+"""Topics of real programs cross in every direction."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STRING = "std_msgs/String"
 
 
 def cross(sender: Any, out: int, hearer: Any, heard: int, message: dict) -> dict:
-    """Publish until it is heard; what was heard first."""
+    """Publish until a message arrives; return the first one."""
 
     def once() -> list[dict]:
         sender.publish(out, message)
@@ -31,7 +31,7 @@ def cross(sender: Any, out: int, hearer: Any, heard: int, message: dict) -> dict
     return first
 
 
-def test_every_way_between_ros1_ros2_and_zenoh(shared: Deployment) -> None:
+def test_every_direction_between_ros1_ros2_and_zenoh(shared: Deployment) -> None:
     programs = {"ros1": shared.ros1(), "ros2": shared.ros2(), "sdk": shared.sdk()}
     for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
         topic = f"/{from_}_to_{to}"
@@ -64,7 +64,7 @@ THREE_D = [
 
 
 def within(part: Any, whole: Any) -> bool:
-    """Whether a message has these fields; bytes may come as such or as a list."""
+    """Return whether a message has these fields; bytes may be bytes or a list."""
     if isinstance(part, dict):
         return all(within(value, whole[key]) for key, value in part.items())
     if isinstance(part, list) and part and not isinstance(part[0], int):
@@ -74,7 +74,9 @@ def within(part: Any, whole: Any) -> bool:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "message"), THREE_D, ids=[kind for kind, _ in THREE_D])
-def test_clouds_depth_and_markers_every_way(shared: Deployment, kind: str, message: dict[str, Any]) -> None:
+def test_clouds_depth_and_markers_cross_in_every_direction(
+    shared: Deployment, kind: str, message: dict[str, Any]
+) -> None:
     programs = {"ros1": shared.ros1(), "ros2": shared.ros2(), "sdk": shared.sdk()}
     for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
         topic = f"/{from_}_to_{to}/{kind.partition('/')[2].lower()}"
@@ -97,13 +99,13 @@ NOT_INSTALLED = {
         {**GRID, "info": SIZES, "header": {"frame_id": "map"}},
     ),
 }
-"""Messages of packages that Debian does not have: as ROS 1 has them, and as ROS 2 and the hub do."""
+"""Messages of packages that Debian does not have: in the spelling of ROS 1, and in that of ROS 2 and the hub."""
 GET = "octomap_msgs/GetOctomap"
 
 
 @pytest.mark.thorough
-def test_types_of_packages_that_nobody_installed_every_way(shared: Deployment) -> None:
-    """A ROS 1 program has them by their definitions, a ROS 2 program of what Midspan built, a zenoh program by name."""
+def test_types_of_missing_packages_cross_in_every_direction(shared: Deployment) -> None:
+    """A ROS 1 program uses definitions, a ROS 2 program packages built by Midspan, a zenoh program only names."""
     registry = Registry(ros1_packages=Path("/nonexistent"))
     programs: dict[str, Any] = {"ros1": shared.ros1(), "ros2": shared.ros2(), "zenoh": shared.zenoh()}
     for kind in NOT_INSTALLED:
@@ -129,7 +131,7 @@ def test_types_of_packages_that_nobody_installed_every_way(shared: Deployment) -
 
 
 def called(side: str, program: Any, service: str) -> dict[str, Any]:
-    """The answer of a GetOctomap, once its server is there."""
+    """Return the response of a GetOctomap, once its server exists."""
     if side == "zenoh":
         found: dict[str, Any] = program.call(service, GET).result(30.0)
     else:
@@ -143,7 +145,7 @@ def called(side: str, program: Any, service: str) -> dict[str, Any]:
 
 
 @pytest.mark.thorough
-def test_every_way_without_the_lane(deployment: Deployment) -> None:
+def test_every_direction_without_the_lane(deployment: Deployment) -> None:
     deployment.start(hub={"listen": f"tcp/127.0.0.1:{deployment.port}", "lane": False})
     programs = {"ros1": deployment.ros1(), "ros2": deployment.ros2()}
     for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
@@ -155,8 +157,8 @@ def test_every_way_without_the_lane(deployment: Deployment) -> None:
         assert deployment.command("explain", topic).stdout.count("over zenoh, as this worker has no lane") == 2
 
 
-def test_a_start_without_a_covariance_reaches_a_localiser_with_one(shared: Deployment) -> None:
-    """Real amcl (1.17.3) takes zeros at their word, and its particles all stand on one point."""
+def test_a_start_pose_without_covariance_reaches_a_localizer_with_one(shared: Deployment) -> None:
+    """Real amcl (1.17.3) uses zero covariances literally, and puts all particles on one point."""
     start = {"pose": {"pose": {"orientation": {"w": 1.0}}, "covariance": [0.0] * 36}}
     programs = {"ros1": shared.ros1(), "ros2": shared.ros2()}
     for (from_, sender), (_, hearer) in itertools.permutations(programs.items(), 2):
@@ -197,38 +199,38 @@ for _ in range(20):
     publisher.publish(new)
     rospy.sleep(0.05)
 """
-"""A program that waits for a listener: who asks what it publishes is the first, and gets the first message alone."""
+"""A program that waits for a subscriber: the probe is the first, and only it receives the first message."""
 
 
 def from_the_first_on(shared: Deployment, topic: str, kind: str, *said: dict[str, Any]) -> list[dict[str, Any]]:
-    """What a ROS 2 program hears of another program, then of the first message of such a one, and of its later ones."""
+    """Return what a ROS 2 program receives from another program, then the first and later messages of such a one."""
     hearer, other = shared.ros2(), shared.ros1()
     heard = hearer.subscribe(topic, kind)
     out = other.advertise(topic, kind)
     before, first, later = said
-    cross(other, out, hearer, heard, before)  # all ends are there
+    cross(other, out, hearer, heard, before)  # all endpoints exist
     program = json.dumps([topic, kind, first, later])
     subprocess.run([ROS1_PYTHON, "-c", FIRST, program], env=shared.master.env, check=True, timeout=60)
     until(lambda: len(hearer.wait(heard, 10, 0.1)) >= 10, "later ones arrive")
     return hearer.wait(heard, 10)
 
 
-def test_a_program_that_waits_for_a_listener_is_heard(shared: Deployment) -> None:
-    """Who asked such a program what it publishes was its listener, and its only message may go there."""
+def test_a_program_that_waits_for_a_subscriber_is_received(shared: Deployment) -> None:
+    """The probe of such a program is its first subscriber, and its only message may go there."""
     said = [{"data": text} for text in ("before", "first", "later")]
     heard = from_the_first_on(shared, "/once", STRING, *said)
     assert [message for message in said if message in heard] == said
 
 
-def test_a_command_to_who_asks_what_is_published_is_not_delivered_late(shared: Deployment) -> None:
-    """Such messages wait until the route is made. Velocities must not: their commander may be silent by then."""
+def test_a_command_to_the_probe_is_not_delivered_late(shared: Deployment) -> None:
+    """Such messages wait until the route exists. Velocities must not, as their commander may have stopped by then."""
     said = [{"linear": {"x": speed}} for speed in (3.0, 1.0, 2.0)]
     heard = from_the_first_on(shared, "/cmd_vel_once", "geometry_msgs/Twist", *said)
     assert {message["linear"]["x"] for message in heard} == {3.0, 2.0}
 
 
-def test_no_loop_whatever_the_nodes_are_called(shared: Deployment) -> None:
-    """All three publish and listen on one topic; the names of the bridge's own nodes are taken by users' nodes."""
+def test_no_loop_whatever_the_names_of_nodes(shared: Deployment) -> None:
+    """All three publish and subscribe on one topic; users' nodes have the names of the bridge's own nodes."""
     ros1, ros2, zenoh = shared.ros1("midspan_ros2"), shared.ros2("midspan"), shared.zenoh()
     programs: dict[str, Any] = {"ros1": ros1, "ros2": ros2, "zenoh": zenoh}
     heard = {name: program.subscribe("/all", STRING, depth=200) for name, program in programs.items()}
@@ -242,9 +244,9 @@ def test_no_loop_whatever_the_nodes_are_called(shared: Deployment) -> None:
     for name, program in programs.items():
         program.publish(out[name], {"data": f"{name} end"})
     for name, program in programs.items():
-        own_come_back = name != "zenoh"  # our own hub session does not hear itself, rospy and rclpy do
+        own_come_back = name != "zenoh"  # the test's hub session does not receive its own messages, rospy and rclpy do
         expected = {f"{n} {i}" for n in programs if n != name or own_come_back for i in [*range(20), "end"]}
-        until(lambda p=program, h=heard[name], e=expected: e <= _texts(p, h), f"{name} heard everything", 20)
+        until(lambda p=program, h=heard[name], e=expected: e <= _texts(p, h), f"{name} received everything", 20)
         counted = [m["data"] for m in program.wait(heard[name], 10_000, 0.5) if not m["data"].startswith("probe")]
         assert sorted(counted) == sorted(expected), name
 
@@ -266,7 +268,7 @@ def test_custom_types_between_ros1_and_ros2(shared: Deployment) -> None:
         assert got == thing
 
 
-def test_a_type_that_only_a_connection_header_tells(shared: Deployment) -> None:
+def test_a_type_that_only_a_connection_header_defines(shared: Deployment) -> None:
     """No package, no folder: the definition comes from rospy's connection header, the ROS 2 package is built."""
     ros1, far = shared.ros1(), shared.zenoh()
     point = "=" * 80 + "\nMSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n"
@@ -284,14 +286,14 @@ def test_a_type_that_only_a_connection_header_tells(shared: Deployment) -> None:
     assert far.wait(heard, 1) == [message]
 
 
-def test_a_best_effort_sensor_is_heard(shared: Deployment) -> None:
+def test_a_best_effort_sensor_is_received(shared: Deployment) -> None:
     ros1, ros2 = shared.ros1(), shared.ros2()
     heard = ros1.subscribe("/sensor", STRING)
     out = ros2.advertise("/sensor", STRING, best_effort=True)
     assert cross(ros2, out, ros1, heard, {"data": "measured"}) == {"data": "measured"}
 
 
-def test_a_burst_of_a_thousand_crosses_whole(shared: Deployment) -> None:
+def test_a_burst_of_a_thousand_messages_crosses_completely(shared: Deployment) -> None:
     ros1, ros2 = shared.ros1(), shared.ros2()
     for sender, hearer, topic in ((ros1, ros2, "/burst_a"), (ros2, ros1, "/burst_b")):
         heard = hearer.subscribe(topic, STRING, depth=2000)
@@ -311,7 +313,7 @@ def test_incompatible_qos_is_reported(shared: Deployment) -> None:
     ros2.subscribe("/volatile", STRING, latched=True)
     shared.until_route("ros2", "/volatile", "out")
     named = lambda: [w for w in shared.worker("ros2")["warnings"] if "/volatile" in w]  # noqa: E731
-    until(named, "the mismatch is named", 20, every=0.2)
+    until(named, "the mismatch is reported", 20, every=0.2)
 
 
 def test_diagnostics_on_both_ros_sides(shared: Deployment) -> None:
@@ -340,7 +342,7 @@ def _until_has(sender: Any, out: int, hearer: Any, heard: int, probe: dict) -> N
     until(once, probe["data"], 30)
 
 
-def test_a_new_name_is_made_legal_too(deployment: Deployment) -> None:
+def test_a_renamed_topic_gets_a_legal_name(deployment: Deployment) -> None:
     deployment.start(routing={"rules": [{"regex": "/lidar/(.*)/scan", "rename": r"/scan/\1"}]})
     ros1, ros2 = deployment.ros1(), deployment.ros2()
     heard = ros2.subscribe("/scan/n1_2v", STRING)

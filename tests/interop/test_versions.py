@@ -1,4 +1,4 @@
-"""An older Midspan and this one on one hub exchange topics, services and the store, and agree on who carries."""
+"""An older Midspan and this one on one hub exchange topics, services and the store, and agree on the active one."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ class Deployment:
         return self.ends.enter_context(python(tree, WORKER, *words))
 
     def states(self) -> dict[str, str]:
-        """Each daemon's state, as this release is told."""
+        """Return each daemon's state as this release receives it."""
         answers = self.far.hub.ask("status", {})
         return {
             a.daemon: a.value["state"] for a in answers if isinstance(a.value, dict) and a.worker == "zenoh_ros2dds"
         }
 
     def midspan(self, tree: Path, *words: str) -> str:
-        """What the command line of a tree prints."""
+        """Return the output of a tree's command line."""
         config = self.config("looks")
         with python(tree, WORKER, *words, "--config", config) as process:
             assert process.popen.wait(60) == 0, process.output()
@@ -84,11 +84,11 @@ def deployment(tmp_path: Path) -> Iterator[Deployment]:
 
 @pytest.mark.parametrize("carrier", ["old", "new"])
 def test_topics_and_services_cross(deployment: Deployment, old: Path, carrier: str) -> None:
-    """The worker is of one release, and the command line of the other; a node of this release is on the hub."""
+    """The worker has one release, the command line the other; a node of this release is on the hub."""
     tree, other = (old, ROOT) if carrier == "old" else (ROOT, old)
     deployment.worker(tree, carrier)
     far, program = deployment.far, deployment.program()
-    until(lambda: deployment.states() == {carrier: "running"}, "its answer is understood", 60)
+    until(lambda: deployment.states() == {carrier: "running"}, "its reply is understood", 60)
 
     out, heard = program.advertise("/from_side", STRING), far.subscribe("/from_side", STRING)
     far.publish_until(program, out, {"data": "in"}, lambda: far.wait(heard, 1, 0.2))
@@ -102,9 +102,9 @@ def test_topics_and_services_cross(deployment: Deployment, old: Path, carrier: s
     answer = far.call("/of_side", SET_BOOL, data=True).result()
     assert answer["reply"] == {"success": False, "message": "from the side"}, answer
     far.serve("/of_hub", SET_BOOL, reply={"success": True, "message": "from the hub"})
-    until(lambda: program.tokens("/of_hub", "SS"), "the program sees the server", 30)
+    until(lambda: program.tokens("/of_hub", "SS"), "the program discovers the server", 30)
 
-    def told() -> bool:  # its token is seen a moment before zenoh has the way to it
+    def told() -> bool:  # its token arrives shortly before zenoh can route to it
         reply = program.call("/of_hub", SET_BOOL, {"data": True}).result()["reply"]
         return reply == {"success": True, "message": "from the hub"}
 
@@ -115,27 +115,27 @@ def test_topics_and_services_cross(deployment: Deployment, old: Path, carrier: s
 
 
 @pytest.mark.parametrize("first", ["old", "new"])
-def test_one_of_them_carries_and_the_other_takes_over(deployment: Deployment, old: Path, first: str) -> None:
+def test_one_of_them_is_active_and_the_other_takes_over(deployment: Deployment, old: Path, first: str) -> None:
     trees = {"old": old, "new": ROOT}
     second = next(name for name in trees if name != first)
     active = deployment.worker(trees[first], first)
-    until(lambda: deployment.states() == {first: "running"}, "the first carries", 60)
+    until(lambda: deployment.states() == {first: "running"}, "the first is active", 60)
     deployment.worker(trees[second], second)
-    until(lambda: deployment.states() == {first: "running", second: "standby"}, "the second stands by", 60)
+    until(lambda: deployment.states() == {first: "running", second: "standby"}, "the second is on standby", 60)
     far, program = deployment.far, deployment.program()
     out, heard = program.advertise("/numbers", STRING), far.subscribe("/numbers", STRING)
     far.publish_until(program, out, {"data": "begin"}, lambda: far.wait(heard, 1, 0.2))
     for number in range(50):
         program.publish(out, {"data": str(number)})
-    until(lambda: {"data": "49"} in far.wait(heard, 1), "the last has come", 30)
+    until(lambda: {"data": "49"} in far.wait(heard, 1), "the last has arrived", 30)
     numbers = [message["data"] for message in far.wait(heard, 1) if message["data"].isdigit()]
-    assert sorted(numbers, key=int) == [str(number) for number in range(50)], "none is lost, none comes twice"
+    assert sorted(numbers, key=int) == [str(number) for number in range(50)], "none is lost, none arrives twice"
     active.stop()
     until(lambda: deployment.states() == {second: "running"}, "the second has taken over", 60)
     far.publish_until(program, out, {"data": "after"}, lambda: {"data": "after"} in far.wait(heard, 1, 0.2))
 
 
-def test_the_store_is_one(old: Path, tmp_path: Path) -> None:
+def test_both_share_one_store(old: Path, tmp_path: Path) -> None:
     with QuickHub() as hubs, ExitStack() as ends:
         stores: dict[str, OtherStore] = {}
         for name, tree in (("old", old), ("new", ROOT)):
@@ -144,7 +144,7 @@ def test_the_store_is_one(old: Path, tmp_path: Path) -> None:
             stores[name] = OtherStore(process)
             stores[name].ask("put", f"before {name}", 1.5)
         for name, other in (("old", "new"), ("new", "old")):
-            until(lambda name=name, other=other: stores[name].ask("look")[1] == [other], "they reach each other", 60)
+            until(lambda name=name, other=other: stores[name].ask("look")[1] == [other], "they discover each other", 60)
         both = {"before old": 1.5, "before new": 1.5}
         for store in stores.values():
             store.until(both)
@@ -159,7 +159,7 @@ def test_the_store_is_one(old: Path, tmp_path: Path) -> None:
             assert store.ask("look")[2] == 0, "each knew of the other's changes"
 
 
-def test_the_older_one_names_no_version(old: Path) -> None:
-    """Else these tests would show nothing of releases that differ."""
+def test_the_older_release_announces_no_version(old: Path) -> None:
+    """Otherwise these tests would not show differences of releases."""
     found = subprocess.run(["grep", "-rl", "hub.wire.version", old / "bridge"], capture_output=True, check=False)
     assert found.stdout == b""

@@ -1,4 +1,4 @@
-"""A YARP script without any ROS speaks with real rospy and rclpy programs, through the daemon."""
+"""A YARP script without any ROS exchanges messages with real rospy and rclpy programs, through the daemon."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tests.support.wait import until
 from tests.support.yarp_script import output_lines, start
 
 
-def test_a_script_is_heard_by_ros1_and_ros2_and_hears_either(deployment: Deployment) -> None:
+def test_a_script_exchanges_messages_with_ros1_and_ros2(deployment: Deployment) -> None:
     number = free_port()
     deployment.start(yarp={"address": f"127.0.0.1:{number}", "nameserver": "embedded", "poll": 0.1})
     until(lambda: deployment.worker("yarp").get("state") == "running", "the YARP network is joined", 20)
