@@ -32,9 +32,7 @@ class Acting:
         if not self._server.send_goal.requests(1, self._seconds):
             return
         self._server.cancel_goal.reply = {"goals_canceling": [{"goal_id": self._server.goal()["goal_id"]}]}
-        until(
-            lambda: self._server.feedback.matching_status.matching, "a client has discovered the server", self._seconds
-        )  # type: ignore[attr-defined]
+        until(lambda: self._server.feedback.matching_status.matching, "a client discovers it", self._seconds)  # type: ignore[attr-defined]
         self._server.report(EXECUTING)
         if not self._held:
             self._end(ABORTED if self._outcome == "abort" else SUCCEEDED)
