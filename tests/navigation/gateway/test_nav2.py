@@ -95,7 +95,7 @@ def test_odometry_from_before_the_goal_of_another_client_does_not_show_that_the_
     server = Controller(robot.rig, "/spin")
     try:
         robot.planner.tell()  # bt_navigator has no goal
-        robot.rig.state(State.MOVING, "/spin moves the base")
+        assert robot.rig.state(State.MOVING, "/spin moves the base")
         robot.rig.state(State.IDLE)
     finally:
         server.end()
