@@ -1,4 +1,4 @@
-"""A network for the tests of what YARP users know."""
+"""Networks for the tests of YARP's os classes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from yarp_compat.os.runtime import RUNTIME
 
 @pytest.fixture
 def local() -> Iterator[None]:
-    """Names live in this process."""
+    """Register names only in this process."""
     yarp.Network.setLocalMode(True)
     yarp.Network.init()
     yield
@@ -26,7 +26,7 @@ def local() -> Iterator[None]:
 
 @pytest.fixture
 def name_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[NameServer]:
-    """A name server of ours, which yarp.conf names."""
+    """A name server of Midspan, at the address in yarp.conf."""
     with NameServer(port=free_port()) as server:
         monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
         monkeypatch.delenv("YARP_NAMESPACE", raising=False)

@@ -1,4 +1,4 @@
-"""Messages on the terminal, as YARP prints them."""
+"""Log messages on the terminal, in YARP's format."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def level() -> Iterator[None]:
     Log.setPrintCallback(Log.defaultPrintCallback())
 
 
-def test_messages_go_where_yarp_sends_them(capsys: pytest.CaptureFixture[str]) -> None:
+def test_messages_use_yarps_streams(capsys: pytest.CaptureFixture[str]) -> None:
     Log.setMinimumPrintLevel(Log.DebugType)
     Log().info("speed %.1f of %s", 0.25, "r1")
     Log.debug("50% done")
@@ -33,7 +33,7 @@ def test_messages_go_where_yarp_sends_them(capsys: pytest.CaptureFixture[str]) -
     assert err == "[WARNING] careful\n[ERROR] broken\n"
 
 
-def test_streams_as_in_cpp(capsys: pytest.CaptureFixture[str]) -> None:
+def test_log_streams_as_in_cpp(capsys: pytest.CaptureFixture[str]) -> None:
     Log.setMinimumPrintLevel(Log.DebugType)
     Log().info() << "speed" << 0.25 << 3 << True << 1 / 3 << [1, 2.5]
     stream = Log("f.py", 12, "go").debug()
@@ -43,7 +43,7 @@ def test_streams_as_in_cpp(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == "[DEBUG] later\n"
 
 
-def test_where_a_message_was_written(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_source_location_of_a_message(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     Log.setMinimumPrintLevel(Log.TraceType)
     Log("f.py", 12, "go").info("hello")
     Log("f.py", 12, "go").trace("hello")
@@ -54,25 +54,25 @@ def test_where_a_message_was_written(capsys: pytest.CaptureFixture[str], monkeyp
     assert capsys.readouterr().out == "[5.500000] [INFO] f.py:12 go hello\n"
 
 
-def test_a_fatal_stream_ends_the_program() -> None:
+def test_fatal_stream_ends_the_program() -> None:
     code = "import yarp_compat as yarp\nyarp.Log().fatal() << 'over' << 2\nprint('not reached')"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
     assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "[FATAL] over 2\n")
 
 
-def test_a_message_is_handed_on_besides(capsys: pytest.CaptureFixture[str]) -> None:
-    said: list[tuple[LogType, str, str]] = []
-    Log.setForwardCallback(lambda *message: said.append(message))
+def test_messages_are_also_forwarded(capsys: pytest.CaptureFixture[str]) -> None:
+    forwarded: list[tuple[LogType, str, str]] = []
+    Log.setForwardCallback(lambda *message: forwarded.append(message))
     Log.setMinimumForwardLevel(Log.WarningType)
     Log.info("hello")
     Log.error("oh")
     Log.setForwardCallback(None)
     Log.setMinimumForwardLevel(Log.defaultMinimumForwardLevel())
-    assert said == [(LogType.ErrorType, "oh", "")]
+    assert forwarded == [(LogType.ErrorType, "oh", "")]
 
 
-def test_a_line_is_written_in_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else what another thread prints meanwhile stands in the middle of it."""
+def test_line_is_written_in_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise another thread could print into the line."""
 
     class Pieces(io.StringIO):
         def write(self, text: str) -> int:
@@ -91,21 +91,21 @@ def test_fatal_ends_the_program(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().err == "[FATAL] over\n"
 
 
-def test_a_callback_prints_instead(capsys: pytest.CaptureFixture[str]) -> None:
-    said: list[tuple[LogType, str, str]] = []
-    Log.setPrintCallback(lambda *message: said.append(message))
+def test_print_callback_replaces_printing(capsys: pytest.CaptureFixture[str]) -> None:
+    printed: list[tuple[LogType, str, str]] = []
+    Log.setPrintCallback(lambda *message: printed.append(message))
     Log.info("hello")
-    assert said == [(LogType.InfoType, "hello", "")]
+    assert printed == [(LogType.InfoType, "hello", "")]
     assert capsys.readouterr().out == ""
 
 
-def test_the_librarys_messages_name_their_component(capsys: pytest.CaptureFixture[str]) -> None:
+def test_messages_of_the_library_name_their_component(capsys: pytest.CaptureFixture[str]) -> None:
     handler = LogHandler()
     handler.emit(logging.LogRecord("yarp.os.Port", logging.ERROR, "", 0, "port %s failed", ("/a",), None))
     assert capsys.readouterr().err == "[ERROR] |yarp.os.Port| port /a failed\n"
 
 
-def test_lines() -> None:
+def test_format_of_lines() -> None:
     assert line(LogType.InfoType, "text", "yarp.os.Port", color=True) == "[\033[01;34mINFO\033[00m] |yarp.os.Port| text"
     assert enabled({"X": "1"}, "X", default=False)
     assert not enabled({"X": "no"}, "X", default=True)

@@ -1,4 +1,4 @@
-"""`Network` with a name server of ours."""
+"""`Network` with a name server of Midspan."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Ignore(yarp.PortReader):
         return yarp.Bottle().read(connection) if connection.isValid() else False
 
 
-def test_connections(ports: tuple[yarp.Port, yarp.Port]) -> None:
+def test_connect_and_disconnect(ports: tuple[yarp.Port, yarp.Port]) -> None:
     reader, writer = ports
     assert yarp.Network.checkNetwork()
     assert yarp.Network.checkNetwork(2.0)
@@ -41,7 +41,7 @@ def test_connections(ports: tuple[yarp.Port, yarp.Port]) -> None:
     assert yarp.Network.isConnected("/w", "/r")
     assert yarp.Network.isConnected("/w", "/r", "tcp")
     assert not yarp.Network.isConnected("/w", "/r", "udp")
-    assert yarp.Network.connect("/w", "/r", "fast_tcp")  # by another carrier, in the former's place
+    assert yarp.Network.connect("/w", "/r", "fast_tcp")  # another carrier replaces the connection
     assert yarp.Network.isConnected("/w", "/r", "fast_tcp")
     until(lambda: reader.getInputCount() == 1, "one connection")
     assert yarp.Network.disconnect("/w", "/r")
@@ -49,7 +49,7 @@ def test_connections(ports: tuple[yarp.Port, yarp.Port]) -> None:
     assert writer.getOutputCount() == 0
 
 
-def test_a_style_says_how(ports: tuple[yarp.Port, yarp.Port]) -> None:
+def test_style_selects_the_carrier(ports: tuple[yarp.Port, yarp.Port]) -> None:
     style = yarp.ContactStyle()
     style.carrier, style.quiet, style.timeout = "fast_tcp", True, 3.0
     assert yarp.Network.connect("/w", "/r", style)
@@ -57,7 +57,7 @@ def test_a_style_says_how(ports: tuple[yarp.Port, yarp.Port]) -> None:
     assert yarp.Network.disconnect("/w", "/r", style)
 
 
-def test_persistent_connections_wait_for_ports(name_server: NameServer) -> None:
+def test_persistent_connection_is_made_when_the_ports_open(name_server: NameServer) -> None:
     style = yarp.ContactStyle()
     style.persistent = True
     assert yarp.Network.connect("/later/w", "/later/r", style)
@@ -68,7 +68,7 @@ def test_persistent_connections_wait_for_ports(name_server: NameServer) -> None:
     assert yarp.Network.disconnect("/later/w", "/later/r", style)
 
 
-def test_what_fails_returns_false_and_says_why(caplog: pytest.LogCaptureFixture, ports: object) -> None:
+def test_failures_return_false_and_log_the_reason(caplog: pytest.LogCaptureFixture, ports: object) -> None:
     assert not yarp.Network.connect("/w", "/nowhere")
     assert "/nowhere" in caplog.text
     assert not yarp.Network.disconnect("/w", "/r")
@@ -78,12 +78,12 @@ def test_what_fails_returns_false_and_says_why(caplog: pytest.LogCaptureFixture,
     assert not yarp.Network.isConnected("/nowhere", "/r")
 
 
-def test_names() -> None:
-    made = yarp.Network.registerName("/robot/thing")
-    assert made.isValid()
-    assert made.getRegName() == "/robot/thing"
-    found = yarp.Network.queryName("/robot/thing")
-    assert (found.getPort(), found.getCarrier(), found.toURI()) == (made.getPort(), "tcp", made.toURI())
+def test_names_are_registered_and_queried() -> None:
+    contact = yarp.Network.registerName("/robot/thing")
+    assert contact.isValid()
+    assert contact.getRegName() == "/robot/thing"
+    queried = yarp.Network.queryName("/robot/thing")
+    assert (queried.getPort(), queried.getCarrier(), queried.toURI()) == (contact.getPort(), "tcp", contact.toURI())
     assert yarp.Network.setProperty("/robot/thing", "colour", yarp.Value("red"))
     assert yarp.Network.getProperty("/robot/thing", "colour").asString() == "red"
     assert yarp.Network.getProperty("/robot/thing", "size") is None
@@ -96,7 +96,7 @@ def test_names() -> None:
     assert not yarp.Network.isValidPortName("a b")
 
 
-def test_waiting_for_a_port() -> None:
+def test_wait_for_a_port() -> None:
     port = yarp.Port()
     thread = threading.Timer(0.1, lambda: port.open("/late"))
     thread.start()
@@ -106,7 +106,7 @@ def test_waiting_for_a_port() -> None:
     port.close()
 
 
-def test_a_message_without_a_port(ports: object) -> None:
+def test_write_without_a_port(ports: object) -> None:
     class Answer(yarp.PortReader):
         def read(self, connection: yarp.ConnectionReader) -> bool:
             command = yarp.Bottle()
@@ -125,7 +125,7 @@ def test_a_message_without_a_port(ports: object) -> None:
     assert "/server" in answer.toString()
 
 
-def test_the_object_begins_and_ends() -> None:
+def test_network_object_initializes_and_finalizes() -> None:
     with yarp.Network():
         assert RUNTIME.is_up
     network = yarp.Network()
@@ -133,10 +133,10 @@ def test_the_object_begins_and_ends() -> None:
     assert yarp.Network.initialized()  # the fixture's
 
 
-def test_another_name_server_is_used() -> None:
+def test_another_name_server_can_be_selected() -> None:
     with NameServer(port=free_port()) as other:
-        there = yarp.Contact("/root", "tcp", other.address.host, other.address.port)
-        assert yarp.Network.setNameServerContact(there)
+        address = yarp.Contact("/root", "tcp", other.address.host, other.address.port)
+        assert yarp.Network.setNameServerContact(address)
         assert yarp.Network.getNameServerContact().getPort() == other.address.port
         port = yarp.Port()
         assert port.open("/there")
@@ -145,7 +145,7 @@ def test_another_name_server_is_used() -> None:
     assert not yarp.Network.setNameServerContact(yarp.Contact())
 
 
-def test_no_name_server(caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_name_server(caplog: pytest.LogCaptureFixture) -> None:
     assert yarp.Network.setNameServerContact(yarp.Contact("/root", "tcp", "127.0.0.1", free_port()))
     assert not yarp.Network.checkNetwork(0.5)
     assert not yarp.Port().open("/x")
@@ -154,7 +154,7 @@ def test_no_name_server(caplog: pytest.LogCaptureFixture) -> None:
     assert "name server" in caplog.text
 
 
-def test_the_service_of_a_connection(ports: tuple[yarp.Port, yarp.Port]) -> None:
+def test_type_of_service_of_a_connection(ports: tuple[yarp.Port, yarp.Port]) -> None:
     style, at_source, at_target = yarp.QosStyle(), yarp.QosStyle(), yarp.QosStyle()
     style.setPacketPriorityByLevel(yarp.QosStyle.PacketPriorityHigh)
     assert yarp.Network.connect("/w", "/r")
@@ -171,17 +171,17 @@ def test_the_service_of_a_connection(ports: tuple[yarp.Port, yarp.Port]) -> None
 
 
 @pytest.mark.parametrize(
-    ("asked", "tos", "dscp"),
+    ("text", "tos", "dscp"),
     [("LEVEL:CRIT", 176, 44), ("DSCP:AF11", 40, 10), ("TOS:5", 5, 0x7FFF), ("DSCP:XX", -1, -1), ("HIGH", -1, -1)],
 )
-def test_styles_of_service(asked: str, tos: int, dscp: int) -> None:
+def test_styles_of_service(text: str, tos: int, dscp: int) -> None:
     style = yarp.QosStyle()
-    assert style.setPacketPriority(asked) == (tos >= 0)
+    assert style.setPacketPriority(text) == (tos >= 0)
     assert (style.getPacketPriorityAsTOS(), style.getPacketPriorityAsDSCP()) == (tos, dscp)
 
 
 @pytest.mark.parametrize(("verbosity", "level"), [(-1, "WARNING"), (0, "INFO"), (1, "DEBUG")])
-def test_verbosity(verbosity: int, level: str) -> None:
+def test_verbosity_sets_the_log_level(verbosity: int, level: str) -> None:
     yarp.Network.setVerbosity(verbosity)
     assert logging.getLevelName(logging.getLogger("yarp").level) == level
     yarp.Network.setVerbosity(0)

@@ -1,7 +1,7 @@
-"""Texts, configuration files and command lines as a real YARP 3.12.3 understood and printed them.
+"""Texts, configuration files and command lines as YARP 3.12.3 parsed and printed them.
 
-`data/yarp-3.12.3.json` was written by a program of a few lines over its `Bottle` and `Property`, with random input:
-texts with what they printed as and their bytes, files and command lines with the Property that came of them.
+A short program wrote `data/yarp-3.12.3.json` with YARP's `Bottle` and `Property`, from random input: texts with their
+printed form and bytes, files and command lines with the resulting Property.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ def test_texts() -> None:
     wrong = []
     for text, printed, wire in DATA["texts"]:
         bottle = Bottle(text)
-        found = bottle.toString(), bottle.to_bytes(Profile.YARP3).hex()
-        if found != (printed, wire) or (Bottle.from_bytes(bytes.fromhex(wire)) != bottle and "nan" not in printed):
-            wrong.append((text, found, (printed, wire)))
+        parsed = bottle.toString(), bottle.to_bytes(Profile.YARP3).hex()
+        if parsed != (printed, wire) or (Bottle.from_bytes(bytes.fromhex(wire)) != bottle and "nan" not in printed):
+            wrong.append((text, parsed, (printed, wire)))
     assert wrong == []
     assert len(DATA["texts"]) == 260
 
@@ -34,12 +34,12 @@ def test_files_and_commands(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("Y1V", "/val")
     wrong = []
     for given, printed in DATA[kind]:
-        found = Property()
+        parsed = Property()
         if kind == "files":
-            found.fromConfig(given)
+            parsed.fromConfig(given)
         else:
-            found.fromCommand(given)
-        if found.toString() != printed:
-            wrong.append((given, found.toString(), printed))
+            parsed.fromCommand(given)
+        if parsed.toString() != printed:
+            wrong.append((given, parsed.toString(), printed))
     assert wrong == []
     assert len(DATA[kind]) >= 40

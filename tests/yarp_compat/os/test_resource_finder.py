@@ -1,4 +1,4 @@
-"""Where `ResourceFinder` finds files, in which order, and what it reads from the command line."""
+"""The folders in which `ResourceFinder` finds files, their order, and its command line."""
 
 from __future__ import annotations
 
@@ -11,48 +11,48 @@ import yarp_compat as yarp
 
 @pytest.fixture
 def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Path]:
-    """All of YARP's folders, empty."""
-    found = {name: tmp_path / name for name in ("here", "config", "data", "sysadmin", "installed", "bundle")}
-    for path in found.values():
+    """Create all of YARP's folders, empty."""
+    folders = {name: tmp_path / name for name in ("here", "config", "data", "sysadmin", "installed", "bundle")}
+    for path in folders.values():
         path.mkdir()
-    monkeypatch.chdir(found["here"])
-    monkeypatch.setenv("YARP_CONFIG_HOME", str(found["config"]))
-    monkeypatch.setenv("YARP_DATA_HOME", str(found["data"]))
-    monkeypatch.setenv("YARP_CONFIG_DIRS", str(found["sysadmin"]))
-    monkeypatch.setenv("YARP_DATA_DIRS", str(found["installed"]))
+    monkeypatch.chdir(folders["here"])
+    monkeypatch.setenv("YARP_CONFIG_HOME", str(folders["config"]))
+    monkeypatch.setenv("YARP_DATA_HOME", str(folders["data"]))
+    monkeypatch.setenv("YARP_CONFIG_DIRS", str(folders["sysadmin"]))
+    monkeypatch.setenv("YARP_DATA_DIRS", str(folders["installed"]))
     monkeypatch.setenv("YARP_ROBOT_NAME", "r1")
-    return found
+    return folders
 
 
-def put(folder: Path, name: str, text: str = "") -> str:
+def write_file(folder: Path, name: str, text: str = "") -> str:
     path = folder / name
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
     return str(path)
 
 
-def finder(*words: str, context: str = "nav", main: str = "robot.ini") -> yarp.ResourceFinder:
+def finder(*arguments: str, context: str = "nav", main: str = "robot.ini") -> yarp.ResourceFinder:
     rf = yarp.ResourceFinder()
     rf.setDefaultContext(context)
     rf.setDefaultConfigFile(main)
-    rf.configured = rf.configure(["program", *words])
+    rf.configured = rf.configure(["program", *arguments])
     return rf
 
 
-def test_the_order_of_places(places: dict[str, Path]) -> None:
+def test_order_of_the_folders(places: dict[str, Path]) -> None:
     in_order = [
-        put(places["here"], "map.txt"),
-        put(places["data"], "robots/r1/map.txt"),
-        put(places["installed"], "robots/r1/map.txt"),
-        put(places["data"], "contexts/nav/map.txt"),
-        put(places["sysadmin"], "contexts/nav/map.txt"),
-        put(places["config"], "map.txt"),
-        put(places["data"], "map.txt"),
-        put(places["sysadmin"], "map.txt"),
-        put(places["installed"], "map.txt"),
-        put(places["bundle"], "map.txt"),
+        write_file(places["here"], "map.txt"),
+        write_file(places["data"], "robots/r1/map.txt"),
+        write_file(places["installed"], "robots/r1/map.txt"),
+        write_file(places["data"], "contexts/nav/map.txt"),
+        write_file(places["sysadmin"], "contexts/nav/map.txt"),
+        write_file(places["config"], "map.txt"),
+        write_file(places["data"], "map.txt"),
+        write_file(places["sysadmin"], "map.txt"),
+        write_file(places["installed"], "map.txt"),
+        write_file(places["bundle"], "map.txt"),
     ]
-    put(places["installed"], "config/path.d/b.ini", f'[search b]\npath "{places["bundle"]}"\n')
+    write_file(places["installed"], "config/path.d/b.ini", f'[search b]\npath "{places["bundle"]}"\n')
     rf = finder()
     every = rf.findPaths("map.txt")
     assert [every.get(i).asString() for i in range(every.size())] == in_order
@@ -62,8 +62,8 @@ def test_the_order_of_places(places: dict[str, Path]) -> None:
     assert rf.findFileByName("map.txt") == ""
 
 
-def test_the_command_line_outranks_the_file(places: dict[str, Path]) -> None:
-    put(places["installed"], "contexts/nav/robot.ini", "speed 0.5\nname r1\n[LASER]\nport /laser\n")
+def test_command_line_has_priority_over_the_file(places: dict[str, Path]) -> None:
+    write_file(places["installed"], "contexts/nav/robot.ini", "speed 0.5\nname r1\n[LASER]\nport /laser\n")
     rf = finder("--speed", "0.9", "--verbose")
     assert rf.configured
     assert rf.isConfigured()
@@ -81,9 +81,9 @@ def test_the_command_line_outranks_the_file(places: dict[str, Path]) -> None:
     assert "(name r1)" in rf.toString()
 
 
-def test_context_and_file_of_the_command_line(places: dict[str, Path]) -> None:
-    put(places["installed"], "contexts/other/their.ini", "a 1\n")
-    wanted = put(places["installed"], "contexts/other/table.txt")
+def test_context_and_file_from_the_command_line(places: dict[str, Path]) -> None:
+    write_file(places["installed"], "contexts/other/their.ini", "a 1\n")
+    wanted = write_file(places["installed"], "contexts/other/table.txt")
     rf = finder("--context", "other", "--from", "their.ini", "--table", "table.txt")
     assert rf.configured
     assert rf.find("a").asInt32() == 1
@@ -93,22 +93,22 @@ def test_context_and_file_of_the_command_line(places: dict[str, Path]) -> None:
     assert rf.getContextPath() == str(places["installed"] / "contexts/other")
 
 
-def test_a_file_that_was_asked_for_and_is_not_there(places: dict[str, Path], caplog: pytest.LogCaptureFixture) -> None:
-    assert finder().configured  # the default one need not be there
+def test_missing_file_from_the_command_line(places: dict[str, Path], caplog: pytest.LogCaptureFixture) -> None:
+    assert finder().configured  # the default file may be missing
     assert not finder("--from", "missing.ini").configured
     assert "missing.ini" in caplog.text
 
 
-def test_files_beside_the_main_one_in_the_current_folder(places: dict[str, Path]) -> None:
-    put(places["here"], "robot.ini", "a 2\n")
-    put(places["installed"], "contexts/nav/map.txt")
+def test_files_next_to_the_main_file_in_the_current_folder(places: dict[str, Path]) -> None:
+    write_file(places["here"], "robot.ini", "a 2\n")
+    write_file(places["installed"], "contexts/nav/map.txt")
     rf = finder()
     assert rf.find("a").asInt32() == 2
-    assert rf.findFileByName("map.txt") == ""  # as YARP: near the main file, contexts are not looked in
+    assert rf.findFileByName("map.txt") == ""  # as in YARP, contexts are not searched then
     assert rf.getHomeContextPath() == str(places["here"])
 
 
-def test_folders_of_the_user_are_made(places: dict[str, Path]) -> None:
+def test_user_folders_are_created(places: dict[str, Path]) -> None:
     rf = finder()
     assert rf.getHomeContextPath() == str(places["data"] / "contexts/nav")
     assert Path(rf.getHomeContextPath()).is_dir()
@@ -116,9 +116,9 @@ def test_folders_of_the_user_are_made(places: dict[str, Path]) -> None:
     assert rf.findPath() == str(places["here"])
 
 
-def test_options(places: dict[str, Path]) -> None:
-    put(places["config"], "plugins/a.ini", "a 1\nb 1\n")
-    put(places["installed"], "plugins/a.ini", "a 2\nc 2\n")
+def test_search_options(places: dict[str, Path]) -> None:
+    write_file(places["config"], "plugins/a.ini", "a 1\nb 1\n")
+    write_file(places["installed"], "plugins/a.ini", "a 2\nc 2\n")
     options = yarp.ResourceFinderOptions(yarp.ResourceFinderOptions.Default, resourceType="plugins")
     rf = finder()
     assert rf.findFile("a.ini", options) == str(places["config"] / "plugins/a.ini")
@@ -131,32 +131,32 @@ def test_options(places: dict[str, Path]) -> None:
     assert rf.findFile("a.ini", options) == ""
 
 
-def test_absolute_paths_stay(places: dict[str, Path], tmp_path: Path) -> None:
-    path = put(tmp_path, "x.txt")
+def test_absolute_paths_are_kept(places: dict[str, Path], tmp_path: Path) -> None:
+    path = write_file(tmp_path, "x.txt")
     assert finder().findFileByName(path) == path
     assert finder().findFileByName(path + "y") == ""
 
 
-def test_paths_stay_as_they_are_written(places: dict[str, Path]) -> None:
-    put(places["here"], "x.txt")
-    put(places["here"], "maps/a.txt")
-    put(places["data"], "contexts/nav/maps/b.txt")
-    rf, here = finder(), str(places["here"])
-    assert rf.findFile("./x.txt") == f"{here}/./x.txt"
-    assert rf.findFile("maps/../x.txt") == f"{here}/maps/../x.txt"
+def test_paths_are_not_normalized(places: dict[str, Path]) -> None:
+    write_file(places["here"], "x.txt")
+    write_file(places["here"], "maps/a.txt")
+    write_file(places["data"], "contexts/nav/maps/b.txt")
+    rf, current = finder(), str(places["here"])
+    assert rf.findFile("./x.txt") == f"{current}/./x.txt"
+    assert rf.findFile("maps/../x.txt") == f"{current}/maps/../x.txt"
     assert rf.findFile("x.txt/") == ""
-    assert rf.findPath("maps/") == f"{here}/maps/"
+    assert rf.findPath("maps/") == f"{current}/maps/"
     assert (
         rf.findPaths("maps").toString()
-        == yarp.Bottle([f"{here}/maps", str(places["data"] / "contexts/nav/maps")]).toString()
+        == yarp.Bottle([f"{current}/maps", str(places["data"] / "contexts/nav/maps")]).toString()
     )
-    assert rf.findPath("./maps") == f"{here}/./maps"
-    assert [str(path) for path in rf.findPaths("")][:2] == [here, f"{here}/"]
+    assert rf.findPath("./maps") == f"{current}/./maps"
+    assert [str(path) for path in rf.findPaths("")][:2] == [current, f"{current}/"]
 
 
-def test_an_absolute_context_is_a_name_below_the_contexts(places: dict[str, Path]) -> None:
-    elsewhere = put(places["bundle"], "table.txt")
-    below = put(places["data"], f"contexts/{places['bundle']}/plan.txt".replace("//", "/"))
+def test_absolute_context_is_a_name_below_the_contexts(places: dict[str, Path]) -> None:
+    elsewhere = write_file(places["bundle"], "table.txt")
+    below = write_file(places["data"], f"contexts/{places['bundle']}/plan.txt".replace("//", "/"))
     rf = finder("--context", str(places["bundle"]))
     assert rf.findFile("table.txt") == ""
     assert rf.findPaths("table.txt").size() == 0
@@ -164,25 +164,23 @@ def test_an_absolute_context_is_a_name_below_the_contexts(places: dict[str, Path
     assert Path(elsewhere).exists()
 
 
-def test_the_users_folder_of_a_context_is_written_as_asked(
-    places: dict[str, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_user_folder_of_a_context_is_not_normalized(places: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("YARP_DATA_HOME", f"{places['data']}/")
     assert finder(context="nav/").getHomeContextPath() == f"{places['data']}//contexts/nav/"
     assert finder(context="./mine").getHomeContextPath() == "./mine"
     assert (places["here"] / "mine").is_dir()
 
 
-def test_a_main_file_by_a_path_of_its_own(places: dict[str, Path]) -> None:
-    put(places["here"], "conf/robot.ini", "a 1\n")
-    beside = put(places["here"], "conf/map.txt")
+def test_main_file_with_a_path(places: dict[str, Path]) -> None:
+    write_file(places["here"], "conf/robot.ini", "a 1\n")
+    beside = write_file(places["here"], "conf/map.txt")
     rf = finder("--from", "./conf/robot.ini")
     assert rf.find("a").asInt32() == 1
     assert rf.getHomeContextPath() == f"{places['here']}/./conf"
     assert rf.findFile("map.txt") == beside.replace("/conf/", "/./conf/")
 
 
-def test_forms_of_configure(places: dict[str, Path]) -> None:
+def test_older_forms_of_configure(places: dict[str, Path]) -> None:
     rf = yarp.ResourceFinder()
     assert rf.configure("YARP_POLICY", ["program", "--a", "1"])
     assert rf.configure(2, ["program", "--b", "2"])
@@ -194,7 +192,7 @@ def test_forms_of_configure(places: dict[str, Path]) -> None:
     assert yarp.ResourceFinder.getResourceFinderSingleton() is yarp.ResourceFinder.getResourceFinderSingleton()
 
 
-def test_defaults(places: dict[str, Path]) -> None:
+def test_defaults_of_keys(places: dict[str, Path]) -> None:
     rf = yarp.ResourceFinder()
     rf.setDefault("period", 0.02)
     rf.setDefault("robot", "r1")

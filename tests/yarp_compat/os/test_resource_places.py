@@ -1,4 +1,4 @@
-"""YARP's folders on each system (values of yarp/conf/tests/dirs.cpp's kind)."""
+"""YARP's folders on each system (values as in yarp/conf/tests/dirs.cpp)."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from yarp_compat.naming.directories import Directories
 
 
 def test_linux_defaults() -> None:
-    found = Directories({"HOME": "/home/r1"}, "linux")
-    assert found.data_home() == "/home/r1/.local/share/yarp"
-    assert found.config_home() == "/home/r1/.config/yarp"
-    assert found.data_dirs() == ["/usr/local/share/yarp", "/usr/share/yarp"]
-    assert found.config_dirs() == ["/etc/xdg/yarp"]
-    assert found.robot() == "default"
+    folders = Directories({"HOME": "/home/r1"}, "linux")
+    assert folders.data_home() == "/home/r1/.local/share/yarp"
+    assert folders.config_home() == "/home/r1/.config/yarp"
+    assert folders.data_dirs() == ["/usr/local/share/yarp", "/usr/share/yarp"]
+    assert folders.config_dirs() == ["/etc/xdg/yarp"]
+    assert folders.robot() == "default"
 
 
-def test_variables_outrank() -> None:
-    found = Directories(
+def test_variables_have_priority() -> None:
+    folders = Directories(
         {
             "HOME": "/home/r1", "XDG_DATA_HOME": "/x", "XDG_DATA_DIRS": "/p:/q", "YARP_CONFIG_DIRS": "/a:/b",
             "YARP_CONFIG_HOME": "/c", "YARP_ROBOT_NAME": "SIM_CER",
         },
         "linux",
     )  # fmt: skip
-    assert found.data_home() == "/x/yarp"
-    assert found.data_dirs() == ["/p/yarp", "/q/yarp"]
-    assert found.config_dirs() == ["/a", "/b"]
-    assert found.config_home() == "/c"
-    assert found.robot() == "SIM_CER"
+    assert folders.data_home() == "/x/yarp"
+    assert folders.data_dirs() == ["/p/yarp", "/q/yarp"]
+    assert folders.config_dirs() == ["/a", "/b"]
+    assert folders.config_home() == "/c"
+    assert folders.robot() == "SIM_CER"
 
 
 @pytest.mark.parametrize(
@@ -41,17 +41,17 @@ def test_variables_outrank() -> None:
     ],
 )
 def test_other_systems(platform: str, environment: dict[str, str], data: str, dirs: str) -> None:
-    found = Directories(environment, platform)
-    assert found.data_home() == data
-    assert found.data_dirs()[0] == dirs
+    folders = Directories(environment, platform)
+    assert folders.data_home() == data
+    assert folders.data_dirs()[0] == dirs
 
 
-def test_an_empty_variable_is_one() -> None:
-    found = Directories({"HOME": "/h", "YARP_DATA_HOME": "", "YARP_DATA_DIRS": ""}, "linux")
-    assert (found.data_home(), found.data_dirs()) == ("", [])
+def test_empty_variable_counts_as_set() -> None:
+    folders = Directories({"HOME": "/h", "YARP_DATA_HOME": "", "YARP_DATA_DIRS": ""}, "linux")
+    assert (folders.data_home(), folders.data_dirs()) == ("", [])
 
 
-def test_the_functions_of_the_bindings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_functions_of_the_bindings(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("YARP_CACHE_HOME", "XDG_CACHE_HOME", "YARP_RUNTIME_DIR", "XDG_RUNTIME_DIR", "TMPDIR"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", "/h")

@@ -1,4 +1,4 @@
-"""`RFModule`: its life, its commands, its signals."""
+"""`RFModule`: lifecycle, commands, signals."""
 
 from __future__ import annotations
 
@@ -52,32 +52,32 @@ class Module(yarp.RFModule):
         return True
 
 
-def finder(*words: str) -> yarp.ResourceFinder:
+def finder(*arguments: str) -> yarp.ResourceFinder:
     rf = yarp.ResourceFinder()
-    rf.configure(["program", *words])
+    rf.configure(["program", *arguments])
     return rf
 
 
-def test_a_module_runs_until_its_round_says_so() -> None:
+def test_module_runs_until_update_returns_false() -> None:
     module = Module(rounds=3)
     assert module.runModule(finder()) == 0
     assert module.said == ["configure", "update", "update", "update", "close"]
-    assert module.runModule() == 1  # it ran
+    assert module.runModule() == 1  # it has run before
 
 
-def test_a_module_that_is_not_configured_does_not_run() -> None:
+def test_unconfigured_module_does_not_run() -> None:
     module = Module()
     assert module.runModule(finder("--fail")) == 1
     assert module.said == ["configure"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signals_stop_it_at_once(number: int) -> None:
+def test_signals_stop_the_module_at_once(number: int) -> None:
     before = signal.getsignal(number)
     module = Module(period=60.0)
 
     def stop() -> None:
-        until(lambda: "update" in module.said, "its first round")
+        until(lambda: "update" in module.said, "the first cycle")
         os.kill(os.getpid(), number)
 
     thread = threading.Thread(target=stop)
@@ -90,7 +90,7 @@ def test_signals_stop_it_at_once(number: int) -> None:
     assert signal.getsignal(number) is before
 
 
-def test_commands() -> None:
+def test_commands_are_answered() -> None:
     module, server, client = Module(), yarp.RpcServer(), yarp.RpcClient()
     module.attach(server)
     assert server.open("/module/rpc")
@@ -109,8 +109,8 @@ def test_commands() -> None:
     assert module.said[-2:] == ["interrupt", "close"]
 
 
-def test_an_answer_of_many_lines() -> None:
-    """On text carriers a line each, as people see it with telnet; in binary one Bottle."""
+def test_answer_with_many_lines() -> None:
+    """Separate lines on text carriers, as seen in telnet; one Bottle in binary."""
     module, port, client = Module(), yarp.Port(), yarp.RpcClient()
     module.attach(port)
     assert port.open("/module/rpc")
@@ -123,23 +123,23 @@ def test_an_answer_of_many_lines() -> None:
     assert reply.toString() == '[many] "add two numbers" (quit 1) 2'
 
 
-def test_it_is_stopped_from_another_thread() -> None:
+def test_module_is_stopped_from_another_thread() -> None:
     module = Module(period=60.0)
     assert module.runModuleThreaded(finder()) == 0
-    until(lambda: "update" in module.said, "a round")
+    until(lambda: "update" in module.said, "a cycle")
     assert module.joinModule(0.01) is False
     module.stopModule(True)
     assert module.said[-1] == "close"
 
 
-def test_names() -> None:
+def test_module_names() -> None:
     module = Module()
     module.setName("/nav")
     assert module.getName() == "/nav"
     assert module.getName("/rpc") == module.getName("rpc") == "/nav/rpc"
 
 
-def test_rounds_come_at_their_period() -> None:
+def test_cycles_follow_the_period() -> None:
     module = Module(rounds=6, period=0.02)
     begin = time.monotonic()
     module.runModule()

@@ -1,4 +1,4 @@
-"""Things say what they are when they are asked for."""
+"""Things: messages that are decoded on demand."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Peer:
     profile = Profile.YARP3
 
 
-def test_what_came_is_read_when_it_is_asked_for() -> None:
+def test_received_message_is_decoded_on_demand() -> None:
     things = yarp.Things()
     assert things.asBottle() is None
     message = PortMessage(yarp.Bottle("1 2").to_bytes(), "", Peer())
@@ -25,12 +25,12 @@ def test_what_came_is_read_when_it_is_asked_for() -> None:
     assert not things.hasBeenRead()
     assert things.asBottle() == [1, 2]
     assert things.hasBeenRead()
-    assert things.asVector() is None  # it has been read as something else
+    assert things.asVector() is None  # it has been decoded as another type
     things.reset()
     assert things.asBottle() is None
 
 
-def test_what_is_to_be_written() -> None:
+def test_objects_to_write() -> None:
     things, image = yarp.Things(), yarp.ImageRgb()
     things.setPortWriter(image)
     assert things.getPortWriter() is image
@@ -38,7 +38,7 @@ def test_what_is_to_be_written() -> None:
     assert things.asImageOfPixelRgb() is image
     assert things.asImageOfPixelMono() is None
     assert things.asMatrix() is None
-    made = yarp.Value(5)
+    value = yarp.Value(5)
     things.reset()
-    things.setPortReader(made)
-    assert (things.getPortReader(), things.asValue(), things.asProperty()) == (made, made, None)
+    things.setPortReader(value)
+    assert (things.getPortReader(), things.asValue(), things.asProperty()) == (value, value, None)

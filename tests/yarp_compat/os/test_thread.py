@@ -27,24 +27,24 @@ class Counter(yarp.Thread):
         self.said.append("release")
 
 
-def test_a_thread_runs_until_stopped() -> None:
+def test_thread_runs_until_stopped() -> None:
     thread = Counter()
     assert thread.start()
-    until(lambda: "run" in thread.said, "the thread to run")
+    until(lambda: "run" in thread.said, "the thread is running")
     assert thread.isRunning()
     assert thread.stop()
     assert not thread.isRunning()
     assert thread.said == ["init", "run", "release"]
 
 
-def test_a_thread_that_is_not_ready_does_not_run() -> None:
+def test_thread_whose_init_fails_does_not_run() -> None:
     thread = Counter(ready=False)
     assert not thread.start()
     assert thread.join()
     assert thread.said == ["init"]
 
 
-def test_a_periodic_thread_does_a_round_each_period() -> None:
+def test_periodic_thread_runs_once_per_period() -> None:
     rounds = []
 
     class Ticker(yarp.PeriodicThread):
@@ -53,7 +53,7 @@ def test_a_periodic_thread_does_a_round_each_period() -> None:
 
     ticker = Ticker(0.01)
     assert ticker.start()
-    until(lambda: len(rounds) >= 3, "three rounds")
+    until(lambda: len(rounds) >= 3, "three cycles")
     ticker.suspend()
     ticker.askToStop()
     assert ticker.stop()

@@ -1,4 +1,4 @@
-"""Ports that know each other without a name server."""
+"""Ports that find each other without a name server."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MakePort = Callable[..., PortCore]
 
 @pytest.fixture
 def naming() -> LocalNaming:
-    """Names of one test."""
+    """A name registry for one test."""
     return LocalNaming()
 
 

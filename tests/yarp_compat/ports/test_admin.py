@@ -1,4 +1,4 @@
-"""Administrative commands and those of one letter, in YARP's words."""
+"""Administrative and one-letter commands, with YARP's answers."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from yarp_compat.wire.text import from_text, to_text
 
 
 def ask(port: PortCore, text: str) -> str:
-    """The answer to a command, both as text."""
+    """Return the answer to a command, both as text."""
     return to_text(admin.answer(port, from_text(text)))
 
 
-def said(port: PortCore, *lines: str) -> str:
-    """What a port answers to lines typed at it."""
+def type_lines(port: PortCore, *lines: str) -> str:
+    """Return a port's answer to typed lines."""
     with socket.create_connection((port.contact.host, port.contact.port)) as sock:
         sock.settimeout(10)
         sock.sendall("".join(f"{line}\r\n" for line in ("CONNECT me", *lines, "q")).encode())
-        told = b""
+        answer = b""
         while part := sock.recv(4096):
-            told += part
-    return told.decode().removeprefix("Welcome me\r\n")
+            answer += part
+    return answer.decode().removeprefix("Welcome me\r\n")
 
 
-def test_connecting_and_disconnecting(make_port: MakePort) -> None:
+def test_commands_connect_and_disconnect(make_port: MakePort) -> None:
     reader, writer = make_port("/r"), make_port("/w")
     assert ask(writer, '[add] "tcp://r"') == '0 "Added connection from /w to tcp://r\\r\\n"'
     assert ask(writer, "[add] /r fast_tcp") == '0 "Added connection from /w to fast_tcp://r\\r\\n"'
     assert ask(writer, "[list] [out]") == '"/r"'
     assert ask(writer, "[list]") == '"/r"'
-    assert ask(writer, "list out") == '"/r"', "words for vocabs"
+    assert ask(writer, "list out") == '"/r"', "strings are accepted as vocabs"
     assert ask(writer, "[list] [in]") == ""
     assert ask(writer, "[list] [out] /r") == '(from "/w") (to "/r") (carrier fast_tcp)'
     assert ask(writer, "[list] [out] /other") == ""
@@ -77,14 +77,14 @@ def test_connecting_and_disconnecting(make_port: MakePort) -> None:
         ("[prop] [set] /other2 (sched ((priority 1)))", "[ok]"),
     ],
 )
-def test_answers(make_port: MakePort, command: str, answer: str) -> None:
+def test_commands_have_yarps_answers(make_port: MakePort, command: str, answer: str) -> None:
     port = make_port("/r")
     make_port("/other2")
     port.add_output("/other2")
     assert ask(port, command) == answer
 
 
-def test_properties(make_port: MakePort) -> None:
+def test_properties_are_set_and_listed(make_port: MakePort) -> None:
     port = make_port("/r")
     assert ask(port, "[prop] [get]") == ""
     assert ask(port, "[prop] [set] color blue") == "[ok]"
@@ -95,16 +95,16 @@ def test_properties(make_port: MakePort) -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "tos"),
+    ("requested", "tos"),
     [("(tos 32)", 32), ("(dscp AF41)", 136), ("(dscp 10)", 40), ("(priority HIGH)", 144), ("(priority NORM)", 0)],
 )
 @pytest.mark.parametrize("carrier", ["tcp", "udp"])
-def test_the_service_of_a_connections_packets(make_port: MakePort, carrier: str, asked: str, tos: int) -> None:
+def test_type_of_service_of_a_connection(make_port: MakePort, carrier: str, requested: str, tos: int) -> None:
     reader, writer = make_port("/r"), make_port("/w")
     writer.add_output(f"{carrier}://r")
     until(lambda: reader.inputs(), "the connection")
     for port, other in ((writer, "/r"), (reader, "/w")):
-        assert ask(port, f"[prop] [set] {other} (sched ((priority -1) (policy -1))) (qos ({asked}))") == "[ok]"
+        assert ask(port, f"[prop] [set] {other} (sched ((priority -1) (policy -1))) (qos ({requested}))") == "[ok]"
         assert ask(port, f"[prop] [get] {other}").endswith(f"(qos ((tos {tos})))")
     assert ask(writer, "[prop] [set] /r (sched ()) (qos ((tos 256)))") == "[fail]"
     assert ask(writer, "[prop] [set] /r (qos ((priority NONSENSE)))") == "[ok]"
@@ -117,46 +117,50 @@ def test_properties_are_bounded(make_port: MakePort) -> None:
     assert ask(port, "[prop] [set] k0 again") == "[ok]"
 
 
-def test_about_itself_and_its_type(make_port: MakePort) -> None:
+def test_port_describes_itself(make_port: MakePort) -> None:
     port = make_port("/r", type_name="yarp/vector", rpc=True)
-    told: dict[str, Any] = {k: v for k, v in admin.answer(port, from_text("[prop] [get] /r"))}  # noqa: C416
-    assert list(told) == ["sched", "process", "platform", "port"]
-    assert told["port"] == {"is_input": 1, "is_output": 1, "is_rpc": 1, "type": "yarp/vector"}
-    assert told["process"]["pid"] == os.getpid()
-    assert set(told["process"]) == {"arguments", "name", "pid", "policy", "priority"}
-    assert told["platform"]["hostname"] == "127.0.0.1"
+    sections: dict[str, Any] = {k: v for k, v in admin.answer(port, from_text("[prop] [get] /r"))}  # noqa: C416
+    assert list(sections) == ["sched", "process", "platform", "port"]
+    assert sections["port"] == {"is_input": 1, "is_output": 1, "is_rpc": 1, "type": "yarp/vector"}
+    assert sections["process"]["pid"] == os.getpid()
+    assert set(sections["process"]) == {"arguments", "name", "pid", "policy", "priority"}
+    assert sections["platform"]["hostname"] == "127.0.0.1"
 
 
-def test_about_a_connection(make_port: MakePort) -> None:
+def test_port_describes_a_connection(make_port: MakePort) -> None:
     make_port("/w")
     port = make_port("/r")
     port.add_output("/w")
-    told = to_text(admin.answer(port, from_text("[prop] [get] /w")))
-    assert told.startswith("(sched ((policy 0) (priority 0) (tid ")
-    assert told.endswith(")) (qos ((tos 0)))")
+    text = to_text(admin.answer(port, from_text("[prop] [get] /w")))
+    assert text.startswith("(sched ((policy 0) (priority 0) (tid ")
+    assert text.endswith(")) (qos ((tos 0)))")
 
 
-def test_typed_commands(make_port: MakePort) -> None:
+def test_one_letter_commands(make_port: MakePort) -> None:
     writer, reader = make_port("/w"), make_port("/r")
-    assert said(writer, "/r") == "Added connection from /w to /r\r\n"
-    until(lambda: not writer.inputs(), "the one that asked has gone")
-    assert said(writer, "*") == (
+    assert type_lines(writer, "/r") == "Added connection from /w to /r\r\n"
+    until(lambda: not writer.inputs(), "the querying client has left")
+    assert type_lines(writer, "*") == (
         f"This is /w at tcp://127.0.0.1:{writer.contact.port}/\r\n"
         "There is an output connection from /w to /r using tcp\r\n"
         "There is an input connection from me to /w using text\r\n"
     )
-    assert said(writer, "!/r") == "Removed connection from /w to /r\r\n"
-    assert said(writer, "!/r") == "Could not find an outgoing connection to /r\r\n"
+    assert type_lines(writer, "!/r") == "Removed connection from /w to /r\r\n"
+    assert type_lines(writer, "!/r") == "Could not find an outgoing connection to /r\r\n"
     writer.add_output("/r")
     until(reader.inputs, "the connection")
-    assert said(reader, "~/w") == "Removing connection from /w to /r\r\n"
-    assert said(reader, "?").startswith("This is a YARP port.  Here are the commands it responds to:\r\n*       Gives")
-    assert said(reader, "x").startswith("Port command not understood.\r\nType d to send data to the port's owner.\r\n")
-    assert said(reader, "i").startswith("Port command not understood."), "nobody ends a process from outside"
+    assert type_lines(reader, "~/w") == "Removing connection from /w to /r\r\n"
+    assert type_lines(reader, "?").startswith(
+        "This is a YARP port.  Here are the commands it responds to:\r\n*       Gives"
+    )
+    assert type_lines(reader, "x").startswith(
+        "Port command not understood.\r\nType d to send data to the port's owner.\r\n"
+    )
+    assert type_lines(reader, "i").startswith("Port command not understood."), "a process cannot be ended remotely"
 
 
-def test_a_reader_turns_its_connection_round(make_port: MakePort) -> None:
-    """``r``: whoever called gets what the port writes, in text and in binary."""
+def test_reader_reverses_its_connection(make_port: MakePort) -> None:
+    """``r``: the client receives the port's messages, as text and in binary."""
     from yarp_compat.wire import framing
     from yarp_compat.wire.binary import encode
     from yarp_compat.wire.profile import Profile
@@ -168,18 +172,18 @@ def test_a_reader_turns_its_connection_round(make_port: MakePort) -> None:
         sock.sendall(b"CONNECT me\r\nr\r\n")
         until(port.outputs, "an output")
         port.write(content)
-        told = b""
-        while len(told) < 20:
-            told += sock.recv(100)
-        assert told == b"Welcome me\r\nD\r\na 1\r\n"
-    until(lambda: not port.outputs(), "its end is seen")
+        received = b""
+        while len(received) < 20:
+            received += sock.recv(100)
+        assert received == b"Welcome me\r\nD\r\na 1\r\n"
+    until(lambda: not port.outputs(), "its end is detected")
     with socket.create_connection((port.contact.host, port.contact.port)) as sock:
         sock.settimeout(10)
         sock.sendall(b"YA\xe4\x1e\0\0RP\x03\0\0\0me\0" + framing.words("r"))
         until(port.outputs, "an output")
         port.write(content)
         expected = framing.prefix(len(content)) + content
-        told = b""
-        while len(told) < 16 + len(expected):
-            told += sock.recv(1000)
-        assert told[8:] == framing.ACK + expected
+        received = b""
+        while len(received) < 16 + len(expected):
+            received += sock.recv(1000)
+        assert received[8:] == framing.ACK + expected

@@ -1,4 +1,4 @@
-"""What waits for a peer that is slow: the newest only, or all; and nobody else waits for it."""
+"""Messages for a slow peer: only the newest or all are queued, and other peers are not delayed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ HELLO = encode(["hello"], Profile.YARP3)
 
 
 class Slow:
-    """A peer that introduces itself as a port and reads only when told."""
+    """A peer that introduces itself as a port and reads only on demand."""
 
     def __init__(self) -> None:
         self.server = socket.create_server(("127.0.0.1", 0))
@@ -43,7 +43,7 @@ class Slow:
         self.sock.sendall(b"YA\0\0\0\0RP")
 
     def read(self) -> bytes:
-        """A message's payload."""
+        """Return the payload of the next message."""
         assert self.sock is not None
         index = b""
         while len(index) < 30:
@@ -73,7 +73,7 @@ def slow(naming: LocalNaming) -> Iterator[Slow]:
     peer.close()
 
 
-def test_newest_only(make_port: MakePort, slow: Slow) -> None:
+def test_slow_peer_receives_only_the_newest_message(make_port: MakePort, slow: Slow) -> None:
     writer = make_port("/w")
     writer.add_output("tcp://slow")
     for i in range(10):
@@ -82,11 +82,11 @@ def test_newest_only(make_port: MakePort, slow: Slow) -> None:
     slow.acknowledge()
     assert slow.read() == b"9"
     slow.acknowledge()
-    until(lambda: not writer.is_writing, "all is done")
+    until(lambda: not writer.is_writing, "all messages are sent")
     assert writer.connections.outputs[0].counters.dropped["replaced"] == 8
 
 
-def test_strict_keeps_all(make_port: MakePort, slow: Slow) -> None:
+def test_strict_writes_are_all_delivered(make_port: MakePort, slow: Slow) -> None:
     writer = make_port("/w")
     writer.add_output("tcp://slow")
     for i in range(10):
@@ -99,8 +99,10 @@ def test_strict_keeps_all(make_port: MakePort, slow: Slow) -> None:
     assert not writer.is_writing
 
 
-def test_who_has_acknowledged_is_not_busy(make_port: MakePort, slow: Slow, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Seen at once, and not when outputs are looked at now and then: commands are for those that are not busy."""
+def test_peer_that_has_acknowledged_is_not_busy(
+    make_port: MakePort, slow: Slow, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The acknowledgement is read on demand, not only by the periodic check: commands skip busy peers."""
     monkeypatch.setattr(port, "_CHECK_PERIOD", 1000.0)
     writer = make_port("/w")
     writer.add_output("tcp://slow")
@@ -111,40 +113,40 @@ def test_who_has_acknowledged_is_not_busy(make_port: MakePort, slow: Slow, monke
         assert writer.write(b"not heard", chosen=lambda output: not output.busy) == 0
         assert slow.read() == b"%d" % i
         slow.acknowledge()
-        until(lambda: not output.busy, "the acknowledgement is noticed")
+        until(lambda: not output.busy, "the acknowledgement is read")
 
 
-def test_who_is_looked_at_is_not_busy(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A command that is written while somebody looks whether the reader is still there reaches it."""
+def test_peer_is_not_busy_during_the_periodic_check(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command written while the connection is checked reaches the reader."""
     monkeypatch.setattr(port, "_CHECK_PERIOD", 1000.0)
     got: list[bytes] = []
     make_port("/r", lambda m: got.append(bytes(m.payload)))
     writer = make_port("/w")
     writer.add_output("fast_tcp://r")
     (output,) = writer.connections.outputs
-    look, asked = output.socket_side.is_connected, threading.Event()
+    is_connected, queried = output.socket_side.is_connected, threading.Event()
 
     def idle(output: AnyOutput) -> bool:
-        found = not output.busy
-        asked.set()
-        return found
+        free = not output.busy
+        queried.set()
+        return free
 
     command = threading.Thread(target=lambda: writer.write(b"go", chosen=idle))
 
-    def looking() -> bool:
+    def checking() -> bool:
         command.start()
-        assert asked.wait(20)
-        return look()
+        assert queried.wait(20)
+        return is_connected()
 
-    monkeypatch.setattr(output.socket_side, "is_connected", looking)
+    monkeypatch.setattr(output.socket_side, "is_connected", checking)
     output.check()
     command.join(20)
     until(lambda: got == [b"go"], "the command")
 
 
 @pytest.mark.parametrize("strict", [False, True])
-def test_a_writer_whose_message_makes_room_goes(make_port: MakePort, slow: Slow, strict: bool) -> None:
-    """For a newer one, or behind others that fill the queue."""
+def test_writer_of_a_dropped_message_returns(make_port: MakePort, slow: Slow, strict: bool) -> None:
+    """The message is replaced by a newer one, or dropped by others that fill the queue."""
     writer = make_port("/w", limit=3 * BIG)
     writer.add_output("tcp://slow")
     for _ in range(2):
@@ -153,7 +155,7 @@ def test_a_writer_whose_message_makes_room_goes(make_port: MakePort, slow: Slow,
     reached: list[int] = []
     waiting = threading.Thread(target=lambda: reached.append(writer.write(b"b", wait=True, timeout=20)))
     waiting.start()
-    until(lambda: output.waiters, "it waits")
+    until(lambda: output.waiters, "the writer is waiting")
     began = time.monotonic()
     for _ in range(3):
         writer.write(bytes(BIG), strict=strict)
@@ -162,8 +164,8 @@ def test_a_writer_whose_message_makes_room_goes(make_port: MakePort, slow: Slow,
     assert time.monotonic() - began < 15
 
 
-def test_a_message_that_one_reader_cannot_get_reaches_the_others(make_port: MakePort) -> None:
-    """Nobody waits for them then, and they are free for the next."""
+def test_message_that_cannot_be_encoded_for_one_reader_reaches_the_others(make_port: MakePort) -> None:
+    """No thread waits for them then, and their connections are free for the next message."""
     got: list[bytes] = []
     make_port("/a", lambda m: got.append(bytes(m.payload)))
     make_port("/b", lambda _: None)
@@ -184,36 +186,36 @@ def test_a_message_that_one_reader_cannot_get_reaches_the_others(make_port: Make
     assert got == [HELLO, HELLO]
 
 
-def test_the_queue_is_bounded(make_port: MakePort, slow: Slow) -> None:
+def test_send_queue_is_bounded(make_port: MakePort, slow: Slow) -> None:
     writer = make_port("/w", limit=10 * BIG)
     writer.add_output("tcp://slow")
     for i in range(30):
         assert writer.write(bytes([i]) * BIG, strict=True) == 1
     dropped = writer.connections.outputs[0].counters.dropped["full"]
     assert 17 < dropped < 25
-    heard = []
+    received = []
     for _ in range(30 - dropped):
-        heard.append(slow.read()[0])
+        received.append(slow.read()[0])
         slow.acknowledge()
-    assert heard == [0, *range(dropped + 1, 30)], "the oldest of those that waited went"
+    assert received == [0, *range(dropped + 1, 30)], "the oldest queued messages are dropped"
 
 
 def test_large_messages_do_not_make_the_queue_large(
     make_port: MakePort, slow: Slow, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A port that takes messages of a gigabyte keeps no gigabyte for each peer."""
+    """A port that accepts messages of a gigabyte does not queue a gigabyte for each peer."""
     monkeypatch.setattr(connecting, "QUEUE", 3 * BIG)
     writer = make_port("/w", limit=1 << 30)
     writer.add_output("tcp://slow")
     for _ in range(10):
         assert writer.write(bytes(BIG), strict=True) == 1
     dropped = writer.connections.outputs[0].counters.dropped
-    assert dropped["full"] == 10 - 1 - 2, "one is on its way, and what each costs besides leaves room for two"
+    assert dropped["full"] == 10 - 1 - 2, "one is being sent, and the overhead leaves room for two"
     assert writer.write(bytes(4 * BIG), strict=True) == 1
-    assert dropped["full"] == 10 - 1, "one fits always, however large"
+    assert dropped["full"] == 10 - 1, "one always fits, however large"
 
 
-def test_small_messages_count_with_what_they_cost(make_port: MakePort, slow: Slow) -> None:
+def test_overhead_of_small_messages_counts(make_port: MakePort, slow: Slow) -> None:
     limit = 1 << 20
     writer = make_port("/w", limit=limit)
     writer.add_output("tcp://slow")
@@ -229,8 +231,8 @@ def test_small_messages_count_with_what_they_cost(make_port: MakePort, slow: Slo
 
 
 @pytest.mark.parametrize("carrier", ["tcp", "fast_tcp"])
-def test_what_waits_may_be_changed_by_its_owner(make_port: MakePort, slow: Slow, carrier: str) -> None:
-    """A message in the queue, or half sent, is its own copy."""
+def test_queued_message_may_be_changed_by_its_owner(make_port: MakePort, slow: Slow, carrier: str) -> None:
+    """A queued or partly sent message is a copy."""
     writer = make_port("/w")
     writer.add_output(f"{carrier}://slow")
     memory = bytearray(8_000_000)
@@ -244,8 +246,8 @@ def test_what_waits_may_be_changed_by_its_owner(make_port: MakePort, slow: Slow,
             slow.acknowledge()
 
 
-def test_a_slow_peer_delays_nobody(make_port: MakePort, slow: Slow) -> None:
-    """It takes nothing at all; another one gets every message at once."""
+def test_slow_peer_does_not_delay_others(make_port: MakePort, slow: Slow) -> None:
+    """It reads nothing at all; another one receives every message at once."""
     got: list[int] = []
     make_port("/quick", lambda m: got.append(decode(m.payload[: len(m.payload) - BIG])[0]))
     writer = make_port("/w")
@@ -254,9 +256,9 @@ def test_a_slow_peer_delays_nobody(make_port: MakePort, slow: Slow) -> None:
     start = time.monotonic()
     for i in range(50):
         writer.write([encode([i], Profile.YARP3), bytes(BIG)], strict=False)
-        until(lambda n=i: len(got) == n + 1, "the quick one has it")
+        until(lambda n=i: len(got) == n + 1, "the quick peer receives it")
     assert got == list(range(50))
-    assert time.monotonic() - start < 30, "it waited for nobody"
+    assert time.monotonic() - start < 30, "the writer did not block"
 
 
 def test_waiting_for_a_slow_peer_ends_in_time(make_port: MakePort, slow: Slow) -> None:
@@ -267,12 +269,12 @@ def test_waiting_for_a_slow_peer_ends_in_time(make_port: MakePort, slow: Slow) -
     assert 0.3 <= time.monotonic() - start < 10
     assert slow.read() == b"a"
     slow.acknowledge()
-    until(lambda: not writer.is_writing, "its acknowledgement is still taken")
+    until(lambda: not writer.is_writing, "its acknowledgement is still read")
     threading.Timer(0.2, lambda: (slow.read(), slow.acknowledge())).start()
     assert writer.write(b"b", wait=True, timeout=10) == 1
 
 
-def test_a_peer_that_goes_lets_its_writer_go(make_port: MakePort, slow: Slow) -> None:
+def test_writer_returns_when_its_peer_leaves(make_port: MakePort, slow: Slow) -> None:
     writer = make_port("/w")
     writer.add_output("tcp://slow")
     threading.Timer(0.2, lambda: slow.sock and slow.sock.close()).start()
@@ -280,24 +282,24 @@ def test_a_peer_that_goes_lets_its_writer_go(make_port: MakePort, slow: Slow) ->
     assert writer.outputs() == []
 
 
-def test_a_writer_behind_another_message_goes_when_the_peer_is_out_of_the_list(
+def test_writer_of_a_queued_message_returns_after_the_peer_is_unlisted(
     make_port: MakePort, slow: Slow, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writer = make_port("/w")
     writer.add_output("tcp://slow")
     (output,), listed = writer.connections.outputs, list[int]()
-    close = output.socket_side.close  # once the writer is let go
+    close = output.socket_side.close  # after the writer has returned
     monkeypatch.setattr(output.socket_side, "close", lambda: (listed.append(len(writer.outputs())), close()))
     assert writer.write(b"a") == 1
-    assert writer.write(b"waits") == 1, "the shared thread waits for the acknowledgement before"
+    assert writer.write(b"waits") == 1, "the shared thread waits for the previous acknowledgement"
     threading.Timer(0.2, lambda: slow.sock and slow.sock.close()).start()
     assert writer.write(b"b", wait=True, timeout=20) == 0
     assert until(lambda: listed, "its socket is closed")[0] == 0
 
 
 @pytest.mark.parametrize("carrier", ["tcp", "udp"])
-def test_what_is_closed_is_out_of_the_list(make_port: MakePort, monkeypatch: pytest.MonkeyPatch, carrier: str) -> None:
-    """Who finds that the peer takes nothing finds it connected no more."""
+def test_closed_output_is_not_listed(make_port: MakePort, monkeypatch: pytest.MonkeyPatch, carrier: str) -> None:
+    """A writer whose message fails sees the peer as disconnected."""
     make_port("/r")
     writer = make_port("/w")
     remove, closed = writer.connections.remove_output, list[bool]()
@@ -317,12 +319,12 @@ def test_what_is_closed_is_out_of_the_list(make_port: MakePort, monkeypatch: pyt
     else:
         output.socket_side.shutdown()
     output.check()
-    until(lambda: output.closed, "it is noticed")
+    until(lambda: output.closed, "the output is closed")
     assert closed == [False]
     assert writer.outputs() == []
 
 
-def test_closing_lets_a_waiting_writer_go(make_port: MakePort, slow: Slow) -> None:
+def test_closing_releases_a_waiting_writer(make_port: MakePort, slow: Slow) -> None:
     writer = make_port("/w")
     writer.add_output("tcp://slow")
     threading.Timer(0.2, writer.close).start()
@@ -330,18 +332,18 @@ def test_closing_lets_a_waiting_writer_go(make_port: MakePort, slow: Slow) -> No
     until(lambda: not writer.is_open, "closed")
 
 
-def test_nonsense_in_place_of_an_acknowledgement(make_port: MakePort, slow: Slow) -> None:
+def test_invalid_acknowledgement_closes_the_connection(make_port: MakePort, slow: Slow) -> None:
     writer = make_port("/w")
     writer.add_output("tcp://slow")
     writer.write(b"a")
     assert slow.read() == b"a"
     assert slow.sock is not None
     slow.sock.sendall(b"certainly not")
-    until(lambda: not writer.outputs(), "the connection is ended")
+    until(lambda: not writer.outputs(), "the connection is closed")
 
 
-def test_a_request_that_is_only_acknowledged(make_port: MakePort, slow: Slow) -> None:
-    """So do C++ readers that write no reply; the connection goes on."""
+def test_request_that_is_only_acknowledged_is_an_error(make_port: MakePort, slow: Slow) -> None:
+    """C++ readers that write no reply do so; the connection stays open."""
     client = make_port("/c")
     client.add_output("tcp://slow")
     for _ in range(2):
@@ -353,8 +355,8 @@ def test_a_request_that_is_only_acknowledged(make_port: MakePort, slow: Slow) ->
 
 
 @pytest.mark.parametrize("profile", list(Profile))
-def test_a_long_reply_in_pieces(make_port: MakePort, slow: Slow, profile: Profile) -> None:
-    """Its end is found as it comes, and its dialect."""
+def test_long_reply_in_pieces(make_port: MakePort, slow: Slow, profile: Profile) -> None:
+    """Its end and its dialect are detected while it arrives."""
     client = make_port("/c")
     client.add_output("tcp://slow")
     reply = encode([["text", 1.5, i, "x" * 100] for i in range(20_000)], profile)
@@ -371,22 +373,22 @@ def test_a_long_reply_in_pieces(make_port: MakePort, slow: Slow, profile: Profil
     assert client.connections.outputs[0].profile is profile
 
 
-def test_where_a_reply_ends_may_be_told(make_port: MakePort, slow: Slow) -> None:
-    """Some replies of thrift servers are no Bottles."""
+def test_caller_can_parse_the_end_of_a_reply(make_port: MakePort, slow: Slow) -> None:
+    """Some replies of thrift servers are not Bottles."""
     client = make_port("/c")
     client.add_output("tcp://slow")
     sent = b"\1\0\0\0\7\0\0\0" + framing.ACK
     threading.Timer(0.05, lambda: (slow.read(), slow.sock and slow.sock.sendall(sent))).start()
 
-    def end(came: bytes) -> int:
-        if len(came) < 8:
+    def end(data: bytes) -> int:
+        if len(data) < 8:
             raise Incomplete
         return 8
 
     assert client.request(HELLO, timeout=10, parse=end) == sent[:8]
 
 
-def test_a_reply_above_the_limit(make_port: MakePort, slow: Slow) -> None:
+def test_reply_above_the_limit_is_an_error(make_port: MakePort, slow: Slow) -> None:
     client = make_port("/c", limit=100_000)
     client.add_output("tcp://slow")
     reply = encode(["x" * 50_000, "y" * 100_000], Profile.YARP3)
@@ -396,8 +398,8 @@ def test_a_reply_above_the_limit(make_port: MakePort, slow: Slow) -> None:
     assert client.outputs() == []
 
 
-def test_writers_of_many_threads(make_port: MakePort) -> None:
-    """Waiting and not, all of one port at once: every strict message comes once, whole."""
+def test_many_threads_write_to_one_port(make_port: MakePort) -> None:
+    """Blocking or not: every strict message arrives once and complete."""
     got: list[int] = []
     make_port("/r", lambda m: got.append(decode(m.payload)[0]))
     writer = make_port("/w")
@@ -415,11 +417,13 @@ def test_writers_of_many_threads(make_port: MakePort) -> None:
     assert writer.wait_writes(10)
     assert sorted(got) == list(range(400))
     for n in range(4):
-        assert [g for g in got if g // 100 == n] == list(range(n * 100, n * 100 + 100)), "each thread's in order"
+        assert [g for g in got if g // 100 == n] == list(range(n * 100, n * 100 + 100)), (
+            "the messages of each thread are in order"
+        )
 
 
-def test_what_a_reader_that_goes_misses_stays_counted(make_port: MakePort, slow: Slow) -> None:
-    """The output is gone with its own counters, and the port still says how many messages were lost, and why."""
+def test_messages_lost_by_a_closed_output_stay_counted(make_port: MakePort, slow: Slow) -> None:
+    """The output is removed with its counters, but the port still reports the lost messages and the reason."""
     writer = make_port("/w")
     writer.add_output("tcp://slow")
     (output,) = writer.connections.outputs
@@ -432,17 +436,17 @@ def test_what_a_reader_that_goes_misses_stays_counted(make_port: MakePort, slow:
     assert writer.connections.outputs == []
 
 
-def test_a_message_above_the_limit_is_counted_as_such(make_port: MakePort) -> None:
-    """A C++ port is told nothing but the connection's end: here stands why."""
+def test_message_above_the_limit_is_counted_as_large(make_port: MakePort) -> None:
+    """A C++ port only sees the connection close; the counter shows the reason."""
     reader = make_port("/r", limit=1_000_000)
     writer = make_port("/w")
     writer.add_output("tcp://r")
     writer.write(encode([b"x" * 1_000_001], Profile.YARP3))
-    until(lambda: reader.counters.dropped == {"large": 1}, "it is counted")
+    until(lambda: reader.counters.dropped == {"large": 1}, "the message is counted")
 
 
-def test_the_memory_of_a_large_message_is_given_back(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is kept for the next one for some seconds only."""
+def test_memory_of_a_large_message_is_freed(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is reserved for the next one only for some seconds."""
     monkeypatch.setattr(port, "_KEPT_FOR", 0.0)
     got: list[int] = []
     reader = make_port("/r", lambda m: got.append(len(m.payload)))
@@ -450,6 +454,6 @@ def test_the_memory_of_a_large_message_is_given_back(make_port: MakePort, monkey
     writer.add_output("tcp://r")
     for count in (1, 2):
         writer.write(encode([b"x" * 20_000_000], Profile.YARP3), wait=True, timeout=20)
-        until(lambda count=count: len(got) == count, "the message comes")
+        until(lambda count=count: len(got) == count, "the message arrives")
         (connection,) = reader.connections.inputs
-        until(lambda connection=connection: not connection.stream.kept, "its memory is given back")
+        until(lambda connection=connection: not connection.stream.kept, "its memory is freed")

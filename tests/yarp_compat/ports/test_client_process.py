@@ -33,16 +33,18 @@ HERE = ("127.0.0.1", 41000)
         ([], None),
     ],
 )
-def test_the_library_of_a_process(tmp_path: Path, files: Iterable[str], generation: Generation | None) -> None:
+def test_release_is_read_from_the_loaded_library(
+    tmp_path: Path, files: Iterable[str], generation: Generation | None
+) -> None:
     finding = loaded_release(HERE, processes(tmp_path, {HERE: files}))
     assert (finding and finding.generation) is generation
     assert finding is None or ("4700" in finding.reason and finding.sure)
 
 
-def test_a_process_is_found_by_its_end_of_the_connection(tmp_path: Path) -> None:
+def test_process_is_found_by_its_end_of_the_connection(tmp_path: Path) -> None:
     owners = {HERE: [library("3.9.1")], ("127.0.0.1", 41001): [library("3.12.3")], ("192.0.2.7", 41000): []}
     proc = processes(tmp_path, owners)
-    assert [(found and found.generation) for found in (loaded_release(address, proc) for address in owners)] == [
+    assert [(finding and finding.generation) for finding in (loaded_release(address, proc) for address in owners)] == [
         Generation.YARP_3_6,
         Generation.YARP_3_12,
         None,
@@ -52,14 +54,14 @@ def test_a_process_is_found_by_its_end_of_the_connection(tmp_path: Path) -> None
         assert loaded_release(elsewhere, proc) is None
 
 
-def test_a_closed_connection_has_no_process(tmp_path: Path) -> None:
+def test_closed_connection_has_no_process(tmp_path: Path) -> None:
     assert loaded_release(HERE, processes(tmp_path, {HERE: [library("3.9.1")]}, state="06")) is None
     assert loaded_release(HERE, tmp_path / "no proc here") is None
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
-def test_a_real_process(tmp_path: Path, host: str) -> None:
+def test_release_of_a_real_process(tmp_path: Path, host: str) -> None:
     """This one, after it has mapped a file with the library's name."""
     file = tmp_path / "libYARP_os.so.3.9.1"
     file.write_bytes(bytes(mmap.PAGESIZE))

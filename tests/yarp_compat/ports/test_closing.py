@@ -1,4 +1,4 @@
-"""The end of a port: what comes meanwhile, and what is left afterwards."""
+"""Closing a port: messages and connections that arrive meanwhile, and cleanup."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.ports.port import PortCore
 
 
-def test_a_connection_that_was_replaced_ends_with_the_port(make_port: MakePort) -> None:
-    """Nothing comes of it when the port is closed, and its thread is gone."""
+def test_replaced_connection_ends_with_the_port(make_port: MakePort) -> None:
+    """After the port has closed, it delivers nothing, and its thread has ended."""
     got: list[bytes] = []
     go_on = threading.Event()
 
-    def take(message: PortMessage) -> None:
+    def on_message(message: PortMessage) -> None:
         got.append(bytes(message.payload))
         assert go_on.wait(20)
 
-    reader, writer = make_port("/r", take), make_port("/w")
+    reader, writer = make_port("/r", on_message), make_port("/w")
     writer.add_output("fast_tcp://r")
     writer.write(b"1")
     until(lambda: got, "the owner has a message")
@@ -35,7 +35,7 @@ def test_a_connection_that_was_replaced_ends_with_the_port(make_port: MakePort) 
     closer = threading.Thread(target=reader.close)
     closer.start()
     closer.join(0.3)
-    assert closer.is_alive(), "it waits for the owner"
+    assert closer.is_alive(), "closing waits for the owner"
     go_on.set()
     closer.join(20)
     assert not [t for t in threading.enumerate() if t.name == "yarp /w > /r"]
@@ -43,14 +43,14 @@ def test_a_connection_that_was_replaced_ends_with_the_port(make_port: MakePort) 
     assert reader.connections.leaving == []
 
 
-def test_what_was_put_off_of_a_replaced_connection_is_given_up(make_port: MakePort) -> None:
+def test_pending_request_of_a_replaced_connection_is_abandoned(make_port: MakePort) -> None:
     waiting: list[PortMessage] = []
 
-    def take(message: PortMessage) -> None:
+    def on_message(message: PortMessage) -> None:
         message.later()
         waiting.append(message)
 
-    server, client = make_port("/server", take), make_port("/client")
+    server, client = make_port("/server", on_message), make_port("/client")
     client.add_output("/server")
 
     def ask() -> None:
@@ -69,7 +69,7 @@ def test_what_was_put_off_of_a_replaced_connection_is_given_up(make_port: MakePo
     assert not [t for t in threading.enumerate() if t.name == "yarp /client > /server"]
 
 
-def test_a_port_that_is_opened_as_another_thread_closes_it_is_open_afterwards(
+def test_port_opened_while_another_thread_closes_it_is_open_afterwards(
     naming: LocalNaming, make_port: MakePort, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     port, client = PortCore("/port", naming=naming), make_port("/client")
@@ -79,14 +79,14 @@ def test_a_port_that_is_opened_as_another_thread_closes_it_is_open_afterwards(
     def slowly() -> None:
         closing.set()
         opener.start()
-        opener.join(0.3)  # it waits
+        opener.join(0.3)  # it is waiting
         close()
 
     monkeypatch.setattr(port.connections, "close", slowly)
     closer = threading.Thread(target=port.close)
     closer.start()
     assert closing.wait(20)
-    port.close()  # the other thread is at it
+    port.close()  # the other thread is closing it
     for thread in (closer, opener):
         thread.join(20)
     monkeypatch.undo()
@@ -95,22 +95,22 @@ def test_a_port_that_is_opened_as_another_thread_closes_it_is_open_afterwards(
     port.close()
 
 
-def test_a_connection_that_is_closed_as_its_queue_is_empty_says_goodbye(
+def test_connection_closed_while_its_queue_becomes_empty_sends_a_farewell(
     make_port: MakePort, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The thread that sent the queue leaves the socket to the one that closes it."""
+    """The thread that sent the queue leaves the socket open for the closing thread."""
     taken, go_on = list[PortMessage](), threading.Event()
 
-    def take(message: PortMessage) -> None:
+    def on_message(message: PortMessage) -> None:
         taken.append(message)
         assert go_on.wait(20)
 
-    make_port("/r", take)
+    make_port("/r", on_message)
     writer = make_port("/w")
     writer.add_output("tcp://r")
     (output,) = writer.connections.outputs
-    step, say = output._step, output.socket_side.send_farewell
-    emptied, said = threading.Event(), list[bool]()
+    step, send = output._step, output.socket_side.send_farewell
+    emptied, sent = threading.Event(), list[bool]()
 
     def stepping() -> int | None:
         events = step()
@@ -119,23 +119,23 @@ def test_a_connection_that_is_closed_as_its_queue_is_empty_says_goodbye(
             assert emptied.wait(20)
         return events
 
-    def saying(*, patient: bool) -> None:
+    def sending(*, patient: bool) -> None:
         emptied.set()
-        shared.run(lambda: None)  # the shared thread is done with the queue
-        said.append(output.sock.fileno() >= 0)
-        say(patient=patient)
+        shared.run(lambda: None)  # the shared thread has sent the queue
+        sent.append(output.sock.fileno() >= 0)
+        send(patient=patient)
 
     closer = threading.Thread(target=output.close)
     monkeypatch.setattr(output, "_step", stepping)
-    monkeypatch.setattr(output.socket_side, "send_farewell", saying)
+    monkeypatch.setattr(output.socket_side, "send_farewell", sending)
     shared = loop.acquire()
     try:
-        for _ in range(2):  # the second waits for the acknowledgement of the first
+        for _ in range(2):  # the second is queued until the first is acknowledged
             assert writer.write(HELLO, strict=True) == 1
         until(lambda: taken, "the first message")
         go_on.set()
-        until(lambda: said, "the goodbye")
+        until(lambda: sent, "the farewell")
         closer.join(20)
     finally:
         loop.release(shared)
-    assert said == [True]
+    assert sent == [True]

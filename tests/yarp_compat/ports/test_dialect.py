@@ -1,4 +1,4 @@
-"""Ports ask others which YARP they are: as real 3.12.3 and 4.0 answer it (recorded), and as nobody should."""
+"""Ports query the YARP dialect of others: recorded answers of 3.12.3 and 4.0, and invalid answers."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from yarp_compat.wire.profile import Profile
 
 YARP_3_12 = b'Welcome admin\r\n1 "" 20698\r\n<ACK>\r\n'
 YARP_4 = b'Welcome admin\r\n[fail] "send [help] for list of valid commands"\r\n<ACK>\r\n'
-TOLD = {YARP_3_12: Profile.YARP3, YARP_4: Profile.YARP4}
+DIALECTS = {YARP_3_12: Profile.YARP3, YARP_4: Profile.YARP4}
 
 
 class Other:
-    """Another program's port: tells of itself, unless it waits for a reply, as C++ ports do."""
+    """Another program's port: answers queries, except while it waits for a reply, as C++ ports do."""
 
-    def __init__(self, told: bytes) -> None:
-        self.told = told
+    def __init__(self, answer: bytes) -> None:
+        self.answer = answer
         self.asked: list[bytes] = []
         self.waits = threading.Event()
         self.data: list[socket.socket] = []
@@ -66,52 +66,52 @@ class Other:
                         first += sock.recv(100)
                     self.asked.append(first)
                     if not self.waits.is_set():
-                        sock.sendall(self.told)
+                        sock.sendall(self.answer)
 
 
-@pytest.fixture(params=TOLD)
+@pytest.fixture(params=DIALECTS)
 def other(request: pytest.FixtureRequest) -> Iterator[Other]:
-    """A port of either YARP."""
+    """A port of either dialect."""
     port = Other(request.param)
     yield port
     port.close()
 
 
-def test_what_real_ports_say(other: Other) -> None:
-    assert ask_profile(PortContact("/other", *other.address, "tcp")) is TOLD[other.told]
+def test_recorded_answers_are_recognized(other: Other) -> None:
+    assert ask_profile(PortContact("/other", *other.address, "tcp")) is DIALECTS[other.answer]
     assert other.asked == [b"CONNACK admin\r\na\r\ngetPid\r\n"]
 
 
 @pytest.mark.parametrize(
-    "told",
+    "answer",
     [b"", b"HTTP/1.0 400\r\n\r\n", b"Welcome admin\r\n<ACK>\r\n", b"Welcome admin\r\n(((\r\n<ACK>\r\n",
      b"Welcome admin\r\n2 7\r\n<ACK>\r\n", b"Welcome admin\r\n" + b"x" * 100_000],
 )  # fmt: skip
-def test_what_no_yarp_says(told: bytes) -> None:
-    port = Other(told)
+def test_invalid_answers_have_no_dialect(answer: bytes) -> None:
+    port = Other(answer)
     try:
         odd = PortContact("/odd", *port.address, "tcp")
         assert ask_profile(odd) is None
     finally:
         port.close()
-    assert ask_profile(odd) is None, "nobody listens there any more"
+    assert ask_profile(odd) is None, "the port no longer listens"
 
 
-def test_who_says_nothing_costs_no_more_than_its_time() -> None:
+def test_query_of_a_silent_port_times_out() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         assert ask_profile(PortContact("/mute", "127.0.0.1", server.getsockname()[1]), timeout=0.1) is None
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_our_own_ports_say_theirs(make_port: MakePort, profile: Profile) -> None:
+def test_midspans_ports_answer_their_dialect(make_port: MakePort, profile: Profile) -> None:
     assert ask_profile(make_port("/p", profile=profile).contact) is profile
 
 
 @pytest.mark.parametrize("carrier", ["tcp", "fast_tcp"])
-def test_an_output_writes_what_its_reader_reads(
+def test_output_writes_in_its_readers_dialect(
     make_port: MakePort, naming: LocalNaming, other: Other, carrier: str
 ) -> None:
-    profile = TOLD[other.told]
+    profile = DIALECTS[other.answer]
     naming.register("/other", *other.address)
     writer = make_port("/w", profile=Profile.YARP4 if profile is Profile.YARP3 else Profile.YARP3)
     assert writer.add_output(f"{carrier}://other")[0]
@@ -119,31 +119,33 @@ def test_an_output_writes_what_its_reader_reads(
     assert output.profile is profile
     writer.write(lambda dialect: encode([1.5], dialect), strict=True)
     expected = encode([1.5], profile)
-    came = b""
+    received = b""
     other.data[0].settimeout(10)
-    while not came.endswith(expected):
-        came += other.data[0].recv(1000)
+    while not received.endswith(expected):
+        received += other.data[0].recv(1000)
 
 
 def call(port: PortContact, name: bytes) -> socket.socket:
-    """The connection of a port that calls by fast_tcp; not answered yet."""
+    """Return a client's connection by fast_tcp, which is not answered yet."""
     sock = socket.create_connection((port.host, port.port), 10)
     sock.sendall(b"YAd\x1e\0\0RP" + (len(name) + 1).to_bytes(4, "little") + name + b"\0")
     return sock
 
 
 def ask(sock: socket.socket, request: bytes, size: int) -> bytes:
-    """Send a request and receive that much of the reply."""
+    """Send a request and receive ``size`` bytes of the reply."""
     index = b"YA\x0a\0\0\0RP\x02\x01" + b"\xff" * 8 + (8).to_bytes(4, "little") + len(request).to_bytes(4, "little")
     sock.sendall(index + bytes(4) + b"\0\0\0\0~d\0\1" + request)
-    came = b""
-    while len(came) < size and (part := sock.recv(size - len(came))):
-        came += part
-    return came
+    received = b""
+    while len(received) < size and (part := sock.recv(size - len(received))):
+        received += part
+    return received
 
 
-def test_who_asks_for_the_version_is_known_before(make_port: MakePort, naming: LocalNaming, other: Other) -> None:
-    """A client's port answers nobody while it waits for a reply, so it is asked before it can send any request."""
+def test_release_is_decided_before_the_client_asks_for_the_version(
+    make_port: MakePort, naming: LocalNaming, other: Other
+) -> None:
+    """A client's port answers no queries while it waits for a reply, so it is queried before its first request."""
     naming.register("/client", *other.address)
     server = Server(Kept())
     port = make_port("/server", server, rpc=True, on_event=server.on_event)
@@ -152,34 +154,36 @@ def test_who_asks_for_the_version_is_known_before(make_port: MakePort, naming: L
         other.waits.set()
         version = ask(sock, encode(["getRemoteProtocolVersion"], Profile.YARP3), 16)
         cleared = ask(sock, Places.calls()["clear_RPC"].request([], Profile.YARP3), 8)
-        if TOLD[other.told] is Profile.YARP4:
+        if DIALECTS[other.answer] is Profile.YARP4:
             assert version.hex() == "00010000010000000300040000000000"
             assert cleared + sock.recv(8) == bytes.fromhex("00010000 01000000 09000000 6f6b0000")
         else:
             assert version.hex() == "0001000001000000030003000c000000"
             assert cleared == bytes.fromhex("01000000 00000000")
-        (decision,) = server.generations.explain()  # before the connection ends: then it is forgotten
+        (decision,) = server.generations.explain()  # before the connection ends, which discards the decision
     assert len(other.asked) == 1
-    assert decision.generation is (Generation.YARP_4 if TOLD[other.told] is Profile.YARP4 else Generation.YARP_3_12)
+    assert decision.generation is (
+        Generation.YARP_4 if DIALECTS[other.answer] is Profile.YARP4 else Generation.YARP_3_12
+    )
 
 
-def test_replies_are_in_the_dialect_of_who_asks(make_port: MakePort, naming: LocalNaming, other: Other) -> None:
-    """Also where the request has no numbers that would tell."""
+def test_replies_are_in_the_clients_dialect(make_port: MakePort, naming: LocalNaming, other: Other) -> None:
+    """Even if the request has no numbers that would show the dialect."""
     naming.register("/client", *other.address)
 
-    def take(message: PortMessage) -> None:
+    def on_message(message: PortMessage) -> None:
         assert decode(message.payload) == ["speed"]
         message.reply(encode([1.5], message.peer.profile or Profile.YARP3))
 
-    port = make_port("/server", take, rpc=True)
+    port = make_port("/server", on_message, rpc=True)
     with call(port.contact, b"/client") as sock:
         assert len(sock.recv(8)) == 8
-        expected = encode([1.5], TOLD[other.told])
+        expected = encode([1.5], DIALECTS[other.answer])
         assert ask(sock, encode(["speed"], Profile.YARP3), len(expected)) == expected
 
 
 @pytest.mark.parametrize("name", [b"/nobody", b"anon_rpc", b"/client"])
-def test_who_cannot_be_asked_is_answered_all_the_same(
+def test_client_that_cannot_be_queried_gets_a_reply(
     make_port: MakePort, naming: LocalNaming, monkeypatch: pytest.MonkeyPatch, name: bytes
 ) -> None:
     monkeypatch.setattr("yarp_compat.ports.base.ask_profile", lambda contact: ask_profile(contact, timeout=0.1))
@@ -192,7 +196,7 @@ def test_who_cannot_be_asked_is_answered_all_the_same(
             assert ask(sock, encode(["?"], Profile.YARP3), len(yes)) == yes
 
 
-def test_a_port_that_gives_no_replies_asks_nobody(make_port: MakePort, naming: LocalNaming, other: Other) -> None:
+def test_port_without_replies_sends_no_queries(make_port: MakePort, naming: LocalNaming, other: Other) -> None:
     naming.register("/client", *other.address)
     port = make_port("/r", lambda _: None)
     with call(port.contact, b"/client") as sock:
@@ -200,24 +204,24 @@ def test_a_port_that_gives_no_replies_asks_nobody(make_port: MakePort, naming: L
     assert other.asked == []
 
 
-def test_closing_waits_for_nobody_long(make_port: MakePort, naming: LocalNaming) -> None:
+def test_closing_does_not_wait_long_for_a_query(make_port: MakePort, naming: LocalNaming) -> None:
     with socket.create_server(("127.0.0.1", 0)) as mute:
         naming.register("/client", *mute.getsockname())
         port = make_port("/server", lambda _: None, rpc=True)
         with call(port.contact, b"/client"):
-            until(port.inputs, "the call")
+            until(port.inputs, "the connection")
             port.close()
 
 
-def test_a_channel_knows_its_server(make_port: MakePort) -> None:
-    """A server of 4.0 takes numbers of 3.12 for no request at all."""
+def test_channel_detects_its_servers_release(make_port: MakePort) -> None:
+    """A server of 4.0 does not accept numbers of 3.12 as a request."""
     got = []
 
-    def take(message: PortMessage) -> None:
+    def on_message(message: PortMessage) -> None:
         got.append(bytes(message.payload))
         message.reply(encode([5], Profile.YARP4))
 
-    make_port("/server", take, profile=Profile.YARP4)
+    make_port("/server", on_message, profile=Profile.YARP4)
     client = make_port("/client", rpc=True)
     channel = PortChannel(client, timeout=10)
     assert channel.generation is Generation.YARP_3_12
@@ -226,4 +230,4 @@ def test_a_channel_knows_its_server(make_port: MakePort) -> None:
     assert Places(channel).count(2, 3.0) == 5
     assert got == [Places.calls()["count"].request([2, 3.0], Profile.YARP4)]
     channel.generation = Generation.YARP_3_6
-    assert channel.generation is Generation.YARP_3_6, "what replies tell outweighs that"
+    assert channel.generation is Generation.YARP_3_6, "replies have priority"

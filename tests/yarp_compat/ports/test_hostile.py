@@ -1,4 +1,4 @@
-"""Peers that vanish, are silent, or send garbage harm only their own connection."""
+"""Peers that vanish, are silent, or send garbage affect only their own connection."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ TCP, FAST_TCP = b"YA\xe4\x1e\0\0RP", b"YAd\x1e\0\0RP"
 WRITER = b"\x03\0\0\0/x\0"
 
 
-def call(port: PortCore, *said: bytes) -> socket.socket:
+def call(port: PortCore, *data: bytes) -> socket.socket:
     sock = socket.create_connection((port.contact.host, port.contact.port), 10)
     sock.settimeout(10)
-    for part in said:
+    for part in data:
         with contextlib.suppress(OSError):
             sock.sendall(part)
     return sock
 
 
-def rest(sock: socket.socket) -> bytes:
-    """All that comes until the port ends the connection."""
-    came = b""
+def receive_all(sock: socket.socket) -> bytes:
+    """Return all bytes until the port closes the connection."""
+    received = b""
     with contextlib.suppress(ConnectionError):
         while part := sock.recv(65536):
-            came += part
+            received += part
     sock.close()
-    return came
+    return received
 
 
 class Works:
-    """A port, and a check that it still does what a real peer wants."""
+    """A port, and a check that it still serves a valid peer."""
 
     def __init__(self, make_port: MakePort) -> None:
         self.port = make_port("/r", lambda m: m.reply(m.payload), limit=1 << 20)
@@ -62,16 +62,16 @@ class Works:
 
 @pytest.fixture
 def works(make_port: MakePort) -> Iterator[Works]:
-    made = Works(make_port)
-    yield made
-    made.check()
+    port = Works(make_port)
+    yield port
+    port.check()
 
 
 @pytest.mark.parametrize(
-    "said",
+    "data",
     [
-        b"YAb\x1e\0\0RP\x03\0\0\0/w\0\x7f\0\0\1\x27\x17",  # mcast to no group
-        b"YAb\x1e\0\0RP\x03\0\0\0/w\0\xe0\1\1\3\0\0",  # mcast to no port
+        b"YAb\x1e\0\0RP\x03\0\0\0/w\0\x7f\0\0\1\x27\x17",  # mcast without a group
+        b"YAb\x1e\0\0RP\x03\0\0\0/w\0\xe0\1\1\3\0\0",  # mcast without a port
         b"YAo\x1e\0\0RP\x03\0\0\0/w\0",  # shmem
         b"\x16\x03\x01\x02\0\1\0\1",  # TLS
         b"SSH-2.0-OpenSSH\r\n",
@@ -80,13 +80,13 @@ def works(make_port: MakePort) -> Iterator[Works]:
         b"PRI * HT",
     ],
 )
-def test_other_carriers_are_refused_by_name(works: Works, said: bytes) -> None:
-    assert rest(call(works.port, said)) == PROTOCOL_ERROR
-    until(lambda: works.port.counters.dropped["malformed"] == 1, "it is counted")
+def test_unsupported_carriers_are_refused(works: Works, data: bytes) -> None:
+    assert receive_all(call(works.port, data)) == PROTOCOL_ERROR
+    until(lambda: works.port.counters.dropped["malformed"] == 1, "the drop is counted")
 
 
 @pytest.mark.parametrize(
-    "said",
+    "data",
     [
         TCP + b"\0\0\0\0",
         TCP + b"\xff\xff\xff\xff",
@@ -97,12 +97,12 @@ def test_other_carriers_are_refused_by_name(works: Works, said: bytes) -> None:
         b"CONNECT " + b"a" * 3000,
     ],
 )
-def test_bad_names(works: Works, said: bytes) -> None:
-    assert rest(call(works.port, said)).endswith(PROTOCOL_ERROR)
+def test_invalid_names_are_refused(works: Works, data: bytes) -> None:
+    assert receive_all(call(works.port, data)).endswith(PROTOCOL_ERROR)
 
 
 @pytest.mark.parametrize(
-    "said",
+    "data",
     [
         b"garbage that is no index at all.....",
         b"YA\x0a\0\0\0RP\xff\xff" + b"\xff" * 8 + b"\xff\xff\xff\x7f" * 510,
@@ -115,61 +115,61 @@ def test_bad_names(works: Works, said: bytes) -> None:
     ],
 )
 @pytest.mark.parametrize("carrier", [TCP, FAST_TCP])
-def test_bad_messages(works: Works, carrier: bytes, said: bytes) -> None:
-    told = rest(call(works.port, carrier + WRITER, said))
-    assert framed(told) is not None, "the introduction was answered"
-    reason = "large" if struct.pack("<i", (1 << 20) + 1) in said or b"\xff\x7f" in said else "malformed"
-    until(lambda: works.port.counters.dropped[reason] == 1, "it is counted")
-    until(lambda: len(works.port.inputs()) == 1, "the connection is gone")
+def test_invalid_messages_close_the_connection(works: Works, carrier: bytes, data: bytes) -> None:
+    answer = receive_all(call(works.port, carrier + WRITER, data))
+    assert framed(answer) is not None, "the introduction was answered"
+    reason = "large" if struct.pack("<i", (1 << 20) + 1) in data or b"\xff\x7f" in data else "malformed"
+    until(lambda: works.port.counters.dropped[reason] == 1, "the drop is counted")
+    until(lambda: len(works.port.inputs()) == 1, "the connection is closed")
 
 
-def test_an_announcement_alone_costs_no_memory(make_port: MakePort) -> None:
-    """Fifty peers announce 64 MB each, and send nothing of it."""
+def test_announced_size_reserves_no_memory(make_port: MakePort) -> None:
+    """Fifty peers announce 64 MB each and send none of it."""
     port = make_port("/r")
     before = psutil.Process().memory_info().rss
     index = b"YA\x0a\0\0\0RP\2\1" + b"\xff" * 8 + struct.pack("<iii", 8, 64 << 20, 0) + b"\0\0\0\0~D\0\1"
     socks = [call(port, FAST_TCP + b"\x06\0\0\0anon%d\0" % (n % 10), index) for n in range(50)]
     until(lambda: len(port.inputs()) == 50, "all are connected")
-    until(lambda: sum(t.name.startswith("yarp anon") for t in threading.enumerate()) == 50, "all are read")
+    until(lambda: sum(t.name.startswith("yarp anon") for t in threading.enumerate()) == 50, "all have a reading thread")
     time.sleep(0.2)
     assert psutil.Process().memory_info().rss - before < 120 << 20
     for sock in socks:
         sock.close()
-    until(lambda: not port.inputs(), "all are gone")
+    until(lambda: not port.inputs(), "all are closed")
 
 
-def test_text_without_end(works: Works) -> None:
+def test_text_without_a_line_end(works: Works) -> None:
     sock = call(works.port, b"CONNACK x\r\n")
     assert sock.recv(100) == b"Welcome x\r\n"
     with contextlib.suppress(OSError):
         for _ in range(40):
             sock.sendall(b"a" * 65536)
-    assert rest(sock) == b""
+    assert receive_all(sock) == b""
 
 
-def test_a_long_line_of_data(works: Works) -> None:
+def test_long_line_of_data(works: Works) -> None:
     sock = call(works.port, b"CONNACK x\r\nd\r\n")
     with contextlib.suppress(OSError):
         for _ in range(40):
             sock.sendall(b"a" * 65536)
-    assert rest(sock) in (b"Welcome x\r\n", b"")
+    assert receive_all(sock) in (b"Welcome x\r\n", b"")
 
 
 @pytest.mark.parametrize("depth", [300, 1_000_000 // 8])
-def test_nested_lists(works: Works, depth: int) -> None:
-    """As text, as a message, as an administrative command."""
+def test_deeply_nested_lists(works: Works, depth: int) -> None:
+    """As text, as a message, and as an administrative command."""
     text = b"(" * depth
-    rest(call(works.port, b"CONNACK x\r\nd\r\n" + text + b"\r\nq\r\n"))
+    receive_all(call(works.port, b"CONNACK x\r\nd\r\n" + text + b"\r\nq\r\n"))
     works.check()
-    rest(call(works.port, b"CONNACK x\r\na\r\n" + text + b"\r\nq\r\n"))
+    receive_all(call(works.port, b"CONNACK x\r\na\r\n" + text + b"\r\nq\r\n"))
     works.check()
     nested = struct.pack("<ii", 256, 1) * depth
-    told = rest(call(works.port, TCP + WRITER, framing.prefix(len(nested), "a") + nested, framing.QUIT))
-    assert b"send [help]" in told
+    answer = receive_all(call(works.port, TCP + WRITER, framing.prefix(len(nested), "a") + nested, framing.QUIT))
+    assert b"send [help]" in answer
 
 
 def test_a_thousand_silent_connections(make_port: MakePort) -> None:
-    """A real one is not stopped by them; the oldest go, and none costs a thread."""
+    """They do not block a valid peer; the oldest are closed, and none has a thread."""
     works = Works(make_port)
     silent = []
     threads = threading.active_count()
@@ -193,13 +193,13 @@ def test_a_thousand_silent_connections(make_port: MakePort) -> None:
     works.check()
 
 
-def test_those_that_introduce_themselves_and_are_silent(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_peers_that_are_silent_after_their_introduction(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections, "MOST_INPUTS", 50)
     works = Works(make_port)
     threads = threading.active_count()
     silent = [call(works.port, FAST_TCP + b"\x04\0\0\0%03d\0" % n) for n in range(200)]
-    until(lambda: len(works.port.inputs()) == 50, "no more than fifty are kept")
-    assert threading.active_count() <= threads + 2, "none costs a thread"
+    until(lambda: len(works.port.inputs()) == 50, "at most fifty stay open")
+    assert threading.active_count() <= threads + 2, "none has a thread"
     works.check()
     assert make_port("/other").add_output("/r")[0]
     for sock in silent:
@@ -209,19 +209,19 @@ def test_those_that_introduce_themselves_and_are_silent(make_port: MakePort, mon
 def test_introductions_have_a_time_limit(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listener, "PATIENCE", 0.2)
     works = Works(make_port)
-    assert rest(call(works.port, TCP)) == b""
+    assert receive_all(call(works.port, TCP)) == b""
     works.check()
 
 
-def test_tools_look_whether_a_port_is_there(works: Works) -> None:
+def test_tools_check_that_a_port_exists(works: Works) -> None:
     for _ in range(20):
         call(works.port).close()
     works.check()
     assert works.port.counters.dropped.total() == 0
 
 
-def test_garbage_of_many_kinds(works: Works) -> None:
-    """Beginnings of real conversations, changed at random."""
+def test_random_garbage(works: Works) -> None:
+    """Beginnings of real connections, changed at random."""
     chance = random.Random(7)
     payload = encode(["a", 1, [2.5, b"x"]], Profile.YARP3)
     real = [
@@ -234,17 +234,17 @@ def test_garbage_of_many_kinds(works: Works) -> None:
         b"POST /form HTTP/1.1\r\nContent-Length: 10\r\n\r\ndata=hello",
     ]
     for _ in range(300):
-        said = bytearray(chance.choice(real))
+        data = bytearray(chance.choice(real))
         for _ in range(chance.randrange(1, 6)):
-            said[chance.randrange(len(said))] = chance.randrange(256)
-        sock = call(works.port, bytes(said[: chance.randrange(1, len(said) + 1)]))
+            data[chance.randrange(len(data))] = chance.randrange(256)
+        sock = call(works.port, bytes(data[: chance.randrange(1, len(data) + 1)]))
         sock.shutdown(socket.SHUT_WR)
         sock.close()
     works.check()
-    until(lambda: len(works.port.inputs()) == 1, "all are gone")
+    until(lambda: len(works.port.inputs()) == 1, "all are closed")
 
 
-def test_datagrams_of_strangers_and_garbage(make_port: MakePort) -> None:
+def test_datagrams_from_other_senders_and_garbage(make_port: MakePort) -> None:
     got: list[bytes] = []
     port = make_port("/r", lambda m: got.append(bytes(m.payload)))
     writer = make_port("/w")
@@ -259,27 +259,27 @@ def test_datagrams_of_strangers_and_garbage(make_port: MakePort) -> None:
     assert port.connections.inputs[0].counters.dropped["checksum"] >= 3
 
 
-def test_an_owner_that_is_slow_holds_up_only_its_writer(make_port: MakePort) -> None:
-    """Another connection to the same port is served meanwhile, and administration too."""
+def test_slow_owner_delays_only_its_writer(make_port: MakePort) -> None:
+    """Another connection to the same port and administrative commands are served meanwhile."""
     free = threading.Event()
 
-    def take(incoming: PortMessage) -> None:
+    def on_message(incoming: PortMessage) -> None:
         if incoming.peer.route.source == "/slow":
             free.wait(20)
         incoming.reply(HELLO)
 
-    port = make_port("/r", take)
+    port = make_port("/r", on_message)
     slow, quick = make_port("/slow"), make_port("/quick")
     slow.add_output("/r")
     quick.add_output("/r")
     slow.write(HELLO)
     assert quick.request(HELLO, timeout=10) == HELLO
-    assert b"[ver] 1 2 3" in rest(call(port, b"CONNACK admin\r\na\r\n[ver]\r\nq\r\n"))
+    assert b"[ver] 1 2 3" in receive_all(call(port, b"CONNACK admin\r\na\r\n[ver]\r\nq\r\n"))
     free.set()
 
 
-def test_a_thousand_connects_leave_nothing(make_port: MakePort) -> None:
-    """Threads, sockets and connections are as many as before."""
+def test_a_thousand_connections_leak_nothing(make_port: MakePort) -> None:
+    """The numbers of threads, sockets and connections do not grow."""
     got: list[int] = []
     reader = make_port("/r", lambda _: got.append(1))
     writer = make_port("/w")
@@ -292,11 +292,11 @@ def test_a_thousand_connects_leave_nothing(make_port: MakePort) -> None:
 
     for carrier in ("tcp", "fast_tcp", "udp", "text", "text_ack", "local"):
         cycle(carrier)
-    until(lambda: not reader.inputs(), "the first are gone")
-    files, threads = process.num_fds(), threading.active_count()  # those of the first ones may be about to end
+    until(lambda: not reader.inputs(), "the first are closed")
+    files, threads = process.num_fds(), threading.active_count()  # those of the first connections may be ending
     got.clear()
     for i in range(1000):
         cycle(("tcp", "fast_tcp", "text_ack", "local")[i % 4])
-    until(lambda: not reader.inputs() and not writer.outputs(), "all connections are gone")
-    until(lambda: process.num_fds() <= files and threading.active_count() <= threads, "nothing is left behind", 20)
+    until(lambda: not reader.inputs() and not writer.outputs(), "all connections are closed")
+    until(lambda: process.num_fds() <= files and threading.active_count() <= threads, "nothing is leaked", 20)
     assert len(got) == 1000

@@ -19,7 +19,7 @@ from yarp_compat.wire.profile import Profile
 
 
 def fetch(port: PortCore, path: str, data: bytes | None = None, **headers: str) -> tuple[str, str]:
-    """A page's content type and text."""
+    """Return a page's content type and text."""
     request = urllib.request.Request(f"http://{port.contact.host}:{port.contact.port}{path}", data, headers)
     with urllib.request.urlopen(request, timeout=10) as page:
         return page.headers["Content-Type"], page.read().decode()
@@ -66,41 +66,41 @@ def test_json(make_port: MakePort) -> None:
     assert got == [["list", ["REQUEST_URI", "/?req=list&format=json"], ["format", "json"], ["req", "list"]]]
 
 
-def test_own_page(make_port: MakePort) -> None:
+def test_page_made_by_the_owner(make_port: MakePort) -> None:
     port = make_port("/r", lambda m: m.reply(encode(["web", "h1 {}", "mime", "text/css"], Profile.YARP3)))
     assert fetch(port, "/web/main.css") == ("text/css", "h1 {}")
 
 
-def test_lines_that_tell_of_ports_are_links(make_port: MakePort) -> None:
+def test_registration_lines_are_links(make_port: MakePort) -> None:
     line = b"registration name /a ip 127.0.0.1 port 10002 type tcp\r\n*** end of message\r\n"
     port = make_port("/r", lambda m: m.reply(line, plain=True))
     assert '<a href="http://127.0.0.1:10002/">/a</a>' in fetch(port, "/data=list")[1]
 
 
-def test_nothing_of_a_message_is_markup(make_port: MakePort) -> None:
+def test_message_text_is_escaped(make_port: MakePort) -> None:
     port = make_port("/r", lambda m: m.reply(m.payload))
     page = fetch(port, "/?data=%22%3Cscript%3Ealert(1)%3C/script%3E%22")[1]
     assert "<script>" not in page
     assert "&lt;script&gt;" in page
 
 
-def test_administration(make_port: MakePort) -> None:
+def test_administrative_command_from_a_browser(make_port: MakePort) -> None:
     assert "[ver] 1 2 3" in fetch(make_port("/r"), "/?admin=%5Bver%5D")[1]
 
 
-def test_a_strangers_page_cannot_talk_to_a_port(make_port: MakePort) -> None:
-    """It would, in the name of whoever looks at it."""
+def test_requests_from_other_sites_pages_are_refused(make_port: MakePort) -> None:
+    """They would be sent in the name of the person who views the page."""
     port = make_port("/r", echo)
     for headers in ({"Origin": "http://elsewhere"}, {"Origin": "null"}, {"Sec-Fetch-Site": "cross-site"}):
         with pytest.raises(urllib.error.HTTPError, match="403"):
             fetch(port, "/?data=go", **headers)
     assert port.counters.received == 0
-    own = f"http://{port.contact.host}:{port.contact.port}"
-    assert "got" in fetch(port, "/form", b"data=go", Origin=own)[1]
+    origin = f"http://{port.contact.host}:{port.contact.port}"
+    assert "got" in fetch(port, "/form", b"data=go", Origin=origin)[1]
 
 
 @pytest.mark.parametrize(
-    ("said", "status"),
+    ("data", "status"),
     [
         (b"GET /" + b"a" * 20000 + b" HTTP/1.1\r\n\r\n", b""),
         (b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 5000 + b"\r\n", b"431"),
@@ -112,11 +112,11 @@ def test_a_strangers_page_cannot_talk_to_a_port(make_port: MakePort) -> None:
         (b"GET /favicon.ico HTTP/1.1\r\n\r\n", b"404"),
     ],
 )
-def test_nonsense(make_port: MakePort, said: bytes, status: bytes) -> None:
+def test_invalid_requests(make_port: MakePort, data: bytes, status: bytes) -> None:
     port = make_port("/r", echo)
     with socket.create_connection((port.contact.host, port.contact.port)) as sock:
         sock.settimeout(10)
-        sock.sendall(said)
+        sock.sendall(data)
         answer = b""
         try:
             while part := sock.recv(4096):
@@ -124,11 +124,11 @@ def test_nonsense(make_port: MakePort, said: bytes, status: bytes) -> None:
         except ConnectionResetError:
             pass
     assert answer.startswith(b"HTTP/1.1 " + status if status else b"")
-    until(lambda: not port.inputs(), "the connection is gone")
+    until(lambda: not port.inputs(), "the connection is closed")
 
 
-def test_reading_a_port(make_port: MakePort) -> None:
-    """What the port writes comes as lines, until it closes."""
+def test_browser_reads_a_port(make_port: MakePort) -> None:
+    """The port's messages are streamed as lines until it closes."""
     port = make_port("/w")
     with socket.create_connection((port.contact.host, port.contact.port)) as sock:
         sock.settimeout(10)
@@ -139,9 +139,9 @@ def test_reading_a_port(make_port: MakePort) -> None:
             port.write(encode(["a", i], Profile.YARP3), strict=True)
         assert port.wait_writes(10)
         port.close()
-        told = b""
+        received = b""
         while part := sock.recv(4096):
-            told += part
-    head, _, body = told.partition(b"\r\n\r\n")
+            received += part
+    head, _, body = received.partition(b"\r\n\r\n")
     assert b"chunked" in head
     assert body == b"5\r\na 0\r\n\r\n5\r\na 1\r\n\r\n5\r\na 2\r\n\r\n0\r\n\r\n"

@@ -10,7 +10,7 @@ from tests.support.wait import until
 from yarp_compat.ports.loop import PortLoop
 
 
-def test_what_is_ready_when_it_is_told_to_end_is_still_looked_at() -> None:
+def test_socket_that_is_ready_when_the_loop_stops_is_handled() -> None:
     loop, hold, seen = PortLoop(), threading.Event(), list[int]()
     near, far = socket.socketpair()
     with near, far:
@@ -18,14 +18,14 @@ def test_what_is_ready_when_it_is_told_to_end_is_still_looked_at() -> None:
         loop.call(lambda: loop.watch(near, selectors.EVENT_READ, seen.append))
         stopping = threading.Thread(target=loop.stop)
         stopping.start()
-        until(lambda: len(loop._calls) == 2, "it is told to end right after it began to watch")
+        until(lambda: len(loop._calls) == 2, "the stop follows directly after the watch")
         far.shutdown(socket.SHUT_RDWR)
         hold.set()
         stopping.join()
     assert seen == [selectors.EVENT_READ]
 
 
-def test_what_it_is_told_after_its_end_is_done_by_who_tells_it() -> None:
+def test_call_after_the_end_runs_on_the_callers_thread() -> None:
     loop, seen = PortLoop(), list[threading.Thread]()
     loop.stop()
     loop.call(lambda: seen.append(threading.current_thread()))

@@ -1,4 +1,4 @@
-"""mcast, on loopback: against recorded bytes of YARP 4.0, and between our own ports."""
+"""The carrier mcast on loopback: against recorded bytes of YARP 4.0, and between Midspan's ports."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ RECORDED = (  # of `yarp write` 4.0 by mcast: the introduction of /w, then two d
 
 @pytest.fixture(autouse=True)
 def _loopback_carries_groups() -> None:
-    """Some sandboxes' loopback does not."""
+    """Skip in sandboxes whose loopback lacks multicast."""
     port = free_port()
     with member(port) as reader, speaker(port) as writer:
         try:
@@ -54,8 +54,8 @@ def member(port: int) -> socket.socket:
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     sock.bind((GROUP, port))
-    own = struct.pack("4s4s", socket.inet_aton(GROUP), socket.inet_aton("127.0.0.1"))
-    sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, own)
+    membership = struct.pack("4s4s", socket.inet_aton(GROUP), socket.inet_aton("127.0.0.1"))
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
     return sock
 
 
@@ -74,7 +74,7 @@ def fixture_server() -> Iterator[RealNameServer]:
 
 
 class Reader(list[object]):
-    """Keeps the values that came."""
+    """A list of the received values."""
 
     def __call__(self, message: PortMessage) -> None:
         self.append(decode(message.payload))
@@ -95,52 +95,52 @@ def fixture_make(server: RealNameServer) -> Iterator[Callable[..., PortCore]]:
         port.close()
 
 
-def told_of(port: PortCore, group_port: int) -> None:
-    """Say what a real writer says, and see that the reader closes the connection when it has joined."""
+def announce_group(port: PortCore, group_port: int) -> None:
+    """Send a real writer's introduction, and check that the reader closes the connection when it has joined."""
     with socket.create_connection((port.contact.host, port.contact.port)) as caller:
         caller.sendall(bytes.fromhex(RECORDED[0]) + struct.pack(">H", group_port))
         caller.settimeout(10)
         assert caller.recv(10) == b""
 
 
-def test_recorded_bytes_come_in(make: Callable[..., PortCore]) -> None:
-    """And the end of a stream (number -1), other machines' datagrams, and nonsense do not."""
+def test_recorded_datagrams_are_received(make: Callable[..., PortCore]) -> None:
+    """The end of a stream (number -1), other machines' datagrams, and garbage are ignored."""
     got, number = Reader(), free_port()
     port = make("/r", got)
-    told_of(port, number)
+    announce_group(port, number)
     until(lambda: port.inputs() == [ConnectionRoute("/w", "/r", "mcast")], "the connection is listed")
     with speaker(number) as writer, speaker(number, "127.0.0.2") as stranger:
         stranger.send(bytes.fromhex(RECORDED[1]))
         writer.send(b"nonsense")
         writer.send(bytes.fromhex("76 68 8a e3 ff ff ff ff") + bytes(10))
-        for said in RECORDED[1:]:
-            writer.send(bytes.fromhex(said))
+        for recorded in RECORDED[1:]:
+            writer.send(bytes.fromhex(recorded))
         until(lambda: len(got) == 2, "two messages")
     assert got == [["msg", 4], ["msg", 5]]
-    with socket.create_connection((port.contact.host, port.contact.port)) as sock:  # how a companion disconnects
+    with socket.create_connection((port.contact.host, port.contact.port)) as sock:  # a companion disconnects like this
         sock.sendall(b"CONNECT admin\r\n~/w\r\nq\r\n")
         until(lambda: not port.inputs(), "the connection is removed")
 
 
-def test_two_programs_of_one_machine_do_not_mix(make: Callable[..., PortCore]) -> None:
-    """A long message of one is whole, whatever another sends in between."""
+def test_messages_of_two_programs_on_one_machine_are_not_mixed(make: Callable[..., PortCore]) -> None:
+    """A long message of one is complete, whatever the other sends in between."""
     got, number = Reader(), free_port()
-    told_of(make("/r", got), number)
+    announce_group(make("/r", got), number)
     payload = encode([b"x" * 150_000], Profile.YARP3)
-    with speaker(number) as one, speaker(number) as other:
+    with speaker(number) as sender, speaker(number) as other:
         for part in split([prefix(len(payload)), payload]):
-            one.send(part)
+            sender.send(part)
             other.send(bytes.fromhex(RECORDED[1]))
         until(lambda: [b"x" * 150_000] in got, "the long message")
     assert got.count(["msg", 4]) >= 2
 
 
 def test_losses_of_many_sockets_of_one_program_stay_counted(make: Callable[..., PortCore]) -> None:
-    """A reader keeps datagrams of four at a time; who makes room is not forgotten in the figures."""
+    """A reader has assemblers for four senders at a time; the losses of removed ones stay counted."""
     number = free_port()
     port = make("/r", Reader())
-    told_of(port, number)
-    until(lambda: bool(port.connections.inputs), "the connection is there")
+    announce_group(port, number)
+    until(lambda: bool(port.connections.inputs), "the connection is listed")
     counters = port.connections.inputs[0].counters
     for turn in range(1, 8):
         with speaker(number) as writer:
@@ -149,51 +149,51 @@ def test_losses_of_many_sockets_of_one_program_stay_counted(make: Callable[..., 
 
 
 def groups() -> list[SendingGroup]:
-    """All of this process."""
-    return [one for one in gc.get_objects() if type(one) is SendingGroup]  # weak proxies lie to isinstance
+    """Return all groups of this process."""
+    return [item for item in gc.get_objects() if type(item) is SendingGroup]  # weak proxies deceive isinstance
 
 
-def test_a_group_that_cannot_be_announced_leaves_no_socket(
+def test_group_that_cannot_be_announced_leaks_no_socket(
     make: Callable[..., PortCore], server: RealNameServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    writer, made = make("/w"), list[SendingGroup]()
+    writer, created = make("/w"), list[SendingGroup]()
     make("/r")
-    before = groups()  # of tests before this one
+    before = groups()  # from earlier tests
 
     def refused(_name: str) -> None:
-        made.extend(one for one in groups() if one not in before)
+        created.extend(group for group in groups() if group not in before)
         raise NoNameServerError
 
     monkeypatch.setattr(writer.naming, "announce", refused)
     assert not writer.add_output("mcast://r")[0]
-    (group,) = made
+    (group,) = created
     with pytest.raises(OSError, match="Bad file descriptor"):
         group.socket()
     assert "mcast" not in [contact[2] for contact in server.ports.values()]
 
 
-def test_our_output_says_what_a_real_one_says(make: Callable[..., PortCore], server: RealNameServer) -> None:
-    """The introduction, one datagram for all readers, and the group registered while there are some."""
+def test_output_sends_the_same_bytes_as_a_real_one(make: Callable[..., PortCore], server: RealNameServer) -> None:
+    """The introduction, one datagram for all readers, and the group, which is registered while it has readers."""
     writer, number = make("/w"), 0
     with socket.create_server(("127.0.0.1", 0)) as acceptor:
         server.answer(["register", "/r", "tcp", *acceptor.getsockname()])
-        heard: list[bytes] = []
+        introductions: list[bytes] = []
 
         def accept() -> None:
-            while b"mcast" not in b"".join(heard) and not any(h.startswith(b"YAb") for h in heard):
+            while b"mcast" not in b"".join(introductions) and not any(h.startswith(b"YAb") for h in introductions):
                 sock, _ = acceptor.accept()
                 sock.settimeout(2)
                 with sock:
-                    heard.append(sock.recv(100))
+                    introductions.append(sock.recv(100))
 
         thread = threading.Thread(target=accept)
         thread.start()
-        done, told = writer.add_output("mcast://r")
+        done, message = writer.add_output("mcast://r")
         thread.join(20)
-    assert (done, told) == (True, "Added connection from /w to mcast://r")
+    assert (done, message) == (True, "Added connection from /w to mcast://r")
     (group,) = [name for name, contact in server.ports.items() if contact[2] == "mcast"]
     number = server.ports[group][1]
-    assert heard[-1] == bytes.fromhex(RECORDED[0]) + struct.pack(">H", number)
+    assert introductions[-1] == bytes.fromhex(RECORDED[0]) + struct.pack(">H", number)
     assert server.properties["/w", "owns"] == [group]
     with member(number) as reader:
         reader.settimeout(10)
@@ -206,11 +206,11 @@ def test_our_output_says_what_a_real_one_says(make: Callable[..., PortCore], ser
             reader.recv(1000)
 
 
-def test_yarp_connect_by_mcast_moves_messages(make: Callable[..., PortCore], server: RealNameServer) -> None:
-    """Two readers and a third by tcp: each gets each message once; a long one too; disconnected, no more."""
-    one, two, three = Reader(), Reader(), Reader()
+def test_yarp_connect_by_mcast_delivers_messages(make: Callable[..., PortCore], server: RealNameServer) -> None:
+    """Two readers, and a third by tcp: each receives each message once, also a long one, until it is disconnected."""
+    first, second, third = Reader(), Reader(), Reader()
     writer = make("/w")
-    for name, got in (("/one", one), ("/two", two), ("/three", three)):
+    for name, got in (("/one", first), ("/two", second), ("/three", third)):
         make(name, got)
         connections.connect(writer.naming, "/w", name, "tcp" if name == "/three" else "mcast")
     assert connections.carrier_between(writer.naming, "/w", "/one") == "mcast"
@@ -218,42 +218,42 @@ def test_yarp_connect_by_mcast_moves_messages(make: Callable[..., PortCore], ser
     values: list[object] = [[0], [1], [b"y" * 200_000], [2]]
     for value in values:
         assert writer.write(encode(value, Profile.YARP3), wait=True, timeout=10) == 3  # type: ignore[arg-type]
-    for got in (one, two, three):
+    for got in (first, second, third):
         until(lambda got=got: len(got) == len(values), "all messages")
         assert got == values
     connections.disconnect(writer.naming, "/w", "/one")
     writer.write(encode([3], Profile.YARP3))
-    until(lambda: [3] in two, "the other reader still gets them")
-    assert [3] not in one
+    until(lambda: [3] in second, "the other reader still receives messages")
+    assert [3] not in first
     connections.disconnect(writer.naming, "/w", "/two")
     assert "mcast" not in [contact[2] for contact in server.ports.values()]
     assert writer.outputs() == [ConnectionRoute("/w", "/three", "tcp")]
 
 
-def test_readers_of_two_generations_do_not_share_a_group(
+def test_readers_of_two_dialects_do_not_share_a_group(
     make: Callable[..., PortCore], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writer = make("/w")
     make("/old")
     make("/new").profile = Profile.YARP4
     assert writer.add_output("mcast://old")[0]
-    done, told = writer.add_output("mcast://new")
+    done, message = writer.add_output("mcast://new")
     assert not done
-    assert "YARP 3 and YARP 4 cannot share" in told
+    assert "YARP 3 and YARP 4 cannot share" in message
     assert len(writer.outputs()) == 1
 
 
-def test_a_closed_writer_gives_its_group_back(make: Callable[..., PortCore], server: RealNameServer) -> None:
+def test_closed_writer_releases_its_group(make: Callable[..., PortCore], server: RealNameServer) -> None:
     got = Reader()
     reader, writer = make("/r", got), make("/w")
     assert writer.add_output("mcast://r")[0]
     writer.close()
     assert set(server.ports) == {"/r"}
-    until(lambda: not reader.inputs(), "the reader is told")
+    until(lambda: not reader.inputs(), "the reader is notified")
 
 
-def test_the_end_of_a_stream_is_no_message() -> None:
-    """A datagram of number -1, and a farewell in one."""
+def test_end_of_a_stream_is_not_a_message() -> None:
+    """A datagram with the number -1, and a farewell in a datagram."""
     assembler = Assembler()
     assert assembler.add(datagram(b"", -1)) is None
     assert assembler.add(datagram(QUIT, 0)) == QUIT

@@ -1,4 +1,4 @@
-"""Ports among each other: every carrier, envelopes, replies, who is connected to whom."""
+"""Ports with each other: every carrier, envelopes, replies, connections."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ BINARY = ["tcp", "fast_tcp", "udp", "local"]
 
 
 class Reader:
-    """Keeps what a port got."""
+    """A record of a port's messages."""
 
     def __init__(self) -> None:
         self.got: list[tuple[list[Any], str]] = []
@@ -42,7 +42,7 @@ class Reader:
 
 
 @pytest.mark.parametrize("carrier", ALL)
-def test_message_with_envelope(make_port: MakePort, carrier: str) -> None:
+def test_message_with_an_envelope(make_port: MakePort, carrier: str) -> None:
     reader = Reader()
     make_port("/r", reader)
     writer = make_port("/w")
@@ -54,7 +54,7 @@ def test_message_with_envelope(make_port: MakePort, carrier: str) -> None:
 
 
 @pytest.mark.parametrize("carrier", ALL)
-def test_without_envelope(make_port: MakePort, carrier: str) -> None:
+def test_message_without_an_envelope(make_port: MakePort, carrier: str) -> None:
     reader = Reader()
     make_port("/r", reader)
     writer = make_port("/w")
@@ -66,7 +66,7 @@ def test_without_envelope(make_port: MakePort, carrier: str) -> None:
 
 @pytest.mark.parametrize("carrier", BINARY)
 @pytest.mark.parametrize("size", [0, 1, 1 << 15, (1 << 15) + 1, 100_000])
-def test_sizes(make_port: MakePort, carrier: str, size: int) -> None:
+def test_messages_of_all_sizes(make_port: MakePort, carrier: str, size: int) -> None:
     got: list[bytes] = []
     make_port("/r", lambda m: got.append(bytes(m.payload)))
     writer = make_port("/w")
@@ -77,19 +77,19 @@ def test_sizes(make_port: MakePort, carrier: str, size: int) -> None:
     assert got == [sent]
 
 
-def test_large_messages_are_their_readers_own(make_port: MakePort) -> None:
-    """Memory is used again only when nobody looks at it any more."""
+def test_large_messages_do_not_share_memory(make_port: MakePort) -> None:
+    """Memory is reused only when it is no longer referenced."""
     kept: list[memoryview] = []
     addresses = []
 
-    def take(message: PortMessage) -> None:
+    def on_message(message: PortMessage) -> None:
         assert isinstance(message.payload, memoryview)
         assert not message.payload.readonly
         addresses.append(id(message.payload.obj))
         if message.payload[0] % 2:
             kept.append(message.payload)
 
-    make_port("/r", take)
+    make_port("/r", on_message)
     writer = make_port("/w")
     writer.add_output("/r")
     for i in range(6):
@@ -99,7 +99,7 @@ def test_large_messages_are_their_readers_own(make_port: MakePort) -> None:
     assert addresses[2] != addresses[1]
 
 
-def test_many_blocks(make_port: MakePort) -> None:
+def test_message_in_many_blocks(make_port: MakePort) -> None:
     """C++ programs send large objects in several blocks."""
     import struct
 
@@ -114,7 +114,7 @@ def test_many_blocks(make_port: MakePort) -> None:
     assert got == [b"ab" + b"c" * 70_000 + b"de"]
 
 
-def test_everybody_connected_gets_it(make_port: MakePort) -> None:
+def test_all_connected_readers_receive_a_message(make_port: MakePort) -> None:
     readers = [Reader() for _ in range(len(ALL))]
     writer = make_port("/w")
     for i, (carrier, reader) in enumerate(zip(ALL, readers, strict=True)):
@@ -125,7 +125,7 @@ def test_everybody_connected_gets_it(make_port: MakePort) -> None:
         until(lambda got=reader.got: got == [(["hello", 42, 3.5], "1 2")], "the message")
 
 
-def test_each_reader_gets_its_dialect(make_port: MakePort) -> None:
+def test_each_reader_receives_its_dialect(make_port: MakePort) -> None:
     got: dict[str, bytes] = {}
     writer = make_port("/w")
     for name in ("/three", "/four"):
@@ -136,7 +136,7 @@ def test_each_reader_gets_its_dialect(make_port: MakePort) -> None:
     assert got == {"/three": encode([1.5, "a"], Profile.YARP3), "/four": encode([1.5, "a"], Profile.YARP4)}
 
 
-def test_connecting_again_replaces(make_port: MakePort) -> None:
+def test_connecting_again_replaces_the_output(make_port: MakePort) -> None:
     reader = make_port("/r", Reader())
     writer = make_port("/w")
     for carrier in ("tcp", "fast_tcp", "tcp", "udp", "text"):
@@ -145,8 +145,8 @@ def test_connecting_again_replaces(make_port: MakePort) -> None:
         until(lambda c=carrier: reader.inputs() == [ConnectionRoute("/w", "/r", c)], f"only {carrier}")
 
 
-def test_a_second_connection_of_the_same_port_replaces(make_port: MakePort) -> None:
-    """Of a port that came back before its end was noticed; tools, which have no names of their own, are all kept."""
+def test_second_connection_of_a_port_replaces_the_first(make_port: MakePort) -> None:
+    """The port may have returned before its end was detected; connections of tools, which share names, all stay."""
     port = make_port("/r", Reader())
     socks = []
     for name in (b"/w\0", b"/v\0", b"/w\0", b"ad\0", b"ad\0"):
@@ -160,68 +160,68 @@ def test_a_second_connection_of_the_same_port_replaces(make_port: MakePort) -> N
         sock.close()
 
 
-def test_either_side_disconnects(make_port: MakePort) -> None:
+def test_either_end_can_disconnect(make_port: MakePort) -> None:
     reader = make_port("/r", Reader())
     writer = make_port("/w")
     for carrier in ALL:
         writer.add_output(f"{carrier}://r")
         until(reader.inputs, "the connection")
         assert writer.remove_output("/r") == (True, "Removed connection from /w to /r")
-        until(lambda: not reader.inputs(), f"the reader sees the end of {carrier}")
+        until(lambda: not reader.inputs(), f"the reader detects the end of {carrier}")
     for carrier in ("tcp", "fast_tcp", "text", "text_ack", "local"):
         writer.add_output(f"{carrier}://r")
         until(reader.inputs, "the connection")
         assert reader.remove_input("/w") == (True, "Removing connection from /w to /r")
-        until(lambda: not writer.outputs(), f"the writer sees the end of {carrier}")
+        until(lambda: not writer.outputs(), f"the writer detects the end of {carrier}")
     assert writer.remove_output("/r") == (False, "Could not find an outgoing connection to /r")
     assert reader.remove_input("/w") == (False, "Could not find an incoming connection from /w")
 
 
-def test_a_port_that_closes_is_noticed(make_port: MakePort) -> None:
+def test_writer_detects_a_closed_reader(make_port: MakePort) -> None:
     writer = make_port("/w")
     for carrier in ("tcp", "fast_tcp", "text_ack"):
         reader = make_port("/r", Reader())
         writer.add_output(f"{carrier}://r")
         reader.close()
-        until(lambda: not writer.outputs(), f"the writer sees that {carrier}'s reader is gone")
+        until(lambda: not writer.outputs(), f"the writer detects the end of the {carrier} reader")
     reader = make_port("/r", Reader())
     writer.add_output("udp://r")
     until(reader.inputs, "the connection")
     reader.close()
 
-    def gone() -> bool:
+    def disconnected() -> bool:
         writer.write(HELLO)
         return not writer.outputs()
 
-    until(gone, "udp: the machine says that nobody is there")
+    until(disconnected, "udp: the machine rejects datagrams")
 
 
-def test_events(make_port: MakePort) -> None:
-    told: list[ConnectionEvent] = []
-    reader = make_port("/r", on_event=told.append)
-    writer = make_port("/w", on_event=told.append)
+def test_connection_events(make_port: MakePort) -> None:
+    events: list[ConnectionEvent] = []
+    reader = make_port("/r", on_event=events.append)
+    writer = make_port("/w", on_event=events.append)
     writer.add_output("/r")
     until(reader.inputs, "the connection")
     writer.remove_output("/r")
-    until(lambda: len(told) == 4, "four events")
+    until(lambda: len(events) == 4, "four events")
     route = ConnectionRoute("/w", "/r", "tcp")
-    assert sorted(told, key=lambda e: (not e.up, e.incoming)) == [
+    assert sorted(events, key=lambda e: (not e.up, e.incoming)) == [
         ConnectionEvent(route, incoming=False, up=True), ConnectionEvent(route, incoming=True, up=True),
         ConnectionEvent(route, incoming=False, up=False), ConnectionEvent(route, incoming=True, up=False),
     ]  # fmt: skip
 
 
-def test_an_rpc_client_has_one_server(make_port: MakePort) -> None:
+def test_rpc_client_has_one_server(make_port: MakePort) -> None:
     make_port("/a")
     make_port("/b")
     client = make_port("/c", rpc=True)
     assert client.add_output("/a")[0]
     assert client.add_output("/b") == (False, "RPC output already connected")
-    assert client.add_output("/a")[0], "the same again replaces"
+    assert client.add_output("/a")[0], "the same server replaces it"
 
 
 @pytest.mark.parametrize(
-    ("target", "told"),
+    ("target", "expected"),
     [
         ("/nowhere", "Do not know how to connect to /nowhere"),
         ("mcast://r", "Cannot connect to mcast://r: the name server allocated no IPv4 multicast group"),
@@ -230,13 +230,13 @@ def test_an_rpc_client_has_one_server(make_port: MakePort) -> None:
         ("http://r", "Cannot connect to http://r"),
     ],
 )
-def test_what_cannot_be_connected(
-    make_port: MakePort, target: str, told: str, caplog: pytest.LogCaptureFixture
+def test_impossible_connections_are_refused(
+    make_port: MakePort, target: str, expected: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     make_port("/r")
-    done, said = make_port("/w").add_output(target)
+    done, message = make_port("/w").add_output(target)
     assert not done
-    assert said.startswith(told)
+    assert message.startswith(expected)
     if target.startswith(("shmem", "http")):
         assert "not supported; use one of tcp, fast_tcp" in caplog.text
 
@@ -245,33 +245,33 @@ def test_what_cannot_be_connected(
     "target",
     ["tcp+recv.portmonitor+type.dll://r", "tcp+send.portmonitor+type.dll://r", "udp+log.in://r", "tcp+nonsense://r"],
 )
-def test_modifiers_are_refused(make_port: MakePort, target: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Nobody here can change messages as they are asked to: unchanged they would be taken for changed ones."""
+def test_carrier_modifiers_are_refused(make_port: MakePort, target: str, caplog: pytest.LogCaptureFixture) -> None:
+    """Ports cannot modify messages, and the peer would take unmodified ones for modified ones."""
     reader = make_port("/r")
     writer = make_port("/w")
-    done, told = writer.add_output(target)
+    done, message = writer.add_output(target)
     assert not done
-    assert told.startswith(f"Cannot connect to {target}")
+    assert message.startswith(f"Cannot connect to {target}")
     assert not writer.outputs()
     until(lambda: not reader.inputs(), "no input is left")
     if "recv" in target:
-        until(lambda: "carrier modifier (recv portmonitor) (type dll)" in caplog.text, "the reader says why")
+        until(lambda: "carrier modifier (recv portmonitor) (type dll)" in caplog.text, "the reader logs the reason")
     else:
-        assert "does not support carrier modifiers" in told
+        assert "does not support carrier modifiers" in message
 
 
 @pytest.mark.parametrize("first", [b"YA\xe4\x1e\0\0RP", b"YAd\x1e\0\0RP", b"YAa\x1e\0\0RP", b"CONNACK "])
-def test_a_modifier_of_the_writer_is_its_own_matter(make_port: MakePort, first: bytes) -> None:
-    """A C++ port that calls with ``send.portmonitor`` changes its messages itself; with ``recv`` it is refused.
+def test_modifier_of_the_writer_is_accepted(make_port: MakePort, first: bytes) -> None:
+    """A C++ port that connects with ``send.portmonitor`` modifies its messages itself; with ``recv`` it is refused.
 
-    It takes any eight bytes for an answer (``TcpCarrier::expectReplyToHeader``): to words of refusal a real ``yarp
-    connect`` of 3.9.1 said "Success", so nothing is answered.
+    It accepts any eight bytes as an answer (``TcpCarrier::expectReplyToHeader``): after a refusal in words, ``yarp
+    connect`` of 3.9.1 reported "Success", so no answer is sent.
     """
     reader = make_port("/r")
     for qualifiers, taken in ((b"(send portmonitor) (type dll)", True), (b"(send x) (recv y)", False)):
         with socket.create_connection((reader.contact.host, reader.contact.port)) as sock:
-            said = b"/w " + qualifiers
-            text = said + b"\r\n" if first == b"CONNACK " else struct.pack("<i", len(said) + 1) + said + b"\0"
+            name = b"/w " + qualifiers
+            text = name + b"\r\n" if first == b"CONNACK " else struct.pack("<i", len(name) + 1) + name + b"\0"
             sock.sendall(first + text)
             sock.settimeout(10)
             answer = sock.recv(100)
@@ -290,12 +290,12 @@ def test_local_is_for_one_process(make_port: MakePort, naming: LocalNaming) -> N
     other.close()
 
 
-def test_no_outputs_where_none_are_wanted(make_port: MakePort) -> None:
+def test_input_port_refuses_outputs(make_port: MakePort) -> None:
     make_port("/r")
     assert make_port("/w", is_output=False).add_output("/r") == (False, "Outputs not allowed")
 
 
-def test_interrupted_port_drops(make_port: MakePort) -> None:
+def test_interrupted_port_drops_messages(make_port: MakePort) -> None:
     reader = Reader()
     port = make_port("/r", reader)
     writer = make_port("/w")
@@ -308,19 +308,19 @@ def test_interrupted_port_drops(make_port: MakePort) -> None:
     assert len(reader.got) == 1
 
 
-def test_a_message_may_be_the_last(make_port: MakePort) -> None:
-    def take(message: PortMessage) -> None:
+def test_owner_can_end_the_connection_after_a_message(make_port: MakePort) -> None:
+    def on_message(message: PortMessage) -> None:
         message.reply(HELLO)
         message.drop()
 
-    server = make_port("/server", take)
+    server = make_port("/server", on_message)
     client = make_port("/client")
     client.add_output("/server")
     assert client.request(HELLO, timeout=10) == HELLO
     until(lambda: not server.inputs(), "the connection ends")
 
 
-def test_text_only_when_it_is_needed(make_port: MakePort) -> None:
+def test_text_is_made_only_for_text_readers(make_port: MakePort) -> None:
     reader = Reader()
     make_port("/r", reader)
     writer = make_port("/w")
@@ -331,8 +331,8 @@ def test_text_only_when_it_is_needed(make_port: MakePort) -> None:
     assert reader.got == [(["hello", 42, 3.5], ""), (["made", 1], "")]
 
 
-def test_who_reads_text_harms_nobody(make_port: MakePort) -> None:
-    """What is no Bottle cannot be told him, and reaches the others."""
+def test_text_reader_does_not_affect_others(make_port: MakePort) -> None:
+    """A message that is not a Bottle is dropped for the text reader and reaches the others."""
     got: list[bytes] = []
     text = Reader()
     make_port("/text", text)
@@ -396,15 +396,15 @@ print("well")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
-def test_a_process_that_forks() -> None:
-    """The child has no part in the parent's ports, and may open its own."""
+def test_forked_process() -> None:
+    """The child does not share the parent's ports, and can open its own."""
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", FORK], capture_output=True, text=True, timeout=60, check=False
     )
     assert done.stdout == "well\n", done.stderr
 
 
-def test_asked_number_and_name(naming: LocalNaming) -> None:
+def test_port_gets_the_requested_number_and_name(naming: LocalNaming) -> None:
     from tests.support.ports import free_port
 
     number = free_port()
@@ -424,7 +424,7 @@ def test_asked_number_and_name(naming: LocalNaming) -> None:
 @pytest.mark.parametrize("profile", list(Profile))
 @pytest.mark.parametrize("carrier", ["text", "text_ack"])
 def test_text_in_either_dialect(make_port: MakePort, carrier: str, profile: Profile) -> None:
-    """What is written in a port's dialect becomes a line, and that a Bottle of the reader's dialect."""
+    """A message in a port's dialect becomes a line, and the line a Bottle in the reader's dialect."""
     got: list[bytes] = []
     make_port("/r", lambda m: got.append(bytes(m.payload)), profile=profile)
     writer = make_port("/w", profile=profile)
@@ -434,10 +434,10 @@ def test_text_in_either_dialect(make_port: MakePort, carrier: str, profile: Prof
     assert got == [encode([1.5, 2.5], profile)]
 
 
-def test_a_port_whose_number_another_begins_to_listen_on_leaves_nothing(
+def test_port_whose_number_another_socket_takes_leaks_nothing(
     naming: LocalNaming, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two may be bound to it until one listens. A number that is its own to choose is another one then."""
+    """Two sockets can bind a number until one listens. If the number is not fixed, the port chooses another."""
     before = set(threading.enumerate())
     listen, taken = socket.socket.listen, list[int]()
 
@@ -461,7 +461,7 @@ def test_a_port_whose_number_another_begins_to_listen_on_leaves_nothing(
     port.close()
 
 
-def test_a_port_that_cannot_be_announced_is_not_open(naming: LocalNaming, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_port_that_cannot_be_announced_is_not_open(naming: LocalNaming, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(name: str, alive: bool = True) -> None:
         raise ConnectionRefusedError
 

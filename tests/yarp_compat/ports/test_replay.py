@@ -1,4 +1,4 @@
-"""What real YARP programs said, said again to our ports and by them: the same bytes, both roles, both dialects."""
+"""Recorded bytes of real YARP programs, replayed to and by Midspan's ports: both roles, both dialects."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ PROFILES = list(Profile)
 
 
 def in_profile(data: bytes, profile: Profile) -> bytes:
-    """A recorded message, which is 4.0's, as a program of that dialect says it."""
+    """Convert a recorded message of 4.0 to a dialect."""
     if not data.startswith(framing.INDEX):
         return data
-    word, payload = framing.parse(data)
-    if word.key not in "dD":
+    command, payload = framing.parse(data)
+    if command.key not in "dD":
         return data
-    return framing.prefix(len(content := encode(decode(payload, Profile.YARP4), profile)), word.key) + content
+    return framing.prefix(len(content := encode(decode(payload, Profile.YARP4), profile)), command.key) + content
 
 
 def split(data: bytes) -> list[bytes]:
-    """Messages that were recorded in one piece."""
+    """Split messages that were recorded in one piece."""
     if data.startswith(framing.INDEX):
         size = framing.index_size(data)
         size += framing.body_size(data)
@@ -49,7 +49,7 @@ def split(data: bytes) -> list[bytes]:
 
 @contextlib.contextmanager
 def opened(name: str, number: int, **options: object) -> Iterator[tuple[PortCore, tuple[str, int]]]:
-    """A port that takes itself to be at the recorded number; and where it really is."""
+    """Open a port that announces the recorded number; yield it and its real address."""
     port = PortCore(name, naming=LocalNaming(), **options)  # type: ignore[arg-type]
     at = port.open()
     port.contact = PortContact(name, "127.0.0.1", number)
@@ -60,48 +60,48 @@ def opened(name: str, number: int, **options: object) -> Iterator[tuple[PortCore
 
 
 def receive(sock: socket.socket, size: int) -> bytes:
-    """That many bytes."""
+    """Receive ``size`` bytes."""
     sock.settimeout(10)
-    came = b""
-    while len(came) < size and (part := sock.recv(size - len(came))):
-        came += part
-    return came
+    received = b""
+    while len(received) < size and (part := sock.recv(size - len(received))):
+        received += part
+    return received
 
 
 def talks(name: str, *numbers: int, without: range = range(0)) -> list[Talk]:
-    """The recorded connections to some ports."""
+    """Return the recorded connections to some ports."""
     return [talk for talk in read(name, joined=False) if talk.port in numbers and talk.number not in without]
 
 
 MCAST = range(15, 24)
-"""Connections of carriers-admin.txt that are about mcast, which is not offered here."""
+"""The connections of carriers-admin.txt with mcast, which this test does not cover."""
 
 
-# -- ours accepts ------------------------------------------------------------------------------------------------------
+# -- Midspan's port accepts --------------------------------------------------------------------------------------------
 
 
 def assert_answers(talk: Talk, address: tuple[str, int], profile: Profile) -> None:
-    """Say what the initiator said, and compare what is answered."""
+    """Send the initiator's bytes and compare the answers."""
     with socket.create_connection(address) as sock:
         for step in talk.steps:
             if step.by == "C":
                 sock.sendall(in_profile(step.data, profile))
             elif step.by == "S":
-                told = receive(sock, len(step.data))
+                received = receive(sock, len(step.data))
                 if step.data.startswith(b"YA") and talk.steps[0].data.startswith(b"YAa"):
-                    assert framed(told), "udp: a number of its own"
+                    assert framed(received), "udp: another port number"
                 elif step.data != b"\0\0\0\0":
-                    assert told == step.data
+                    assert received == step.data
 
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_reader_of_connect(profile: Profile) -> None:
     got: list[list[object]] = []
 
-    def take(incoming: PortMessage) -> None:
+    def on_message(incoming: PortMessage) -> None:
         got.append(decode(incoming.payload, profile))
 
-    with opened("/reader", 10002, on_message=take) as (_, address):
+    with opened("/reader", 10002, on_message=on_message) as (_, address):
         for talk in talks("connect.txt", 10002):
             assert_answers(talk, address, profile)
         until(lambda: len(got) == 3, "three messages")
@@ -121,13 +121,13 @@ def test_rpc_server(profile: Profile) -> None:
 
 
 def _comparable(talk: Talk) -> Talk:
-    """Without what belongs to the recorded machine and process, and without what the recording left out."""
+    """Remove data of the recorded machine and process, and data that the recording lacks."""
     if talk.number != 39:
         return talk
     kept = []
     for request, answer in zip(talk.steps[::2], talk.steps[1::2], strict=True):
         if b"prop\x09\0\0\0get\0\x04" in request.data:
-            continue  # about the process: see test_admin
+            continue  # describes the process: see test_admin
         kept += [request, answer]
     return Talk(talk.number, talk.port, kept)
 
@@ -140,7 +140,7 @@ def test_reader_of_carriers(number: int) -> None:
         if b"~/w" in talk.said("C"):
             sock = socket.create_connection(address)
             sock.sendall(b"YAd\x1e\0\0RP\x03\0\0\0/w\0")
-            until(port.inputs, "the connection that is to be removed")
+            until(port.inputs, "the connection to remove")
             assert_answers(talk, address, Profile.YARP4)
             assert sock.recv(100)[:2] == b"YA"
             assert sock.recv(100) == b"", "removed"
@@ -150,7 +150,7 @@ def test_reader_of_carriers(number: int) -> None:
             help_at = next(i for i, s in enumerate(talk.steps) if b"help" in s.data and s.by == "C")
             _check_help(talk.steps[help_at].data, talk.steps[help_at + 1].data, address)
             del talk.steps[help_at : help_at + 2]
-            until(lambda: not port.inputs(), "the end of that connection is seen, which would be listed")
+            until(lambda: not port.inputs(), "the end of that connection is detected")
         assert_answers(_comparable(talk), address, Profile.YARP4)
         count = sum(len(split(s.data)) for s in talk.steps if s.by == "C" and s.data[:1] in b"DY" and b"msg" in s.data)
         until(lambda: len(got) == count, f"{count} messages")
@@ -158,37 +158,37 @@ def test_reader_of_carriers(number: int) -> None:
 
 
 def _check_help(request: bytes, answer: bytes, address: tuple[str, int]) -> None:
-    """The answer is longer than was kept; what was kept must be the same."""
+    """Compare the recorded part of the answer, which is longer."""
     with socket.create_connection(address) as sock:
         sock.sendall(b"YA\xe4\x1e\0\0RP\x09\0\0\0anon_rpc\0" + request)
         assert receive(sock, 8 + 1494)[8:][: len(answer)] == answer
         assert len(answer) == 0x200
 
 
-def test_writer_takes_companions() -> None:
-    """A port that is only asked what it is connected to."""
+def test_writer_answers_companions() -> None:
+    """A port that only gets queries of its connections."""
     with opened("/w", 10006) as (_, address):
         for number in (1, 7, 24):
             (talk,) = [t for t in talks("carriers-admin.txt", 10006) if t.number == number]
             assert_answers(talk, address, Profile.YARP4)
 
 
-# -- ours calls --------------------------------------------------------------------------------------------------------
+# -- Midspan's port connects -------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def _asking_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The programs that were recorded do not ask others for their dialect; test_dialect tests that."""
+def _without_queries(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Disable the query of the dialect, which the recorded programs do not send; test_dialect covers it."""
     monkeypatch.setattr("yarp_compat.ports.base.ask_profile", lambda _contact: None)
 
 
 class Stage:
-    """Plays everybody but our port, in the recorded order: the companion that talks to it, and the port it calls."""
+    """All peers of the tested port, in the recorded order: the companion, and the port that it connects to."""
 
-    def __init__(self, port: PortCore, address: tuple[str, int], own: int, peer: int, profile: Profile) -> None:
+    def __init__(self, port: PortCore, address: tuple[str, int], number: int, peer: int, profile: Profile) -> None:
         self.port = port
         self.address = address
-        self.own = own
+        self.number = number
         self.peer = peer
         self.profile = profile
         self.server = socket.create_server(("127.0.0.1", 0))
@@ -202,26 +202,26 @@ class Stage:
             sock.close()
 
     def expect(self, recorded: list[Talk]) -> None:
-        """Say what the others said, and hear from our port what was recorded."""
+        """Replay the peers' bytes, and compare the tested port's bytes with the recording."""
         by_time = sorted(
             ((step.time, talk.number, step, talk) for talk in recorded for step in talk.steps),
             key=lambda s: (s[0], s[1]),
         )
         for _, _, step, talk in by_time:
-            calls_us = talk.port == self.own
+            calls_us = talk.port == self.number
             if calls_us and talk.number not in self.socks:
                 self.socks[talk.number] = socket.create_connection(self.address)
             if step.by == ("C" if calls_us else "S"):
-                self._say(talk, step.data)
+                self._send(talk, step.data)
             else:
-                self._hear(talk, step.data)
+                self._expect(talk, step.data)
 
-    def _say(self, talk: Talk, data: bytes) -> None:
+    def _send(self, talk: Talk, data: bytes) -> None:
         if talk.steps[0].data.startswith(b"YAa") and data.startswith(b"YA"):
             data = frame(self.datagrams.getsockname()[1])
         self.socks[talk.number].sendall(data)
 
-    def _hear(self, talk: Talk, data: bytes) -> None:
+    def _expect(self, talk: Talk, data: bytes) -> None:
         if talk.number not in self.socks:
             self.socks[talk.number] = self.server.accept()[0]
         for part in split(data):
@@ -230,31 +230,31 @@ class Stage:
             assert receive(self.socks[talk.number], len(expected)) == expected
 
     def _provoke(self, expected: bytes) -> None:
-        """Have our port write what is expected next, where that is data."""
+        """Make the tested port write the message that is expected next."""
         if expected.startswith((b"D\r\n", b"d\r\n")):
             self.port.write(encode(from_text(expected.split(b"\r\n")[1].decode()), self.profile), strict=True)
         elif expected.startswith(framing.INDEX):
-            word, payload = framing.parse(expected)
-            if word.key in "dD":
+            command, payload = framing.parse(expected)
+            if command.key in "dD":
                 self.port.write(encode(decode(payload, Profile.YARP4), self.profile), strict=True)
 
 
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize(
-    ("name", "own", "other", "file"),
+    ("name", "number", "other", "file"),
     [("/writer", 10003, ("/reader", 10002), "connect.txt"), ("/w", 10006, ("/r", 10005), "carriers-admin.txt")],
 )
-@pytest.mark.usefixtures("_asking_nobody")
-def test_writer(name: str, own: int, other: tuple[str, int], file: str, profile: Profile) -> None:
-    """A companion connects our port to another, it writes, it is disconnected: fast_tcp, udp, text and text_ack."""
-    left_out = MCAST if own == 10006 else range(0)
-    recorded = [t for t in talks(file, own, other[1], without=left_out) if t.steps]
-    with opened(name, own, profile=profile) as (port, address):
-        stage = Stage(port, address, own, other[1], profile)
+@pytest.mark.usefixtures("_without_queries")
+def test_writer(name: str, number: int, other: tuple[str, int], file: str, profile: Profile) -> None:
+    """A companion connects the port to another, it writes, it is disconnected: fast_tcp, udp, text and text_ack."""
+    left_out = MCAST if number == 10006 else range(0)
+    recorded = [t for t in talks(file, number, other[1], without=left_out) if t.steps]
+    with opened(name, number, profile=profile) as (port, address):
+        stage = Stage(port, address, number, other[1], profile)
         port.naming.register(other[0], *stage.server.getsockname())
         try:
-            if own == 10003:
-                stage.expect([_without_quit(t) for t in recorded])  # there the writer ended with its process
+            if number == 10003:
+                stage.expect([_without_quit(t) for t in recorded])  # this writer ended with its process
             else:
                 stage.expect([t for t in recorded if t.number < 36])
         finally:
@@ -266,7 +266,7 @@ def _without_quit(talk: Talk) -> Talk:
     return Talk(talk.number, talk.port, talk.steps[:at])
 
 
-@pytest.mark.usefixtures("_asking_nobody")
+@pytest.mark.usefixtures("_without_queries")
 @pytest.mark.parametrize("profile", PROFILES)
 def test_rpc_client(profile: Profile) -> None:
     (talk,) = talks("rpc.txt", 10004)
@@ -277,24 +277,24 @@ def test_rpc_client(profile: Profile) -> None:
     ):
         port.naming.register("/server", *server.getsockname())
         port.name = "anon_rpc"
-        heard: list[bytes] = []
+        received: list[bytes] = []
 
         def serve() -> None:
             sock, _ = server.accept()
             with sock:
-                heard.append(receive(sock, len(hello)))
+                received.append(receive(sock, len(hello)))
                 sock.sendall(answer)
-                heard.append(receive(sock, len(in_profile(request, profile))))
+                received.append(receive(sock, len(in_profile(request, profile))))
                 sock.sendall(reply)
-                heard.append(receive(sock, len(farewell)))
+                received.append(receive(sock, len(farewell)))
                 sock.sendall(acknowledged)
 
         thread = threading.Thread(target=serve)
         thread.start()
         assert port.add_output("/server")[0]
-        told = port.request(encode(["ping", "hi there", 1.5], profile), timeout=10)
-        assert decode(told, profile) == ["pong", 1, [2, 3]]
+        reply = port.request(encode(["ping", "hi there", 1.5], profile), timeout=10)
+        assert decode(reply, profile) == ["pong", 1, [2, 3]]
         port.remove_output("/server")
         thread.join(10)
         port.name = "/client"
-    assert heard == [hello, in_profile(request, profile), farewell]
+    assert received == [hello, in_profile(request, profile), farewell]

@@ -1,4 +1,4 @@
-"""Replies of ports: that each request has one, when it comes, and when none does."""
+"""Replies of ports: each request gets one, at once, later, or not at all."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ REPLYING = ["tcp", "fast_tcp", "text_ack", "local"]
 
 
 @pytest.mark.parametrize("carrier", REPLYING)
-def test_reply(make_port: MakePort, carrier: str) -> None:
+def test_request_gets_the_owners_reply(make_port: MakePort, carrier: str) -> None:
     make_port("/server", lambda m: m.reply(encode(["got", *decode(m.payload)], Profile.YARP3)), rpc=True)
     client = make_port("/client", rpc=True)
     client.add_output(f"{carrier}://server")
@@ -27,8 +27,8 @@ def test_reply(make_port: MakePort, carrier: str) -> None:
 
 
 @pytest.mark.parametrize("carrier", REPLYING)
-def test_a_request_always_gets_a_reply(make_port: MakePort, carrier: str) -> None:
-    """From owners that give none, that fail, and that are not there."""
+def test_request_always_gets_a_reply(make_port: MakePort, carrier: str) -> None:
+    """Also from owners that give none or fail, and without an owner."""
 
     def fail(_: PortMessage) -> None:
         raise ValueError
@@ -46,11 +46,11 @@ def test_a_request_always_gets_a_reply(make_port: MakePort, carrier: str) -> Non
 def test_reply_from_another_thread(make_port: MakePort) -> None:
     waiting: list[PortMessage] = []
 
-    def take(message: PortMessage) -> None:
+    def on_message(message: PortMessage) -> None:
         message.later()
         waiting.append(message)
 
-    make_port("/server", take)
+    make_port("/server", on_message)
     client = make_port("/client")
     client.add_output("/server")
     got: list[bytes] = []
@@ -64,13 +64,13 @@ def test_reply_from_another_thread(make_port: MakePort) -> None:
 
 
 def _as_it_closes(message: PortMessage) -> None:
-    until(lambda: message.is_retired, "the port's end")
+    until(lambda: message.is_retired, "the port is closing")
     message.later()
 
 
 @pytest.mark.parametrize("owner", [PortMessage.later, _as_it_closes])
-def test_a_reply_that_never_comes_ends_with_the_port(make_port: MakePort, owner: Callable[[PortMessage], None]) -> None:
-    """Also where the owner puts it off when the port closes already: an empty reply would be one."""
+def test_request_without_a_reply_ends_with_the_port(make_port: MakePort, owner: Callable[[PortMessage], None]) -> None:
+    """Also if the owner defers the reply while the port is closing: an empty reply would count as one."""
     server = make_port("/server", owner)
     client = make_port("/client")
     client.add_output("/server")
@@ -91,10 +91,10 @@ def test_a_reply_that_never_comes_ends_with_the_port(make_port: MakePort, owner:
 
 
 @pytest.mark.parametrize("owner", [lambda message: message.reply(HELLO), None])
-def test_a_request_that_comes_as_the_port_closes_gets_no_reply(
+def test_request_during_closing_gets_no_reply(
     make_port: MakePort, monkeypatch: pytest.MonkeyPatch, owner: Callable[[PortMessage], None] | None
 ) -> None:
-    """Not an empty one either: who asked hears that the port is gone."""
+    """Not even an empty one: the client sees the connection close."""
     server, client = make_port("/server", owner), make_port("/client")
     client.add_output("/server")
     until(server.inputs, "the connection")
@@ -112,8 +112,8 @@ def test_a_request_that_comes_as_the_port_closes_gets_no_reply(
     assert failed
 
 
-def test_no_reply_in_time_ends_the_connection(make_port: MakePort) -> None:
-    """The reply may still come, and must not be taken for the next one's."""
+def test_late_reply_closes_the_connection(make_port: MakePort) -> None:
+    """The reply may still arrive, and must not be taken for the next one's."""
     make_port("/server", PortMessage.later)
     client = make_port("/client")
     client.add_output("/server")
@@ -132,33 +132,33 @@ def test_udp_carries_no_replies(make_port: MakePort) -> None:
         client.request(HELLO, timeout=5)
 
 
-def test_a_port_that_closes_still_sends_the_reply_that_its_owner_is_at(make_port: MakePort) -> None:
-    """As when a module is told to quit, and closes its ports while it says goodbye."""
+def test_closing_port_sends_the_reply_that_its_owner_is_making(make_port: MakePort) -> None:
+    """For example a module that closes its ports while it replies to ``quit``."""
     ends: list[threading.Thread] = []
 
-    def take(message: PortMessage) -> None:
+    def on_message(message: PortMessage) -> None:
         ends.append(threading.Thread(target=server.close))
         ends[0].start()
         until(lambda: not server.is_open, "the port is closing")
         message.reply(HELLO)
 
-    server, client = make_port("/server", take), make_port("/client")
+    server, client = make_port("/server", on_message), make_port("/client")
     client.add_output("/server")
     assert client.request(HELLO, timeout=10) == HELLO
     ends[0].join(10)
     assert not ends[0].is_alive()
 
 
-def test_a_port_that_closes_still_sends_the_reply_that_another_thread_gave(make_port: MakePort) -> None:
-    """As when a program answers the last request and closes."""
+def test_closing_port_sends_the_reply_of_another_thread(make_port: MakePort) -> None:
+    """For example a program that replies to the last request and closes."""
     for _ in range(50):
         waiting: list[PortMessage] = []
 
-        def take(message: PortMessage, waiting: list[PortMessage] = waiting) -> None:
+        def on_message(message: PortMessage, waiting: list[PortMessage] = waiting) -> None:
             message.later()
             waiting.append(message)
 
-        server, client = make_port("/server", take), make_port("/client")
+        server, client = make_port("/server", on_message), make_port("/client")
         client.add_output("/server")
         got: list[bytes] = []
         thread = threading.Thread(target=lambda c=client, g=got: g.append(c.request(HELLO, timeout=10)))

@@ -1,4 +1,4 @@
-"""Bottle and Value under YARP's names."""
+"""Bottle and Value with YARP's methods."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Float32, Int8, Int64, Vocab
 
 
-def test_a_bottle_filled_as_scripts_do() -> None:
+def test_bottle_filled_as_in_scripts() -> None:
     bottle = Bottle()
     bottle.addString("count")
     bottle.addInt8(-1)
@@ -45,7 +45,7 @@ def test_a_bottle_filled_as_scripts_do() -> None:
         assert Bottle.from_bytes(bottle.to_bytes(profile)) == bottle
 
 
-def test_the_names_of_yarp_2() -> None:
+def test_methods_of_yarp_2() -> None:
     bottle = Bottle()
     bottle.addInt(1)
     bottle.addDouble(1.5)
@@ -63,31 +63,31 @@ def test_the_names_of_yarp_2() -> None:
         ("addFloat64", "x", ValueError), ("addString", 5, TypeError), ("add", object(), WireError),
     ],
 )  # fmt: skip
-def test_what_cannot_be_added(method: str, wrong: Any, error: type[Exception]) -> None:
+def test_invalid_values_cannot_be_added(method: str, wrong: Any, error: type[Exception]) -> None:
     bottle = Bottle("kept")
     with pytest.raises(error):
         getattr(bottle, method)(wrong)
     assert bottle.toString() == "kept"
 
 
-def test_lists_and_dicts_are_changed_in_their_place() -> None:
+def test_lists_and_dicts_are_changed_in_place() -> None:
     bottle = Bottle("(1 2) x")
     inner = bottle.get(0).asList()
     assert inner is not None
     inner.addInt32(3)
     bottle.addDict().addGroup("G").put("a", 1)
-    found = bottle.get(2).asDict()
-    assert found is not None
-    found.put("b", 2)
+    entries = bottle.get(2).asDict()
+    assert entries is not None
+    entries.put("b", 2)
     assert bottle.toString() == "(1 2 3) x ((G (a 1)) (b 2))"
     copied = Bottle(bottle)
     inner.clear()
-    found.clear()
+    entries.clear()
     assert copied.toString() == "(1 2 3) x ((G (a 1)) (b 2))"
     assert bottle.toString() == "() x ()"
 
 
-def test_values_are_found_by_keys() -> None:
+def test_values_are_found_by_key() -> None:
     bottle = Bottle('(k v) (k2 5 6) z 7 1 "one" last ([set] 8)')
     assert bottle.find("k").asString() == "v"
     assert bottle.find("k2").asInt32() == 5
@@ -107,7 +107,7 @@ def test_values_are_found_by_keys() -> None:
     assert Bottle("x").check("x") is False
 
 
-def test_copies_tails_and_ends() -> None:
+def test_copy_tail_and_pop() -> None:
     bottle = Bottle("a b c d")
     part = Bottle()
     part.copy(bottle, 1, 2)
@@ -126,7 +126,7 @@ def test_copies_tails_and_ends() -> None:
     assert (bottle.size(), bottle.isNull()) == (0, False)
 
 
-def test_the_null_bottle_stays_empty() -> None:
+def test_null_bottle_cannot_be_changed() -> None:
     null = Bottle("x").findGroup("no")
     assert null.isNull()
     assert not null
@@ -143,7 +143,7 @@ def test_the_null_bottle_stays_empty() -> None:
         taken.clear()
 
 
-def test_beyond_the_end_there_is_null() -> None:
+def test_values_beyond_the_end_are_null() -> None:
     for value in (Bottle("x").get(1), Bottle("x").get(-1), Value.getNullValue(), Value.makeValue("")):
         assert value.isNull()
         assert not value
@@ -154,7 +154,7 @@ def test_beyond_the_end_there_is_null() -> None:
         assert value.getCode() == -1
 
 
-def test_pythons_ways() -> None:
+def test_python_operators() -> None:
     bottle = Bottle(
         ["x", 1, 2.5, [1, (2, 3)], {"k": 1}, True, np.arange(2.0), np.float32(1.5), Bottle("a"), Value("v")]
     )
@@ -168,7 +168,7 @@ def test_pythons_ways() -> None:
     assert bottle == Bottle("[set]")
     assert Bottle("1").isEqual(Bottle([Int64(1)]))
     assert Bottle("1").notEqual(Bottle("2"))
-    assert Bottle(), "an empty Bottle is a Bottle, as scripts that test what a port gave them expect"
+    assert Bottle(), "an empty Bottle is true, as scripts that test a received one expect"
 
 
 def test_bytes_and_connections() -> None:
@@ -194,7 +194,7 @@ def test_bytes_and_connections() -> None:
     assert again.to_text() == "x 1"
 
 
-def test_what_a_bottle_tells_about_itself() -> None:
+def test_type_of_a_bottle() -> None:
     assert Bottle("1 2").getSpecialization() == 1
     assert Bottle("1 a").getSpecialization() == 0
     assert [Bottle.describeBottleCode(code) for code in (1, 256, 256 + 10, 512, 99)] == [
@@ -227,7 +227,7 @@ CONVERSIONS: list[tuple[Value, dict[str, Any]]] = [
     (Value(True), {"isInt32": True, "asInt32": 1, "isBool": False}),
     (Value.makeFloat32(1.5), {"isFloat32": True, "isFloat64": False, "getCode": 128}),
 ]
-"""As the values behind YARP's Value convert (`yarp/os/impl/Storable.h`)."""
+"""The conversions of the values in YARP's Value (`yarp/os/impl/Storable.h`)."""
 
 
 @pytest.mark.parametrize(("value", "results"), CONVERSIONS, ids=[repr(value) for value, _ in CONVERSIONS])
@@ -235,7 +235,7 @@ def test_conversions(value: Value, results: dict[str, Any]) -> None:
     assert {name: getattr(value, name)() for name in results} == results
 
 
-def test_a_value_is_also_a_message() -> None:
+def test_value_is_also_a_message() -> None:
     for profile in Profile:
         for value in (Value(5), Value("x"), Value(Float32(1.5)), Value.makeList("1 2")):
             assert Value.from_bytes(value.to_bytes(profile), profile) == value

@@ -25,7 +25,7 @@ def measured() -> Property:
     return property_
 
 
-def test_the_text_and_bytes_of_real_yarp() -> None:
+def test_text_and_bytes_of_real_yarp() -> None:
     property_ = measured()
     assert property_.toString() == "(GRP (z 1)) (device x) (f 0.5) (n 3)"
     assert property_.to_bytes(Profile.YARP4) == PORTABLES["Property"]
@@ -57,7 +57,7 @@ def test_values_are_put_and_found() -> None:
     assert property_.toString() == ""
 
 
-def test_a_group_stays_at_hand() -> None:
+def test_group_is_changed_in_place() -> None:
     property_ = Property()
     group = property_.addGroup("G")
     group.put("a", 1)
@@ -67,7 +67,7 @@ def test_a_group_stays_at_hand() -> None:
     assert property_.toString() == "(G (H (c 3)) (a 1) (b 2))"
 
 
-def test_pythons_ways() -> None:
+def test_python_operators() -> None:
     property_ = Property({"rate": 10, "names": ["a", "b"], "G": (["x", 1], ["y", 2])})
     assert property_.toString() == "(G (x 1) (y 2)) (names (a b)) (rate 10)"
     assert property_["rate"] == 10
@@ -80,19 +80,19 @@ def test_pythons_ways() -> None:
         property_["wrong"] = object()
 
 
-def test_messages_hold_what_the_text_says() -> None:
-    """As with YARP, whose Property goes through its text: small ints and floats of four bytes become usual ones."""
+def test_messages_have_the_values_of_the_text() -> None:
+    """As YARP's Property is converted to text, small ints and floats of four bytes become ordinary ones."""
     wire = Bottle("((a 1) (b 2)) x (n 5 6) (e)").to_bytes()
-    found = Property.from_bytes(wire)
-    assert found.toString() == "((a 1) (b 2)) (e) (n 5 6)"
-    assert found.find("n").asInt32() == 5
+    received = Property.from_bytes(wire)
+    assert received.toString() == "((a 1) (b 2)) (e) (n 5 6)"
+    assert received.find("n").asInt32() == 5
     with pytest.raises(WireError):
-        found.from_wire(b"nothing")
-    assert found.check("n")
+        received.from_wire(b"nothing")
+    assert received.check("n")
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "expected"),
     [
         (["--name", "/x", "--rate", "5"], "(name /x) (rate 5)"),
         (["--flag", "--neg", "-5", "--f", "1.5"], "(f 1.5) (flag) (neg -5)"),
@@ -103,24 +103,24 @@ def test_messages_hold_what_the_text_says() -> None:
         (["--G::a", "1", "--G::a", "2"], "(G (a 2))"),
         (["--a", "1", "--", "lost", "too", "--b", "2"], "(a 1) (b 2)"),
         (["--", "lost"], ""),
-        (["---x", "3", "---y", "4"], '("-y" 4) (0 3)'),  # to YARP -x is a number, as in 0x
+        (["---x", "3", "---y", "4"], '("-y" 4) (0 3)'),  # YARP parses -x as a number, like 0x
         (["--[a]", "1", "--b::c", "2"], "([a] 1) (b (c 2))"),
         (["--[a]", "1", "--a::c", "2"], "([a] 1 (c 2))"),
-        (["--a::a", "1", "--a::a", "2"], "(a (a 1) (a 2))"),  # the group's own name is found first
+        (["--a::a", "1", "--a::a", "2"], "(a (a 1) (a 2))"),  # the group's name itself is found first
         (["--5", "x", "--[set]", "y"], "(5 x) ([set] y)"),
         (["--::b", "1", "--a::", "2", "--5", "lost"], '("" (b 1)) (a 2)'),
     ],
 )
-def test_command_lines(words: list[str], said: str) -> None:
+def test_command_lines(arguments: list[str], expected: str) -> None:
     property_ = Property("(old 1)")
-    property_.fromCommand(["program", *words])
-    assert property_.toString() == Property(said).toString()
+    property_.fromCommand(["program", *arguments])
+    assert property_.toString() == Property(expected).toString()
     property_.fromCommand(["--more", "1"], skipFirst=False, wipe=False)
     assert property_.check("more")
-    assert len(property_) == len(Property(said)) + 1
+    assert len(property_) == len(Property(expected)) + 1
 
 
-def test_a_command_line_as_one_text_and_a_url() -> None:
+def test_command_line_as_one_text_and_url() -> None:
     property_ = Property()
     property_.fromArguments('--name "/my port" --n 5')
     assert property_.toString() == '(n 5) (name "/my port")'
@@ -156,7 +156,7 @@ late 1
 """
 
 
-def test_a_configuration_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_configuration_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("Y1_HOME", "/home/y")
     file = tmp_path / "robot.ini"
     file.write_text(FILE)
@@ -192,27 +192,27 @@ def test_windows_line_ends_and_values_from_the_caller() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "printed"),
     [
         ("k 1 \\\n2 3\n", "(k 1 2 3)"),
         ("k 1 \\\r\n  2 \\\r\n3\r\nb 1", "(b 1) (k 1 2 3)"),
         ("k 1\\\n2", "(k 12)"),
-        ("k 1 \\\\\nb 2", '(b 2) (k 1 "\\\\")'),  # an escaped backslash does not go on
+        ("k 1 \\\\\nb 2", '(b 2) (k 1 "\\\\")'),  # an escaped backslash does not continue the line
         ("k (1 \\\n2)", "(k (1 2))"),
         ('k "a \\\nb"', '(k "a b")'),
         ("[G] \\\n\nx 1", "(G (x 1))"),
-        ("k 1 # no \\\nb 2", "(k 1)"),  # the comment goes on too
+        ("k 1 # no \\\nb 2", "(k 1)"),  # the comment continues, too
         ("k 1 \\", "(k 1)"),
     ],
 )
-def test_a_backslash_at_a_lines_end_joins_lines(text: str, said: str) -> None:
-    """As `InputStream::readLine` of 3.9.1 to 4.0 reads."""
+def test_backslash_at_the_end_joins_lines(text: str, printed: str) -> None:
+    """As in `InputStream::readLine` of 3.9.1 to 4.0."""
     property_ = Property()
     property_.fromConfig(text)
-    assert property_.toString() == said
+    assert property_.toString() == printed
 
 
-def test_a_file_is_read_alike_on_every_system(tmp_path: Path) -> None:
+def test_file_is_read_identically_on_every_system(tmp_path: Path) -> None:
     file = tmp_path / "robot.ini"
     file.write_bytes("name caf\u00e9 \\\r\n 2\r\nb 1\rc\n".encode())
     property_ = Property()
@@ -221,7 +221,7 @@ def test_a_file_is_read_alike_on_every_system(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "printed"),
     [
         ("()", "()"),
         ("(a (b 1)) ()", "() (a (b 1))"),
@@ -232,18 +232,18 @@ def test_a_file_is_read_alike_on_every_system(tmp_path: Path) -> None:
         ("(a 1) ([a] 2)", "([a] 2)"),
     ],
 )
-def test_keys_that_are_no_strings(text: str, said: str) -> None:
-    """Of two keys of one text the last counts, and is printed as it was said."""
+def test_keys_that_are_not_strings(text: str, printed: str) -> None:
+    """Of two keys with the same text the last counts, and keeps its type."""
     property_ = Property(text)
-    assert property_.toString() == said
+    assert property_.toString() == printed
     property_.fromString("(a 3)", False)
     assert property_.findGroup("a").toString() == "a 3"
     property_["a"] = 4
     assert Property(property_.toString()).toString() == property_.toString()
 
 
-def test_what_is_open_at_the_end_of_a_file_is_taken_as_it_is() -> None:
-    """As YARP 3.12.3 did: no comment is cut off, no group begins."""
+def test_unclosed_line_at_the_end_of_a_file_is_used_unchanged() -> None:
+    """As in YARP 3.12.3: comments are not removed, and no group begins."""
     property_ = Property()
     property_.fromConfig(" 3)\nname /x // c\n#\n[G]\n(x 1) 2")
     assert property_.toString() == '("3)name /x // c#[G](x")'
@@ -273,7 +273,7 @@ def test_included_files(tmp_path: Path) -> None:
     assert property_.findGroup("SUB").findGroup("G").find("b").asInt32() == 2
 
 
-def test_a_folder_of_files(tmp_path: Path) -> None:
+def test_folder_of_files(tmp_path: Path) -> None:
     (tmp_path / "a.ini").write_text("[G]\nx 1\n")
     (tmp_path / "b.ini").write_text("y 2\n")
     (tmp_path / "c.txt").write_text("z 3\n")
@@ -286,7 +286,7 @@ def test_a_folder_of_files(tmp_path: Path) -> None:
     assert property_.findGroup(names[1]).find("y").asInt32() == 2
 
 
-def test_files_that_are_not_there_or_include_themselves(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_and_recursive_includes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     property_ = Property("(old 1)")
     assert not property_.fromConfigFile(str(tmp_path / "none.ini"))
     assert not property_.fromConfigDir(str(tmp_path / "none"), "X")
@@ -298,7 +298,7 @@ def test_files_that_are_not_there_or_include_themselves(tmp_path: Path, caplog: 
     assert property_.find("n").asInt32() == 1
 
 
-def test_a_stamp() -> None:
+def test_stamp() -> None:
     stamp = Stamp(5, 123.5)
     assert (stamp.getCount(), stamp.getTime(), stamp.isValid()) == (5, 123.5, True)
     assert stamp.to_bytes(Profile.YARP4) == PORTABLES["Stamp"]
@@ -319,7 +319,7 @@ def test_a_stamp() -> None:
     assert fresh == Stamp(0, 1.0)
 
 
-def test_a_stamp_as_envelope() -> None:
+def test_stamp_as_envelope() -> None:
     assert Stamp(3580, 1795143618.02289).to_text() == "3580 1795143618.02289"
     stamp = Stamp()
     stamp.from_text("3580 1795143618.02289")
@@ -335,7 +335,7 @@ def test_a_stamp_as_envelope() -> None:
             Stamp.from_bytes(Bottle(wrong).to_bytes())
 
 
-def test_where_keys_stand(tmp_path: Path) -> None:
+def test_places_of_keys(tmp_path: Path) -> None:
     (tmp_path / "inner.ini").write_text("deep 1\n[SUB]\nleaf 2 // comment\n")
     main = tmp_path / "main.ini"
     main.write_text(

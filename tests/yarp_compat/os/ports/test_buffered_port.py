@@ -1,4 +1,4 @@
-"""`BufferedPort` and its kin."""
+"""`BufferedPort` and its subclasses."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def send(writer: yarp.BufferedPort, number: int, *, strict: bool = False) -> Non
     writer.write(strict)
 
 
-def test_what_is_prepared_is_read() -> None:
+def test_prepared_object_is_received() -> None:
     reader, writer = connected()
     send(writer, 10)
     got = reader.read()
@@ -40,7 +40,7 @@ def test_what_is_prepared_is_read() -> None:
     assert reader.read(False) is None
 
 
-def test_the_newest_is_read() -> None:
+def test_newest_message_is_read() -> None:
     reader, writer = connected()
     for number in range(20):
         send(writer, number, strict=True)
@@ -50,7 +50,7 @@ def test_the_newest_is_read() -> None:
     assert reader.getPendingReads() == 0
 
 
-def test_a_strict_reader_gets_every_one() -> None:
+def test_strict_reader_receives_every_message() -> None:
     reader, writer = connected()
     reader.setStrict()
     for number in range(200):
@@ -58,7 +58,7 @@ def test_a_strict_reader_gets_every_one() -> None:
     assert [reader.read().get(0).asInt32() for _ in range(200)] == list(range(200))
 
 
-def test_what_waits_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_queue_of_a_strict_reader_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inbox, "LIMIT", 100)
     reader, writer = connected()
     reader.setStrict()
@@ -71,14 +71,14 @@ def test_what_waits_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
     with ThreadPoolExecutor(1) as pool:
         done = pool.submit(write)
-        until(lambda: reader.getPendingReads() >= 8, "messages to wait")
+        until(lambda: reader.getPendingReads() >= 8, "messages are queued")
         time.sleep(0.05)
         assert len(sent) < 20  # the writer waits for the reader
         assert [reader.read().get(0).asInt32() for _ in range(100)] == list(range(100))
         done.result(20)
 
 
-def test_a_prepared_object_is_used_again_and_can_be_given_back() -> None:
+def test_prepared_object_is_reused_and_can_be_discarded() -> None:
     reader, writer = connected()
     reader.setStrict()
     first = writer.prepare()
@@ -88,12 +88,12 @@ def test_a_prepared_object_is_used_again_and_can_be_given_back() -> None:
     writer.write(True)
     assert writer.prepare() is first
     writer.write(True)
-    writer.write(True)  # nothing is prepared: nothing is sent
+    writer.write(True)  # sends nothing, as no object is prepared
     send(writer, 2, strict=True)
     assert [reader.read().get(0).asInt32() for _ in range(3)] == [1, 1, 2]
 
 
-def test_callbacks_take_messages() -> None:
+def test_callback_receives_messages() -> None:
     reader, writer = connected()
     got: list[tuple[int, str]] = []
 
@@ -102,8 +102,8 @@ def test_callbacks_take_messages() -> None:
             got.append((bottle.get(0).asInt32(), port.getName()))
 
     reader.setStrict()
-    take = Take()
-    reader.useCallback(take)
+    on_read = Take()
+    reader.useCallback(on_read)
     for number in range(3):
         send(writer, number, strict=True)
     until(lambda: len(got) == 3, "the callback")
@@ -113,7 +113,7 @@ def test_callbacks_take_messages() -> None:
     assert reader.read().get(0).asInt32() == 3
 
 
-def test_a_port_can_be_its_own_callback() -> None:
+def test_port_can_be_its_own_callback() -> None:
     got: list[int] = []
 
     class Mine(yarp.BufferedPortBottle):
@@ -121,7 +121,7 @@ def test_a_port_can_be_its_own_callback() -> None:
             got.append(bottle.get(0).asInt32())
 
     mine = Mine()
-    mine.useCallback()  # before it is open
+    mine.useCallback()  # before the port is open
     assert mine.open("/mine")
     writer = yarp.BufferedPortBottle()
     assert writer.open("/w")
@@ -130,8 +130,8 @@ def test_a_port_can_be_its_own_callback() -> None:
     until(lambda: got == [4], "the callback")
 
 
-def test_a_port_that_cannot_be_opened_calls_back_once_it_can() -> None:
-    """No thread is left of the times before."""
+def test_callback_works_after_failed_opens() -> None:
+    """No thread is left over from the failed attempts."""
     got: list[int] = []
     reader, writer = yarp.BufferedPortBottle(), yarp.BufferedPortBottle()
     reader.useCallback(lambda bottle: got.append(bottle.get(0).asInt32()))
@@ -147,21 +147,21 @@ def test_a_port_that_cannot_be_opened_calls_back_once_it_can() -> None:
     until(lambda: got == [5], "the callback")
 
 
-def test_a_callback_may_fail_and_close(caplog: pytest.LogCaptureFixture) -> None:
+def test_callback_may_fail_and_close_the_port(caplog: pytest.LogCaptureFixture) -> None:
     reader, writer = connected()
     reader.setStrict()
     calls = []
 
-    def take(bottle: yarp.Bottle) -> None:
+    def on_read(bottle: yarp.Bottle) -> None:
         calls.append(bottle.get(0).asInt32())
         if calls == [0]:
             raise RuntimeError
         reader.close()
 
-    reader.useCallback(take)
+    reader.useCallback(on_read)
     send(writer, 0, strict=True)
     send(writer, 1, strict=True)
-    until(reader.isClosed, "the callback to close the port")
+    until(reader.isClosed, "the callback closes the port")
     assert calls == [0, 1]
     assert "a callback failed" in caplog.text
 
@@ -183,7 +183,7 @@ def test_callbacks_hold_a_lock() -> None:
 
 
 @pytest.mark.parametrize("end", ["interrupt", "close"])
-def test_waiting_ends(end: str) -> None:
+def test_waiting_read_ends(end: str) -> None:
     reader, _ = connected()
     results = []
     thread = threading.Thread(target=lambda: results.append(reader.read()))
@@ -193,7 +193,7 @@ def test_waiting_ends(end: str) -> None:
     assert results == [None]
 
 
-def test_messages_of_another_kind_are_skipped(caplog: pytest.LogCaptureFixture) -> None:
+def test_messages_of_another_type_are_skipped(caplog: pytest.LogCaptureFixture) -> None:
     reader, writer = yarp.BufferedPortVector(), yarp.BufferedPortBottle()
     assert reader.open("/r")
     assert writer.open("/w")
@@ -220,7 +220,7 @@ def test_envelopes_belong_to_messages() -> None:
         assert (stamp.getCount(), stamp.getTime()) == (number, 0.5 * number)
 
 
-def test_a_replier_answers() -> None:
+def test_replier_answers_requests() -> None:
     class Answer(yarp.PortReader):
         def read(self, connection: yarp.ConnectionReader) -> bool:
             question = yarp.Bottle()
@@ -240,7 +240,7 @@ def test_a_replier_answers() -> None:
 
 
 @pytest.mark.parametrize("kind", ["Vector", "ImageRgb", "Matrix", "Sound", "Property", "ImageMono"])
-def test_the_kin(kind: str) -> None:
+def test_subclasses(kind: str) -> None:
     reader, writer = connected(kind)
     data = writer.prepare()
     if kind in ("Vector", "Matrix"):

@@ -1,4 +1,4 @@
-"""``Contact`` says its parts as YARP 3.12.3 and 4.0.0 do."""
+"""``Contact`` has the parts of YARP 3.12.3 and 4.0.0."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 import yarp_compat as yarp
 
 # recorded: the text, then getName, getRegName, getCarrier, getHost, getPort, toString, toURI, toURI(False), isValid
-SAID = [
+RECORDED = [
     ("/a", "/a", "/a", "", "", -1, "/a", "", "", False),
     ("tcp://a", "/a", "/a", "tcp", "", -1, "tcp://a", "tcp:/", "", False),
     ("tcp://127.0.0.1:10", "/127.0.0.1:10", "", "tcp", "127.0.0.1", 10, "tcp://127.0.0.1:10", "tcp://127.0.0.1:10/",
@@ -21,9 +21,9 @@ SAID = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("said", SAID, ids=lambda said: said[0])
-def test_texts(said: tuple[object, ...]) -> None:
-    text, *parts = said
+@pytest.mark.parametrize("recorded", RECORDED, ids=lambda recorded: recorded[0])
+def test_texts(recorded: tuple[object, ...]) -> None:
+    text, *parts = recorded
     c = yarp.Contact.fromString(text)
     assert parts == [
         c.getName(), c.getRegName(), c.getCarrier(), c.getHost(), c.getPort(), c.toString(), c.toURI(), c.toURI(False),
@@ -31,12 +31,12 @@ def test_texts(said: tuple[object, ...]) -> None:
     ]  # fmt: skip
 
 
-def test_an_address_alone_has_no_carrier() -> None:
+def test_address_without_a_name_has_no_carrier() -> None:
     contact = yarp.Contact("127.0.0.1", 10)
     assert (contact.getCarrier(), contact.toString(), contact.toURI()) == ("", "/127.0.0.1:10", "/127.0.0.1:10/")
 
 
-def test_of_a_property() -> None:
+def test_contact_from_a_property() -> None:
     contact = yarp.Contact.fromConfig(yarp.Property("(name /a) (ip 10.0.0.7) (port_number 5)"))
     assert (contact.getName(), contact.toURI()) == ("/a", "tcp://10.0.0.7:5/")
     assert not yarp.Contact.fromConfig(yarp.Property()).isValid()

@@ -22,14 +22,14 @@ from yarp_compat.os.ports.nested import CLIENT, PUBLISHER, SERVER, SUBSCRIBER, N
         ("/minus-1", ("", "/minus-1", "", "")),
     ],
 )
-def test_names_come_apart(name: str, parts: tuple[str, str, str, str]) -> None:
-    found = NestedName.parse(name)
-    assert (found.topic, found.node, found.role, found.type) == parts
-    assert found.port == name.partition("~")[0]
-    assert found.is_topic == (found.role in (PUBLISHER, SUBSCRIBER))
+def test_names_are_split(name: str, parts: tuple[str, str, str, str]) -> None:
+    nested = NestedName.parse(name)
+    assert (nested.topic, nested.node, nested.role, nested.type) == parts
+    assert nested.port == name.partition("~")[0]
+    assert nested.is_topic == (nested.role in (PUBLISHER, SUBSCRIBER))
 
 
-def test_what_is_said_stays() -> None:
+def test_given_parts_are_kept() -> None:
     name = NestedName.parse("/chatter+@/node")
     assert name.with_role(SUBSCRIBER) == name
     assert name.with_node("/other") == name

@@ -1,4 +1,4 @@
-"""Nodes, publishers and subscribers: names, types, connections, and what is said where no daemon is."""
+"""Nodes, publishers and subscribers: names, types, connections, and the warning without a daemon."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def test_topics_belong_to_the_newest_node(name_server: NameServer) -> None:
         with yarp.Node("/second"):
             other = yarp.Publisher(String, "/else")
             assert other.getName() == "/else+@/second"
-        assert not other.isOpen()  # it ended with its node
+        assert not other.isOpen()  # it was closed with its node
         assert {"/talker", "/chatter+@/talker", "/chatter-@/talker"} <= set(names(name_server))
         assert node.getName() == "/talker"
     assert names(name_server) == ["/root"]
 
 
-def test_messages_cross_between_yarp_programs(name_server: NameServer) -> None:
+def test_yarp_programs_exchange_messages(name_server: NameServer) -> None:
     publisher = yarp.Publisher("std_msgs/String", "/chatter@/talker")
     subscriber = yarp.Subscriber("std_msgs/String", "/chatter@/listener")
     until(subscriber.getInputCount, "the connection")
@@ -48,11 +48,11 @@ def test_messages_cross_between_yarp_programs(name_server: NameServer) -> None:
     assert subscriber.read(got)
     assert got.data == "prepared"
     later = yarp.Publisher(String, "/chatter@/third")
-    until(lambda: subscriber.getInputCount() == 2, "the third's connection")
+    until(lambda: subscriber.getInputCount() == 2, "the third one's connection")
     assert later.getOutputCount() == 1
 
 
-def test_a_callback_takes_messages(name_server: NameServer) -> None:
+def test_callback_receives_messages(name_server: NameServer) -> None:
     got = []
     subscriber = yarp.Subscriber(String)
     subscriber.setStrict()
@@ -64,13 +64,13 @@ def test_a_callback_takes_messages(name_server: NameServer) -> None:
     until(lambda: got == ["a", "b"], "the messages")
 
 
-def test_the_type_is_told(name_server: NameServer) -> None:
+def test_type_is_announced(name_server: NameServer) -> None:
     publisher = yarp.Publisher(String, "/chatter@/talker")
     naming = NameClient(name_server.address)
     assert naming.get_property("/chatter+@/talker", "type") == ["std_msgs/String"]
     answer = yarp.Bottle()
-    asked = yarp.Bottle("[prop] [get] /chatter+@/talker")
-    assert yarp.Network.write(publisher.getName(), asked, answer, True)
+    request = yarp.Bottle("[prop] [get] /chatter+@/talker")
+    assert yarp.Network.write(publisher.getName(), request, answer, True)
     assert '(type "std_msgs/String")' in answer.toString()
 
 
@@ -101,7 +101,7 @@ def test_services(name_server: NameServer) -> None:
     assert reply.get(0).asInt32() == 42
 
 
-def test_without_a_daemon_it_says_so(name_server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_daemon_is_logged(name_server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
     publisher = yarp.Publisher(String, "/chatter@/talker")
     assert "no Midspan daemon" in caplog.text
     assert "/chatter" in caplog.text
@@ -109,17 +109,17 @@ def test_without_a_daemon_it_says_so(name_server: NameServer, caplog: pytest.Log
     gc.collect()
 
 
-def test_a_daemon_is_seen_and_tells_definitions(name_server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
+def test_daemon_is_found_and_answers_definitions(name_server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
     naming = NameClient(name_server.address)
 
-    def tell(values: list[object]) -> list[object]:
+    def answer(values: list[object]) -> list[object]:
         return (
             ["ok", "int32 x\nOther o\n" + "=" * 80 + "\nMSG: odd/Other\nstring s"]
             if values[1] == "odd/Type"
             else ["fail", ""]
         )
 
-    with Server("/midspan/daemon/r1", tell, naming=naming):
+    with Server("/midspan/daemon/r1", answer, naming=naming):
         naming.set_property("/midspan/daemon/r1", "midspan_owner", "r1")
         message = yarp.rosmsg.odd.Type(x=3)
         assert message.o.s == ""
@@ -130,7 +130,7 @@ def test_a_daemon_is_seen_and_tells_definitions(name_server: NameServer, caplog:
     assert "no Midspan daemon" not in caplog.text
 
 
-def test_latched_messages_reach_who_comes_later(name_server: NameServer) -> None:
+def test_late_joiner_receives_the_latched_message(name_server: NameServer) -> None:
     publisher = yarp.Publisher(String, latched=True)
     assert publisher.topic("/map@/server")
     naming = NameClient(name_server.address)
@@ -145,7 +145,7 @@ def test_latched_messages_reach_who_comes_later(name_server: NameServer) -> None
         assert yarp.Subscriber(String, f"/map@{node}").read().data == "new"
 
 
-def test_no_node_and_no_direction(name_server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_node_and_direction_are_errors(name_server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
     assert not yarp.Publisher(String).topic("/chatter")
     assert "yarp.Node" in caplog.text
     assert not yarp.Port().open("/chatter@/node")

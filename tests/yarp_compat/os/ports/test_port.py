@@ -1,4 +1,4 @@
-"""`Port`, `RpcServer`, `RpcClient`: reading, writing, answering."""
+"""`Port`, `RpcServer`, `RpcClient`: reading, writing, replying."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ pytestmark = pytest.mark.usefixtures("local")
 
 @pytest.fixture
 def pool() -> Iterator[ThreadPoolExecutor]:
-    with ThreadPoolExecutor(2) as made:
-        yield made
+    with ThreadPoolExecutor(2) as executor:
+        yield executor
 
 
 def opened(kind: type = yarp.Port, name: str = "...") -> yarp.Port:
@@ -39,7 +39,7 @@ def connected() -> tuple[yarp.Port, yarp.Port]:
     return reader, writer
 
 
-def test_a_port_writes_what_another_reads(pool: ThreadPoolExecutor) -> None:
+def test_port_writes_to_another(pool: ThreadPoolExecutor) -> None:
     reader, writer = connected()
     sent = pool.submit(writer.write, yarp.Bottle("hello 1 2.5 (a b)"))
     got = yarp.Bottle()
@@ -49,17 +49,17 @@ def test_a_port_writes_what_another_reads(pool: ThreadPoolExecutor) -> None:
     assert (writer.getOutputCount(), reader.getInputCount(), reader.getOutputCount()) == (1, 1, 0)
 
 
-def test_a_writer_waits_until_its_message_is_read(pool: ThreadPoolExecutor) -> None:
+def test_writer_waits_until_its_message_is_read(pool: ThreadPoolExecutor) -> None:
     reader, writer = connected()
     sent = pool.submit(writer.write, yarp.Bottle("1"))
-    until(writer.isWriting, "the message to be in transit")
+    until(writer.isWriting, "the message is being sent")
     assert not sent.done()
     got = yarp.Bottle()
     assert reader.read(got)
     assert sent.result(20)
 
 
-def test_a_background_writer_waits_for_nobody() -> None:
+def test_background_writer_does_not_block() -> None:
     reader, writer = connected()
     writer.enableBackgroundWrite(True)
     for number in range(5):
@@ -74,7 +74,7 @@ def test_a_background_writer_waits_for_nobody() -> None:
     assert seen == sorted(seen)
 
 
-def test_every_kind_of_data_crosses(pool: ThreadPoolExecutor) -> None:
+def test_every_type_of_data_is_transferred(pool: ThreadPoolExecutor) -> None:
     reader, writer = connected()
     vector = yarp.Vector([1.0, 2.0, 3.5])
     for sent, empty in (
@@ -89,23 +89,23 @@ def test_every_kind_of_data_crosses(pool: ThreadPoolExecutor) -> None:
 
 
 @pytest.mark.parametrize("is_read", [False, True])
-def test_a_server_that_closes_gives_no_empty_answer(pool: ThreadPoolExecutor, is_read: bool) -> None:
-    """Neither to what it never read, nor to what it has not answered yet."""
+def test_closing_server_sends_no_empty_reply(pool: ThreadPoolExecutor, is_read: bool) -> None:
+    """Neither to an unread request, nor to an unanswered one."""
     server, client = opened(yarp.RpcServer, "/s"), opened(yarp.RpcClient, "/c")
     assert client.addOutput("/s")
     got = yarp.Bottle("as it was")
-    asked = pool.submit(client.write, yarp.Bottle("question"), got)
+    future = pool.submit(client.write, yarp.Bottle("question"), got)
     if is_read:
         assert server.read(yarp.Bottle())
     else:
         core = server._core
-        until(lambda: core.counters.received, "the question")
+        until(lambda: core.counters.received, "the request")
     server.close()
-    assert asked.result(20) is False
+    assert future.result(20) is False
     assert got.toString() == "as it was"
 
 
-def test_a_message_of_another_kind_is_not_read(pool: ThreadPoolExecutor) -> None:
+def test_message_of_another_type_is_not_read(pool: ThreadPoolExecutor) -> None:
     reader, writer = connected()
     done = pool.submit(writer.write, yarp.Bottle("not a vector"))
     vector = yarp.Vector([7.0])
@@ -114,11 +114,11 @@ def test_a_message_of_another_kind_is_not_read(pool: ThreadPoolExecutor) -> None
     assert done.result(20)
 
 
-def test_envelopes(pool: ThreadPoolExecutor) -> None:
+def test_envelopes_are_sent_and_read(pool: ThreadPoolExecutor) -> None:
     reader, writer = connected()
     stamp, got = yarp.Stamp(12, 1795143618.25), yarp.Stamp()
     assert writer.setEnvelope(stamp)
-    for _ in range(2):  # it stays until another is set
+    for _ in range(2):  # it is kept until another is set
         done = pool.submit(writer.write, yarp.Bottle("x"))
         assert reader.read(yarp.Bottle())
         assert reader.getEnvelope(got)
@@ -127,33 +127,33 @@ def test_envelopes(pool: ThreadPoolExecutor) -> None:
     assert not opened().getEnvelope(got)
 
 
-def test_questions_have_answers(pool: ThreadPoolExecutor) -> None:
+def test_requests_get_replies(pool: ThreadPoolExecutor) -> None:
     server, client = opened(yarp.RpcServer, "/s"), opened(yarp.RpcClient, "/c")
     assert client.addOutput("/s")
     answer = yarp.Bottle()
-    asked = pool.submit(client.write, yarp.Bottle("add 2 3"), answer)
+    future = pool.submit(client.write, yarp.Bottle("add 2 3"), answer)
     command = yarp.Bottle()
     assert server.read(command, True)
     assert server.reply(yarp.Bottle([command.get(1).asInt32() + command.get(2).asInt32()]))
-    assert asked.result(20)
+    assert future.result(20)
     assert answer.get(0).asInt32() == 5
-    assert not server.reply(answer)  # without another request
+    assert not server.reply(answer)  # no further request
 
 
-def test_a_promised_answer_that_does_not_come_is_empty(pool: ThreadPoolExecutor) -> None:
+def test_announced_reply_that_is_not_sent_is_empty(pool: ThreadPoolExecutor) -> None:
     server, client = opened(yarp.RpcServer, "/s"), opened(yarp.RpcClient, "/c")
     assert client.addOutput("/s")
     answers = [yarp.Bottle("old"), yarp.Bottle("old")]
-    asked = pool.submit(lambda: [client.write(yarp.Bottle("a"), answer) for answer in answers])
+    future = pool.submit(lambda: [client.write(yarp.Bottle("a"), answer) for answer in answers])
     command = yarp.Bottle()
     assert server.read(command, True)
     assert server.read(command, True)
     assert server.reply(yarp.Bottle("second"))
-    assert asked.result(20) == [True, True]
+    assert future.result(20) == [True, True]
     assert [answer.toString() for answer in answers] == ["", "second"]
 
 
-def test_what_servers_and_clients_do_not_do() -> None:
+def test_servers_do_not_write_and_clients_do_not_read() -> None:
     server, client = opened(yarp.RpcServer, "/s"), opened(yarp.RpcClient, "/c")
     assert not server.write(yarp.Bottle())
     assert not server.read(yarp.Bottle(), False)
@@ -162,18 +162,18 @@ def test_what_servers_and_clients_do_not_do() -> None:
     assert not client.write(yarp.Bottle("x"), yarp.Bottle())  # without connections
     assert client.addOutput("/s")
     other = opened(yarp.RpcServer, "/s2")
-    assert not client.addOutput("/s2")  # it has one already
+    assert not client.addOutput("/s2")  # it has an output already
     assert other.getInputCount() == 0
 
 
-def test_an_answer_may_end_the_connection(pool: ThreadPoolExecutor) -> None:
+def test_reply_can_end_the_connection(pool: ThreadPoolExecutor) -> None:
     server, client = opened(yarp.RpcServer, "/s"), opened(yarp.RpcClient, "/c")
     assert client.addOutput("/s")
     answer = yarp.Bottle()
-    asked = pool.submit(client.write, yarp.Bottle("bye"), answer)
+    future = pool.submit(client.write, yarp.Bottle("bye"), answer)
     assert server.read(yarp.Bottle(), True)
     assert server.replyAndDrop(yarp.Bottle("ok"))
-    assert asked.result(20)
+    assert future.result(20)
     assert answer.toString() == "ok"
     until(lambda: server.getInputCount() == 0, "the connection to end")
 
@@ -199,7 +199,7 @@ class Echo(yarp.PortReader):
         return answer.write(writer)
 
 
-def test_a_reader_takes_messages_as_they_come() -> None:
+def test_reader_receives_messages_as_they_arrive() -> None:
     echo = Echo()
     server = yarp.Port()
     server.setReader(echo)
@@ -214,16 +214,16 @@ def test_a_reader_takes_messages_as_they_come() -> None:
     assert echo.said == ["/c: a 1", "/c: b", "end"]
 
 
-def test_a_reader_reads_numbers_too() -> None:
-    found = []
+def test_reader_reads_raw_numbers() -> None:
+    results = []
 
     class Raw(yarp.PortReader):
         def read(self, connection: yarp.ConnectionReader) -> bool:
             if connection.isValid():
-                found.append(
+                results.append(
                     [connection.getSize(), *(connection.expectInt32() for _ in range(4)), connection.isError()]
                 )
-                found.append([connection.expectFloat64(), connection.isError(), connection.getWriter()])
+                results.append([connection.expectFloat64(), connection.isError(), connection.getWriter()])
             return True
 
     server = yarp.Port()
@@ -232,11 +232,11 @@ def test_a_reader_reads_numbers_too() -> None:
     client = opened(name="/c")
     assert client.addOutput("/s")
     assert client.write(yarp.Bottle("5"))
-    assert found[0] == [12, 257, 1, 5, 0, True]
-    assert found[1] == [0.0, True, None]
+    assert results[0] == [12, 257, 1, 5, 0, True]
+    assert results[1] == [0.0, True, None]
 
 
-def test_interrupting_lets_readers_go() -> None:
+def test_interrupt_releases_readers() -> None:
     reader = opened()
     results: list[bool] = []
     thread = threading.Thread(target=lambda: results.append(reader.read(yarp.Bottle())))
@@ -250,19 +250,19 @@ def test_interrupting_lets_readers_go() -> None:
     assert reader.write(yarp.Bottle())
 
 
-def test_closing_lets_readers_and_writers_go(pool: ThreadPoolExecutor) -> None:
+def test_closing_releases_readers_and_writers(pool: ThreadPoolExecutor) -> None:
     reader, writer = connected()
     waiting = pool.submit(writer.write, yarp.Bottle("x"))
-    until(writer.isWriting, "the message to be in transit")
+    until(writer.isWriting, "the message is being sent")
     reader.close()
     waiting.result(20)
     assert not reader.read(yarp.Bottle())
     assert not reader.isOpen()
     assert reader.getName() == ""
-    until(lambda: writer.getOutputCount() == 0, "the writer to see it")
+    until(lambda: writer.getOutputCount() == 0, "the writer detects it")
 
 
-def test_a_port_that_is_let_go_of_is_closed() -> None:
+def test_unreferenced_port_is_closed() -> None:
     reader = opened(name="/gone")
     assert yarp.Network.exists("/gone")
     del reader
@@ -270,14 +270,14 @@ def test_a_port_that_is_let_go_of_is_closed() -> None:
     assert not yarp.Network.exists("/gone")
 
 
-def test_a_port_is_opened_again_under_another_name() -> None:
+def test_port_is_reopened_with_another_name() -> None:
     port = opened(name="/one")
     assert port.open("/two")
     assert port.getName() == "/two"
     assert not yarp.Network.exists("/one")
 
 
-def test_names_that_cannot_be(caplog: pytest.LogCaptureFixture) -> None:
+def test_invalid_names_are_refused(caplog: pytest.LogCaptureFixture) -> None:
     assert not yarp.Port().open("no/slash")
     assert not yarp.Port().open("/two words")
     assert not yarp.Port().open("/topic@/node")
@@ -285,13 +285,13 @@ def test_names_that_cannot_be(caplog: pytest.LogCaptureFixture) -> None:
     assert yarp.Port().where().getPort() == -1
 
 
-def test_names_may_have_a_prefix(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environment_can_add_a_prefix(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("YARP_PORT_PREFIX", "/sim")
     assert opened(name="/camera").getName() == "/sim/camera"
 
 
-def test_the_environment_renames_a_port(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As ``Port::open``: the variable's name has ``_`` for all but letters and digits; the prefix is added later."""
+def test_environment_can_rename_a_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in ``Port::open``: the variable has ``_`` for all except letters and digits; the prefix is added later."""
     monkeypatch.setenv("YARP_RENAME_camera_rgb_1_o", "/robot/eye:o")
     assert opened(name="/camera/rgb-1:o").getName() == "/robot/eye:o"
     assert opened(name="/camera/rgb:o").getName() == "/camera/rgb:o"
@@ -301,7 +301,7 @@ def test_the_environment_renames_a_port(monkeypatch: pytest.MonkeyPatch) -> None
     assert opened(name="/camera/rgb-1:o").getName() == "/sim/camera/rgb-1:o"
 
 
-def test_a_renamed_port_of_every_kind_receives_under_its_new_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_renamed_port_of_every_kind_receives_under_its_new_name(monkeypatch: pytest.MonkeyPatch) -> None:
     for kind in ("in", "out", "rpc", "ask"):
         monkeypatch.setenv(f"YARP_RENAME_mine_{kind}", f"/theirs/{kind}")
     reader, writer = yarp.BufferedPortBottle(), yarp.BufferedPortBottle()
@@ -318,9 +318,7 @@ def test_a_renamed_port_of_every_kind_receives_under_its_new_name(monkeypatch: p
     assert reader.read().get(0).asInt32() == 7
 
 
-def test_the_environment_gives_a_port_its_number(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_environment_can_set_a_ports_number(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         number = free.getsockname()[1]
     monkeypatch.setenv("YARP_PORTNUMBER_camera", str(number))
@@ -332,17 +330,17 @@ def test_the_environment_gives_a_port_its_number(
     assert "ignored YARP_PORTNUMBER_other=many" in caplog.text
 
 
-def test_what_a_port_tells_of_itself() -> None:
-    told: list[str] = []
+def test_port_reports_itself_and_its_connections() -> None:
+    messages: list[str] = []
 
     class Report(yarp.PortReport):
         def report(self, info: yarp.PortInfo) -> None:
-            told.append(info.message)
+            messages.append(info.message)
 
     reader, writer = connected()
     reader.getReport(Report())
-    assert told[0].startswith("This is /r at tcp://127.0.0.1:")
-    assert told[1:] == ["There is an input connection from /w to /r using tcp"]
+    assert messages[0].startswith("This is /r at tcp://127.0.0.1:")
+    assert messages[1:] == ["There is an input connection from /w to /r using tcp"]
     coming: list[tuple[bool, bool, str]] = []
 
     class Events(yarp.PortReport):
@@ -352,11 +350,11 @@ def test_what_a_port_tells_of_itself() -> None:
     events = Events()
     reader.setReporter(events)
     writer.close()
-    until(lambda: coming, "the connection to end")
+    until(lambda: coming, "the connection ends")
     assert coming == [(True, False, "/w")]
 
 
-def test_a_port_listens_where_it_is_told_to() -> None:
+def test_port_listens_at_the_given_address() -> None:
     port = yarp.Port()
     assert port.open(yarp.Contact("/here", "tcp", "127.0.0.1", 0))
     assert port.where().getHost() == "127.0.0.1"
@@ -375,7 +373,7 @@ def test_ports_need_the_network(caplog: pytest.LogCaptureFixture) -> None:
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_answers_are_in_the_askers_dialect(profile: Profile) -> None:
+def test_replies_are_in_the_clients_dialect(profile: Profile) -> None:
     server, reader = yarp.Port(), Echo()
     server.setReader(reader)
     assert server.open("/s")
@@ -387,7 +385,7 @@ def test_answers_are_in_the_askers_dialect(profile: Profile) -> None:
 
 
 @pytest.mark.parametrize("verbosity", [0, 1])
-def test_a_port_logs_connections_or_not(caplog: pytest.LogCaptureFixture, verbosity: int) -> None:
+def test_verbosity_controls_the_log_of_connections(caplog: pytest.LogCaptureFixture, verbosity: int) -> None:
     reader, writer = yarp.Port(), yarp.Port()
     reader.setVerbosity(verbosity)
     assert reader.getVerbosity() == verbosity
@@ -396,5 +394,5 @@ def test_a_port_logs_connections_or_not(caplog: pytest.LogCaptureFixture, verbos
         assert writer.open("/quiet/w")
         assert writer.addOutput("/quiet/r")
         until(lambda: reader.getInputCount() == 1, "the connection")
-        until(lambda: not verbosity or "eceiving input" in caplog.text, "the reader's line")
+        until(lambda: not verbosity or "eceiving input" in caplog.text, "the reader logs the connection")
     assert ("eceiving input" in caplog.text) == bool(verbosity)
