@@ -1,4 +1,4 @@
-"""Clouds in files: there and back, as others write them, and what is refused."""
+"""Cloud files: round trips, files of other programs, and invalid files."""
 
 from __future__ import annotations
 
@@ -17,9 +17,7 @@ IN_SPACE = [kind for kind in PointType if {"x", "y", "z"} <= set(LAYOUTS[kind].n
 
 @pytest.mark.parametrize("write", [write_pcd, write_ply])
 @pytest.mark.parametrize("kind", IN_SPACE)
-def test_each_kind_of_points_there_and_back(
-    tmp_path: Path, kind: PointType, write: Callable[[PointCloud], bytes]
-) -> None:
+def test_each_point_type_survives_a_file(tmp_path: Path, kind: PointType, write: Callable[[PointCloud], bytes]) -> None:
     points = np.zeros(6, LAYOUTS[kind])
     for place, name in enumerate(points.dtype.names or ()):
         points[name] = np.arange(6) + place
@@ -29,14 +27,14 @@ def test_each_kind_of_points_there_and_back(
     np.testing.assert_array_equal(again.numpy(), points)
 
 
-def test_rows_stay_rows_in_pcd() -> None:
+def test_pcd_keeps_rows() -> None:
     cloud = PointCloud.of(np.zeros((2, 3), LAYOUTS[PointType.XYZ]))
     again = read_cloud(write_pcd(cloud))
     assert (again.width(), again.height(), again == cloud) == (3, 2, True)
 
 
-def test_pcl_s_own_text_with_colours_and_a_point_without_a_place() -> None:
-    """The example of pointclouds.org's page of the format, shortened."""
+def test_pcls_text_file_with_colors_and_an_invalid_point() -> None:
+    """The shortened example of pointclouds.org's page of the format."""
     data = (
         b"# .PCD v.7 - Point Cloud Data file format\nVERSION .7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\n"
         b"COUNT 1 1 1 1\nWIDTH 2\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA ascii\n"
@@ -49,7 +47,7 @@ def test_pcl_s_own_text_with_colours_and_a_point_without_a_place() -> None:
     assert cloud.isDense() is False
 
 
-def test_ply_of_others_in_text_and_big_endian_with_faces_behind() -> None:
+def test_ply_of_other_programs_with_faces_in_text_and_big_endian() -> None:
     head = "ply\nformat {}\ncomment x\nelement vertex 2\nproperty double x\nproperty double y\nproperty double z\n"
     head += "property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 1\n"
     head += "property list uchar int vertex_index\nend_header\n"
@@ -64,7 +62,7 @@ PLY = write_ply(PointCloud.of(np.zeros(2, LAYOUTS[PointType.XYZ])))
 
 
 @pytest.mark.parametrize(
-    ("data", "words"),
+    ("data", "message"),
     [
         (b"", "DATA: line not found"),
         (b"\xff" * 9000, "DATA: line not found"),
@@ -86,6 +84,6 @@ PLY = write_ply(PointCloud.of(np.zeros(2, LAYOUTS[PointType.XYZ])))
         (PLY[:-1], "the points have 23 bytes"),
     ],
 )
-def test_bad_files_are_refused_by_the_name_of_the_line(data: bytes, words: str) -> None:
-    with pytest.raises(CloudFileError, match=words):
+def test_invalid_files_are_refused_with_the_name_of_the_line(data: bytes, message: str) -> None:
+    with pytest.raises(CloudFileError, match=message):
         read_cloud(data)

@@ -1,4 +1,4 @@
-"""Images of every pixel code: their bytes, their memory, and what they become where they are read into another kind."""
+"""Images of every pixel code: their bytes, their memory, and their conversion when read into another class."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def picture(code: int, width: int, height: int, quantum: int = 0) -> FlexImage:
 
 
 @given(st.sampled_from([*CODES, -1, -5]), st.integers(0, 9), st.integers(0, 5), st.sampled_from([0, 1, 2, 4, 8, 32]))
-def test_every_pixel_code_there_and_back(code: int, width: int, height: int, quantum: int) -> None:
+def test_every_pixel_code_survives_the_wire(code: int, width: int, height: int, quantum: int) -> None:
     image = picture(code, width, height, quantum)
     for profile in Profile:
         again = FlexImage.from_bytes(image.to_bytes(profile))
@@ -58,17 +58,17 @@ def test_every_pixel_code_there_and_back(code: int, width: int, height: int, qua
 
 
 @pytest.mark.parametrize("code", CODES)
-def test_an_image_is_a_bottle(code: PixelCode) -> None:
+def test_image_is_a_bottle(code: PixelCode) -> None:
     image = picture(code, 3, 2)
-    name, word, numbers, rows = binary.decode(image.to_bytes(), Profile.YARP3)
-    assert (name, type(word)) == ("mat", Vocab)
+    name, pixels, numbers, rows = binary.decode(image.to_bytes(), Profile.YARP3)
+    assert (name, type(pixels)) == ("mat", Vocab)
     assert numbers == [image.getPixelSize(), image.getRawImageSize(), 8, 3, 2]
     assert rows == image.tostring()
-    assert code == struct.unpack("<i", word.encode("latin-1").ljust(4, b"\0"))[0]
+    assert code == struct.unpack("<i", pixels.encode("latin-1").ljust(4, b"\0"))[0]
 
 
-def test_an_image_of_3_12() -> None:
-    """Its header has a 1 behind the quantum, which 3.9 takes for upside down and 4.0 for a part of the quantum."""
+def test_image_of_3_12() -> None:
+    """Its header has a 1 after the quantum, which 3.9 reads as upside down and 4.0 as a part of the quantum."""
     data = TYPED["ImageRgb"]
     for image in (ImageRgb.from_bytes(data), FlexImage.from_bytes(data)):
         assert image.numpy()[1].tolist() == [[0, 1, 9], [1, 1, 9], [2, 1, 9]]
@@ -76,8 +76,8 @@ def test_an_image_of_3_12() -> None:
         assert image.to_bytes(Profile.YARP3) == data[:42] + b"\0\0" + data[44:]
 
 
-def test_the_codes_names() -> None:
-    """As `yarp/sig/Image.h` has them."""
+def test_names_of_pixel_codes() -> None:
+    """The names in `yarp/sig/Image.h`."""
     assert PixelCode.MONO_FLOAT.to_bytes(4, "little") == b"dec\0"
     assert PixelCode.RGB_FLOAT.to_bytes(4, "little") == b"rgb."
     assert {code: format_of(code).size for code in (PixelCode.RGB_INT, PixelCode.HSV, PixelCode.MONO16)} == {
@@ -85,8 +85,8 @@ def test_the_codes_names() -> None:
     }  # fmt: skip
 
 
-def test_the_official_idiom_reads_into_an_array() -> None:
-    """`setExternal` on a numpy array, then reading: the array has the pixels."""
+def test_official_idiom_reads_into_an_array() -> None:
+    """After `setExternal` on a numpy array, reading fills the array."""
     array = np.zeros((240, 320, 3), dtype=np.uint8)
     image = ImageRgb()
     image.resize(320, 240)
@@ -103,8 +103,8 @@ def test_the_official_idiom_reads_into_an_array() -> None:
     assert (array == 7).all()
 
 
-def test_the_official_idiom_copies_into_an_array() -> None:
-    """As `bindings/python/examples/yarpImage.py` does, its look at the pointer included."""
+def test_official_idiom_copies_into_an_array() -> None:
+    """As in `bindings/python/examples/yarpImage.py`, including its check of the pointer."""
     array = np.ones((480, 640, 3), dtype=np.uint8)
     image = ImageRgb()
     image.resize(640, 480)
@@ -119,7 +119,7 @@ def test_the_official_idiom_copies_into_an_array() -> None:
     assert ImageMono.from_bytes(mono.to_bytes()) == mono
 
 
-def test_an_array_is_sent_uncopied() -> None:
+def test_array_is_sent_without_a_copy() -> None:
     array = np.arange(480 * 640 * 3, dtype=np.uint32).astype(np.uint8).reshape(480, 640, 3)
     image = ImageRgb()
     image.setExternal(array, 640, 480)
@@ -133,7 +133,7 @@ def test_an_array_is_sent_uncopied() -> None:
 
 @pytest.mark.parametrize("width", [4, 5, 6, 7, 8])
 def test_arrays_of_any_width(width: int) -> None:
-    """Real YARP takes rows of an array for padded ones once the image has had a size."""
+    """C++ YARP treats rows of an array as padded after the image has had a size."""
     array = np.arange(width * 3 * 3, dtype=np.uint8).reshape(3, width, 3)
     for resized in (False, True):
         image = ImageRgb()
@@ -143,7 +143,7 @@ def test_arrays_of_any_width(width: int) -> None:
         assert np.array_equal(ImageRgb.from_bytes(image.to_bytes()).numpy(), array)
 
 
-def test_memory_that_will_not_do_is_refused() -> None:
+def test_unsuitable_memory_is_refused() -> None:
     image = ImageRgb()
     with pytest.raises(ValueError, match="12 bytes, not 11"):
         image.setExternal(bytes(11), 2, 2)
@@ -159,7 +159,7 @@ def test_memory_that_will_not_do_is_refused() -> None:
         picture(PixelCode.RGB, 2, 2).getPixel(2, 0)
 
 
-def test_pixels() -> None:
+def test_pixels_view_the_image() -> None:
     image = ImageRgb()
     image.resize(4, 3)
     image.pixel(1, 2).g = 200
@@ -180,12 +180,12 @@ def test_pixels() -> None:
 
 
 @pytest.mark.parametrize("kind", PIXELS.values())
-def test_pixels_take_red_first_whatever_their_memory(kind: Any) -> None:
+def test_pixels_are_created_red_first_for_any_memory_order(kind: Any) -> None:
     pixel = kind(1, 2, 3)
     assert [getattr(pixel, name) for name in ("hsv" if "h" in kind.names else "rgb")] == [1, 2, 3]
 
 
-def test_a_read_only_image_is_copied_before_it_changes() -> None:
+def test_read_only_image_is_copied_before_a_change() -> None:
     payload = picture(PixelCode.RGB, 3, 3).to_bytes()
     image = ImageRgb.from_bytes(payload)
     assert not image.numpy().flags.writeable
@@ -214,7 +214,9 @@ def test_a_read_only_image_is_copied_before_it_changes() -> None:
         (ImageRgbFloat, PixelCode.RGB, (1, 2, 3), (1, 2, 3)),
     ],
 )
-def test_reading_another_kind_converts_as_yarp_does(kind: type[Image], source: int, pixel: Any, expected: Any) -> None:
+def test_reading_into_another_class_converts_as_in_yarp(
+    kind: type[Image], source: int, pixel: Any, expected: Any
+) -> None:
     sent = picture(source, 3, 2)
     sent.setPixel(1, 1, pixel)
     image = kind()
@@ -226,7 +228,7 @@ def test_reading_another_kind_converts_as_yarp_does(kind: type[Image], source: i
 @pytest.mark.parametrize(("source", "target"), [(PixelCode.HSV, PixelCode.RGB), (PixelCode.RGB, PixelCode.HSV),
                                                 (PixelCode.ENCODING_BAYER_GRBG8, PixelCode.RGB), (-3, PixelCode.RGB),
                                                 (PixelCode.RGB, PixelCode.YUV_420)])  # fmt: skip
-def test_what_yarp_cannot_convert_is_refused(source: int, target: int) -> None:
+def test_conversions_that_yarp_lacks_are_refused(source: int, target: int) -> None:
     with pytest.raises(ValueError, match="FlexImage"):
         convert(picture(source, 2, 2).numpy(), source, target)
     if target == PixelCode.RGB:
@@ -237,19 +239,19 @@ def test_what_yarp_cannot_convert_is_refused(source: int, target: int) -> None:
         assert rgb == image
 
 
-def test_all_pairs_convert_or_say_why_not() -> None:
+def test_all_pairs_are_converted_or_refused() -> None:
     for source in CODES:
         for target in CODES:
             try:
-                made = convert(picture(source, 2, 2).numpy(), source, target)
+                converted = convert(picture(source, 2, 2).numpy(), source, target)
             except ValueError:
                 continue
             form = format_of(target)
-            assert made.dtype == form.dtype
-            assert made.shape == ((2, 2) if len(form.channels) == 1 else (2, 2, len(form.channels)))
+            assert converted.dtype == form.dtype
+            assert converted.shape == ((2, 2) if len(form.channels) == 1 else (2, 2, len(form.channels)))
 
 
-def test_rows_are_padded_anew_where_the_quantum_is_another() -> None:
+def test_rows_are_repadded_for_another_quantum() -> None:
     sent = picture(PixelCode.RGB, 3, 2, quantum=1)
     image = ImageRgb()
     image.resize(1, 1)
@@ -262,7 +264,7 @@ def test_rows_are_padded_anew_where_the_quantum_is_another() -> None:
     assert (fresh.getRowSize(), fresh == sent) == (12, True)
 
 
-def test_copies() -> None:
+def test_copy_converts_and_scales() -> None:
     sent = picture(PixelCode.RGB, 4, 2)
     image = ImageBgr()
     assert image.copy(sent)
@@ -285,8 +287,8 @@ def test_copies() -> None:
     assert (flexible.getPixelCode(), flexible.width()) == (-5, 0)
 
 
-def test_a_vectors_memory_is_taken_too() -> None:
-    """As YARP's own test of its Python bindings does it."""
+def test_vectors_memory_is_used_too() -> None:
+    """As in YARP's test of its Python bindings."""
     vector, image = Vector(320 * 240), ImageMono()
     image.setExternal(vector, 320, 240)
     image.setPixel(1, 0, 255)

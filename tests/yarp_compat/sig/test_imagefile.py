@@ -31,16 +31,16 @@ FLOATS = np.linspace(-1, 1, 15, dtype=np.float32).reshape(5, 3)
         (yarp.ImageFloat, FLOATS, "a.floatzip", yarp.FORMAT_NUMERIC_COMPRESSED),
     ],
 )
-def test_there_and_back(tmp_path: Path, image: Any, pixels: NDArray[Any], name: str, form: int | None) -> None:
+def test_images_survive_a_file(tmp_path: Path, image: Any, pixels: NDArray[Any], name: str, form: int | None) -> None:
     path = str(tmp_path / name)
-    made, found = image.of(pixels), image()
-    assert yarp.write(made, path) if form is None else yarp.write(made, path, form)
-    assert yarp.read(found, path)
-    assert np.array_equal(found.numpy(), pixels)
+    written, read = image.of(pixels), image()
+    assert yarp.write(written, path) if form is None else yarp.write(written, path, form)
+    assert yarp.read(read, path)
+    assert np.array_equal(read.numpy(), pixels)
 
 
-def test_the_bytes_of_yarps_own_formats(tmp_path: Path) -> None:
-    """As `ImageFile.cpp` of 3.9.1 to 4.0 writes them."""
+def test_bytes_of_yarps_formats(tmp_path: Path) -> None:
+    """The bytes that `ImageFile.cpp` of 3.9.1 to 4.0 writes."""
     assert yarp.write(yarp.ImageRgb.of(COLOURS), str(tmp_path / "a.ppm"))
     assert (tmp_path / "a.ppm").read_bytes() == b"P6\n7 5\n255\n" + COLOURS.tobytes()
     assert yarp.write(yarp.ImageMono.of(GREY), str(tmp_path / "a.pgm"))
@@ -52,7 +52,7 @@ def test_the_bytes_of_yarps_own_formats(tmp_path: Path) -> None:
     assert np.frombuffer(zlib.decompress(packed[16:]), "<f4").reshape(5, 4)[:, :3].tolist() == FLOATS.tolist()
 
 
-def test_files_of_others(tmp_path: Path) -> None:
+def test_files_of_other_programs(tmp_path: Path) -> None:
     (tmp_path / "a.ppm").write_bytes(b"P6\n# by hand\n2 1 255\n" + bytes(range(6)))
     image, grey = yarp.ImageRgb(), yarp.ImageMono()
     assert yarp.read(image, str(tmp_path / "a.ppm"))
@@ -76,7 +76,7 @@ def test_files_of_others(tmp_path: Path) -> None:
         ("a.float", struct.pack("<QQf", 1, 1, 1.0), "cannot convert its pixels to ImageRgb"),
     ],
 )
-def test_what_cannot_be_read(
+def test_invalid_files_are_not_read(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, name: str, data: bytes, reason: str
 ) -> None:
     (tmp_path / name).write_bytes(data)
@@ -84,7 +84,7 @@ def test_what_cannot_be_read(
     assert reason in caplog.text
 
 
-def test_what_cannot_be_written(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_unsupported_formats_are_not_written(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert not yarp.write(yarp.ImageRgb.of(COLOURS), str(tmp_path / "a.jpg"), yarp.FORMAT_JPG)
     assert not yarp.write(yarp.ImageFloat.of(FLOATS), str(tmp_path / "a.ppm"), yarp.FORMAT_PPM)
     assert not yarp.write(yarp.ImageRgb.of(COLOURS), str(tmp_path / "no" / "a.ppm"))
@@ -94,18 +94,18 @@ def test_what_cannot_be_written(tmp_path: Path, caplog: pytest.LogCaptureFixture
 
 
 def filtered(kind: int, row: bytes, above: bytes, step: int) -> bytes:
-    """A row by PNG's filter, the other way round than it is read."""
+    """Apply a PNG filter to a row."""
     out = bytearray([kind])
     for at, value in enumerate(row):
         left, corner = (row[at - step], above[at - step]) if at >= step else (0, 0)
         wanted = left + above[at] - corner
-        near = min((left, above[at], corner), key=lambda one: abs(wanted - one))
+        near = min((left, above[at], corner), key=lambda value: abs(wanted - value))
         out.append(value - (0, left, above[at], (left + above[at]) // 2, near)[kind] & 255)
     return bytes(out)
 
 
 @pytest.mark.parametrize("kind", range(5))
-def test_the_filters_of_png(kind: int) -> None:
+def test_filters_of_png(kind: int) -> None:
     rows = [row.tobytes() for row in np.random.default_rng(kind).integers(0, 256, (6, 15), np.uint8)]
     packed = b"".join(filtered(kind, row, above, 3) for row, above in zip(rows, [bytes(15), *rows], strict=False))
     plain = png.write(np.zeros((6, 5, 3), np.uint8))
@@ -115,14 +115,14 @@ def test_the_filters_of_png(kind: int) -> None:
     assert png.read(file).tobytes() == b"".join(rows)
 
 
-def test_sounds(tmp_path: Path) -> None:
+def test_sounds_survive_a_file(tmp_path: Path) -> None:
     sound = yarp.Sound.of(np.array([[1, -2, 3], [4, 5, -32768]]), 16000)
     path = str(tmp_path / "a.wav")
     assert yarp.write(sound, path)
-    found, again, data = yarp.Sound(), yarp.Sound(), bytearray()
-    assert yarp.read(found, path)
-    assert found == sound
+    read, again, data = yarp.Sound(), yarp.Sound(), bytearray()
+    assert yarp.read(read, path)
+    assert read == sound
     assert yarp.write_bytestream(sound, data)
     assert yarp.read_bytestream(again, data, len(data), ".wav")
     assert again == sound
-    assert not yarp.read(found, str(tmp_path / "b.wav"))
+    assert not yarp.read(read, str(tmp_path / "b.wav"))

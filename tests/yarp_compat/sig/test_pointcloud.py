@@ -1,4 +1,4 @@
-"""Point clouds and sounds. No real YARP's bytes of them were recorded: the layouts here are those of its sources."""
+"""Point clouds and sounds. The layouts are those of YARP's sources, as no real bytes were recorded."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ POINT = bytes.fromhex("0000803f 00000040 00004040 00000000")
 
 
 @pytest.mark.parametrize(("profile", "tag"), [(Profile.YARP3, "0a010000"), (Profile.YARP4, "14010000")])
-def test_the_bytes_of_a_cloud(profile: Profile, tag: str) -> None:
+def test_bytes_of_a_cloud(profile: Profile, tag: str) -> None:
     cloud = PointCloudXYZ()
     cloud.push_back((1, 2, 3))
     data = bytes.fromhex("01000000 01000000 02000000 01" + tag + "01000000") + POINT
@@ -27,7 +27,7 @@ def test_the_bytes_of_a_cloud(profile: Profile, tag: str) -> None:
 
 
 @given(st.sampled_from(PointType), st.integers(0, 5), st.integers(1, 3), st.sampled_from(Profile), st.booleans())
-def test_every_kind_of_points(kind: PointType, width: int, height: int, profile: Profile, dense: bool) -> None:
+def test_every_point_type(kind: PointType, width: int, height: int, profile: Profile, dense: bool) -> None:
     points = np.zeros((height, width), LAYOUTS[kind])
     for place, name in enumerate(points.dtype.names or ()):
         points[name] = place + 1
@@ -39,7 +39,7 @@ def test_every_kind_of_points(kind: PointType, width: int, height: int, profile:
     assert again.numpy().tolist() == points.reshape(-1).tolist()
 
 
-def test_other_points_are_converted() -> None:
+def test_points_of_another_type_are_converted() -> None:
     cloud = PointCloudXYZRGBA()
     cloud.push_back((1, 2, 3, 10, 20, 30, 40))
     assert cloud[0]["r"] == 30
@@ -48,7 +48,7 @@ def test_other_points_are_converted() -> None:
     assert PointCloud.from_bytes(cloud.to_bytes())[0]["a"] == 40
 
 
-def test_a_clouds_memory() -> None:
+def test_memory_of_a_cloud_is_shared() -> None:
     points = np.zeros(4, LAYOUTS[PointType.XYZ])
     cloud = PointCloudXYZ.of(points)
     assert np.shares_memory(cloud.numpy(), points)
@@ -64,7 +64,7 @@ def test_a_clouds_memory() -> None:
 @pytest.mark.parametrize(
     ("place", "value"), [(0, 2), (0, -1), (4, 2**31 - 1), (8, 4), (13, 0x114), (17, 2), (17, 2**31 - 1), (17, -1)]
 )
-def test_a_clouds_lies_are_refused(place: int, value: int) -> None:
+def test_inconsistent_clouds_are_refused(place: int, value: int) -> None:
     data = bytearray(bytes.fromhex("01000000 01000000 02000000 01 0a010000 01000000") + POINT)
     data[place : place + 4] = value.to_bytes(4, "little", signed=True)
     with pytest.raises(WireError):
@@ -85,14 +85,14 @@ SAMPLES = "000001000200f6fff7fff8ff"
 NUMBERS = "0100000003000000 0100000002000000 0100000002000000 0100000044ac0000"
 
 
-def test_a_sound_of_3_10_on() -> None:
+def test_sound_of_3_10_and_later() -> None:
     data = bytes.fromhex("0001000005000000" + NUMBERS + "4001000006000000" + SAMPLES)
     assert tone().to_bytes(Profile.YARP3) == data
     assert Sound.from_bytes(data) == tone()
     assert binary.decode(data, Profile.YARP3) == [3, 2, 2, 44100, [0, 1, 2, -10, -9, -8]]
 
 
-def test_a_sound_of_4_0_has_markers() -> None:
+def test_sound_of_4_0_has_markers() -> None:
     sound = tone()
     data = bytes.fromhex("0001000006000000" + NUMBERS + "4001000006000000" + SAMPLES + "00010000")
     assert sound.to_bytes(Profile.YARP4) == data + bytes(4)
@@ -101,16 +101,16 @@ def test_a_sound_of_4_0_has_markers() -> None:
     assert sound.to_bytes(Profile.YARP4) == data + bytes.fromhex("01000000" + marker)
     again = Sound.from_bytes(sound.to_bytes(Profile.YARP4))
     assert again == sound
-    assert [(found.label, found.channel, found.sample_id) for found in again.getMarkers()] == [("go", 1, 2)]
+    assert [(marker.label, marker.channel, marker.sample_id) for marker in again.getMarkers()] == [("go", 1, 2)]
 
 
-def test_a_sound_of_3_9_is_read() -> None:
+def test_sound_of_3_9_is_read() -> None:
     data = bytes.fromhex("0001000004000000 00000000" + NUMBERS[8:] + SAMPLES)
     assert Sound.from_bytes(data) == tone()
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_a_sound_that_is_cut_off_or_lies(profile: Profile) -> None:
+def test_truncated_and_inconsistent_sounds_are_refused(profile: Profile) -> None:
     sound = tone()
     sound.add_marker("go", 2)
     data = sound.to_bytes(profile)
@@ -124,7 +124,7 @@ def test_a_sound_that_is_cut_off_or_lies(profile: Profile) -> None:
             Sound.from_bytes(bad, profile)
 
 
-def test_sounds_by_yarps_own_names() -> None:
+def test_sound_methods_of_yarp() -> None:
     sound = tone()
     assert (sound.getSamples(), sound.getChannels(), sound.getBytesPerSample(), sound.getFrequency()) == (
         3,

@@ -1,4 +1,4 @@
-"""The bytes that real YARP gave its typed values, made and taken apart, in the dialects of 3 and of 4."""
+"""The bytes of typed values recorded from real YARP, encoded and decoded, in both dialects."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def rgb() -> ImageRgb:
 def grid(*, zipped: bool) -> MapGrid2D:
     flags = [[4, 1, 2, 3, 0], [0, 0, 0, 0, 5]]
     occupancy = [[100, 0, 0, 0, 0], [0, 0, 0, 0, 255]]
-    made = MapGrid2D.of(flags, occupancy, name="m1", resolution=0.05, origin=(-0.1, -0.05, 0))
-    made.enable_map_compression_over_network(zipped)
-    return made
+    grid = MapGrid2D.of(flags, occupancy, name="m1", resolution=0.05, origin=(-0.1, -0.05, 0))
+    grid.enable_map_compression_over_network(zipped)
+    return grid
 
 
 VALUES: dict[str, Portable] = {
@@ -81,14 +81,14 @@ KINDS: list[type[Portable]] = [Vector, VectorInt, Matrix, ImageRgb, Sound, Laser
 
 
 def of_yarp3(data: bytes) -> bytes:
-    """The same in YARP 3, by the fact sheet's rule; outcomes of calls are another matter."""
+    """Convert the bytes to YARP 3, by the fact sheet's rule; outcomes of calls are excluded."""
     if data[:2] == b"\x0a\x01":
         return b"\x80" + data[1:]
     return re.sub(rb"\x14([\x00\x01]\x00\x00)", b"\x0a\\1", data)
 
 
 @pytest.mark.parametrize("name", VALUES)
-def test_the_bytes_of_yarp_4(name: str) -> None:
+def test_bytes_of_yarp_4(name: str) -> None:
     value, data = VALUES[name], PORTABLES[name]
     assert value.to_bytes(Profile.YARP4) == data
     assert b"".join(value.to_wire(Profile.YARP4)) == data
@@ -96,7 +96,7 @@ def test_the_bytes_of_yarp_4(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in VALUES if "ReturnValue" not in name])
-def test_the_bytes_of_yarp_3(name: str) -> None:
+def test_bytes_of_yarp_3(name: str) -> None:
     value, data = VALUES[name], of_yarp3(PORTABLES[name])
     assert value.to_bytes(Profile.YARP3) == data
     assert type(value).from_bytes(data, Profile.YARP3) == value
@@ -110,8 +110,8 @@ def kind_of(name: str) -> type[Portable]:
 
 
 @pytest.mark.parametrize("name", TYPED)
-def test_the_bytes_of_yarp_3_12_3(name: str) -> None:
-    """Written again they are the same, but for the 1 that 3.10 to 3.12 put behind an image's quantum."""
+def test_bytes_of_yarp_3_12_3(name: str) -> None:
+    """Encoded again they are the same, apart from the 1 that 3.10 to 3.12 write after an image's quantum."""
     data, kind = TYPED[name], kind_of(name)
     value = kind.from_bytes(data, Profile.YARP3)
     if isinstance(value, Image):
@@ -121,7 +121,7 @@ def test_the_bytes_of_yarp_3_12_3(name: str) -> None:
     assert kind.from_bytes(value.to_bytes(Profile.YARP4), Profile.YARP4) == value
 
 
-def test_the_content_of_yarp_3_12_3s_values() -> None:
+def test_content_of_yarp_3_12_3s_values() -> None:
     def read(name: str) -> Any:
         return kind_of(name).from_bytes(TYPED[name])
 
@@ -137,14 +137,14 @@ def test_the_content_of_yarp_3_12_3s_values() -> None:
 
 
 @pytest.mark.parametrize("name", VALUES)
-def test_the_dialect_is_recognised(name: str) -> None:
+def test_dialect_is_recognized(name: str) -> None:
     value = VALUES[name]
     assert type(value).from_bytes(PORTABLES[name]) == value
     assert type(value).from_bytes(value.to_bytes()) == value
 
 
 @pytest.mark.parametrize("name", VALUES)
-def test_the_text_form(name: str) -> None:
+def test_text_form(name: str) -> None:
     value = VALUES[name]
     again = type(value)()
     again.from_text(value.to_text())
@@ -153,7 +153,7 @@ def test_the_text_form(name: str) -> None:
 
 @pytest.mark.parametrize("name", VALUES)
 @pytest.mark.parametrize("profile", Profile)
-def test_what_is_cut_off_or_too_long_is_refused_and_changes_nothing(name: str, profile: Profile) -> None:
+def test_truncated_or_too_long_bytes_are_refused_and_change_nothing(name: str, profile: Profile) -> None:
     value, other = VALUES[name], type(VALUES[name])()
     before = other.to_bytes(profile)
     data = value.to_bytes(profile)
@@ -165,7 +165,7 @@ def test_what_is_cut_off_or_too_long_is_refused_and_changes_nothing(name: str, p
 
 @pytest.mark.parametrize("name", VALUES)
 def test_read_and_write_on_a_connection(name: str) -> None:
-    """As YARP's own classes do it; the value stands among others there."""
+    """As in YARP's classes, with the value between others."""
     from yarp_compat.wire.elements import ElementReader, ElementWriter
 
     value = VALUES[name]
@@ -198,7 +198,7 @@ def test_outcomes_of_calls_in_four_generations(generation: Generation, ok: str, 
 
 
 @pytest.mark.parametrize(
-    ("kind", "data", "what"),
+    ("kind", "data", "reason"),
     [
         (Vector, "1401000005000000", "5 elements"),
         (Vector, "14010000ffffff7f", "2147483647 elements"),
@@ -211,12 +211,12 @@ def test_outcomes_of_calls_in_four_generations(generation: Generation, ok: str, 
         (Map2DLocation, "0001000001000000040000000100000061", "5 fields"),
     ],
 )
-def test_what_is_wrong_is_said(kind: type[Portable], data: str, what: str) -> None:
-    with pytest.raises(WireError, match=what):
+def test_errors_name_the_reason(kind: type[Portable], data: str, reason: str) -> None:
+    with pytest.raises(WireError, match=reason):
         kind.from_bytes(bytes.fromhex(data), Profile.YARP4)
 
 
-def test_an_images_lies_are_refused_before_memory_is_taken() -> None:
+def test_inconsistent_images_are_refused_before_memory_is_allocated() -> None:
     good = bytearray(rgb().to_bytes())
     for place, value in [(12 + 4, b"\xff\xff\xff\x7f"), (28, b"\x04"), (32, b"\xff\xff\xff\x7f"), (36, b"\xff"),
                          (40, b"\xff\xff\xff\x7f"), (44, b"\xff\xff\xff\x7f"), (52, b"\x10"),
@@ -229,13 +229,13 @@ def test_an_images_lies_are_refused_before_memory_is_taken() -> None:
 
 
 def test_generated_structures_print_as_in_cpp() -> None:
-    """As real 3.12.3 and 4.0 print them."""
+    """The output of 3.12.3 and 4.0."""
     scan = LaserScan2D(-90, 90, 0.1, 10, Vector([0.5, 1.5, 2.5, 3.5]), 1)
     assert scan.toString() == "-90.0 90.0 0.100000000000000005551 10.0 (0.5 1.5 2.5 3.5) 1"
 
 
-def test_empty_values_are_written_as_yarp_does_and_read() -> None:
-    """Real YARP refuses to read them."""
+def test_empty_values_are_written_as_in_yarp_and_read() -> None:
+    """C++ YARP refuses to read them."""
     for value in (Vector(), VectorInt(), Matrix(), ImageRgb(), FlexImage(), Map2DArea(), Map2DPath(), LaserScan2D()):
         for profile in Profile:
             assert type(value).from_bytes(value.to_bytes(profile), profile) == value
@@ -262,23 +262,23 @@ def test_parts_of_a_matrix() -> None:
 
 
 def test_images_are_swapped_and_moved() -> None:
-    one, other = yarp.ImageMono(), yarp.ImageMono()
-    one.resize(3, 2)
-    one.setPixel(1, 1, 7)
-    assert one.getPixelAddress(1, 1) - one.getPixelAddress(0, 0) == one.getRowSize() + 1
-    assert [bytes(row) for row in one.getRowArray()] == [b"\0\0\0", b"\0\7\0"]
-    other.swap(one)
-    assert (one.width(), other.getPixel(1, 1)) == (0, 7)
-    one.move(other)
-    assert (one.getPixel(1, 1), other.width()) == (7, 0)
+    image, other = yarp.ImageMono(), yarp.ImageMono()
+    image.resize(3, 2)
+    image.setPixel(1, 1, 7)
+    assert image.getPixelAddress(1, 1) - image.getPixelAddress(0, 0) == image.getRowSize() + 1
+    assert [bytes(row) for row in image.getRowArray()] == [b"\0\0\0", b"\0\7\0"]
+    other.swap(image)
+    assert (image.width(), other.getPixel(1, 1)) == (0, 7)
+    image.move(other)
+    assert (image.getPixel(1, 1), other.width()) == (7, 0)
     with pytest.raises(TypeError):
-        one.swap(yarp.ImageRgb())
+        image.swap(yarp.ImageRgb())
     with pytest.raises(ValueError, match="flip them"):
-        one.setTopIsLowIndex(False)
+        image.setTopIsLowIndex(False)
 
 
-def test_elements_are_filled_in_by_their_memory() -> None:
-    """As the bindings' example_enc.py does: ``ienc.getEncoders(encs.data())``."""
+def test_data_fills_the_elements() -> None:
+    """As in the bindings' example_enc.py: ``ienc.getEncoders(encs.data())``."""
     vector, matrix = yarp.Vector.from_bytes(yarp.Vector([1, 2]).to_bytes()), Matrix([[1, 2], [3, 4]]).transposed()
     vector.data()[0] = 7
     matrix.data()[1] = 9

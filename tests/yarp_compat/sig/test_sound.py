@@ -1,4 +1,4 @@
-"""Sounds: parts, loudness, markers, and sounds that are made."""
+"""Sounds: parts, loudness, markers, and generated sounds."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import yarp_compat as yarp
 
 @pytest.fixture
 def sound() -> yarp.Sound:
-    made = yarp.Sound.of(np.array([[1, 2, 3, 4], [-8, 40, 0, 100]]), 10)
-    made.add_marker("from", 1)
-    made.add_marker("to", 2, 1)
-    return made
+    sound = yarp.Sound.of(np.array([[1, 2, 3, 4], [-8, 40, 0, 100]]), 10)
+    sound.add_marker("from", 1)
+    sound.add_marker("to", 2, 1)
+    return sound
 
 
-def test_parts(sound: yarp.Sound) -> None:
+def test_parts_of_a_sound(sound: yarp.Sound) -> None:
     assert sound.subSound(1, 2).sound2VecNonInterleaved() == (2, 3, 40, 0)
     assert sound.subSound("from", "to").sound2VecInterleaved() == (2, 40, 3, 0)
     assert sound.subSound("nowhere", "to").getSamples() == 3
@@ -29,7 +29,7 @@ def test_parts(sound: yarp.Sound) -> None:
     assert sound.getMarkersCount() == 0
 
 
-def test_one_behind_and_over_another(sound: yarp.Sound, caplog: pytest.LogCaptureFixture) -> None:
+def test_append_and_overwrite(sound: yarp.Sound, caplog: pytest.LogCaptureFixture) -> None:
     part = sound.subSound(2, 2)
     sound += part
     assert sound.getSamples() == 6
@@ -49,7 +49,7 @@ def test_loudness(sound: yarp.Sound) -> None:
     sound.normalize()
     assert sound.findPeak() == (1, 3, 32767)
     sound.amplify(-2)
-    assert sound.get(3, 1) == -32768  # as loud as two bytes can say
+    assert sound.get(3, 1) == -32768  # clipped to the range of two bytes
     assert sound.zeroChannel(1)
     assert not sound.zeroChannel(2)
     assert sound.getChannel(1).tolist() == [0, 0, 0, 0]
@@ -67,21 +67,21 @@ def test_markers_and_times(sound: yarp.Sound) -> None:
     assert sound.isEqual(sound)
 
 
-def test_sounds_that_are_made(caplog: pytest.LogCaptureFixture) -> None:
-    made = yarp.Sound()
-    assert yarp.makeTone(made, 0.01, 2, 8000, 1000, 1000)
-    assert made.sound2VecNonInterleaved()[:9] == (0, 707, 1000, 707, 0, -707, -1000, -707, 0)
-    assert (made.getChannels(), made.getSamples()) == (2, 80)
-    assert yarp.makeSquareWave(made, 1.0, 1, 8, 1, 100)
-    found = made.sound2VecNonInterleaved()
-    assert (found[1:4], found[5:]) == ((100, 100, 100), (-100, -100, -100))
-    assert yarp.makeSawTooth(made, 1.0, 1, 4, 1, 100)
-    assert made.sound2VecNonInterleaved() == (0, 50, -100, -50)
-    assert not yarp.makeTone(made, 0.0)
+def test_generated_sounds(caplog: pytest.LogCaptureFixture) -> None:
+    sound = yarp.Sound()
+    assert yarp.makeTone(sound, 0.01, 2, 8000, 1000, 1000)
+    assert sound.sound2VecNonInterleaved()[:9] == (0, 707, 1000, 707, 0, -707, -1000, -707, 0)
+    assert (sound.getChannels(), sound.getSamples()) == (2, 80)
+    assert yarp.makeSquareWave(sound, 1.0, 1, 8, 1, 100)
+    samples = sound.sound2VecNonInterleaved()
+    assert (samples[1:4], samples[5:]) == ((100, 100, 100), (-100, -100, -100))
+    assert yarp.makeSawTooth(sound, 1.0, 1, 4, 1, 100)
+    assert sound.sound2VecNonInterleaved() == (0, 50, -100, -50)
+    assert not yarp.makeTone(sound, 0.0)
     assert "cannot generate" in caplog.text
 
 
-def test_two_at_once() -> None:
-    one, other = yarp.Sound.of(np.array([100, -100, 50]), 8), yarp.Sound.of(np.array([10]), 8)
-    assert yarp.mix(one, other, 0.7).sound2VecNonInterleaved() == (73, -70, 35)
-    assert yarp.mix(one, yarp.Sound.of(np.array([10]), 9)).getSamples() == 0
+def test_mix_of_two_sounds() -> None:
+    first, other = yarp.Sound.of(np.array([100, -100, 50]), 8), yarp.Sound.of(np.array([10]), 8)
+    assert yarp.mix(first, other, 0.7).sound2VecNonInterleaved() == (73, -70, 35)
+    assert yarp.mix(first, yarp.Sound.of(np.array([10]), 9)).getSamples() == 0

@@ -1,4 +1,4 @@
-"""Vectors and matrices as YARP's users know them, and as numpy sees them."""
+"""Vectors and matrices with YARP's methods, and as numpy arrays."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ KINDS = VectorOf.__subclasses__()
 
 def elements(kind: type[VectorOf]) -> st.SearchStrategy[list[float]]:
     if kind.dtype.kind == "f":
-        one = st.floats(width=8 * kind.dtype.itemsize, allow_nan=False)
+        element = st.floats(width=8 * kind.dtype.itemsize, allow_nan=False)
     else:
         limits = np.iinfo(kind.dtype)
-        one = st.integers(int(limits.min), int(limits.max))
-    return st.lists(one, max_size=50)
+        element = st.integers(int(limits.min), int(limits.max))
+    return st.lists(element, max_size=50)
 
 
 @given(st.data(), st.sampled_from(KINDS), st.sampled_from(Profile))
-def test_every_element_type_there_and_back(data: st.DataObject, kind: type[VectorOf], profile: Profile) -> None:
+def test_every_element_type_survives_the_wire(data: st.DataObject, kind: type[VectorOf], profile: Profile) -> None:
     values = data.draw(elements(kind))
     vector = kind(values)
     payload = vector.to_bytes(profile)
@@ -41,7 +41,7 @@ def test_every_element_type_there_and_back(data: st.DataObject, kind: type[Vecto
 
 
 @given(st.lists(st.integers(-(2**62), 2**62) | st.floats(allow_nan=False), max_size=20), st.sampled_from(Profile))
-def test_a_vector_of_doubles_reads_any_list_of_numbers(values: list[float], profile: Profile) -> None:
+def test_vector_of_doubles_reads_any_list_of_numbers(values: list[float], profile: Profile) -> None:
     vector = Vector.from_bytes(binary.encode(values, profile), profile)
     assert list(vector) == list(map(float, values))
 
@@ -51,14 +51,14 @@ def test_a_vector_of_doubles_reads_any_list_of_numbers(values: list[float], prof
     [(VectorInt8, "1 200"), (VectorInt, "1 2.5"), (VectorInt, "3000000000 1"), (Vector, "a b"), (Vector, "1 (2)"),
      (VectorUInt8, "-1 2")],
 )  # fmt: skip
-def test_what_is_no_number_of_the_type_is_refused(kind: type[VectorOf], text: str) -> None:
+def test_numbers_that_do_not_fit_the_type_are_refused(kind: type[VectorOf], text: str) -> None:
     vector = kind([7])
     with pytest.raises(WireError):
         vector.from_text(text)
     assert list(vector) == [7]
 
 
-def test_yarps_own_names() -> None:
+def test_vector_methods_of_yarp() -> None:
     vector = Vector(3, 1.5)
     assert (vector.size(), vector.length(), len(vector), list(vector)) == (3, 3, 3, [1.5] * 3)
     vector.set(1, 2)
@@ -98,7 +98,7 @@ def test_yarps_own_names() -> None:
     )
 
 
-def test_pushing_many_is_not_slower_by_the_square() -> None:
+def test_push_back_takes_constant_time() -> None:
     vector = VectorInt()
     for number in range(10_000):
         vector.push_back(number)
@@ -124,7 +124,7 @@ def test_numpy_shares_the_memory() -> None:
 
 
 @pytest.mark.parametrize("writable", [False, True])
-def test_what_was_read_is_a_view_until_it_is_changed(writable: bool) -> None:
+def test_received_vector_is_a_view_until_it_changes(writable: bool) -> None:
     payload = Vector([1, 2, 3]).to_bytes()
     memory = bytearray(payload) if writable else payload
     vector = Vector.from_bytes(memory)
@@ -134,20 +134,20 @@ def test_what_was_read_is_a_view_until_it_is_changed(writable: bool) -> None:
     assert memory == (Vector([9, 2, 3]).to_bytes() if writable else payload)
 
 
-def test_vectors_of_floats_of_yarp_3_are_not_taken_for_yarp_4s_doubles() -> None:
+def test_floats_of_yarp_3_are_not_mistaken_for_doubles_of_yarp_4() -> None:
     assert VectorFloat([1, 2]).to_bytes(Profile.YARP3).hex() == "80010000020000000000803f00000040"
     assert list(Vector.from_bytes(VectorFloat([1, 2]).to_bytes(Profile.YARP4))) == [1, 2]
     assert list(Vector.from_bytes(VectorFloat([1, 2]).to_bytes(Profile.YARP3))) == [1, 2]
 
 
 @given(st.integers(0, 6), st.integers(0, 6), st.sampled_from(Profile))
-def test_matrices_there_and_back(rows: int, cols: int, profile: Profile) -> None:
+def test_matrices_survive_the_wire(rows: int, cols: int, profile: Profile) -> None:
     matrix = Matrix(np.arange(rows * cols).reshape(rows, cols))
     assert Matrix.from_bytes(matrix.to_bytes(profile), profile) == matrix
     assert (matrix.rows(), matrix.cols()) == (rows, cols)
 
 
-def test_matrices_by_yarps_own_names() -> None:
+def test_matrix_methods_of_yarp() -> None:
     matrix = Matrix(2, 3)
     matrix.set(0, 1, 5)
     matrix[1, 2] = 6
@@ -172,7 +172,7 @@ def test_matrices_by_yarps_own_names() -> None:
     assert read.isEqual(Matrix([[-1, 1], [9, 0], [0, 0]]))
 
 
-def test_what_takes_a_pointer_in_cpp_fills_the_vector_itself() -> None:
+def test_functions_with_a_pointer_in_cpp_fill_the_vector() -> None:
     vector = Vector(2)
     vector.data()[1] = 1.5
     assert list(vector) == [0.0, 1.5]

@@ -1,4 +1,4 @@
-"""Values of every kind that a Bottle can hold, to be made at random."""
+"""Hypothesis strategies for values of every type that a Bottle can contain."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from yarp_compat.wire.text import rounded
 from yarp_compat.wire.values import Float32, Int8, Int16, Int64, Vocab, Vocab64
 
 letters = st.text([chr(code) for code in range(33, 127) if chr(code) not in r'"\()[]{},'], min_size=1, max_size=8)
-words = letters.filter(lambda word: word != "1")
-"""`1` alone is true."""
+nonempty = letters.filter(lambda word: word != "1")
+"""The word `1` would be true."""
 strings = st.text(st.characters(exclude_categories=["Cs"]), max_size=20) | st.binary(max_size=8).map(
     lambda data: data.decode(errors="surrogateescape")
 )
@@ -25,8 +25,8 @@ numbers = (
     | st.floats()
     | st.floats(width=32).map(Float32)
 )
-vocabs = st.booleans() | words.map(Vocab)
-leaves = numbers | vocabs | words.map(Vocab64) | strings | st.binary(max_size=20)
+vocabs = st.booleans() | nonempty.map(Vocab)
+leaves = numbers | vocabs | nonempty.map(Vocab64) | strings | st.binary(max_size=20)
 
 
 def _inner(values: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
@@ -43,7 +43,7 @@ bottles = st.lists(st.recursive(leaves, _inner, max_leaves=20), max_size=8) | st
 
 
 def typed(value: Any) -> Any:
-    """A value with the types by which it is written, to be compared: of ints by size, of nan as itself."""
+    """Add the wire types to a value for comparison: of ints by size, of nan as equal to itself."""
     if isinstance(value, (list, tuple)):
         return [typed(item) for item in value]
     if isinstance(value, dict):

@@ -44,10 +44,10 @@ MEASURED: dict[str, list[Any]] = {
     "7 dict{x:1}": [7, {"x": 1}],
     "quoting": ["a b", "", "true", "12", 'a"b\\c\nd\te', "x-1.y_z", "/port", "é", "[v]"],
 }
-"""What a real YARP 4.0 was given (`data/portables.txt`)."""
+"""The values encoded by a real YARP 4.0 (`data/portables.txt`)."""
 
 FLOATS = {b"\x0a\x01": b"\x80\x01", b"\x14\x01": b"\x0a\x01"}
-"""The tags of lists of floats that YARP 3 writes in the place of those of YARP 4."""
+"""The tags of lists of floats of YARP 4, and those of YARP 3."""
 
 
 def data(text: str) -> bytes:
@@ -55,7 +55,7 @@ def data(text: str) -> bytes:
 
 
 @pytest.mark.parametrize("name", MEASURED)
-def test_the_bytes_of_real_yarp(name: str) -> None:
+def test_bytes_of_real_yarp(name: str) -> None:
     values, wire = MEASURED[name], PORTABLES[f"Bottle {name}"]
     assert encode(values, Profile.YARP4) == wire
     assert typed(decode(wire, Profile.YARP4)) == typed(values)
@@ -66,7 +66,7 @@ def test_the_bytes_of_real_yarp(name: str) -> None:
         assert typed(decode(older, Profile.YARP3)) == typed(values)
 
 
-def test_a_property_and_a_stamp_of_real_yarp() -> None:
+def test_property_and_stamp_of_real_yarp() -> None:
     stamp = [5, 123.5]
     assert encode(stamp, Profile.YARP4) == PORTABLES["Stamp"]
     assert encode(stamp, Profile.YARP3) == PORTABLES["Stamp"].replace(b"\x14\0\0\0", b"\x0a\0\0\0")
@@ -75,7 +75,7 @@ def test_a_property_and_a_stamp_of_real_yarp() -> None:
 
 @pytest.mark.parametrize("profile", Profile)
 @given(values=bottles)
-def test_all_values_come_back(profile: Profile, values: list[Any]) -> None:
+def test_all_values_survive_encoding(profile: Profile, values: list[Any]) -> None:
     if profile is Profile.YARP3:
         values = _without_long_vocabs(values)
     wire = encode(values, profile)
@@ -90,7 +90,7 @@ def test_all_values_come_back(profile: Profile, values: list[Any]) -> None:
 
 @pytest.mark.parametrize("profile", Profile)
 @given(values=bottles)
-def test_what_is_cut_off_is_incomplete(profile: Profile, values: list[Any]) -> None:
+def test_truncated_bottle_is_incomplete(profile: Profile, values: list[Any]) -> None:
     wire = encode(values, profile)
     for end in {0, 1, 7, 8, 12, len(wire) // 2, len(wire) - 1} - {len(wire)}:
         with pytest.raises(Incomplete):
@@ -99,33 +99,33 @@ def test_what_is_cut_off_is_incomplete(profile: Profile, values: list[Any]) -> N
         decode(wire + b"ab", profile)
 
 
-def test_lists_of_one_type_may_be_written_with_tags() -> None:
+def test_lists_of_one_type_may_have_tags() -> None:
     wire = data("0001000002000000 0100000001000000 0100000002000000")
     assert decode(wire) == [1, 2]
     nested = data("0001000001000000 0001000001000000 0a000000 0000000000000840")
     assert decode(nested, Profile.YARP3) == [[3.0]]
 
 
-def test_a_small_int_may_be_the_last_of_a_mixed_list() -> None:
+def test_small_int_can_end_a_mixed_list() -> None:
     for values in ([1, Int8(-2)], ["a", Int16(-300)], [Int8(1), Int16(2)]):
         assert typed(decode(encode(values, Profile.YARP3))) == typed(values)
 
 
-def test_ints_have_the_smallest_size_from_32_bits_on() -> None:
+def test_ints_have_32_bits_or_64_if_needed() -> None:
     assert encode([2**31 - 1, -(2**31)], Profile.YARP3)[:4] == data("01010000")
     assert encode([2**31, -(2**31) - 1], Profile.YARP3)[:4] == data("11010000")
     assert encode([1, 2**31], Profile.YARP3) == data("0001000002000000 0100000001000000 110000000000008000000000")
     assert encode([Int64(1), 2**31], Profile.YARP3)[:4] == data("11010000")
 
 
-def test_dicts_are_sorted_and_hold_groups() -> None:
+def test_dicts_are_sorted_and_may_contain_groups() -> None:
     grouped = {"n": 1, "G": ({"b": 2}, 3), "E": (), "A": Group(y=2, x=1)}
-    (found,) = decode(encode([grouped], Profile.YARP3))
-    assert list(found) == ["A", "E", "G", "n"]
-    assert found == {"A": (["x", 1], ["y", 2]), "E": (), "G": ({"b": 2}, 3), "n": 1}
+    (decoded,) = decode(encode([grouped], Profile.YARP3))
+    assert list(decoded) == ["A", "E", "G", "n"]
+    assert decoded == {"A": (["x", 1], ["y", 2]), "E": (), "G": ({"b": 2}, 3), "n": 1}
 
 
-def test_a_dicts_entries_that_are_no_lists_do_not_count() -> None:
+def test_entries_of_a_dict_that_are_not_lists_are_ignored() -> None:
     wire = data("0001000001000000 00030000") + encode([5, [], [7, "x"], ["k", 1], ["k", 2]], Profile.YARP3)
     assert decode(wire) == [{"": (), "7": "x", "k": 2}]
     assert decode(encode(decode(wire), Profile.YARP3)) == decode(wire)
@@ -171,7 +171,7 @@ def test_large_arrays_and_blobs_are_not_copied() -> None:
     assert any(part is blob for part in parts)
 
 
-def test_what_is_like_a_known_type_is_written_as_it() -> None:
+def test_subclasses_are_written_as_their_base() -> None:
     class Name(str):
         __slots__ = ()
 
@@ -179,7 +179,7 @@ def test_what_is_like_a_known_type_is_written_as_it() -> None:
     assert encode([*odd, range(2)], Profile.YARP3) == encode([1, "n", b"b", b"m", [1.5], [0, 1]], Profile.YARP3)
 
 
-def test_yarp_3_has_vocabs_of_four_letters() -> None:
+def test_vocabs_of_yarp_3_have_four_letters() -> None:
     assert encode([Vocab("setmap")], Profile.YARP3) == encode([Vocab("setm")], Profile.YARP3)
     assert encode([Vocab64("set")], Profile.YARP3) == encode([Vocab("set")], Profile.YARP3)
     assert encode([Vocab64("set")], Profile.YARP4)[:4] == data("12010000")
@@ -202,7 +202,7 @@ def test_yarp_3_has_vocabs_of_four_letters() -> None:
         ({1, 2}, "cannot contain"),
     ],
 )
-def test_what_no_bottle_can_hold(value: Any, reason: str) -> None:
+def test_unsupported_values_are_refused(value: Any, reason: str) -> None:
     for values in ([value], [value, "x"], [[value]], [value, value]):
         with pytest.raises(WireError, match=reason):
             encode(values, Profile.YARP4)
@@ -232,18 +232,18 @@ def test_what_no_bottle_can_hold(value: Any, reason: str) -> None:
         ("0104000001000000 00000000", "not the tag of a list"),
     ],
 )
-def test_what_is_no_bottle(wire: str, reason: str) -> None:
+def test_invalid_bottles_are_refused(wire: str, reason: str) -> None:
     with pytest.raises(WireError, match=reason):
         decode(data(wire), Profile.YARP3)
 
 
-def test_nothing_is_reserved_for_what_has_not_come() -> None:
+def test_announced_sizes_reserve_no_memory() -> None:
     for tag in (0, *tags.sizes(Profile.YARP3), tags.STRING):
         with pytest.raises(WireError):
             decode(struct.pack("<ii", 256 | tag, 2**31 - 1) + bytes(100), Profile.YARP3)
 
 
-def test_lists_are_nested_only_so_deep() -> None:
+def test_nesting_of_lists_is_limited() -> None:
     values: list[Any] = []
     for _ in range(tags.MAX_DEPTH):
         values = [values]
@@ -280,7 +280,7 @@ def _without_long_vocabs(values: Any) -> Any:
 
 
 def _listed(values: Any) -> Any:
-    """Arrays as lists of the values that they hold."""
+    """Convert arrays to lists."""
     if isinstance(values, np.ndarray):
         return decode(encode(values, Profile.YARP4), Profile.YARP4)  # type: ignore[arg-type]
     if isinstance(values, (list, tuple)):

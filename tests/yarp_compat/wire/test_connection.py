@@ -1,4 +1,4 @@
-"""Introductions, messages, commands and datagrams against the bytes of real YARPs, and round trips."""
+"""Introductions, messages, commands and datagrams: recorded bytes of real YARP, and round trips."""
 
 from __future__ import annotations
 
@@ -27,36 +27,36 @@ NAMES = st.text(st.characters(min_codepoint=33, exclude_categories=["Cs"]), min_
 def test_openings(name: str) -> None:
     carrier = carriers.CARRIERS[name]
     assert carrier.opening == bytes.fromhex(OPENINGS[name])
-    said = carriers.opening(carrier, "/w")
-    assert said == carrier.opening + (b"/w\r\n" if carrier.text else b"\x03\0\0\0/w\0")
-    assert carriers.parse_opening(said + b"more") == Opening(carrier, "/w", "", len(said))
-    for end in range(len(said)):
-        assert carriers.parse_opening(said[:end]) is None
+    data = carriers.opening(carrier, "/w")
+    assert data == carrier.opening + (b"/w\r\n" if carrier.text else b"\x03\0\0\0/w\0")
+    assert carriers.parse_opening(data + b"more") == Opening(carrier, "/w", "", len(data))
+    for end in range(len(data)):
+        assert carriers.parse_opening(data[:end]) is None
 
 
 def test_qualifiers() -> None:
-    """They travel behind the sender's name."""
+    """They follow the sender's name."""
     carrier, qualifiers = carriers.parse("tcp+recv.portmonitor+type.dll")
-    said = carriers.opening(carrier, "/w", qualifiers)
-    assert said == b"YA\xe4\x1e\0\0RP" + b"\x21\0\0\0/w (recv portmonitor) (type dll)\0"
-    assert carriers.parse_opening(said) == Opening(carriers.TCP, "/w", "(recv portmonitor) (type dll)", len(said))
+    data = carriers.opening(carrier, "/w", qualifiers)
+    assert data == b"YA\xe4\x1e\0\0RP" + b"\x21\0\0\0/w (recv portmonitor) (type dll)\0"
+    assert carriers.parse_opening(data) == Opening(carriers.TCP, "/w", "(recv portmonitor) (type dll)", len(data))
 
 
 @pytest.mark.parametrize(
-    ("said", "carrier"), [(b"GET / HTTP/1.1", "http"), (b"POST /form", "http"), (b"NAME_SERVER q", "name_ser")]
+    ("data", "carrier"), [(b"GET / HTTP/1.1", "http"), (b"POST /form", "http"), (b"NAME_SERVER q", "name_ser")]
 )
-def test_openings_without_a_name(said: bytes, carrier: str) -> None:
-    opened = carriers.parse_opening(said)
+def test_openings_without_a_name(data: bytes, carrier: str) -> None:
+    opened = carriers.parse_opening(data)
     assert opened is not None
     assert (opened.carrier.name, opened.size) == (carrier, 0)
 
 
 @given(st.sampled_from(sorted(OPENINGS)), NAMES)
 def test_any_name(carrier: str, name: str) -> None:
-    said = carriers.opening(carriers.CARRIERS[carrier], name)
-    opened = carriers.parse_opening(said)
+    data = carriers.opening(carriers.CARRIERS[carrier], name)
+    opened = carriers.parse_opening(data)
     assert opened is not None
-    assert (opened.sender, opened.size) == (name, len(said))
+    assert (opened.sender, opened.size) == (name, len(data))
 
 
 def test_answers() -> None:
@@ -69,7 +69,7 @@ def test_answers() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "reason"),
     [
         ("shmem", "not supported"),
         ("http", "not supported"),
@@ -77,13 +77,13 @@ def test_answers() -> None:
         ("x", "unknown"),
     ],
 )
-def test_carriers_that_make_no_output(name: str, told: str) -> None:
-    with pytest.raises(WireError, match=f"{name}.*{told}.*use one of tcp, fast_tcp, udp"):
+def test_carriers_without_outputs(name: str, reason: str) -> None:
+    with pytest.raises(WireError, match=f"{name}.*{reason}.*use one of tcp, fast_tcp, udp"):
         carriers.parse(name)
 
 
 @pytest.mark.parametrize(("number", "named"), [(14, "shmem"), (5, "number 5"), (-7777, "number 0")])
-def test_openings_of_other_carriers(number: int, named: str) -> None:
+def test_openings_of_unsupported_carriers(number: int, named: str) -> None:
     with pytest.raises(WireError, match=named):
         carriers.recognise(carriers.frame(7777 + number))
 
@@ -99,8 +99,8 @@ def test_annotated_message() -> None:
         "00 00 00 00 7e 44 00 01"
     )
     assert framing.prefix(len(payload)) == head
-    word, content = framing.parse(head + payload)
-    assert (word.key, word.envelope, bytes(content)) == ("D", "", payload)
+    command, content = framing.parse(head + payload)
+    assert (command.key, command.envelope, bytes(content)) == ("D", "", payload)
     assert bytes.fromhex("59 41 00 00 00 00 52 50") == framing.ACK
     assert (
         bytes.fromhex(
@@ -111,9 +111,9 @@ def test_annotated_message() -> None:
 
 
 def test_annotated_envelope() -> None:
-    told = bytes.fromhex("18 00 00 00 7e 00 00 01") + b"D 3580 1795143618.02289\0"
-    assert framing.with_envelope("D", "3580 1795143618.02289") == told
-    assert framing.parse_command(told) == (framing.PortCommand("D", "D 3580 1795143618.02289"), 32)
+    encoded = bytes.fromhex("18 00 00 00 7e 00 00 01") + b"D 3580 1795143618.02289\0"
+    assert framing.with_envelope("D", "3580 1795143618.02289") == encoded
+    assert framing.parse_command(encoded) == (framing.PortCommand("D", "D 3580 1795143618.02289"), 32)
 
 
 @given(
@@ -122,23 +122,23 @@ def test_annotated_envelope() -> None:
     st.text(st.characters(min_codepoint=32, exclude_categories=["Cs"]), max_size=40),
 )
 def test_messages(payload: bytes, key: str, envelope: str) -> None:
-    said = framing.prefix(len(payload), key, envelope) + payload
-    word, content = framing.parse(said)
-    assert (word.key, word.envelope, bytes(content)) == (key, envelope, payload)
+    data = framing.prefix(len(payload), key, envelope) + payload
+    command, content = framing.parse(data)
+    assert (command.key, command.envelope, bytes(content)) == (key, envelope, payload)
     with pytest.raises(WireError):
-        framing.parse(said[:-1] if payload else said + b"x")
+        framing.parse(data[:-1] if payload else data + b"x")
 
 
 @given(st.lists(st.binary(max_size=20), min_size=1, max_size=254))
-def test_blocks_belong_together(blocks: list[bytes]) -> None:
+def test_blocks_are_concatenated(blocks: list[bytes]) -> None:
     all_blocks = [framing.command_bytes("D"), *blocks]
     head = framing.INDEX + bytes([len(all_blocks), 1]) + b"\xff" * 8
-    said = head + struct.pack(f"<{len(all_blocks)}i", *map(len, all_blocks)) + bytes(4) + b"".join(all_blocks)
-    assert bytes(framing.parse(said)[1]) == b"".join(blocks)
+    data = head + struct.pack(f"<{len(all_blocks)}i", *map(len, all_blocks)) + bytes(4) + b"".join(all_blocks)
+    assert bytes(framing.parse(data)[1]) == b"".join(blocks)
 
 
 @pytest.mark.parametrize("total", [65, 1 << 31])
-def test_announcements_above_the_limit(total: int) -> None:
+def test_announced_sizes_above_the_limit_are_refused(total: int) -> None:
     head = framing.INDEX + b"\3\1" + b"\xff" * 8 + struct.pack("<3I", total // 2, total - total // 2 - 1, 1)
     with pytest.raises(WireError, match="announces"):
         framing.body_size(head, 0, 64)
@@ -148,22 +148,22 @@ def test_announcements_above_the_limit(total: int) -> None:
 
 
 def test_recorded_datagram() -> None:
-    """Captured from mcast of 4.0; udp's are the same. And one that only ends a stream."""
+    """Captured from mcast of 4.0, identical to udp's; and one that only ends a stream."""
     recorded = bytes.fromhex(
         "e5 18 af 9b 00 00 00 00 59 41 0a 00 00 00 52 50 02 01 ff ff ff ff ff ff ff ff 08 00 00 00 1b 00 00 00"
         "00 00 00 00 00 00 00 00 7e 44 00 01 00 01 00 00 02 00 00 00 04 00 00 00 03 00 00 00 6d 73 67 01 00 00 00"
         "05 00 00 00"
     )
     assembler = Assembler()
-    found = assembler.add(recorded)
-    assert found == recorded[8:]
-    assert list(split([found])) == [recorded]
+    message = assembler.add(recorded)
+    assert message == recorded[8:]
+    assert list(split([message])) == [recorded]
     assert assembler.add(bytes.fromhex("76 68 8a e3 ff ff ff ff 00 00 00 00 00 00 00 00 00 00")) is None
     assert (assembler.spoiled, assembler.incomplete) == (0, 0)
 
 
 @pytest.mark.parametrize("size", [0, 1, LARGEST - 38, LARGEST - 37, 3 * LARGEST])
-def test_splitting(size: int) -> None:
+def test_messages_are_split(size: int) -> None:
     payload = bytes(range(256)) * (size // 256) + bytes(size % 256)
     whole = framing.prefix(size) + payload
     parts = list(split([framing.prefix(size), payload[: size // 3], payload[size // 3 :]]))
@@ -174,14 +174,14 @@ def test_splitting(size: int) -> None:
 
 
 @given(st.lists(st.integers(0, 4), max_size=30))
-def test_lost_repeated_and_swapped(order: list[int]) -> None:
-    """Only messages whose datagrams came in order come out, and each of those whole."""
+def test_lost_repeated_and_swapped_datagrams(order: list[int]) -> None:
+    """Only messages whose datagrams arrived in order are returned, each complete."""
     whole = framing.prefix(200) + bytes(200)
     parts = [datagram(whole[i * 50 : i * 50 + 50], i) for i in range(5)]
     assembler = Assembler()
-    found = [assembler.add(parts[i]) for i in order]
+    messages = [assembler.add(parts[i]) for i in order]
     in_order = sum(order[i : i + 5] == [0, 1, 2, 3, 4] for i in range(len(order)))
-    assert [f for f in found if f is not None] == [whole] * in_order
+    assert [f for f in messages if f is not None] == [whole] * in_order
 
 
 def test_memory_of_datagrams_is_bounded() -> None:

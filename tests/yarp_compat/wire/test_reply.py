@@ -1,4 +1,4 @@
-"""Where replies end, and whose bytes a Bottle has."""
+"""Detection of the end of a reply, and of a Bottle's profile."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from yarp_compat.wire.values import Float32, Vocab
 
 ACK = bytes.fromhex("5941000000005250")
 ordinary = st.integers(-1000, 1000).map(lambda number: number / 8)
-"""Floats whose bytes do not look like tags."""
+"""Floats whose bytes do not resemble tags."""
 floats = st.lists(ordinary | ordinary.map(Float32) | st.integers(100, 10**6) | strings, max_size=5)
 
 
 @pytest.mark.parametrize("profile", Profile)
 @given(values=bottles, step=st.integers(1, 40))
-def test_the_end_is_found_in_pieces(profile: Profile, values: list[Any], step: int) -> None:
+def test_end_is_found_in_pieces(profile: Profile, values: list[Any], step: int) -> None:
     wire = encode(values, profile)
     reader = ReplyReader(profile)
     for end in range(0, len(wire), step):
@@ -38,7 +38,7 @@ def test_the_end_is_found_in_pieces(profile: Profile, values: list[Any], step: i
 @pytest.mark.parametrize("profile", Profile)
 @given(values=floats | st.lists(floats, max_size=3))
 @example(values=[[Float32(0.0)], ["000000000"]])
-def test_the_profile_is_told_by_an_acknowledged_reply(profile: Profile, values: list[Any]) -> None:
+def test_profile_is_detected_from_an_acknowledged_reply(profile: Profile, values: list[Any]) -> None:
     wire = encode(values, profile)
     reader = ReplyReader()
     whole = wire + ACK
@@ -51,7 +51,7 @@ def test_the_profile_is_told_by_an_acknowledged_reply(profile: Profile, values: 
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_what_only_one_profile_has_tells(profile: Profile) -> None:
+def test_profile_is_detected_from_its_own_tags(profile: Profile) -> None:
     for values in ([1.5], [Float32(1.5)], [[1, [2.5, "x"]]], [{"a": 1.5}], [Float32(1.5), "text", 7]):
         assert recognise(encode(values, profile)) is profile
     for values in ([], [1, "a", b"b", [Vocab("set"), True]], [{"a": 1}]):
@@ -60,7 +60,7 @@ def test_what_only_one_profile_has_tells(profile: Profile) -> None:
 
 
 @pytest.mark.parametrize("values", [[0.5] * 3, [0.5, "x", 3], [Float32(0.5)] * 3, [Float32(0.5), "x"], [1, 2]])
-def test_without_an_acknowledgement_too(values: list[Any]) -> None:
+def test_profile_is_detected_without_an_acknowledgement(values: list[Any]) -> None:
     wire = encode(values, Profile.YARP3)
     reader = ReplyReader(acked=False)
     assert reader.end(wire) == len(wire)
@@ -68,8 +68,8 @@ def test_without_an_acknowledgement_too(values: list[Any]) -> None:
         assert reader.profile is Profile.YARP3
 
 
-def test_the_acknowledgement_decides() -> None:
-    """Two numbers of four bytes, or one of eight: what follows tells."""
+def test_acknowledgement_decides_the_profile() -> None:
+    """Two numbers of four bytes, or one of eight: the bytes after them decide."""
     wire = encode([Float32(0.5)] * 2, Profile.YARP4)
     reader = ReplyReader()
     for end in (len(wire), len(wire) + 7):
@@ -79,13 +79,13 @@ def test_the_acknowledgement_decides() -> None:
     assert reader.profile is Profile.YARP4
 
 
-def test_what_no_acknowledgement_follows_in_either_profile_is_refused() -> None:
+def test_missing_acknowledgement_is_an_error() -> None:
     wire = encode([Float32(0.5)] * 2, Profile.YARP4)
     with pytest.raises(WireError, match="no acknowledgement follows"):
         ReplyReader().end(wire + b"x" * 16)
 
 
-def test_each_byte_is_looked_at_once() -> None:
+def test_each_byte_is_read_once() -> None:
     class Counted(bytes):
         seen = 0
 
@@ -122,16 +122,16 @@ def test_each_byte_is_looked_at_once() -> None:
         (struct.pack("<ii", 256, 1) * 130, "nested deeper"),
     ],
 )
-def test_what_is_no_reply(wire: bytes, reason: str) -> None:
+def test_invalid_replies_are_refused(wire: bytes, reason: str) -> None:
     for reader in (ReplyReader(Profile.YARP3, limit=1040), ReplyReader(limit=1040)):
-        with pytest.raises(WireError, match=reason) as found:
+        with pytest.raises(WireError, match=reason) as raised:
             reader.end(wire)
-        assert type(found.value) is WireError
+        assert type(raised.value) is WireError
     with pytest.raises(WireError):
         recognise(wire)
 
 
-def test_what_is_too_long_or_too_short_is_not_recognised() -> None:
+def test_bottles_of_the_wrong_length_are_not_recognized() -> None:
     wire = encode([1, 2], Profile.YARP3)
     for wrong in (wire[:-1], wire + b"x", b""):
         with pytest.raises(WireError):

@@ -28,20 +28,20 @@ PARSED = re.findall(r"PARSE <(.*)>\n((?:    \[\d+\] code=\d+ <[^>]*>\n)+)", MEAS
 
 
 @pytest.mark.parametrize(("printed", "name"), PRINTED, ids=[name for _, name in PRINTED])
-def test_real_yarp_printed_so(printed: str, name: str) -> None:
+def test_text_printed_by_real_yarp(printed: str, name: str) -> None:
     values = decode(PORTABLES[name], Profile.YARP4)
     assert to_text(values) == printed
     assert to_text(from_text(printed)) == printed
 
 
-def test_all_that_was_measured_is_tested() -> None:
+def test_all_measurements_are_tested() -> None:
     assert len(PRINTED) == 22
     assert len(PARSED) == MEASURED.count("PARSE") == 5
 
 
-@pytest.mark.parametrize(("given_text", "found"), PARSED, ids=[given_text for given_text, _ in PARSED])
-def test_real_yarp_understood_so(given_text: str, found: str) -> None:
-    expected = re.findall(r"code=(\d+) <([^>]*)>", found)
+@pytest.mark.parametrize(("given_text", "values"), PARSED, ids=[given_text for given_text, _ in PARSED])
+def test_text_parsed_by_real_yarp(given_text: str, values: str) -> None:
+    expected = re.findall(r"code=(\d+) <([^>]*)>", values)
     values = [Value.of(value) for value in from_text(given_text)]
     assert [(str(value.getCode(Profile.YARP4)), value.toString()) for value in values] == expected
 
@@ -62,13 +62,13 @@ def test_real_yarp_understood_so(given_text: str, found: str) -> None:
     ],
 )  # fmt: skip
 def test_odd_words(word: str, value: Any) -> None:
-    """As `yarp/os/impl/BottleImpl.cpp` and C's number functions say; the measured ones are above."""
+    """As in `yarp/os/impl/BottleImpl.cpp` and C's number functions; the measured ones are above."""
     assert typed(from_text(word)) == typed([value])
     assert typed(from_text(f" x,{word}\t y")) == typed(["x", value, "y"])
 
 
 @pytest.mark.parametrize("lost", ["(a b", '"a b', "a) b", "{1 2", "x\\", "(a) b)", "", " ,\t\n\r", '"a\\"'])
-def test_what_is_not_closed_is_lost(lost: str) -> None:
+def test_unclosed_parts_are_dropped(lost: str) -> None:
     values = from_text("first " + lost)
     assert values[0] == "first"
     assert len(values) <= 2
@@ -82,11 +82,11 @@ def test_what_is_not_closed_is_lost(lost: str) -> None:
         ("", True), ('"(" ")"', True), ('"a\\"', False),
     ],
 )  # fmt: skip
-def test_whether_a_text_goes_on_in_the_next_line(line: str, whole: bool) -> None:
+def test_unclosed_text_continues_in_the_next_line(line: str, whole: bool) -> None:
     assert is_complete(line) is whole
 
 
-def test_other_values_are_printed_as_their_like() -> None:
+def test_subclasses_are_printed_as_their_base() -> None:
     assert to_text([Float32(0.1), np.float32(0.5), np.arange(2), (1, 2), Int8(3)]) == (
         "0.100000001490116119385 0.5 (0 1) (1 2) 3"
     )
@@ -97,24 +97,24 @@ def test_other_values_are_printed_as_their_like() -> None:
             to_text([wrong])
 
 
-def test_one_value_alone() -> None:
+def test_text_of_one_value() -> None:
     values = ["a b", Vocab("set"), [1, ["x y"]], b"\x01\x02", 1.5, True, {"k": 1}]
     assert [plain_text(value) for value in values] == ["a b", "set", '1 ("x y")', "1 2", "1.5", "true", "(k 1)"]
     assert value_text("a b") == '"a b"'
     assert plain_text("") == ""
 
 
-def test_the_word_null_comes_back_as_a_vocab() -> None:
+def test_word_null_is_parsed_as_a_vocab() -> None:
     assert to_text(["null"]) == "null"
     assert typed(from_text("null")) == typed([Vocab("null")])
 
 
 @given(values=bottles)
-def test_values_come_back_as_text_says_them(values: list[Any]) -> None:
+def test_values_survive_the_text_form(values: list[Any]) -> None:
     printed = to_text(values)
-    assume("null" not in printed)  # YARP says that word as it is, and takes it for a vocab
+    assume("null" not in printed)  # YARP prints that word unquoted, and parses it as a vocab
     back = from_text(printed)
-    assert typed(back) == typed([_said(value) for value in values])
+    assert typed(back) == typed([_without_types(value) for value in values])
     assert to_text(back) == printed
     assert is_complete(printed)
 
@@ -122,15 +122,15 @@ def test_values_come_back_as_text_says_them(values: list[Any]) -> None:
 @given(line=st.text(st.sampled_from('ab1.-x0e+ ,\t\n"\\(){}[]é\0'), max_size=40))
 @example(line='"\\')
 @example(line="a\\ b")
-def test_any_text_is_taken_apart_character_by_character(line: str) -> None:
-    """Against the same rules applied to one character after the other."""
+def test_any_text_is_split_like_character_by_character(line: str) -> None:
+    """Compare with the same rules applied to one character after another."""
     assert text.split_words(line)[0] == _slowly_split(line)
     values = from_text(line)
     assert typed(values) == typed(text.TextReader(line).values(line, 0))
     assert isinstance(to_text(values), str)
 
 
-def test_lists_are_nested_only_so_deep() -> None:
+def test_nesting_of_lists_is_limited() -> None:
     values: list[Any] = []
     for _ in range(tags.MAX_DEPTH):
         values = [values]
@@ -142,20 +142,20 @@ def test_lists_are_nested_only_so_deep() -> None:
         to_text([values])
 
 
-def test_the_work_for_a_text_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_for_a_text_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(text, "LARGEST_WORK", 1000)
     assert from_text("(1) " * 1000)[0] == [1]
     with pytest.raises(WireError, match="too deep for its length"):
         from_text("(((((((" + "1 " * 500 + "))))))x)")
 
 
-def test_long_numbers_take_no_time() -> None:
-    for word in ("1" * 10**6, "0." + "1" * 10**6, "1e" + "9" * 10**6, "+" * 10**6, "0" * 10**6, "-0x" + "0" * 10**6):
-        assert len(from_text(word)) == 1
+def test_long_numbers_are_parsed_quickly() -> None:
+    for number in ("1" * 10**6, "0." + "1" * 10**6, "1e" + "9" * 10**6, "+" * 10**6, "0" * 10**6, "-0x" + "0" * 10**6):
+        assert len(from_text(number)) == 1
 
 
-def _said(value: Any) -> Any:
-    """What a value is after it was said in a text: without the types that texts do not tell."""
+def _without_types(value: Any) -> Any:
+    """Remove the types that the text form does not show."""
     if isinstance(value, bool):
         return value
     if isinstance(value, Vocab):
@@ -166,8 +166,8 @@ def _said(value: Any) -> Any:
     if isinstance(value, Float32):
         return float(text.rounded(value))
     if isinstance(value, dict):
-        return [_said(entry) for entry in entries_of(value)]
-    return [_said(item) for item in value] if isinstance(value, (list, tuple)) else value
+        return [_without_types(entry) for entry in entries_of(value)]
+    return [_without_types(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
 def _number(data: bytes, size: int) -> int:
@@ -175,25 +175,25 @@ def _number(data: bytes, size: int) -> int:
 
 
 def _slowly_split(line: str) -> list[str]:
-    words, word = [], ""
+    tokens, token = [], ""
     escaped = quoted = False
     level = {"(": 0, "{": 0}
     for char in line + " ":
         if escaped:
-            word, escaped = word + char, False
-        elif char in " \t\n\r," and (not word or not (quoted or any(level.values()))):
-            words += [word] if word else []
-            word = ""
+            token, escaped = token + char, False
+        elif char in " \t\n\r," and (not token or not (quoted or any(level.values()))):
+            tokens += [token] if token else []
+            token = ""
         else:
-            word += char
+            token += char
             escaped = char == "\\"
             quoted ^= char == '"'
             if not quoted and char in "(){}":
                 level["(" if char in "()" else "{"] += 1 if char in "({" else -1
-    return words
+    return tokens
 
 
-def test_types_are_told_where_texts_tell_them() -> None:
+def test_text_form_shows_some_types() -> None:
     assert typed(from_text("5 5000000000 [set] [setmap]")) == typed(
         [5, Int64(5000000000), Vocab("set"), Vocab("setmap")]
     )

@@ -1,4 +1,4 @@
-"""What typed values are written with and read from, where no bytes of a real YARP show it."""
+"""Readers and writers of typed values, where no recorded bytes of real YARP exist."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from yarp_compat.wire.tags import INT8, INT16, INT64, MAX_DEPTH
 
 
 @pytest.mark.parametrize("word", ["abcde", "ö" * 5, "日本", 5])
-def test_what_is_no_vocab_is_refused(word: str) -> None:
+def test_invalid_vocabs_are_refused(word: str) -> None:
     with pytest.raises(WireError, match="not a vocab"):
         ElementWriter(Profile.YARP3).vocab(word)
 
@@ -34,7 +34,7 @@ def test_what_is_no_vocab_is_refused(word: str) -> None:
         lambda out: out.raw(struct.Struct("<b"), 200),
     ],
 )
-def test_what_does_not_fit_is_refused_and_leaves_nothing(write: Callable[[ElementWriter], None]) -> None:
+def test_values_that_do_not_fit_are_refused_and_not_written(write: Callable[[ElementWriter], None]) -> None:
     out = ElementWriter(Profile.YARP4)
     with pytest.raises(WireError):
         write(out)
@@ -61,14 +61,14 @@ def test_large_blocks_are_not_copied_and_stay_in_order() -> None:
     assert out.payload() == b"a" + bytes(large) + b"b"
 
 
-def test_bytes_that_are_no_text_come_back() -> None:
+def test_bytes_that_are_not_text_survive() -> None:
     out = ElementWriter(Profile.YARP3)
     out.string("a\udcffb")
     assert out.payload()[8:] == b"a\xffb"
     assert ElementReader(out.payload(), Profile.YARP3).string() == "a\udcffb"
 
 
-def test_lists_nested_without_end_are_refused() -> None:
+def test_endlessly_nested_lists_are_refused() -> None:
     deep = b"\0\1\0\0\1\0\0\0" * 100_000
     source = ElementReader(deep, Profile.YARP3)
     for _ in range(MAX_DEPTH):
@@ -77,7 +77,7 @@ def test_lists_nested_without_end_are_refused() -> None:
         source.begin()
 
 
-def test_a_list_ends_where_it_says() -> None:
+def test_list_ends_after_its_announced_elements() -> None:
     source = ElementReader(bytes.fromhex("0101000002000000 01000000 02000000 03000000"), Profile.YARP3)
     assert source.begin() == 2
     assert (source.integer(), source.left) == (1, 1)
@@ -104,7 +104,7 @@ def test_a_list_ends_where_it_says() -> None:
         ElementReader.next_tag,
     ],
 )
-def test_what_is_missing_is_told_from_what_is_wrong(read: Callable[[ElementReader], object]) -> None:
+def test_incomplete_and_invalid_bytes_are_distinguished(read: Callable[[ElementReader], object]) -> None:
     with pytest.raises(Incomplete):
         read(ElementReader(b"\4\0", Profile.YARP3))
     if read is not ElementReader.next_tag:
@@ -115,7 +115,7 @@ def test_what_is_missing_is_told_from_what_is_wrong(read: Callable[[ElementReade
 
 @pytest.mark.parametrize("size", [-1, 2**31 - 1])
 @pytest.mark.parametrize("tag", [4, 12])
-def test_lengths_are_checked_before_memory_is_taken(tag: int, size: int) -> None:
+def test_lengths_are_checked_before_memory_is_allocated(tag: int, size: int) -> None:
     data = struct.pack("<ii", tag, size) + b"x"
     with pytest.raises(WireError):
         ElementReader(data, Profile.YARP3).string() if tag == 4 else ElementReader(data, Profile.YARP3).blob()
