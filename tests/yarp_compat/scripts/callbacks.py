@@ -1,19 +1,19 @@
-"""Callbacks for vectors and matrices, as objects and as the port's own method."""
+"""Callbacks for vectors and matrices, as objects and as the port's method."""
 
 import yarp
 
 yarp.Network.init()
-said = []
+received = []
 
 
 class OnVector(yarp.VectorCallback):
     def onRead(self, vector, reader):
-        said.append(f"{reader.getName()} {vector.size()} {vector.get(1)}")
+        received.append(f"{reader.getName()} {vector.size()} {vector.get(1)}")
 
 
 class MatrixPort(yarp.BufferedPortMatrix):
     def onRead(self, matrix):
-        said.append(f"matrix {matrix.rows()}x{matrix.cols()} {matrix[1, 0]}")
+        received.append(f"matrix {matrix.rows()}x{matrix.cols()} {matrix[1, 0]}")
 
 
 vectors_in, vectors_out = yarp.BufferedPortVector(), yarp.BufferedPortVector()
@@ -39,9 +39,9 @@ matrix.set(0, 1, 1)
 matrix[1, 0] = 4
 matrices_out.write()
 
-while len(said) < 2:
+while len(received) < 2:
     yarp.delay(0.01)
-print("\n".join(sorted(said)))
+print("\n".join(sorted(received)))
 for port in (vectors_in, vectors_out, matrices_in, matrices_out):
     port.interrupt()
     port.close()

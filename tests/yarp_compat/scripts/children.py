@@ -1,4 +1,4 @@
-"""Processes that multiprocessing starts anew find yarp as the script does."""
+"""Processes that multiprocessing spawns import yarp like the script."""
 
 import multiprocessing
 

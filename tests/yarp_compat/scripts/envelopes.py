@@ -1,4 +1,4 @@
-"""Stamps travel beside messages."""
+"""Stamps as the envelopes of messages."""
 
 import yarp
 

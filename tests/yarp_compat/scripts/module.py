@@ -1,4 +1,4 @@
-"""An RFModule: configured from the command line, answering commands, counting its rounds."""
+"""An RFModule: configured from the command line, answering commands, counting its cycles."""
 
 import sys
 
@@ -24,11 +24,11 @@ class Counter(yarp.RFModule):
         return True
 
     def respond(self, command, reply):
-        word = command.get(0).asString()
-        if word == "total":
+        verb = command.get(0).asString()
+        if verb == "total":
             reply.addInt32(self.total)
             return True
-        if word == "step":
+        if verb == "step":
             self.step = command.get(1).asInt32()
             reply.addString("ok")
             return True

@@ -1,4 +1,4 @@
-"""Sends a robot to a place by its navigation client, as tutorials do: options, views, a loop, the end."""
+"""Sends a robot to a location with a navigation client, as in tutorials: options, views, a loop, the end."""
 
 import sys
 
@@ -25,12 +25,12 @@ robot = device.viewINavigation2D()
 places = device.viewIMap2D()
 where = device.viewILocalization2D()
 
-here = yarp.Map2DLocation()
+position = yarp.Map2DLocation()
 names = yarp.SVector()
-if not where.getCurrentPosition(here) or not places.getLocationsList(names):
+if not where.getCurrentPosition(position) or not places.getLocationsList(names):
     print("the robot does not say where it is")
     raise SystemExit
-print(f"at {here.x:.1f} {here.y:.1f} of {here.map_id}, knows {' '.join(sorted(names))}")
+print(f"at {position.x:.1f} {position.y:.1f} of {position.map_id}, knows {' '.join(sorted(names))}")
 if robot.gotoTargetByLocationName("nowhere"):
     print("it went nowhere")
 if robot.gotoTargetByLocationName("kitchen"):

@@ -1,14 +1,14 @@
-"""What a program asks and tells the network about ports that are not its own."""
+"""A program's queries and commands to the network about other programs' ports."""
 
 import yarp
 
 yarp.Network.init()
 print("server", yarp.Network.checkNetwork(), yarp.Network.getNameServerName())
-one, two = yarp.Port(), yarp.BufferedPortBottle()
-one.open("/tools/one")
-two.open("/tools/two")
+first, second = yarp.Port(), yarp.BufferedPortBottle()
+first.open("/tools/one")
+second.open("/tools/two")
 where = yarp.Network.queryName("/tools/one")
-print("where", where.getName(), where.getCarrier(), where.getHost() == one.where().getHost(), where.isValid())
+print("where", where.getName(), where.getCarrier(), where.getHost() == first.where().getHost(), where.isValid())
 print("exists", yarp.Network.exists("/tools/one"), yarp.Network.exists("/tools/none"), yarp.Network.sync("/tools/two"))
 style = yarp.ContactStyle()
 style.carrier = "fast_tcp"
@@ -17,7 +17,7 @@ print(
     yarp.Network.connect("/tools/one", "/tools/two", style),
     yarp.Network.isConnected("/tools/one", "/tools/two"),
 )
-print("again", yarp.Network.connect("/tools/one", "/tools/two"), one.getOutputCount())
+print("again", yarp.Network.connect("/tools/one", "/tools/two"), first.getOutputCount())
 print("missing", yarp.Network.connect("/tools/one", "/tools/none"))
 print("property", yarp.Network.setProperty("/tools/one", "colour", yarp.Value("red")))
 print("colour", yarp.Network.getProperty("/tools/one", "colour").asString())
@@ -25,9 +25,9 @@ reply = yarp.Bottle()
 print(
     "admin", yarp.Network.write(yarp.Contact("/tools/one"), yarp.Bottle("[list] [out]"), reply, True), reply.toString()
 )
-two.close()
-while one.getOutputCount():
+second.close()
+while first.getOutputCount():
     yarp.delay(0.01)
 print("gone", yarp.Network.isConnected("/tools/one", "/tools/two"), yarp.Network.exists("/tools/two"))
-one.close()
+first.close()
 yarp.Network.fini()

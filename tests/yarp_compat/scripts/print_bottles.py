@@ -1,4 +1,4 @@
-"""Connects itself to a port and has a callback print what comes. Arguments: the other port, how many."""
+"""Connects to a port and prints received messages in a callback. Arguments: the other port, the count."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""A PortReader takes what comes to a port, and answers where an answer is wanted."""
+"""A PortReader handles a port's messages, and replies to requests."""
 
 import yarp
 

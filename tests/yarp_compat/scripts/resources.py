@@ -1,4 +1,4 @@
-"""Finds its configuration and another file, and takes the command line into account."""
+"""Finds its configuration and another file, and uses the command line."""
 
 import sys
 

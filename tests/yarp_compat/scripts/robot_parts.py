@@ -8,7 +8,7 @@ class MissingPartError(Exception):
 
 
 class Part:
-    """A device by its name and remote port."""
+    """A device with its name and remote port."""
 
     def __init__(self, device, remote) -> None:
         self._properties = yarp.Property()

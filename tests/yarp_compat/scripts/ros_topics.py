@@ -1,4 +1,4 @@
-"""Speaks with ROS through a Midspan daemon: publishes a topic, waits for another; the daemon knows the types."""
+"""Exchanges ROS messages through a Midspan daemon, which provides the types: publishes a topic, waits for another."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Asks a server. Argument: its port."""
+"""Sends requests to a server. Argument: its port."""
 
 import sys
 

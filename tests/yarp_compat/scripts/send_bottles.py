@@ -1,4 +1,4 @@
-"""Counts on a buffered port until somebody has read all of it. Arguments: the port, how many."""
+"""Sends numbers on a buffered port until a reader has received all. Arguments: the port, the count."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""The newest message only, and then every one."""
+"""Reads only the newest message, then every message."""
 
 import yarp
 

@@ -1,4 +1,4 @@
-"""A ROS topic between two nodes, without ROS: as the C++ classes Node, Publisher and Subscriber do it."""
+"""A ROS topic between two nodes, without ROS, by the classes Node, Publisher and Subscriber as in C++."""
 
 import yarp
 
