@@ -1,10 +1,10 @@
-"""Every path and name in ARCHITECTURE.md exists, and the paths of a message and a goal stay short."""
+"""Every path, class and method in ARCHITECTURE.md exists, and the paths of a message and a goal stay short."""
 
 from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,9 @@ PAGE = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
 WORDS = sorted(set(re.findall(r"`([^`\s<>]+)`", PAGE)))
 PATHS = [word for word in WORDS if "/" in word and not word.startswith("/")]
 NAMES = [word for word in WORDS if re.fullmatch(r"[A-Z]\w*(\.\w+)?", word)]
+NUMBERED = re.findall(r"^\| *\d+ *\|.*", PAGE, re.MULTILINE)
+ROWS = re.findall(r"^\| *\d+ *\| `([\w/]+\.py)` \| `([\w.]+)` \|", PAGE, re.MULTILINE)
+"""File and method of each row in the tables that describe a path."""
 
 
 @pytest.mark.parametrize("path", PATHS)
@@ -50,8 +53,24 @@ def test_names_exist(name: str, classes: dict[str, set[str]]) -> None:
     assert not method or method in classes[kind]
 
 
-def test_functions_that_are_called_exist() -> None:
-    assert "def pack_attachment" in (ROOT / "bridge/hub/wire/keys.py").read_text(encoding="utf-8")
+def defines(body: Sequence[ast.stmt], name: str) -> bool:
+    """Return whether statements define a name: a function, a class, or ``Class.method``."""
+    first, _, rest = name.partition(".")
+    for node in body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name == first and not rest:
+            return True
+        if isinstance(node, ast.ClassDef) and node.name == first:
+            return not rest or defines(node.body, rest)
+    return False
+
+
+@pytest.mark.parametrize(("file", "name"), ROWS)
+def test_each_row_names_a_method_of_its_file(file: str, name: str) -> None:
+    assert defines(ast.parse((ROOT / file).read_text(encoding="utf-8")).body, name)
+
+
+def test_every_numbered_row_names_a_file_and_a_method() -> None:
+    assert len(ROWS) == len(NUMBERED) > 40
 
 
 def test_there_are_paths_and_names() -> None:
