@@ -181,7 +181,7 @@ class YarpEdge(SideEdge):
     # -- the network ---------------------------------------------------------------------------------------------------
 
     def network(self) -> str | None:
-        """The network's id, stored at its name server; it stays valid while the server is unreachable."""
+        """Return the network's id, stored at its name server; it stays valid while the server is unreachable."""
         return self._network.identity if self._presence.is_open else None
 
     def is_own_network(self, origin: Origin) -> bool:

@@ -44,7 +44,7 @@ class PortNames:
     daemon: str
 
     def may_be(self, name: str) -> bool:
-        """Whether the scheme can produce this port name."""
+        """Return whether the scheme can produce this port name."""
         return any(
             name.startswith(scheme.partition("{topic}")[0]) and name.endswith(scheme.partition("{topic}")[2])
             for scheme in (self.output_scheme, self.input_scheme, self.rpc_scheme)

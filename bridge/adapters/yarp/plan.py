@@ -131,7 +131,7 @@ def _inputs(wanted: Wanted, contents: Contents, names: PortNames, graph: YarpGra
 
 
 def _same(first: Content, second: Content) -> bool:
-    """Whether two contents are equal apart from the profile."""
+    """Return whether two contents are equal apart from the profile."""
     return (first.form, first.fields, first.missing) == (second.form, second.fields, second.missing)
 
 

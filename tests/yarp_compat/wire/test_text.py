@@ -39,9 +39,9 @@ def test_all_measurements_are_tested() -> None:
     assert len(PARSED) == MEASURED.count("PARSE") == 5
 
 
-@pytest.mark.parametrize(("given_text", "values"), PARSED, ids=[given_text for given_text, _ in PARSED])
-def test_text_parsed_by_real_yarp(given_text: str, values: str) -> None:
-    expected = re.findall(r"code=(\d+) <([^>]*)>", values)
+@pytest.mark.parametrize(("given_text", "recorded"), PARSED, ids=[given_text for given_text, _ in PARSED])
+def test_text_parsed_by_real_yarp(given_text: str, recorded: str) -> None:
+    expected = re.findall(r"code=(\d+) <([^>]*)>", recorded)
     values = [Value.of(value) for value in from_text(given_text)]
     assert [(str(value.getCode(Profile.YARP4)), value.toString()) for value in values] == expected
 

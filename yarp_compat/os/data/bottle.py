@@ -38,7 +38,7 @@ class Searchable:
         raise NotImplementedError(f"{type(self).__name__} has no findGroup for {key}")
 
     def toString(self) -> str:
-        """The text form."""
+        """Return the text form."""
         raise NotImplementedError(f"{type(self).__name__} has no toString")
 
     @overload
@@ -72,11 +72,11 @@ class Searchable:
 
 class _Comparable(Searchable):
     def isEqual(self, other: Searchable) -> bool:
-        """Whether both have the same text form."""
+        """Return whether both have the same text form."""
         return self.toString() == other.toString()
 
     def notEqual(self, other: Searchable) -> bool:
-        """Whether the text forms differ."""
+        """Return whether the text forms differ."""
         return not self.isEqual(other)
 
 

@@ -17,7 +17,7 @@ class Vocab32:
 
     @staticmethod
     def decode(code: int) -> str:
-        """The word of a number."""
+        """Return the word of a number."""
         return _word(vocab32(truncate(code, 32)))
 
 
@@ -31,7 +31,7 @@ class Vocab64:
 
     @staticmethod
     def decode(code: int) -> str:
-        """The word of a number."""
+        """Return the word of a number."""
         return _word(vocab64(code))
 
     encode64 = encode
