@@ -42,7 +42,7 @@ class Output:
         self,
         sock: socket.socket,  # connected and introduced
         route: ConnectionRoute,  # the connection's names
-        carrier: Carrier,  # how it carries
+        carrier: Carrier,  # the carrier of the connection
         loop: PortLoop,  # the shared thread
         lost: Callable[[Output], object],  # called when the connection is lost
         limit: int,  # most bytes of a reply

@@ -210,7 +210,7 @@ class PortCore(ConnectingPort):
     ) -> bytes:
         """Send a request on the first output and wait for the reply, at most ``timeout`` seconds.
 
-        ``parse`` returns where the reply at the start of the bytes ends (raises Incomplete for more); by default at the
+        ``parse`` returns the end of the reply at the start of the bytes (raises Incomplete for more); by default at the
         end of a Bottle. Raises like `Output.request`, and `ConnectionError` without an output.
         """
         outputs = self.connections.outputs

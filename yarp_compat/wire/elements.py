@@ -181,13 +181,13 @@ class ElementReader:
 
     def _tag(self) -> int:
         if not self.left:
-            raise WireError(f"the list ends before byte {self.at}, where one more element was expected")
+            raise WireError(f"the list ends before byte {self.at}, but one more element was expected")
         self._count()
         return self.unit or int(self.raw(_INT32)[0])
 
     def _count(self) -> None:
         if not self.left:
-            raise WireError(f"the list ends before byte {self.at}, where one more element was expected")
+            raise WireError(f"the list ends before byte {self.at}, but one more element was expected")
         if self.left > 0:
             self.left -= 1
 

@@ -1,4 +1,4 @@
-"""The YARP network: its name server, its identity, and the names of our own ports."""
+"""The YARP network: its name server, its identity, and the names of Midspan's own ports."""
 
 from __future__ import annotations
 

@@ -17,10 +17,10 @@ while running:
     if verb == "sum":
         reply.addFloat64(sum(command.get(i).asFloat64() for i in range(1, command.size())))
     elif verb == "reverse":
-        words = [command.get(i).toString() for i in range(1, command.size())]
+        elements = [command.get(i).toString() for i in range(1, command.size())]
         answer = reply.addList()
-        for word in reversed(words):
-            answer.addString(word)
+        for element in reversed(elements):
+            answer.addString(element)
     elif verb == "stop":
         reply.addVocab32("o", "k")
         running = False

@@ -14,7 +14,7 @@ class Gate:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self.is_closed = False  # no more messages follow
+        self.is_closed = False  # when set, no message follows
         self._interrupted = False
 
     def wake(self) -> None:
