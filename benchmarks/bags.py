@@ -60,34 +60,34 @@ def messages(kind: str, registry: Registry) -> tuple[str, list[bytes]]:
     if kind == "texts":
         texts = [base64.b64encode(dice.randbytes(500)).decode() + "." * 330 for _ in range(3000)]
         return "std_msgs/msg/String", [from_json(registry, "std_msgs/msg/String", {"data": text}) for text in texts]
-    made = []
+    contents = []
     for _ in range(10):
         pixels = b"".join(dice.randbytes(500) + bytes(500) for _ in range(1000))
         value = {"height": 1000, "width": 1000, "encoding": "mono8", "step": 1000}
         value["data"] = base64.b64encode(pixels).decode()
-        made.append(from_json(registry, "sensor_msgs/msg/Image", value))
-    return "sensor_msgs/msg/Image", made
+        contents.append(from_json(registry, "sensor_msgs/msg/Image", value))
+    return "sensor_msgs/msg/Image", contents
 
 
 def write_source(path: Path, megabytes: int) -> None:
     """A bag of messages at 100 Hz."""
     registry = Registry()
-    type_name, made = messages("texts" if path.name.startswith("texts") else "images", registry)
+    type_name, contents = messages("texts" if path.name.startswith("texts") else "images", registry)
     kind = "bag" if path.suffix == ".bag" else "mcap"
     world = World.ROS2
     form = TopicForm(type_name, registry.ros2(type_name).type_id, full_text(registry.schema(type_name)), None)
     if kind == "bag":
         conversion = registry.hub_to_ros1(type_name)
         assert conversion.convert is not None
-        made = [conversion.convert(data) for data in made]
+        contents = [conversion.convert(data) for data in contents]
         side = conversion.target
         form, world = TopicForm(side.name, side.type_id, side.definition, None), World.ROS1
     compression = "zstd" if "zstd" in path.name else "none"
     writer = open_writer(path, "bag", compression) if kind == "bag" else Ros2Mcap(path, compression)
     place = writer.add(BagTopic("/data", form.type_name, world), form)
-    for number in range(megabytes * MB // len(made[0])):
+    for number in range(megabytes * MB // len(contents[0])):
         at = [1_700_000_000_000_000_000 + number * 10_000_000]
-        writer.write([place], at, at, [made[number % len(made)]])
+        writer.write([place], at, at, [contents[number % len(contents)]])
     writer.finish()
 
 
@@ -158,9 +158,9 @@ def measure(what: str, source: Path, folder: Path, name: str) -> tuple[float, fl
     """Seconds and megabytes of a process that does it once."""
     target = folder / name
     command = [sys.executable, __file__, "--work", what, str(source), str(target)]
-    told = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     target.unlink()
-    seconds, memory = json.loads(told)
+    seconds, memory = json.loads(output)
     return seconds, memory
 
 
@@ -183,13 +183,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     memory: list[Row] = []
     with tempfile.TemporaryDirectory(prefix="midspan-bags-") as folder:
         for case, (source_name, target, peer) in CASES.items():
-            if not any(word in case for word in args.cases):
+            if not any(part in case for part in args.cases):
                 continue
             source = Path(folder, source_name)
             if not source.exists():
                 write_source(source, args.megabytes)
             our, other = zip(*(_both(source, target, peer, Path(folder)) for _ in range(args.rounds)), strict=True)
-            mine, peers = (statistics.median(args.megabytes / seconds for seconds, _ in each) for each in (our, other))
+            mine, peers = (statistics.median(args.megabytes / seconds for seconds, _ in runs) for runs in (our, other))
             rows.append(Row(f"{case} ({peer})", mine, peers, "MB/s", "more"))
             memory.append(Row(f"memory: {case}", max(peak for _, peak in our), MEMORY_MB, "MB"))
     report([*rows, *memory], args.json)

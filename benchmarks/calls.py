@@ -75,11 +75,11 @@ class Network(Stage):
         for kind in HOPS:
             self.command(f"{kind} server", "serve", "serving", prefix=FLOOR)
             self.command(f"{kind} client", "find", "found", prefix=FLOOR)
-        for way, (_, client, server) in WAYS.items():
-            self.launch(f"{way} server", f"benchmarks.roundtrips.{server}_end", system=server == "ros1")
-            self.wait_for(f"{way} server", "ready")
-            self.command(f"{way} server", "serve", "serving", prefix=way)
-            self.command(f"{client} client", "find", "found", prefix=way)
+        for direction, (_, client, server) in WAYS.items():
+            self.launch(f"{direction} server", f"benchmarks.roundtrips.{server}_end", system=server == "ros1")
+            self.wait_for(f"{direction} server", "ready")
+            self.command(f"{direction} server", "serve", "serving", prefix=direction)
+            self.command(f"{client} client", "find", "found", prefix=direction)
 
     def measure(self, case: Case, hop: str, count: int) -> list[int]:
         """Round trips in nanoseconds, after the first ones, which do not count."""
@@ -103,19 +103,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for _ in range(TURNS):
                     for hop in ("ros1", THERE, "zenoh", BACK, "ros2"):
                         times[hop] += network.measure(case, hop, case.count // TURNS)
-                for hop, found in times.items():
-                    taken[case.key, hop].append(figures(found))
+                for hop, durations in times.items():
+                    taken[case.key, hop].append(figures(durations))
                 floors[case.key].append(floor([times[hop] for hop in HOPS], number))
     print("hops in us (p50 / p99), of which the floor is the sum:", file=sys.stderr)
     for case in cases:
-        each = ((hop, over_rounds(taken[case.key, hop])) for hop in HOPS)
-        line = "".join(f"  {hop} {f.p50:7.0f} /{f.p99:7.0f}" for hop, f in each)
+        hop_figures = ((hop, over_rounds(taken[case.key, hop])) for hop in HOPS)
+        line = "".join(f"  {hop} {f.p50:7.0f} /{f.p99:7.0f}" for hop, f in hop_figures)
         print(f"  {case.name:<16}{line}", file=sys.stderr)
     rows = []
     for case in cases:
         peer = over_rounds(floors[case.key])
-        for way, (name, _, _) in WAYS.items():
-            ours = over_rounds(taken[case.key, way])
+        for direction, (name, _, _) in WAYS.items():
+            ours = over_rounds(taken[case.key, direction])
             rows += [Row(f"{case.name}, {name}, {f}", getattr(ours, f), getattr(peer, f), "us") for f in ("p50", "p99")]
     report(rows, args.json)
     marks = {case.name: case.mark for case in cases}

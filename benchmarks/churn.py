@@ -110,12 +110,12 @@ class Churn:
         deployment.ask(side, "put", topics=names)
         far = [s for s in ("ros1", "ros2") if s != side]
         deployment.until(lambda: all(deployment.routes(prefix).get(s) == FRESH for s in far), f"{prefix} crosses")
-        deployment.until(self._all_heard, f"{prefix}: all feeds are heard")
+        deployment.until(self._all_received, f"{prefix}: all feeds are heard")
         deployment.ask(side, "drop", publish=names, subscribe=feeds)
 
-    def _all_heard(self) -> bool:
-        heard = self._deployment.ask(self._side, "report")["heard"]
-        return all(ear["count"] for ear in heard.values())
+    def _all_received(self) -> bool:
+        received = self._deployment.ask(self._side, "report")["heard"]
+        return all(ear["count"] for ear in received.values())
 
     def settled(self) -> Census:
         """The daemon once nothing has come or gone for a while; its idle threads end after ten seconds."""
@@ -145,14 +145,14 @@ def rows(churned: Churned) -> list[Row]:
     """A side's figures; the peer is a daemon that keeps nothing."""
     case = f"{churned.endpoints} endpoints on {churned.side}"
     before, after = churned.before, churned.after
-    made = [Row(f"{case}, memory of {n}", s / 1000, 0.0, "kB each") for n, s in churned.slopes.items()]
-    for what in ("threads", "descriptors"):
-        left = sum(getattr(u, what) - getattr(before.used[n], what) for n, u in after.used.items())
-        made.append(Row(f"{case}, {what} left", left, 0.0, "count"))
-    made.append(Row(f"{case}, routes left", sum(after.routes.values()) - sum(before.routes.values()), 0.0, "count"))
-    made.append(Row(f"{case}, hub tokens left", after.tokens - before.tokens, 0.0, "count"))
-    made.append(Row(f"{case}, registrations left", after.registrations - before.registrations, 0.0, "count"))
-    return made
+    result = [Row(f"{case}, memory of {n}", s / 1000, 0.0, "kB each") for n, s in churned.slopes.items()]
+    for resource in ("threads", "descriptors"):
+        left = sum(getattr(u, resource) - getattr(before.used[n], resource) for n, u in after.used.items())
+        result.append(Row(f"{case}, {resource} left", left, 0.0, "count"))
+    result.append(Row(f"{case}, routes left", sum(after.routes.values()) - sum(before.routes.values()), 0.0, "count"))
+    result.append(Row(f"{case}, hub tokens left", after.tokens - before.tokens, 0.0, "count"))
+    result.append(Row(f"{case}, registrations left", after.registrations - before.registrations, 0.0, "count"))
+    return result
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -162,15 +162,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--sides", nargs="+", choices=SIDES, default=list(SIDES), help="default all")
     add_json_option(parser)
     args = parser.parse_args(arguments)
-    found: list[Row] = []
+    results: list[Row] = []
     for side in args.sides:
         with Deployment() as deployment:
             for program in {side, FEEDER[side]}:
                 deployment.program(program)
             churned = Churn(deployment, side).run(args.endpoints)
         print(f"{side}: {churned.endpoints / churned.seconds:.0f} endpoints/s", file=sys.stderr)
-        found += rows(churned)
-    report(found, args.json)
+        results += rows(churned)
+    report(results, args.json)
     return 0
 
 

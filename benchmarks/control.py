@@ -61,23 +61,23 @@ class Clock:
 def measure(seconds: float) -> list[Row]:
     """Drive, and look at the clock."""
     tour = Tour(simulated("apartment", 0), 0)
-    there = tour.there
+    simulation = tour.there
     # an update for each scan, so that it is the update that is measured
     localizer = Localizer(tour.grid, LocaliserSection(update_min_d=1e-9, update_min_a=1e-9))
-    localizer.initial(Pose(*there.base.pose()))
+    localizer.initial(Pose(*simulation.base.pose()))
     driver = Driver()
     steps, scans, updates = Clock(), Clock(), Clock()
     last = -1
     for tick in range(round(seconds * 100)):
         if tick % 10 == 0:
             tour.steer()
-        there.tick()
-        odometry = Pose(*there.estimate.pose, stamp_ns=there.time_ns)
+        simulation.tick()
+        odometry = Pose(*simulation.estimate.pose, stamp_ns=simulation.time_ns)
         localizer.odometry(odometry)
-        if there.scan.time_ns != last:
-            last = there.scan.time_ns
-            scans(lambda: driver.scan(there.scan, odometry))  # noqa: B023 - called at once
-            points = scan_points(there.scan)
+        if simulation.scan.time_ns != last:
+            last = simulation.scan.time_ns
+            scans(lambda: driver.scan(simulation.scan, odometry))  # noqa: B023 - called at once
+            points = scan_points(simulation.scan)
             before = localizer.updates
             updates(lambda: localizer.scan(last, points))  # noqa: B023 - called at once
             if localizer.updates == before:
@@ -86,7 +86,7 @@ def measure(seconds: float) -> list[Row]:
         assert pose is not None
         if tour.ahead and driver.status.state.ended:
             driver.goal(Pose(*tour.ahead[-1], 0.0))
-        steps(lambda: driver.step(there.time_ns / 1e9, pose, odometry))  # noqa: B023 - called at once
+        steps(lambda: driver.step(simulation.time_ns / 1e9, pose, odometry))  # noqa: B023 - called at once
     return [
         *steps.rows("RobotGoto: a step", STEP),
         *scans.rows("RobotGoto: a scan", TURN),

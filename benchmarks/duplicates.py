@@ -41,14 +41,14 @@ def measure(case: str, hubs: str, messages: int, rate: float) -> list[Row]:
     """One case with so many messages published on all networks together."""
     with tempfile.TemporaryDirectory(prefix="midspan-duplicates-") as folder, Several(Path(folder)) as several:
         _, networks = CASES[case](several, joined=HUBS[hubs], node=NODES[hubs])
-        made = flows(several, networks)
-        each = messages // len(made)
-        pour(made, each, rate / len(made))
-        tallies = [tally for flow in made for tally in flow.tallies()]
-        lost = sum(max(each - int(tally["distinct"]), 0) for tally in tallies)
-        name = f"{case}, hubs {hubs}, {each * len(tallies)} to come"
+        all_flows = flows(several, networks)
+        share = messages // len(all_flows)
+        pour(all_flows, share, rate / len(all_flows))
+        tallies = [tally for flow in all_flows for tally in flow.tallies()]
+        lost = sum(max(share - int(tally["distinct"]), 0) for tally in tallies)
+        name = f"{case}, hubs {hubs}, {share * len(tallies)} to come"
         return [
-            Row(f"{name}: came twice", sum(flow.duplicates() for flow in made), 0, "messages"),
+            Row(f"{name}: came twice", sum(flow.duplicates() for flow in all_flows), 0, "messages"),
             Row(f"{name}: did not come", lost, 0, "messages"),
         ]
 

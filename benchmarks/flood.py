@@ -57,9 +57,9 @@ class Flood(Stage):
         roles = {"listener": target, "sender": source}
         self.start_ends({f"{part} {role}": kind for part in self.topics for role, kind in roles.items()})
         for part, topics in self.topics.items():
-            heard = [message.topic(name, ros1=target == "ros1") for name, message in topics.items()]
+            subscribed = [message.topic(name, ros1=target == "ros1") for name, message in topics.items()]
             sent = [message.topic(name, ros1=source == "ros1") for name, message in topics.items()]
-            self.command(f"{part} listener", "subscribe", "subscribed", topics=heard)
+            self.command(f"{part} listener", "subscribe", "subscribed", topics=subscribed)
             self.command(f"{part} sender", "advertise", "advertised", topics=sent)
         for part, topics in self.topics.items():
             for name in topics:
@@ -89,8 +89,8 @@ class Flood(Stage):
     def _arrived(self, topic: str, sent: int) -> list[int]:
         """The ages of what was heard on a topic, once all has come or nothing more does."""
         listener = "stream listener" if topic == STREAM else "small listener"
-        told = self.command(listener, "collect", "collected", topic=topic, count=sent, seconds=LATEST_SECONDS)
-        ages: list[int] = told["ages"]
+        reply = self.command(listener, "collect", "collected", topic=topic, count=sent, seconds=LATEST_SECONDS)
+        ages: list[int] = reply["ages"]
         return ages
 
     def _drum(self, part: str, rate: float, seconds: float) -> None:
@@ -100,7 +100,7 @@ class Flood(Stage):
 
 def measure(source: str, target: str, args: argparse.Namespace) -> list[Row]:
     """The rows of one way."""
-    way = WAYS[source, target]
+    direction = WAYS[source, target]
     ages: dict[tuple[str, bool], list[int]] = defaultdict(list)
     with Flood(source, target, realtime=args.realtime) as flood:
         flood.turn(min(args.seconds, 1.0), flooded=True)  # the first images make room for themselves
@@ -112,14 +112,14 @@ def measure(source: str, target: str, args: argparse.Namespace) -> list[Row]:
     rows = []
     for topic in SMALL:
         (p50, p99), (plain50, plain99) = figures(ages[topic, True]), figures(ages[topic, False])
-        case = f"{topic} beside {FLOW / 1e6:.0f} MB/s, {way}"
+        case = f"{topic} beside {FLOW / 1e6:.0f} MB/s, {direction}"
         rows += [
             Row(f"{case}, p50, to without", p50, plain50, "us"),
             Row(f"{case}, p99, to without", p99, plain99, "us"),
         ]
         arrived = len(ages[topic, True])
         rows.append(Row(f"{case}, arrived of sent", arrived, round(RATE * args.seconds) * args.turns, "msgs", "more"))
-    rows.append(Row(f"the stream, {way}, arrived of sent", len(ages[STREAM, True]), sent, "msgs", "more"))
+    rows.append(Row(f"the stream, {direction}, arrived of sent", len(ages[STREAM, True]), sent, "msgs", "more"))
     return rows
 
 
@@ -127,8 +127,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
     args = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.WARNING)
-    ways = [way for way in WAYS if args.way in (None, way[0])]
-    report([row for way in ways for row in measure(*way, args)], args.json)
+    pairs = [pair for pair in WAYS if args.way in (None, pair[0])]
+    report([row for pair in pairs for row in measure(*pair, args)], args.json)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if "idle" in args.parts:
         dialects = {"zenoh": {"dialects": [{"dialect": "ros2dds"}]}, "modules": {"enabled": False}}
         with _daemon(Processes(dialects, yarp=True), (*SIDES, "zenoh_ros2dds")) as (idle, seconds):
-            rows += [*seconds, *_rest("idle", idle, args.seconds, IDLE)]
+            rows += [*seconds, *_at_rest("idle", idle, args.seconds, IDLE)]
             rows.append(replace(rows[-1], case="idle: all, bare sessions", peer=idle_floor))
     if "metrics" in args.parts:
         rows += _metrics(peers, args.seconds)
@@ -102,21 +102,21 @@ def _metrics(peers: dict[str, Taken], seconds: float) -> list[Row]:
     modules = {"modules": {"enabled": False}}
     address = f"127.0.0.1:{free_port()}"
     with _daemon(Processes(modules, yarp=True), SIDES) as (place, _):
-        without = _rest("without metrics", place, seconds, IDLE)[-1]
+        without = _at_rest("without metrics", place, seconds, IDLE)[-1]
     with _daemon(Processes({**modules, "metrics": {"enabled": True, "listen": address}}, yarp=True), SIDES) as (
         place,
         _,
     ):
-        found = taken(daemon_processes(place.place.folder)["metrics"])
-        quiet = _rest("metrics, not scraped", place, seconds, IDLE)[-1]
+        usage = taken(daemon_processes(place.place.folder)["metrics"])
+        quiet = _at_rest("metrics, not scraped", place, seconds, IDLE)[-1]
         stop = threading.Event()
         scraper = threading.Thread(target=_scrape, args=(f"http://{address}/metrics", stop))
         scraper.start()
-        scraped = _rest("metrics, scraped each 5 s", place, seconds, IDLE)[-1]
+        scraped = _at_rest("metrics, scraped each 5 s", place, seconds, IDLE)[-1]
         stop.set()
         scraper.join()
     return [
-        Row("metrics: PSS, bare zenoh", found.pss, peers["zenoh"].pss, "MB"),
+        Row("metrics: PSS, bare zenoh", usage.pss, peers["zenoh"].pss, "MB"),
         without,
         *(replace(row, peer=without.ours) for row in (quiet, scraped)),
     ]
@@ -136,10 +136,10 @@ def _peers(place: Processes) -> tuple[dict[str, Taken], dict[str, float]]:
         children[kind] = place.launch(kind, "benchmarks.footprints.peer", kind, system=kind == "ros1")
         place.wait_for(kind, "ready")
         seconds[kind] = time.monotonic() - began
-    found = {kind: taken(child.pid) for kind, child in children.items()}
+    usage = {kind: taken(child.pid) for kind, child in children.items()}
     for kind in children:
         place.stop(kind)
-    return found, seconds
+    return usage, seconds
 
 
 def _idle_floor(place: Processes, seconds: float) -> float:
@@ -148,8 +148,8 @@ def _idle_floor(place: Processes, seconds: float) -> float:
     kinds = {"router": "router", **{f"hub{number}": "hub" for number in range(4)}, "ros1": "ros1", "ros2": "ros2"}
     children = {}
     for name, kind in kinds.items():
-        words = (kind, endpoint) if kind in ("router", "hub") else (kind,)
-        children[name] = place.launch(name, "benchmarks.footprints.peer", *words, system=kind == "ros1")
+        arguments = (kind, endpoint) if kind in ("router", "hub") else (kind,)
+        children[name] = place.launch(name, "benchmarks.footprints.peer", *arguments, system=kind == "ros1")
         place.wait_for(name, "ready")
     time.sleep(SETTLE_SECONDS)
     before = {name: cpu_seconds(child.pid) for name, child in children.items()}
@@ -200,22 +200,22 @@ def _daemon(place: Processes, sides: Sequence[str]) -> Iterator[tuple[Processes,
 
         place.until(all_run, f"{', '.join(sides)} run")
         time.sleep(SETTLE_SECONDS)
-        what = "the robot" if DRIVER in sides else "no robot"
-        rows = [Row(f"midspan run, {what}: all sides running", max(times[s] for s in SIDES), RUN, "s")]
+        load = "the robot" if DRIVER in sides else "no robot"
+        rows = [Row(f"midspan run, {load}: all sides running", max(times[s] for s in SIDES), RUN, "s")]
         yield place, rows
 
 
 def _robot(place: Processes, peers: dict[str, Taken], seconds: float) -> list[Row]:
-    found = {name: taken(pid) for name, pid in daemon_processes(place.place.folder).items()}
-    rows = [Row(f"{name}: PSS, aim", found[name].pss, aim, "MB") for name, aim in AIMS.items()]
+    usage = {name: taken(pid) for name, pid in daemon_processes(place.place.folder).items()}
+    rows = [Row(f"{name}: PSS, aim", usage[name].pss, aim, "MB") for name, aim in AIMS.items()]
     for name, kind in PEERS.items():
-        rows.append(Row(f"{name}: PSS, bare {kind}", found[name].pss, peers[kind].pss, "MB"))
-        rows.append(Row(f"{name}: RSS, bare {kind}", found[name].rss, peers[kind].rss, "MB"))
-    rows.append(Row("all: PSS, aims", sum(t.pss for t in found.values()), sum(AIMS.values()), "MB"))
-    return rows + _rest("standing", place, seconds, STANDING)
+        rows.append(Row(f"{name}: PSS, bare {kind}", usage[name].pss, peers[kind].pss, "MB"))
+        rows.append(Row(f"{name}: RSS, bare {kind}", usage[name].rss, peers[kind].rss, "MB"))
+    rows.append(Row("all: PSS, aims", sum(t.pss for t in usage.values()), sum(AIMS.values()), "MB"))
+    return rows + _at_rest("standing", place, seconds, STANDING)
 
 
-def _rest(what: str, place: Processes, seconds: float, aim: float) -> list[Row]:
+def _at_rest(what: str, place: Processes, seconds: float, aim: float) -> list[Row]:
     """Percent of a core of each process and of all, while nothing is asked of them."""
     pids = daemon_processes(place.place.folder)
     before = {name: cpu_seconds(pid) for name, pid in pids.items()}

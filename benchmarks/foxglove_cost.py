@@ -202,8 +202,8 @@ def client(port: str) -> None:
         while True:
             frame = app.recv()
             if isinstance(frame, str):
-                said = json.loads(frame)
-                for channel in said.get("channels", ()):
+                message = json.loads(frame)
+                for channel in message.get("channels", ()):
                     if channel["topic"] == TOPIC:
                         app.send(
                             json.dumps({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": channel["id"]}]})

@@ -47,14 +47,14 @@ def samples() -> list[Sample]:
     """A chain of frames that all move, in the order of time."""
     dice = random.Random(6)
     turns = [[dice.gauss(0, 1) for _ in range(4)] for _ in range(FRAMES)]
-    made: list[Sample] = []
+    chain: list[Sample] = []
     for n in range(SAMPLES):
         for k, turn in enumerate(turns):
             parts = [part + 0.001 * n for part in turn]
             length = math.sqrt(sum(part * part for part in parts))
             x, y, z, w = (part / length for part in parts)
-            made.append((f"f{k}", f"f{k + 1}", START + n * SECOND // RATE, (0.1 * k, 0.01 * n, 1.0), (x, y, z, w)))
-    return made
+            chain.append((f"f{k}", f"f{k + 1}", START + n * SECOND // RATE, (0.1 * k, 0.01 * n, 1.0), (x, y, z, w)))
+    return chain
 
 
 def stamps(count: int) -> list[int]:
@@ -75,15 +75,17 @@ def ours() -> dict[str, Measure]:
     from bridge.tf.buffer import TransformBuffer  # the other side has none of this
     from bridge.tf.stamped import Stamped, write
 
-    told, times = samples(), stamps(LOOKUPS)
-    messages = [write([Stamped(*one) for one in told[at : at + FRAMES]]) for at in range(0, len(told), FRAMES)]
+    stored, times = samples(), stamps(LOOKUPS)
+    messages = [
+        write([Stamped(*sample) for sample in stored[at : at + FRAMES]]) for at in range(0, len(stored), FRAMES)
+    ]
     buffer = TransformBuffer()
 
     def insert(into: TransformBuffer) -> None:
-        for parent, child, stamp, moved, turned in told:
+        for parent, child, stamp, moved, turned in stored:
             into.set_transform(parent, child, stamp, moved, turned, "bench")
 
-    def hear(into: TransformBuffer) -> None:
+    def receive(into: TransformBuffer) -> None:
         for cdr in messages:
             into.set_message(cdr, "bench")
 
@@ -100,7 +102,7 @@ def ours() -> dict[str, Measure]:
             buffer.lookup_many("f0", frame, times[at : at + BATCH])
 
     insert(buffer)
-    return _measures(lambda: insert(TransformBuffer()), lambda: hear(TransformBuffer()), lookup, latest, batch)
+    return _measures(lambda: insert(TransformBuffer()), lambda: receive(TransformBuffer()), lookup, latest, batch)
 
 
 def tf2() -> dict[str, Measure]:
@@ -111,26 +113,26 @@ def tf2() -> dict[str, Measure]:
     from tf2_msgs.msg import TFMessage
 
     times = [genpy.Time(*divmod(stamp, SECOND)) for stamp in stamps(LOOKUPS)]
-    told = []
+    stored = []
     for parent, child, stamp, moved, turned in samples():
         message = TransformStamped()
         message.header.frame_id, message.child_frame_id = parent, child
         message.header.stamp = genpy.Time(*divmod(stamp, SECOND))
         message.transform.translation, message.transform.rotation = Vector3(*moved), Quaternion(*turned)
-        told.append(message)
+        stored.append(message)
     messages = []
-    for at in range(0, len(told), FRAMES):
+    for at in range(0, len(stored), FRAMES):
         content = io.BytesIO()
-        TFMessage(told[at : at + FRAMES]).serialize(content)
+        TFMessage(stored[at : at + FRAMES]).serialize(content)
         messages.append(content.getvalue())
     buffer = tf2_py.BufferCore(genpy.Duration(10.0))
     newest = genpy.Time()
 
     def insert(into: Any) -> None:
-        for message in told:
+        for message in stored:
             into.set_transform(message, "bench")
 
-    def hear(into: Any) -> None:
+    def receive(into: Any) -> None:
         for content in messages:
             for message in TFMessage().deserialize(content).transforms:
                 into.set_transform(message, "bench")
@@ -152,7 +154,7 @@ def tf2() -> dict[str, Measure]:
     def fresh() -> Any:
         return tf2_py.BufferCore(genpy.Duration(10.0))
 
-    return _measures(lambda: insert(fresh()), lambda: hear(fresh()), lookup, latest, batch)
+    return _measures(lambda: insert(fresh()), lambda: receive(fresh()), lookup, latest, batch)
 
 
 def _measures(
@@ -217,16 +219,16 @@ def compare(rounds: int) -> list[Row]:
     """The rows of all cases."""
     sides = [Side("ours", sys.executable), Side("tf2", SYSTEM_PYTHON)]
     try:
-        found: dict[str, list[list[float]]] = {case: [[], []] for case in sides[0].cases}
+        rates: dict[str, list[list[float]]] = {case: [[], []] for case in sides[0].cases}
         for number in range(rounds):
-            for case, figures in found.items():
+            for case, figures in rates.items():
                 for which in (0, 1) if number % 2 == 0 else (1, 0):
                     figures[which].append(sides[which].measure(case))
     finally:
         for side in sides:
             side.close()
-    thousands = {case: [statistics.median(side) / 1000 for side in figures] for case, figures in found.items()}
-    return [Row(f"{case}, tf2", one, two, "k/s", "more") for case, (one, two) in thousands.items()]
+    thousands = {case: [statistics.median(side) / 1000 for side in figures] for case, figures in rates.items()}
+    return [Row(f"{case}, tf2", own, peer, "k/s", "more") for case, (own, peer) in thousands.items()]
 
 
 def relay(rounds: int, *, realtime: bool) -> list[Row]:

@@ -60,7 +60,9 @@ class Load:
         self.programs = {side: self._program(side) for side in SIDES}
 
     def _server(self) -> Any:
-        return next((one.get("ports") for one in self.deployment.status() if one["worker"] == "transform_server"), None)
+        return next(
+            (status.get("ports") for status in self.deployment.status() if status["worker"] == "transform_server"), None
+        )
 
     def _program(self, side: str) -> Peer:
         python, env = {
@@ -75,8 +77,8 @@ class Load:
 
     def workers(self) -> dict[str, psutil.Process]:
         """The daemon's processes by what they are."""
-        found = {one["worker"]: one["pid"] for one in self.deployment.status() if "pid" in one}
-        return {name: psutil.Process(pid) for name, pid in sorted(found.items())}
+        pids = {status["worker"]: status["pid"] for status in self.deployment.status() if "pid" in status}
+        return {name: psutil.Process(pid) for name, pid in sorted(pids.items())}
 
     def run(self, rate: float, seconds: float) -> list[Row]:
         """Set frames for a while."""
@@ -98,10 +100,10 @@ class Load:
             program = self.programs[side]
             seen = self._seen(program, before[side]["ticks"], sent)
             rows.append(Row(f"{self.frames} frames at {rate:g} Hz, {side}, ticks seen of set", seen, sent, "", "more"))
-        found = self.programs["yarp"].ask("report")
-        streamed, short = (found[key] - before["yarp"][key] for key in ("messages", "short"))
+        report_ = self.programs["yarp"].ask("report")
+        streamed, short = (report_[key] - before["yarp"][key] for key in ("messages", "short"))
         rows.append(Row("yarp stream, messages with all frames, of all", streamed - short, streamed, "", "more"))
-        rows.append(Row("yarp stream, ticks seen of set", found["ticks"] - before["yarp"]["ticks"], sent, "", "more"))
+        rows.append(Row("yarp stream, ticks seen of set", report_["ticks"] - before["yarp"]["ticks"], sent, "", "more"))
         rows.append(Row("setTransforms, p50, to its period", done["ms"], 1000 / rate, "ms"))
         rows.append(Row("time for all, to what it should be", took, seconds, "s"))
         rows += [Row(f"CPU of {name}, of one core", used[name] / took, 1.0, "cores") for name in processes]
@@ -117,11 +119,11 @@ class Load:
         for program in self.programs.values():
             program.ask("join", count=1, frames=everything, seconds=2 * PATIENCE)
         for side, program in self.programs.items():
-            found = program.ask("join", count=count, frames=everything, seconds=PATIENCE)
+            joined = program.ask("join", count=count, frames=everything, seconds=PATIENCE)
             rows.append(
-                Row(f"late joiners of {side} that got all {len(everything)}", found["whole"], count, "", "more")
+                Row(f"late joiners of {side} that got all {len(everything)}", joined["whole"], count, "", "more")
             )
-            rows.append(Row(f"the slowest of {side}, to {PATIENCE:g} s", found["slowest"], PATIENCE, "s"))
+            rows.append(Row(f"the slowest of {side}, to {PATIENCE:g} s", joined["slowest"], PATIENCE, "s"))
         return rows
 
     def _warm(self, rate: float) -> None:

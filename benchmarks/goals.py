@@ -52,29 +52,29 @@ def run(
         localized: whether our localizer tells where the robot is; False: the simulator does.
         depth: whether it has a depth camera where the floor has what a laser does not see.
     """
-    there = world(name, people=people)
-    robot = Robot(there.plan, base, seed=seed, camera=CAMERA if depth and there.hides else None)
-    judge = Judge(robot, (*there.keep_out, *there.drops))
-    ours = Ours(robot, there, localized=localized, seed=seed)
+    floor_world = world(name, people=people)
+    robot = Robot(floor_world.plan, base, seed=seed, camera=CAMERA if depth and floor_world.hides else None)
+    judge = Judge(robot, (*floor_world.keep_out, *floor_world.drops))
+    ours = Ours(robot, floor_world, localized=localized, seed=seed)
     loop = Loop(robot, ours, judge)
-    targets = Targets(there, robot, seed)
+    targets = Targets(floor_world, robot, seed)
     loop.settle()
     drives: list[Drive] = []
     began, cpu, touched = robot.now, 0.0, 0
-    for number, (goal, way) in enumerate(itertools.islice(targets, goals), 1):
+    for number, (goal, shortest) in enumerate(itertools.islice(targets, goals), 1):
         contacts, entered, start = judge.contacts, judge.entered, time.process_time()
-        drive = loop.drive(goal, way)
+        drive = loop.drive(goal, shortest)
         cpu += time.process_time() - start
         drives.append(drive)
         touched += judge.contacts > contacts or judge.entered > entered
         bad = not drive.reached or judge.contacts > contacts or judge.entered > entered
         print(_line(number, goal, drive, judge) if bad else f"{number} reached in {drive.seconds:.0f} s", flush=True)
-        if there.hides and not drive.reached:  # it may hang on a board, or lie in a drop
+        if floor_world.hides and not drive.reached:  # it may hang on a board, or lie in a drop
             robot.simulation.teleport(pose(*robot.simulation.world.floor.start))
             ours.put_elsewhere()
             loop.settle()
-    eyes = "" if not there.hides else ", laser and depth" if depth else ", laser alone"
-    if there.hides:
+    eyes = "" if not floor_world.hides else ", laser and depth" if depth else ", laser alone"
+    if floor_world.hides:
         print(f"{touched} of {goals} drives touched something or came over a drop", flush=True)
     return drives, _rows(f"{name}, {base}{eyes}", drives, judge, (robot.now - began) / cpu)
 
@@ -108,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows: list[Row] = []
     for name, base in itertools.product(args.world, args.base):
         print(f"== {name}, {base}")
-        _, found = run(
+        _, world_rows = run(
             name,
             base,
             args.goals,
@@ -117,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             localized=not args.truth,
             depth=not args.laser_alone,
         )
-        rows += found
+        rows += world_rows
     report(rows, args.json)
     reached, contacts, entries = (rows[place::7] for place in range(3))
     return int(any(row.ratio < 1.0 for row in reached) or any(row.ours for row in (*contacts, *entries)))

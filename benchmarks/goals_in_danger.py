@@ -49,13 +49,13 @@ class End:
     """
 
     status: int
-    told: int
+    reports: int
     seconds: float
 
     @property
     def good(self) -> bool:
         """One end, and no second one."""
-        return self.told == 1 and self.status != 0
+        return self.reports == 1 and self.status != 0
 
 
 class Scene:
@@ -85,13 +85,13 @@ class Scene:
         self._goals += 1
         return Goal(self, server, client, self._goals)
 
-    def told_of(self, action: str) -> str:
+    def describe(self, action: str) -> str:
         """What the workers say of an action, and who is on the side of each."""
-        told = [f"{line['direction']} {line['topic']}: {line['why']}" for line in self.deployment.explain(action)]
+        lines = [f"{line['direction']} {line['topic']}: {line['why']}" for line in self.deployment.explain(action)]
         for status in self.deployment.status():
-            told.append(f"{status['side']}: {status['state']}, {status.get('network')}, {status.get('warnings')}")
-            told += [str(route) for route in status["routes"] if route["action"] == action]
-        return "\n".join(told)
+            lines.append(f"{status['side']}: {status['state']}, {status.get('network')}, {status.get('warnings')}")
+            lines += [str(route) for route in status["routes"] if route["action"] == action]
+        return "\n".join(lines)
 
     def kill_worker(self, worker: str) -> None:
         """SIGKILL a worker; returns when the next one runs."""
@@ -99,8 +99,8 @@ class Scene:
         os.kill(old, signal.SIGKILL)
 
         def runs() -> bool:
-            told = self.deployment.worker(worker)
-            return told.get("state") == "running" and told["pid"] != old
+            status = self.deployment.worker(worker)
+            return status.get("state") == "running" and status["pid"] != old
 
         until(runs, f"the next worker of {worker} runs", SECONDS, every=0.1)
 
@@ -133,7 +133,7 @@ class Goal:
         try:
             self.id = pair.send(name)
         except AssertionError as err:
-            raise AssertionError(f"{err}\n{scene.told_of(name)}") from None
+            raise AssertionError(f"{err}\n{scene.describe(name)}") from None
         pair.goal(self.id, accepted=True, feedback=1)
         self._look_on(name)
         self.killed_at = time.monotonic()
@@ -156,7 +156,7 @@ class Goal:
                     seen[goal].append(status["status"])
         return seen
 
-    def told(self) -> int:
+    def reported_ends(self) -> int:
         """How many ends those who look on were told, of the goal of which they were told most."""
         terminal = TERMINAL[self.sides[1]]
         return max((sum(s in terminal for s in states) for states in self._states().values()), default=0)
@@ -172,32 +172,32 @@ class Goal:
     def ask_again(self) -> None:
         """Have the client ask for the result until it is told: a request to a server that is being found is lost."""
 
-        def told() -> bool:
+        def has_ended() -> bool:
             self.client.ask("ask_result", id=self.id)
             return bool(self.client.ask("goal", id=self.id, until={"ends": 1}, seconds=1.0)["ends"])
 
         with contextlib.suppress(AssertionError):  # `end` tells that there was none
-            until(told, "a result", SECONDS)
+            until(has_ended, "a result", SECONDS)
 
     def end(self) -> End:
         """Wait for the end that the client is told, and for a second one that must not come."""
-        found = self.client.ask("goal", id=self.id, until={"ends": 1}, seconds=SECONDS)
+        state = self.client.ask("goal", id=self.id, until={"ends": 1}, seconds=SECONDS)
         took = time.monotonic() - self.killed_at
         time.sleep(SETTLE)
-        found = self.client.ask("goal", id=self.id, until={}, seconds=0)
-        return End(found["status"], max(found["ends"], self.told()), took)
+        state = self.client.ask("goal", id=self.id, until={}, seconds=0)
+        return End(state["status"], max(state["ends"], self.reported_ends()), took)
 
     def end_for_others(self) -> End:
         """The same, as those who look on are told it."""
         try:
-            until(self.told, "an end", SECONDS, every=0.1)
+            until(self.reported_ends, "an end", SECONDS, every=0.1)
         except AssertionError:
             return End(0, 0, SECONDS)
         took = time.monotonic() - self.killed_at
         time.sleep(SETTLE)
         last = {state for states in self._states().values() for state in states[-1:]}
         done = 3 if self.sides[1] == ROS1 else SUCCEEDED
-        return End(SUCCEEDED if last == {done} else 6, self.told(), took)
+        return End(SUCCEEDED if last == {done} else 6, self.reported_ends(), took)
 
 
 # -- the dangers -------------------------------------------------------------------------------------------------------
@@ -259,23 +259,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         scene = Scene(deployment)
         for number in range(args.times):
             for danger in args.dangers or DANGERS:
-                for way, sides in WAYS.items():
+                for direction, sides in WAYS.items():
                     end = DANGERS[danger](scene, *sides)
-                    ends[danger, way].append(end)
-                    print(f"{number + 1}/{args.times} {danger}, {way}: {_text(end)}", flush=True)
+                    ends[danger, direction].append(end)
+                    print(f"{number + 1}/{args.times} {danger}, {direction}: {_text(end)}", flush=True)
     print()
-    for (danger, way), found in ends.items():
-        states = ", ".join(f"{n} {state}" for state, n in Counter(STATES[e.status] for e in found).items())
-        took = [end.seconds for end in found]
-        print(f"{danger}, {way}: {states}; {statistics.median(took):.2f} / {max(took):.2f} s (p50 / max)")
+    for (danger, direction), goal_ends in ends.items():
+        states = ", ".join(f"{n} {state}" for state, n in Counter(STATES[e.status] for e in goal_ends).items())
+        took = [end.seconds for end in goal_ends]
+        print(f"{danger}, {direction}: {states}; {statistics.median(took):.2f} / {max(took):.2f} s (p50 / max)")
     rows = [Row(f"{d}, {w}, one end", sum(e.good for e in es), len(es), "times", "more") for (d, w), es in ends.items()]
     print()
     report(rows, args.json)
-    return int(any(not end.good for found in ends.values() for end in found))
+    return int(any(not end.good for goal_ends in ends.values() for end in goal_ends))
 
 
 def _text(end: End) -> str:
-    return f"{STATES[end.status]}, told {end.told} times, {end.seconds:.2f} s"
+    return f"{STATES[end.status]}, reported {end.reports} times, {end.seconds:.2f} s"
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -103,9 +103,9 @@ class Tour:
         column, row = (int(v) for v in self.grid.cells_at((x, y)))
         while True:
             goal = places[self._rng.integers(len(places))]
-            way = astar(weights, (row, column), (int(goal[0]), int(goal[1])))
-            if way is not None and way.length > _FAR / self.grid.resolution:
-                centers = self.grid.centers_of(way.cells[::4, ::-1])
+            path = astar(weights, (row, column), (int(goal[0]), int(goal[1])))
+            if path is not None and path.length > _FAR / self.grid.resolution:
+                centers = self.grid.centers_of(path.cells[::4, ::-1])
                 return [(float(px), float(py)) for px, py in centers[2:]]
 
     def _weights(self) -> NDArray[np.uint8]:
@@ -128,26 +128,26 @@ def simulated(world: str, seed: int) -> Simulation:
 
 def drive(tour: Tour, localizer: Localizer, seconds: float, costs: list[float]) -> Iterator[tuple[float, float, float]]:
     """Drive, and say ten times a second how long it has been, and how far off the localizer is (m, degrees)."""
-    there = tour.there
-    begun = there.time_ns
+    simulation = tour.there
+    begun = simulation.time_ns
     last = -1
     for n in range(round(seconds * 100)):
         if n % _CONTROL == 0:
             tour.steer()
-        there.tick()
-        found = there.estimate
-        localizer.odometry(Pose(*found.pose, stamp_ns=found.time_ns))
-        if there.scan.time_ns == last:
+        simulation.tick()
+        estimate = simulation.estimate
+        localizer.odometry(Pose(*estimate.pose, stamp_ns=estimate.time_ns))
+        if simulation.scan.time_ns == last:
             continue
-        last = there.scan.time_ns
-        points = scan_points(there.scan)
+        last = simulation.scan.time_ns
+        points = scan_points(simulation.scan)
         clock = time.perf_counter()
         localizer.scan(last, points)
         costs.append(time.perf_counter() - clock)
-        pose, truth = localizer.pose, there.base.pose()
+        pose, truth = localizer.pose, simulation.base.pose()
         assert pose is not None
         meters = math.hypot(pose.x - truth.x, pose.y - truth.y)
-        yield (there.time_ns - begun) / 1e9, meters, abs(math.degrees(wrapped(pose.theta - truth.yaw)))
+        yield (simulation.time_ns - begun) / 1e9, meters, abs(math.degrees(wrapped(pose.theta - truth.yaw)))
 
 
 def held(
@@ -189,8 +189,8 @@ def rows(minutes: float, seeds: int, starts: int, settings: LocaliserSection) ->
         if starts:
             late = [recovered(world, seed, settings) for seed in range(starts)]
             for share in (50, 90, 100):
-                found = float(np.percentile(late, share, method="higher"))
-                yield Row(f"{world}, {starts} wrong starts: found after, {share} %", found, RECOVERY, "s")
+                value = float(np.percentile(late, share, method="higher"))
+                yield Row(f"{world}, {starts} wrong starts: found after, {share} %", value, RECOVERY, "s")
 
 
 def _held_rows(world: str, minutes: float, seeds: int, settings: LocaliserSection) -> Iterator[Row]:
@@ -200,8 +200,8 @@ def _held_rows(world: str, minutes: float, seeds: int, settings: LocaliserSectio
     name = f"{world}, {seeds} x {minutes:g} min"
     for column, limit, unit in ((1, METERS, "m"), (2, DEGREES, "deg")):
         for share in (50, 99, 100):
-            found = float(np.percentile(errors[:, column], share))
-            yield Row(f"{name}: error, {f'{share} %' if share < 100 else 'greatest'}", found, limit, unit)
+            value = float(np.percentile(errors[:, column], share))
+            yield Row(f"{name}: error, {f'{share} %' if share < 100 else 'greatest'}", value, limit, unit)
     for share in (50, 99, 100):
         yield Row(f"{name}: a scan, {share} %", float(np.percentile(costs, share)), 100.0, "ms")
 

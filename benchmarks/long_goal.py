@@ -35,18 +35,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder, Deployment(Path(folder)) as deployment:
         deployment.start()
         programs = {ROS1: deployment.ros1, ROS2: deployment.ros2}
-        pairs = {way: Pair((s, programs[s]()), (c, programs[c]())) for way, (s, c) in WAYS.items()}
+        pairs = {direction: Pair((s, programs[s]()), (c, programs[c]())) for direction, (s, c) in WAYS.items()}
         goals = {}
-        for way, pair in pairs.items():
+        for direction, pair in pairs.items():
             pair.act(pair.name("long"), times=count, period=1 / args.rate)
-            goals[way] = pair.send(pair.name("long")), time.monotonic()
-        for way, pair in pairs.items():
-            goal, began = goals[way]
-            told = pair.client.ask("goal", id=goal, until={"ends": 1}, seconds=args.minutes * 60 + SLACK)
+            goals[direction] = pair.send(pair.name("long")), time.monotonic()
+        for direction, pair in pairs.items():
+            goal, began = goals[direction]
+            state = pair.client.ask("goal", id=goal, until={"ends": 1}, seconds=args.minutes * 60 + SLACK)
             took = time.monotonic() - began
-            print(f"{way}: status {told['status']}, told {told['ends']} times, after {took:.1f} s", flush=True)
-            well = well and told["status"] == SUCCEEDED and told["ends"] == 1
-            rows.append(Row(f"{way}, feedback", len(told["feedback"]), count, "messages", "more"))
+            print(f"{direction}: status {state['status']}, told {state['ends']} times, after {took:.1f} s", flush=True)
+            well = well and state["status"] == SUCCEEDED and state["ends"] == 1
+            rows.append(Row(f"{direction}, feedback", len(state["feedback"]), count, "messages", "more"))
     report(rows, args.json)
     return int(not well or any(row.ours != row.peer for row in rows))
 

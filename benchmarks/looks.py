@@ -77,9 +77,9 @@ class Beside:
         self._settle()
         self.took.clear()
         for number in range(times):
-            gone = self._native(f"/more/s{number}")
+            remove = self._native(f"/more/s{number}")
             self._settle()
-            gone()
+            remove()
             publisher = self._other.publisher(f"/more/h{number}", TYPE, self._hash, Qos())
             self._settle()
             publisher.close()
@@ -114,14 +114,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with HubNetwork() as hubs:
             beside = Beside(hubs, count, registry)
             try:
-                found = {"one changed": beside.change(args.times), "nothing changed": beside.idle(2 * args.times)}
+                durations = {"one changed": beside.change(args.times), "nothing changed": beside.idle(2 * args.times)}
             finally:
                 beside.close()
-        for what, took in found.items():
+        for change, took in durations.items():
             cuts = statistics.quantiles(took, n=100, method="inclusive")
             for figure, seconds in (("p50", cuts[49]), ("p99", cuts[98])):
-                peer = few.setdefault((what, figure), seconds)
-                rows.append(Row(f"{count} endpoints, {what}, {figure}", seconds * 1e3, peer * 1e3, "ms"))
+                peer = few.setdefault((change, figure), seconds)
+                rows.append(Row(f"{count} endpoints, {change}, {figure}", seconds * 1e3, peer * 1e3, "ms"))
     report(rows, args.json)
     return 0
 

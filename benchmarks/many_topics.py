@@ -48,9 +48,9 @@ class Crowd(Stage):
         })  # fmt: skip
         try:
             self._message = prepare(NUMBERED, self.place.folder)
-            self._topics = {way: [f"/many/{way}_{i}" for i in range(topics)] for way in WAYS}
+            self._topics = {direction: [f"/many/{direction}_{i}" for i in range(topics)] for direction in WAYS}
             self.start_bridge()
-            self._ends("fast", {way: [f"/fast/{way}"] for way in WAYS})
+            self._ends("fast", {direction: [f"/fast/{direction}"] for direction in WAYS})
             if topics:
                 self._ends("many", self._topics)
             self.meter = Meter(self.process_ids())
@@ -63,13 +63,13 @@ class Crowd(Stage):
     def _ends(self, part: str, topics: Mapping[str, Sequence[str]]) -> None:
         """Start the senders and listeners of some topics, and wait until each of these has a message through."""
         self.start_ends({f"{kind} {part} {role}": kind for kind in KINDS for role in ("listener", "sender")})
-        for way, (source, target, _) in WAYS.items():
-            heard = [self._message.topic(name, ros1=target == "ros1") for name in topics[way]]
-            sent = [self._message.topic(name, ros1=source == "ros1") for name in topics[way]]
-            self.command(f"{target} {part} listener", "count", "counting", topics=heard)
+        for direction, (source, target, _) in WAYS.items():
+            subscribed = [self._message.topic(name, ros1=target == "ros1") for name in topics[direction]]
+            sent = [self._message.topic(name, ros1=source == "ros1") for name in topics[direction]]
+            self.command(f"{target} {part} listener", "count", "counting", topics=subscribed)
             self.command(f"{source} {part} sender", "advertise", "advertised", topics=sent)
-        for way, (source, target, _) in WAYS.items():
-            self._wait_until_all_cross(f"{source} {part} sender", f"{target} {part} listener", topics[way])
+        for direction, (source, target, _) in WAYS.items():
+            self._wait_until_all_cross(f"{source} {part} sender", f"{target} {part} listener", topics[direction])
 
     def _wait_until_all_cross(self, sender: str, listener: str, topics: Sequence[str]) -> None:
         def all_cross() -> bool:
@@ -91,21 +91,26 @@ class Crowd(Stage):
         return self.meter.read()
 
     def drum(
-        self, part: str, ways: Sequence[str], rate: float, seconds: float
+        self, part: str, directions: Sequence[str], rate: float, seconds: float
     ) -> tuple[dict[str, dict[str, Any]], dict[str, Usage]]:
         """Send on the topics of some ways; what arrived each way, and what the processes took."""
-        topics = {way: self._topics[way] if part == "many" else [f"/fast/{way}"] for way in ways}
+        topics = {
+            direction: self._topics[direction] if part == "many" else [f"/fast/{direction}"] for direction in directions
+        }
         self.meter.start()
-        for way in ways:
-            sender = f"{WAYS[way][0]} {part} sender"
-            self.command(sender, "drum", "drumming", topics=topics[way], rate=rate, seconds=seconds)
+        for direction in directions:
+            sender = f"{WAYS[direction][0]} {part} sender"
+            self.command(sender, "drum", "drumming", topics=topics[direction], rate=rate, seconds=seconds)
         time.sleep(seconds)
         used = self.meter.read()
-        for way in ways:
-            self.wait_for(f"{WAYS[way][0]} {part} sender", "drummed")
-        sent = {way: round(rate * seconds) * len(topics[way]) for way in ways}
-        told = {way: self._tally(f"{WAYS[way][1]} {part} listener", sent[way], LATEST_SECONDS) for way in ways}
-        return {way: t | {"sent": sent[way]} for way, t in told.items()}, used
+        for direction in directions:
+            self.wait_for(f"{WAYS[direction][0]} {part} sender", "drummed")
+        sent = {direction: round(rate * seconds) * len(topics[direction]) for direction in directions}
+        tallies = {
+            direction: self._tally(f"{WAYS[direction][1]} {part} listener", sent[direction], LATEST_SECONDS)
+            for direction in directions
+        }
+        return {direction: t | {"sent": sent[direction]} for direction, t in tallies.items()}, used
 
 
 class Bare(Crowd):
@@ -115,7 +120,7 @@ class Bare(Crowd):
         """Start roscore and the relays."""
         self.start_master()
         endpoint, master = f"tcp/127.0.0.1:{self.place.router_port}", f"http://127.0.0.1:{self.place.master_port}/"
-        topics = {way: [*names, f"/fast/{way}"] for way, names in self._topics.items()}
+        topics = {direction: [*names, f"/fast/{direction}"] for direction, names in self._topics.items()}
         for kind, inward, outward in (("ros1", THERE, BACK), ("ros2", BACK, THERE)):
             self.launch(kind, "benchmarks.latency.relay", kind, endpoint, master)
             self.wait_for(kind, "ready")
@@ -132,25 +137,25 @@ class Samples:
     def __init__(self) -> None:
         self._all: dict[tuple[str, str, str], list[float]] = defaultdict(list)
 
-    def take(self, crowd: Crowd, condition: str, seconds: float) -> None:
+    def measure(self, crowd: Crowd, condition: str, seconds: float) -> None:
         """Send each way, one after the other."""
-        for way in WAYS:
-            told, used = crowd.drum("fast", [way], FAST, seconds)
-            p50, p99 = figures(told[way]["ages"])
+        for direction in WAYS:
+            tallies, used = crowd.drum("fast", [direction], FAST, seconds)
+            p50, p99 = figures(tallies[direction]["ages"])
             for figure, value in (("p50", p50), ("p99", p99), ("CPU", total(used, WORKERS))):
-                self._all[way, condition, figure].append(value)
-            lost = told[way]["sent"] - told[way]["distinct"]
-            say(text(f"one topic at {FAST:g} Hz, {WAYS[way][2]}, {condition}, {lost} lost", used))
+                self._all[direction, condition, figure].append(value)
+            lost = tallies[direction]["sent"] - tallies[direction]["distinct"]
+            report_progress(text(f"one topic at {FAST:g} Hz, {WAYS[direction][2]}, {condition}, {lost} lost", used))
 
     def rows(self, count: int, suffix: str) -> list[Row]:
         """A row of each way and figure: medians, beside idle topics and alone."""
         rows = []
-        for way, (_, _, name) in WAYS.items() if self._all else ():
+        for direction, (_, _, name) in WAYS.items() if self._all else ():
             for figure, unit in (("CPU", "%"), ("p50", "us"), ("p99", "us")):
-                ours, alone = (statistics.median(self._all[way, which, figure]) for which in ("beside", "alone"))
-                what = "CPU of both workers" if figure == "CPU" else figure
+                ours, alone = (statistics.median(self._all[direction, which, figure]) for which in ("beside", "alone"))
+                label = "CPU of both workers" if figure == "CPU" else figure
                 rows.append(
-                    Row(f"{FAST:g} Hz beside {count} idle, {name}, {what}, to alone{suffix}", ours, alone, unit)
+                    Row(f"{FAST:g} Hz beside {count} idle, {name}, {label}, to alone{suffix}", ours, alone, unit)
                 )
         return rows
 
@@ -159,19 +164,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
     args = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.WARNING)
-    taken = [_take(args, lane=lane) for lane in LANES[args.lane]]
+    taken = [_measure(args, lane=lane) for lane in LANES[args.lane]]
     rows: list[Row] = []
     count = 2 * (args.topics // 2)
     if "busy" in args.parts:
         with Bare(count // 2, realtime=args.realtime) as crowd:
             bare = _busy(crowd, f"{count} topics at {args.rate:g} Hz by bare relays", args.rate, args.seconds)
-        for each in taken:
-            rows += _busy_rows(f"{count} at {args.rate:g} Hz{each.suffix}", each.busy[0], bare)
+        for measurement in taken:
+            rows += _busy_rows(f"{count} at {args.rate:g} Hz{measurement.suffix}", measurement.busy[0], bare)
         if len(taken) > 1:
-            ours, off = (each.busy[0].cpu for each in taken)
+            ours, off = (measurement.busy[0].cpu for measurement in taken)
             rows.append(Row(f"{count} at {args.rate:g} Hz, CPU of both workers, to lane off", ours, off, "%"))
-    for each in taken:
-        rows += _idle(each.quiet, count, each.suffix) + each.samples.rows(count, each.suffix)
+    for measurement in taken:
+        rows += _idle(measurement.quiet, count, measurement.suffix) + measurement.samples.rows(
+            count, measurement.suffix
+        )
     report(rows, args.json)
 
 
@@ -185,17 +192,17 @@ class Taken:
         self.busy: list[Busy] = []
 
 
-def _take(args: argparse.Namespace, *, lane: bool) -> Taken:
+def _measure(args: argparse.Namespace, *, lane: bool) -> Taken:
     count, taken = 2 * (args.topics // 2), Taken(lane=lane)
     for condition in ("alone", "beside", "alone") if "fast" in args.parts else ("beside",):
         topics = count // 2 if condition == "beside" else 0
         with Crowd(topics, realtime=args.realtime, lane=lane) as crowd:
             if "idle" in args.parts:
                 idle = crowd.idle(args.seconds)
-                say(text(f"{condition}, nothing sent{taken.suffix}", idle))
+                report_progress(text(f"{condition}, nothing sent{taken.suffix}", idle))
                 taken.quiet[condition].append(total(idle, DAEMON))
             if "fast" in args.parts:
-                taken.samples.take(crowd, condition, args.seconds / (2 if condition == "alone" else 1))
+                taken.samples.measure(crowd, condition, args.seconds / (2 if condition == "alone" else 1))
             if condition == "beside" and "busy" in args.parts:
                 title = f"{count} topics at {args.rate:g} Hz{taken.suffix}"
                 taken.busy.append(_busy(crowd, title, args.rate, args.seconds))
@@ -232,40 +239,42 @@ class Busy:
 
 
 def _busy(crowd: Crowd, title: str, rate: float, seconds: float) -> Busy:
-    told, used = crowd.drum("many", list(WAYS), rate, seconds)
-    say(text(title, used))
-    for way, (_, _, name) in WAYS.items():
-        say(f"{name}: {told[way]['got'] - told[way]['distinct']} doubled, {told[way]['disorder']} out of order")
-    if words := crowd.words():
-        say(f"the daemon's warnings:\n{words}")
-    ages = {way: figures(tally["ages"]) for way, tally in told.items()}
+    tallies, used = crowd.drum("many", list(WAYS), rate, seconds)
+    report_progress(text(title, used))
+    for direction, (_, _, name) in WAYS.items():
+        report_progress(
+            f"{name}: {tallies[direction]['got'] - tallies[direction]['distinct']} doubled, {tallies[direction]['disorder']} out of order"
+        )
+    if warnings := crowd.words():
+        report_progress(f"the daemon's warnings:\n{warnings}")
+    ages = {direction: figures(tally["ages"]) for direction, tally in tallies.items()}
     return Busy(
         total(used, WORKERS),
-        {way: tally["sent"] for way, tally in told.items()},
-        {way: tally["distinct"] for way, tally in told.items()},
-        {way: figure.p50 for way, figure in ages.items()},
-        {way: figure.p99 for way, figure in ages.items()},
+        {direction: tally["sent"] for direction, tally in tallies.items()},
+        {direction: tally["distinct"] for direction, tally in tallies.items()},
+        {direction: figure.p50 for direction, figure in ages.items()},
+        {direction: figure.p99 for direction, figure in ages.items()},
     )
 
 
 def _busy_rows(case: str, ours: Busy, bare: Busy) -> list[Row]:
     """Ours to the project's limits, and to the bare relays."""
-    what = "CPU of both workers"
+    label = "CPU of both workers"
     rows = [
-        Row(f"{case}, {what}, to the limit", ours.cpu, BUSY_CPU, "%"),
-        Row(f"{case}, {what}, to bare relays", ours.cpu, bare.cpu, "%"),
+        Row(f"{case}, {label}, to the limit", ours.cpu, BUSY_CPU, "%"),
+        Row(f"{case}, {label}, to bare relays", ours.cpu, bare.cpu, "%"),
     ]
-    for way, (_, _, name) in WAYS.items():
+    for direction, (_, _, name) in WAYS.items():
         rows += [
-            Row(f"{case}, {name}, arrived of sent", ours.arrived[way], ours.sent[way], "msgs", "more"),
-            Row(f"{case}, {name}, p99, to the limit", ours.p99[way], BUSY_P99, "us"),
-            Row(f"{case}, {name}, p99, to bare relays", ours.p99[way], bare.p99[way], "us"),
-            Row(f"{case}, {name}, p50, to bare relays", ours.p50[way], bare.p50[way], "us"),
+            Row(f"{case}, {name}, arrived of sent", ours.arrived[direction], ours.sent[direction], "msgs", "more"),
+            Row(f"{case}, {name}, p99, to the limit", ours.p99[direction], BUSY_P99, "us"),
+            Row(f"{case}, {name}, p99, to bare relays", ours.p99[direction], bare.p99[direction], "us"),
+            Row(f"{case}, {name}, p50, to bare relays", ours.p50[direction], bare.p50[direction], "us"),
         ]
     return rows
 
 
-def say(words: str) -> None:
+def report_progress(words: str) -> None:
     """Tell beside the rows."""
     print(words, file=sys.stderr, flush=True)
 

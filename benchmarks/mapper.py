@@ -77,11 +77,11 @@ def tour(simulation: Simulation, seconds: float = math.inf) -> Iterator[Seen]:
     end = simulation.time_ns + min(seconds, 1e6) * 1e9
     for place in _points(open_, round(APART / grid.resolution)):
         x, y, _ = simulation.base.pose()
-        here = grid.cells_at((x, y))
-        way = astar(open_, (int(here[1]), int(here[0])), place)
-        if way is None:
+        start = grid.cells_at((x, y))
+        path = astar(open_, (int(start[1]), int(start[0])), place)
+        if path is None:
             continue  # a corner that nobody comes to
-        for target in grid.centers_of(shortcut(open_, way.cells)[1:, ::-1]):
+        for target in grid.centers_of(shortcut(open_, path.cells)[1:, ::-1]):
             for seen in _driven(simulation, *target):
                 yield seen
                 if simulation.time_ns >= end:
@@ -95,10 +95,10 @@ def _points(open_: NDArray[np.uint8], step: int) -> Iterator[tuple[int, int]]:
         columns = range(step // 2, open_.shape[1], step)
         for column in columns if turn % 2 == 0 else reversed(columns):
             low_row, low_column = max(0, row - near), max(0, column - near)
-            found = np.argwhere(open_[low_row : row + near + 1, low_column : column + near + 1])
-            if len(found):
-                there = np.add(found, (low_row, low_column))
-                best = there[np.abs(there - (row, column)).sum(axis=1).argmin()]
+            open_cells = np.argwhere(open_[low_row : row + near + 1, low_column : column + near + 1])
+            if len(open_cells):
+                distances = np.add(open_cells, (low_row, low_column))
+                best = distances[np.abs(distances - (row, column)).sum(axis=1).argmin()]
                 yield int(best[0]), int(best[1])
 
 
@@ -109,11 +109,11 @@ def _driven(simulation: Simulation, x: float, y: float) -> Iterator[Seen]:
     patience = simulation.time_ns + (10.0 + math.hypot(x - start.x, y - start.y) / 0.1) * 1e9
     while simulation.time_ns < patience:
         pose = Pose(*simulation.base.pose())
-        way = math.hypot(x - pose.x, y - pose.y)
-        if way < 0.1:
+        distance = math.hypot(x - pose.x, y - pose.y)
+        if distance < 0.1:
             return
         off = wrapped(math.atan2(y - pose.y, x - pose.x) - pose.theta)
-        ahead = 0.0 if abs(off) > 0.3 else min(0.5, way)
+        ahead = 0.0 if abs(off) > 0.3 else min(0.5, distance)
         simulation.command(Twist(ahead, 0.0, max(-1.0, min(1.0, 2.0 * off))))
         simulation.tick()
         if simulation.scan is not last:
@@ -133,12 +133,12 @@ def mapped(scans: list[Seen], resolution: float = 0.05) -> Mapper:
 class Match(NamedTuple):
     """How a map matches what stands on a floor.
 
-    ``near``: share of the occupied cells whose middle is within two cells of a surface. ``found``: share of the
+    ``near``: share of the occupied cells whose middle is within two cells of a surface. ``covered``: share of the
     surface that was in sight which is within one cell of an occupied one.
     """
 
     near: float
-    found: float
+    covered: float
 
 
 def match(grid: MapGrid2D, simulation: Simulation, poses: list[Pose]) -> Match:
@@ -150,9 +150,9 @@ def match(grid: MapGrid2D, simulation: Simulation, poses: list[Pose]) -> Match:
     surface = _in_sight(segments, circles, poses)
     apart = distance_transform(grid.flags == MapFlag.WALL)
     cells = grid.cells_at(surface)
-    there = (cells >= 0).all(axis=1) & (cells < (grid.width(), grid.height())).all(axis=1)
+    inside = (cells >= 0).all(axis=1) & (cells < (grid.width(), grid.height())).all(axis=1)
     hit = np.zeros(len(surface), np.bool_)
-    hit[there] = apart[cells[there, 1], cells[there, 0]] < 1.5
+    hit[inside] = apart[cells[inside, 1], cells[inside, 0]] < 1.5
     return Match(near, float(hit.mean()))
 
 
@@ -160,9 +160,9 @@ def _distance(points: Floats, segments: Floats, circles: Floats) -> Floats:
     """Each point's distance to the nearest surface, meters."""
     best = np.full(len(points), math.inf)
     for x, y, to_x, to_y in segments:
-        way = np.array((to_x - x, to_y - y))
-        along = np.clip((points - (x, y)) @ way / max(way @ way, 1e-12), 0.0, 1.0)
-        best = np.minimum(best, np.linalg.norm(points - (x, y) - along[:, None] * way, axis=1))
+        vector = np.array((to_x - x, to_y - y))
+        along = np.clip((points - (x, y)) @ vector / max(vector @ vector, 1e-12), 0.0, 1.0)
+        best = np.minimum(best, np.linalg.norm(points - (x, y) - along[:, None] * vector, axis=1))
     for x, y, radius in circles:
         best = np.minimum(best, np.abs(np.linalg.norm(points - (x, y), axis=1) - radius))
     return best
@@ -176,13 +176,13 @@ def _in_sight(segments: Floats, circles: Floats, poses: list[Pose]) -> Floats:
     left, bottom = np.array([(pose.x, pose.y) for pose in poses]).min(axis=0) - FARTHEST
     right, top = np.array([(pose.x, pose.y) for pose in poses]).max(axis=0) + FARTHEST
     out = np.empty(_DENSE)
-    found = np.zeros((round((right - left) / _FINE) + 2, round((top - bottom) / _FINE) + 2), np.bool_)
+    visible = np.zeros((round((right - left) / _FINE) + 2, round((top - bottom) / _FINE) + 2), np.bool_)
     for pose in poses:
         cast(segments, circles, pose.x, pose.y, 0.0, beams, 0.0, step, FARTHEST, out)
         hit = out <= FARTHEST
         ends = (np.array((pose.x - left, pose.y - bottom)) + out[hit, None] * beams[hit]) / _FINE
-        found[tuple(np.round(ends).astype(np.int64).T)] = True
-    surface: Floats = np.argwhere(found) * _FINE + (left, bottom)
+        visible[tuple(np.round(ends).astype(np.int64).T)] = True
+    surface: Floats = np.argwhere(visible) * _FINE + (left, bottom)
     return surface
 
 
@@ -228,12 +228,12 @@ def main() -> int:
     need_peers("pyoctomap")
     rows = []
     for name in args.plans:
-        found, scans = quality(name, args.seconds)
+        match_, scans = quality(name, args.seconds)
         driven = f"{name}, {len(scans) * 0.1:.0f} s"
         rows.append(
-            Row(f"{driven}, occupied cells within 2 cells of a surface", 100.0 * found.near, 100.0, "%", "more")
+            Row(f"{driven}, occupied cells within 2 cells of a surface", 100.0 * match_.near, 100.0, "%", "more")
         )
-        rows.append(Row(f"{driven}, surface in sight that is found", 100.0 * found.found, 95.0, "%", "more"))
+        rows.append(Row(f"{driven}, surface in sight that is found", 100.0 * match_.covered, 95.0, "%", "more"))
         rows.append(Row(f"{name}, 720 beams, octomap", ours(scans), octomap(scans, 10.0), "scans/s", "more"))
     report(rows, args.json)
     return 0

@@ -57,31 +57,31 @@ def seat(turn: float) -> SensorPose:
 def depth(at: SensorPose, size: float, rng: np.random.Generator) -> NDArray[np.float32]:
     """What the camera sees of a room of so many meters a side, 2.6 m high, with two tables."""
     u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
-    ways = (
+    rays = (
         np.stack(((u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u, float)), -1) @ at.rotation.T
     )
-    found = np.full(u.shape, np.inf)
+    depths = np.full(u.shape, np.inf)
     origin = np.array(at.origin)
     tables = [((1.2, -0.9), (2.0, 0.9)), ((-1.5, 0.8), (-0.8, 1.6))]
-    surfaces: list[tuple[int, float, Any]] = [(axis, way * size / 2, None) for axis in (0, 1) for way in (-1.0, 1.0)]
+    surfaces: list[tuple[int, float, Any]] = [(axis, sign * size / 2, None) for axis in (0, 1) for sign in (-1.0, 1.0)]
     surfaces += [(2, 0.0, None), (2, 2.6, None), *((2, 0.74, table) for table in tables)]
     with np.errstate(divide="ignore", invalid="ignore"):
         for axis, place, within in surfaces:
-            there = (place - origin[axis]) / ways[..., axis]
-            hit = (there > 0.0) & (there < found)
+            crossings = (place - origin[axis]) / rays[..., axis]
+            hit = (crossings > 0.0) & (crossings < depths)
             if within is not None:
-                spot = (origin + ways * there[..., None])[..., :2]
+                spot = (origin + rays * crossings[..., None])[..., :2]
                 hit &= ((spot > within[0]) & (spot < within[1])).all(-1)
-            found = np.where(hit, there, found)
-    noise = rng.normal(0.0, 0.001, found.shape) * found**2
-    return np.asarray(found + noise, np.float32)
+            depths = np.where(hit, crossings, depths)
+    noise = rng.normal(0.0, 0.001, depths.shape) * depths**2
+    return np.asarray(depths + noise, np.float32)
 
 
 def images(count: int, size: float) -> list[tuple[SensorPose, NDArray[np.float32]]]:
     """So many images of a camera that turns."""
     rng = np.random.default_rng(0)
     seats = [seat(0.1 * index) for index in range(count)]
-    return [(each, depth(each, size, rng)) for each in seats]
+    return [(seat_, depth(seat_, size, rng)) for seat_ in seats]
 
 
 def placed(at: SensorPose, seen: NDArray[np.float32], every: int) -> NDArray[np.float64]:
@@ -112,24 +112,24 @@ def octomaps(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapp
 def layer(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> tuple[float, float]:
     """Milliseconds of a layer, and of telling it to one that hears all of it; the medians of one after each image."""
     space, rays = Space(settings), Rays(settings.pixels)
-    made, told = [], []
+    computing, publishing = [], []
     with QuickHub() as network, Hub.open(network.settings("listener")) as listener:
         host = Host("mapper3d", Config.model_validate({"name": "bench", "hub": network.config()}), Registry())
-        publisher, heard = LayerPublisher(host, settings), threading.Event()
+        publisher, received = LayerPublisher(host, settings), threading.Event()
         for end, kind in (("", GRID), ("_updates", UPDATE), (HEIGHTS, GRID_MAP)):
             listener.subscription(f"{settings.layer.topic}{end}", kind, "*", LATCHED if end != "_updates" else Qos(),
-                                  lambda _: heard.set())  # fmt: skip
+                                  lambda _: received.set())  # fmt: skip
         for index, (at, seen) in enumerate(taken):
             space.add(rays.points(seen, CAMERA), at, FieldOfView(OPTICAL, CAMERA.view), index / RATE)
             begin = time.thread_time()
-            found = space.layer((0.0, 0.0, 0.0))
+            result = space.layer((0.0, 0.0, 0.0))
             middle = time.thread_time()
-            publisher.publish(found)
-            made.append(middle - begin)
-            told.append(time.thread_time() - middle)
-            heard.wait(10.0)  # from then on it is listened to
+            publisher.publish(result)
+            computing.append(middle - begin)
+            publishing.append(time.thread_time() - middle)
+            received.wait(10.0)  # from then on it is listened to
         host.close()
-    return 1000.0 * statistics.median(made), 1000.0 * statistics.median(told)
+    return 1000.0 * statistics.median(computing), 1000.0 * statistics.median(publishing)
 
 
 def main() -> int:
@@ -148,8 +148,8 @@ def main() -> int:
             case, cost = f"room of {size:g} m, {WIDTH // every} x {HEIGHT // every}", ours(taken, settings)
             rows.append(Row(f"{case}, octomap", cost, octomaps(taken, settings), "ms"))
             rows.append(Row(f"{case}, at {RATE:g} Hz", 0.1 * cost * RATE, 100.0 * MOST, "% core"))
-        for what, cost in zip(("made", "told"), layer(taken, Mapper3DSection()), strict=True):
-            rows.append(Row(f"room of {size:g} m, layer {what}", cost, 1000.0 * MOST / RATE, "ms"))
+        for step, cost in zip(("made", "told"), layer(taken, Mapper3DSection()), strict=True):
+            rows.append(Row(f"room of {size:g} m, layer {step}", cost, 1000.0 * MOST / RATE, "ms"))
     report(rows, args.json)
     return 0
 

@@ -98,12 +98,12 @@ def motion(message: dict[str, Any]) -> Motion:
 
 def rows(odometry: Sequence[Motion], truth: Sequence[Motion], case: str) -> list[Row]:
     """Compare the velocities of a drive with the true ones."""
-    true = {one.stamp: one for one in truth}
-    pairs = [(one, true[one.stamp]) for one in odometry if one.stamp in true]
-    standing = [one for one, real in pairs if real.linear < 1e-4 and real.angular < 1e-4]
+    true = {sample.stamp: sample for sample in truth}
+    pairs = [(sample, true[sample.stamp]) for sample in odometry if sample.stamp in true]
+    standing = [sample for sample, real in pairs if real.linear < 1e-4 and real.angular < 1e-4]
     steps = [after.stamp - before.stamp for before, after in itertools.pairwise(odometry)]
-    zero = 100.0 * sum(one.linear == one.angular == 0.0 for one in standing) / max(1, len(standing))
-    error = max(abs(one.linear - real.linear) for one, real in pairs)
+    zero = 100.0 * sum(sample.linear == sample.angular == 0.0 for sample in standing) / max(1, len(standing))
+    error = max(abs(sample.linear - real.linear) for sample, real in pairs)
     return [
         Row(f"messages within {_TOLERATED * LINEAR:g} m/s{case}", within(odometry), within(truth), "%", "more"),
         Row(f"fastest{case}", max(m.linear for m in odometry), max(m.linear for m in truth), "m/s"),
@@ -117,7 +117,7 @@ def rows(odometry: Sequence[Motion], truth: Sequence[Motion], case: str) -> list
 
 def within(motions: Sequence[Motion]) -> float:
     """Return the percentage of messages within the commanded speed and its tolerance."""
-    return 100.0 * sum(one.linear <= _TOLERATED * LINEAR for one in motions) / len(motions)
+    return 100.0 * sum(sample.linear <= _TOLERATED * LINEAR for sample in motions) / len(motions)
 
 
 if __name__ == "__main__":

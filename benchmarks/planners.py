@@ -67,20 +67,20 @@ def maze(size: int) -> Grid:
     while stack:
         row, column = stack[-1]
         grid[4 * row + 1 : 4 * row + 4, 4 * column + 1 : 4 * column + 4] = 1
-        ways = [
+        candidates = [
             (row + down, column + right)
             for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0))
             if 0 <= row + down < count and 0 <= column + right < count and not seen[row + down, column + right]
         ]
-        if not ways:
+        if not candidates:
             stack.pop()
             continue
-        there = dice.choice(ways)
-        seen[there] = True
-        top, left = 4 * min(row, there[0]) + 1, 4 * min(column, there[1]) + 1
-        bottom, right = 4 * max(row, there[0]) + 4, 4 * max(column, there[1]) + 4
+        following = dice.choice(candidates)
+        seen[following] = True
+        top, left = 4 * min(row, following[0]) + 1, 4 * min(column, following[1]) + 1
+        bottom, right = 4 * max(row, following[0]) + 4, 4 * max(column, following[1]) + 4
         grid[top:bottom, left:right] = 1
-        stack.append(there)
+        stack.append(following)
     return grid
 
 
@@ -97,7 +97,7 @@ def ends(name: str, size: int) -> tuple[Cell, Cell]:
     return (2, 2), (last, last)
 
 
-def made(name: str, size: int) -> Grid:
+def make_map(name: str, size: int) -> Grid:
     """A map by its name."""
     if name.startswith("random"):
         return scattered(size, int(name.removeprefix("random")) / 100.0)
@@ -107,9 +107,9 @@ def made(name: str, size: int) -> Grid:
 def ours(grid: Grid, start: Cell, goal: Cell) -> Found:
     """Midspan's: there is no graph to build."""
     begin = time.perf_counter()
-    way = astar(grid, start, goal)
+    path = astar(grid, start, goal)
     seconds = time.perf_counter() - begin
-    return Found(0.0, seconds, math.nan if way is None else way.length)
+    return Found(0.0, seconds, math.nan if path is None else path.length)
 
 
 def by_scipy(grid: Grid, start: Cell, goal: Cell) -> Found:
@@ -123,13 +123,13 @@ def by_scipy(grid: Grid, start: Cell, goal: Cell) -> Found:
     free = grid > 0
     sources, targets, costs = [], [], []
     for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        here = (slice(0, rows - down), slice(max(0, -right), columns - max(0, right)))
-        there = (slice(down, rows), slice(max(0, right), columns + min(0, right)))
-        open_ = free[here] & free[there]
+        tails = (slice(0, rows - down), slice(max(0, -right), columns - max(0, right)))
+        heads = (slice(down, rows), slice(max(0, right), columns + min(0, right)))
+        open_ = free[tails] & free[heads]
         if down and right:
-            open_ &= free[here[0], there[1]] & free[there[0], here[1]]
-        sources.append(number[here][open_])
-        targets.append(number[there][open_])
+            open_ &= free[tails[0], heads[1]] & free[heads[0], tails[1]]
+        sources.append(number[tails][open_])
+        targets.append(number[heads][open_])
         costs.append(np.full(int(open_.sum()), math.hypot(down, right)))
     graph = csr_matrix(
         (np.concatenate(costs), (np.concatenate(sources), np.concatenate(targets))), shape=(grid.size, grid.size)
@@ -153,8 +153,8 @@ def by_w9(grid: Grid, start: Cell, goal: Cell) -> Found:
     )
     finder = AStar(env)
     built = time.perf_counter()
-    way = finder.find_path(start[::-1], goal[::-1])
-    return Found(built - begin, time.perf_counter() - built, length(way))
+    path = finder.find_path(start[::-1], goal[::-1])
+    return Found(built - begin, time.perf_counter() - built, length(path))
 
 
 def by_pyastar2d(grid: Grid, start: Cell, goal: Cell) -> Found:
@@ -164,30 +164,30 @@ def by_pyastar2d(grid: Grid, start: Cell, goal: Cell) -> Found:
     begin = time.perf_counter()
     weights = np.where(grid > 0, grid, np.inf).astype(np.float32)
     built = time.perf_counter()
-    way = pyastar2d.astar_path(weights, start, goal, allow_diagonal=True)
-    return Found(built - begin, time.perf_counter() - built, length(way), corners_cut(grid, way))
+    path = pyastar2d.astar_path(weights, start, goal, allow_diagonal=True)
+    return Found(built - begin, time.perf_counter() - built, length(path), corners_cut(grid, path))
 
 
-def length(way: Any) -> float:
+def length(path: Any) -> float:
     """Of a way of cells, a diagonal being the square root of two."""
-    steps = np.abs(np.diff(np.asarray(way), axis=0)).sum(axis=1)
+    steps = np.abs(np.diff(np.asarray(path), axis=0)).sum(axis=1)
     return float((steps == 1).sum() + math.sqrt(2.0) * (steps == 2).sum())
 
 
-def corners_cut(grid: Grid, way: Any) -> int:
+def corners_cut(grid: Grid, path: Any) -> int:
     """Diagonal steps of a way of rows and columns past a cell that is not free."""
-    here, there = np.asarray(way)[:-1], np.asarray(way)[1:]
-    diagonal = (here != there).all(axis=1)
-    beside = (grid[here[:, 0], there[:, 1]] > 0) & (grid[there[:, 0], here[:, 1]] > 0)
+    steps_from, steps_to = np.asarray(path)[:-1], np.asarray(path)[1:]
+    diagonal = (steps_from != steps_to).all(axis=1)
+    beside = (grid[steps_from[:, 0], steps_to[:, 1]] > 0) & (grid[steps_to[:, 0], steps_from[:, 1]] > 0)
     return int((diagonal & ~beside).sum())
 
 
 def smoothed(grid: Grid, start: Cell, goal: Cell) -> float:
     """Seconds for a way and its waypoints."""
     begin = time.perf_counter()
-    way = astar(grid, start, goal)
-    assert way is not None
-    shortcut(grid, way.cells)
+    path = astar(grid, start, goal)
+    assert path is not None
+    shortcut(grid, path.cells)
     return time.perf_counter() - begin
 
 
@@ -198,26 +198,26 @@ def measured(sizes: list[int], maps: list[str], rounds: int) -> Iterator[Row]:
     """All rows: the best of some rounds of each, in turns."""
     for size in sizes:
         for name in maps:
-            grid, (start, goal) = made(name, size), ends(name, size)
+            grid, (start, goal) = make_map(name, size), ends(name, size)
             ours(grid, start, goal)  # memory is there
             smoothed(grid, start, goal)
-            found: dict[str, list[Found]] = {who: [] for who in PEERS}
-            own: list[Found] = []
+            peer_results: dict[str, list[Found]] = {peer: [] for peer in PEERS}
+            own_results: list[Found] = []
             whole: list[float] = []
             for _ in range(rounds):
-                own.append(ours(grid, start, goal))
+                own_results.append(ours(grid, start, goal))
                 whole.append(smoothed(grid, start, goal))
-                for who, plan in PEERS.items():
-                    found[who].append(plan(grid, start, goal))
-            mine = min(one.search for one in own)
-            for who, all_ in found.items():
-                search = min(one.search for one in all_)
-                built = min(one.build + one.search for one in all_)
-                yield Row(f"{name} {size}, {who}", 1e3 * mine, 1e3 * search, "ms")
-                yield Row(f"{name} {size}, {who} with its graph", 1e3 * mine, 1e3 * built, "ms")
-                yield Row(f"{name} {size}, length beside {who}", own[0].length, all_[0].length, "cells")
+                for peer, plan in PEERS.items():
+                    peer_results[peer].append(plan(grid, start, goal))
+            mine = min(result.search for result in own_results)
+            for peer, all_ in peer_results.items():
+                search = min(result.search for result in all_)
+                built = min(result.build + result.search for result in all_)
+                yield Row(f"{name} {size}, {peer}", 1e3 * mine, 1e3 * search, "ms")
+                yield Row(f"{name} {size}, {peer} with its graph", 1e3 * mine, 1e3 * built, "ms")
+                yield Row(f"{name} {size}, length beside {peer}", own_results[0].length, all_[0].length, "cells")
                 if all_[0].cut:
-                    yield Row(f"{name} {size}, corners cut beside {who}", 0, all_[0].cut, "steps")
+                    yield Row(f"{name} {size}, corners cut beside {peer}", 0, all_[0].cut, "steps")
             yield Row(f"{name} {size}, with waypoints beside without", 1e3 * min(whole), 1e3 * mine, "ms")
 
 

@@ -77,11 +77,11 @@ class Processes:
 
     def wait_for(self, name: str, event: str) -> dict[str, Any]:
         """An event that a program tells; raises `RuntimeError` where it does not in time."""
-        told = self._children[name].wait_for(event, UP_SECONDS)
-        if told is None:
+        message = self._children[name].wait_for(event, UP_SECONDS)
+        if message is None:
             msg = f"{name} did not answer ({event}):\n{self._children[name].last_words()}\n{self.words()}"
             raise RuntimeError(msg)
-        return told
+        return message
 
     def until(
         self, condition: Callable[[], object], what: str, seconds: float = UP_SECONDS, every: float = 0.05

@@ -63,8 +63,10 @@ def until_subscribed(hub: Hub, topics: Sequence[str], count: int) -> None:
     end = time.monotonic() + 20.0
     while any(len(hub.graph.subscriptions(topic)) != count for topic in topics):
         if time.monotonic() > end:
-            found = {topic: [each.node for each in hub.graph.subscriptions(topic)] for topic in topics}
-            raise RuntimeError(f"there are not {count} subscribers of each topic: {found}")
+            subscribers = {
+                topic: [subscription.node for subscription in hub.graph.subscriptions(topic)] for topic in topics
+            }
+            raise RuntimeError(f"there are not {count} subscribers of each topic: {subscribers}")
         time.sleep(0.05)
 
 
@@ -92,7 +94,7 @@ def send(endpoint: str, domain: int, flow: float) -> None:
     with Hub.open(settings(endpoint, "sender", domain)) as hub:
         big = hub.publisher(IMAGE, IMAGE_TYPE, registry.ros2(IMAGE_TYPE).type_id, Qos(depth=100))
         few = [hub.publisher(t, SMALL_TYPE, registry.ros2(SMALL_TYPE).type_id, Qos(depth=1000)) for t in SMALL]
-        tell({"ready": True, "image": len(image)})
+        send_line({"ready": True, "image": len(image)})
         for line in sys.stdin:
             seconds = float(line)
             begin = time.monotonic()
@@ -106,7 +108,7 @@ def send(endpoint: str, domain: int, flow: float) -> None:
                     big.put(image)
                     images += 1
                 time.sleep(0.0005)
-            tell({"images": images, "small": smalls * len(few), "seconds": time.monotonic() - begin})
+            send_line({"images": images, "small": smalls * len(few), "seconds": time.monotonic() - begin})
 
 
 def listen(endpoint: str, domain: int) -> None:
@@ -125,12 +127,12 @@ def listen(endpoint: str, domain: int) -> None:
             images[0] += 1
 
         hub.subscription(IMAGE, IMAGE_TYPE, registry.ros2(IMAGE_TYPE).type_id, Qos(depth=10), image)
-        tell({"ready": True})
+        send_line({"ready": True})
         for _ in sys.stdin:
-            found = sorted(ages)
+            latencies = sorted(ages)
             ages.clear()
-            share = {name: found[int(len(found) * part)] / 1e6 for name, part in (("p50", 0.5), ("p99", 0.99))}
-            tell({**share, "heard": len(found), "images": images[0]})
+            share = {name: latencies[int(len(latencies) * part)] / 1e6 for name, part in (("p50", 0.5), ("p99", 0.99))}
+            send_line({**share, "heard": len(latencies), "images": images[0]})
             images[0] = 0
 
 
@@ -157,15 +159,15 @@ def bare(endpoint: str, file: Path, compression: str) -> None:
             schema = writer.register_schema(kind, "ros2msg", full_text(registry.schema(kind)).encode())
             channel = writer.register_channel(topic, "cdr", schema)
 
-            def take(sample: zenoh.Sample, channel: int = channel) -> None:
+            def on_sample(sample: zenoh.Sample, channel: int = channel) -> None:
                 now = time.time_ns()
                 assert sample.attachment is not None
                 sequence, sent, _ = unpack_attachment(sample.attachment.to_bytes())
                 queue.put((channel, now, sample.payload.to_bytes(), sent, sequence))
 
-            handler = zenoh.handlers.Callback(take, indirect=False)
+            handler = zenoh.handlers.Callback(on_sample, indirect=False)
             subscribers.append(session.declare_subscriber(f"0{topic}/**", handler))
-        tell({"ready": True})
+        send_line({"ready": True})
 
         def until_the_end() -> None:
             sys.stdin.read()
@@ -179,9 +181,9 @@ def bare(endpoint: str, file: Path, compression: str) -> None:
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def tell(what: dict[str, Any]) -> None:
+def send_line(message: dict[str, Any]) -> None:
     """A line of JSON for who started this."""
-    print(json.dumps(what), flush=True)
+    print(json.dumps(message), flush=True)
 
 
 # -- the turns ---------------------------------------------------------------------------------------------------------
@@ -197,16 +199,16 @@ class Program:
             env={**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"},
         )  # fmt: skip
 
-    def hear(self) -> dict[str, Any]:
+    def receive(self) -> dict[str, Any]:
         """The next line; raises `RuntimeError` where the process has ended."""
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         if not line:
             raise RuntimeError(f"{self._name} has ended")
-        found: dict[str, Any] = json.loads(line)
-        return found
+        message: dict[str, Any] = json.loads(line)
+        return message
 
-    def say(self, line: str) -> None:
+    def send(self, line: str) -> None:
         """A line for it."""
         assert self.process.stdin is not None
         self.process.stdin.write(f"{line}\n")
@@ -217,7 +219,7 @@ class Program:
         times = psutil.Process(self.process.pid).cpu_times()
         return float(times.user + times.system)
 
-    def rest(self) -> float:
+    def cpu_at_rest(self) -> float:
         """The same once it rests, which it does when all is written."""
         before, now = -1.0, self.cpu()
         while now - before > 0.05:
@@ -280,8 +282,8 @@ class Bench:
         self.sender = stack.enter_context(
             running(__file__, "--role", "send", "--endpoint", self.endpoint, "--flow", str(args.flow))
         )
-        self.listener.hear()
-        self.image = self.sender.hear()["image"]
+        self.listener.receive()
+        self.image = self.sender.receive()["image"]
 
     def turn(self, recorder: str) -> Turn:
         """One turn with this recorder."""
@@ -293,20 +295,22 @@ class Bench:
             until_subscribed(self.watch, [IMAGE, *SMALL], 2 if recorder == "midspan" else 1)
             if recorder == "bare":
                 assert program is not None
-                program.hear()
+                program.receive()
             self._flow(1.0)  # links, caches and the first file's channels
             before = program.cpu() if program is not None else 0.0
             sent = self._flow(self.args.seconds)
-            self.listener.say("tell")
-            heard = self.listener.hear()
-            used = program.rest() - before if program is not None else 0.0
+            self.listener.send("tell")
+            received = self.listener.receive()
+            used = program.cpu_at_rest() - before if program is not None else 0.0
         lost = self._lost(file) if program is not None else 0
         file.unlink(missing_ok=True)
-        told = sent["seconds"]
-        megabytes, small = sent["images"] * self.image / told / 1e6, sent["small"] / told
-        found = Turn(used / (sent["images"] * self.image / 1e9), lost, heard["p50"], heard["p99"], megabytes, small)
-        print(f"{recorder:8} {found}", file=sys.stderr, flush=True)
-        return found
+        duration = sent["seconds"]
+        megabytes, small = sent["images"] * self.image / duration / 1e6, sent["small"] / duration
+        result = Turn(
+            used / (sent["images"] * self.image / 1e9), lost, received["p50"], received["p99"], megabytes, small
+        )
+        print(f"{recorder:8} {result}", file=sys.stderr, flush=True)
+        return result
 
     def _command(self, recorder: str, file: Path) -> list[str | Path]:
         how = self.args.compression
@@ -319,13 +323,13 @@ class Bench:
 
     def _flow(self, seconds: float) -> dict[str, Any]:
         """Have the sender send, and wait until all has arrived and is written."""
-        self.sender.say(str(seconds))
-        told = self.sender.hear()
+        self.sender.send(str(seconds))
+        sent = self.sender.receive()
         Event().wait(SETTLE_SECONDS)
         if seconds == 1.0:
-            self.listener.say("forget")
-            self.listener.hear()
-        return told
+            self.listener.send("forget")
+            self.listener.receive()
+        return sent
 
     @staticmethod
     def _lost(file: Path) -> int:

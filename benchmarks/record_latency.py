@@ -50,8 +50,8 @@ class Bench:
         self.sender = stack.enter_context(
             record.running(record.__file__, "--role", "send", *where, "--flow", str(args.flow))
         )
-        self.listener.hear()
-        self.image = self.sender.hear()["image"]
+        self.listener.receive()
+        self.image = self.sender.receive()["image"]
 
     def turn(self, *, recorded: bool) -> dict[str, list[int]]:
         """Latencies in nanoseconds by way; everything is sent meanwhile, with the recorder beside or without."""
@@ -60,40 +60,42 @@ class Bench:
             if recorded:
                 stack.enter_context(record.running(*self._recorder()))
             record.until_subscribed(self.watch, [record.IMAGE, *record.SMALL], 2 if recorded else 1)
-            self.sender.say(str(WARM_SECONDS + self.args.seconds * 1.5))
+            self.sender.send(str(WARM_SECONDS + self.args.seconds * 1.5))
             time.sleep(WARM_SECONDS)  # the flow is under way, and the file's channels are written
             prepared = self.network.messages[_CASE.key]
-            taken = {way: self.network.measure(prepared, way, count) for way in WAYS}
-            sent = self.sender.hear()
+            taken = {direction: self.network.measure(prepared, direction, count) for direction in WAYS}
+            sent = self.sender.receive()
         self.file.unlink(missing_ok=True)
         megabytes = sent["images"] * self.image / sent["seconds"] / 1e6
-        told = ", ".join(f"{way} {figures(ages)}, {count - len(ages)} lost" for way, ages in taken.items())
-        print(f"{'midspan' if recorded else 'nobody':8} {megabytes:.0f} MB/s: {told}", file=sys.stderr, flush=True)
+        summary = ", ".join(
+            f"{direction} {figures(ages)}, {count - len(ages)} lost" for direction, ages in taken.items()
+        )
+        print(f"{'midspan' if recorded else 'nobody':8} {megabytes:.0f} MB/s: {summary}", file=sys.stderr, flush=True)
         return taken
 
     def _recorder(self) -> list[str | Path]:
-        topics = [record.IMAGE, "/small_*", *(f"/{way}/{_CASE.key}" for way in WAYS)]
+        topics = [record.IMAGE, "/small_*", *(f"/{direction}/{_CASE.key}" for direction in WAYS)]
         where: list[str | Path] = ["-o", self.file, "--config", self.config]
         return ["-m", "bridge.cli.main", "record", *topics, "--compression", "none", "--queue", "512MB", *where]
 
 
 def measure(args: argparse.Namespace) -> list[Row]:
     """All turns, with and without the recorder; the medians over turns as rows."""
-    found: dict[tuple[bool, str, str], list[float]] = defaultdict(list)
+    values: dict[tuple[bool, str, str], list[float]] = defaultdict(list)
     with contextlib.ExitStack() as stack:
         bench = Bench(args, stack)
         for number in range(args.rounds):
             for recorded in (False, True) if number % 2 == 0 else (True, False):
-                for way, ages in bench.turn(recorded=recorded).items():
-                    told = figures(ages)
-                    found[recorded, way, "p50"].append(told.p50)
-                    found[recorded, way, "p99"].append(told.p99)
+                for direction, ages in bench.turn(recorded=recorded).items():
+                    result = figures(ages)
+                    values[recorded, direction, "p50"].append(result.p50)
+                    values[recorded, direction, "p99"].append(result.p99)
 
-    def row(way: str, figure: str) -> Row:
-        ours, peer = (statistics.median(found[recorded, way, figure]) for recorded in (True, False))
-        return Row(f"{WAYS[way]}, {figure}, beside the recorder, against nobody", ours, peer, "us")
+    def row(direction: str, figure: str) -> Row:
+        ours, peer = (statistics.median(values[recorded, direction, figure]) for recorded in (True, False))
+        return Row(f"{WAYS[direction]}, {figure}, beside the recorder, against nobody", ours, peer, "us")
 
-    return [row(way, figure) for way in WAYS for figure in ("p50", "p99")]
+    return [row(direction, figure) for direction in WAYS for figure in ("p50", "p99")]
 
 
 def main(argv: Sequence[str] | None = None) -> None:

@@ -149,12 +149,12 @@ class Bench(Processes):
         time.sleep(max(0.0, killed + away - time.monotonic()))
         registered = self.start_planner()
 
-        def found() -> bool:
+        def recovered() -> bool:
             """Found again, or never lost."""
             known = self.watcher.since > killed or time.monotonic() > registered + _STEADY_SECONDS
             return self.watcher.ready and known
 
-        self.until(found, "the hub's client finds it again")
+        self.until(recovered, "the hub's client finds it again")
         times.ours.append(max(0.0, self.watcher.since - registered))
         times.bare.append(float(self.wait_for("waiter", "found")["at"]) - registered)
         self.stop("waiter")
@@ -194,12 +194,12 @@ def measure(side: Side, aways: Sequence[float], rounds: int) -> list[Row]:
                 last = f"{times.ours[-1]:.3f} s, bare {times.bare[-1]:.3f} s"
                 print(f"{side.name}, away for {away:g} s, {number + 1}/{rounds}: {last}", flush=True)
             name = f"{side.name}, killed, back after {away:g} s, found"
-            for what, of in (("p50", statistics.median), ("max", max)):
-                rows.append(Row(f"{name}, {what}", of(times.ours), of(times.bare), "s"))
-        there = bench.load()
+            for statistic, of in (("p50", statistics.median), ("max", max)):
+                rows.append(Row(f"{name}, {statistic}", of(times.ours), of(times.bare), "s"))
+        idle_load = bench.load()
         bench.kill_planner()
         bench.until(lambda: not bench.watcher.ready, "the planner's death is known")
-        rows.append(Row(f"{side.name}, its worker's load while it is away", bench.load(), there, "%"))
+        rows.append(Row(f"{side.name}, its worker's load while it is away", bench.load(), idle_load, "%"))
     return rows
 
 

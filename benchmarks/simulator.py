@@ -57,42 +57,42 @@ def simulation(count: int) -> Simulation:
     return Simulation(SimSection(laser=laser), plan(count))
 
 
-def drive(there: Simulation, seconds: float) -> None:
+def drive(sim: Simulation, seconds: float) -> None:
     """Drive in circles."""
     for _ in range(round(seconds * 10)):
-        there.command(Twist(0.25, 0.0, _TURN))
-        there.run(0.1)
+        sim.command(Twist(0.25, 0.0, _TURN))
+        sim.run(0.1)
 
 
-def bare(there: Simulation, seconds: float) -> None:
+def bare(sim: Simulation, seconds: float) -> None:
     """The same base in the same circles, with nothing but steps: its wheels' commands stay."""
-    step, base = there.world.step, there.base
+    step, base = sim.world.step, sim.base
     base.turn((base.matrix(0.16416, 0.338) @ (0.25, 0.0, _TURN)).tolist())
     step(round(seconds * 1e9 / STEP_NS))
 
 
-def factor(run: Callable[[Simulation, float], None], there: Simulation, seconds: float) -> tuple[float, float]:
+def factor(run: Callable[[Simulation, float], None], sim: Simulation, seconds: float) -> tuple[float, float]:
     """Simulated seconds per second of processor time, and per second of the clock; the best of three."""
-    run(there, 1.0)
+    run(sim, 1.0)
     best = (0.0, 0.0)
     for _ in range(3):
         cpu, wall = time.process_time(), time.perf_counter()
-        run(there, seconds)
+        run(sim, seconds)
         best = max(best, (seconds / (time.process_time() - cpu), seconds / (time.perf_counter() - wall)))
     return best
 
 
 def scans(count: int, seconds: float) -> tuple[float, float]:
     """Scans per second: ours and by DART's rays."""
-    there = simulation(count)
-    segments, circles = there.world.seen()
+    sim = simulation(count)
+    segments, circles = sim.world.seen()
     step = 2 * math.pi / BEAMS
     angles = -math.pi + np.arange(BEAMS) * step
     beams = np.ascontiguousarray(np.stack([np.cos(angles), np.sin(angles)], axis=1))
     out = np.empty(BEAMS)
     ours = rate(lambda: cast(segments, circles, 0.1, 0.2, 0.3, beams, -math.pi, step, 20.0, out), seconds)
     dart = dartpy()
-    skeleton, nodes = bodies.fixed(there.world.pieces)
+    skeleton, nodes = bodies.fixed(sim.world.pieces)
     group = dart.collision.BulletCollisionDetector().createCollisionGroup()
     group.addShapeFrames(nodes)
     start = [0.1, 0.2, 0.5]
@@ -109,12 +109,12 @@ def scans(count: int, seconds: float) -> tuple[float, float]:
 
 def pictures(count: int, seconds: float) -> tuple[float, float]:
     """Depth pictures without noise per second: ours and by DART's rays, of which every hundredth is cast."""
-    there = simulation(count)
+    sim = simulation(count)
     camera = DepthCamera(CameraSection(rate=5.0, noise=0.0), 0)
-    solids, drops, at = there.world.solids(), there.world.drops, there.base.pose()
+    solids, drops, at = sim.world.solids(), sim.world.drops, sim.base.pose()
     ours = rate(lambda: camera.picture(0, at, solids, drops), seconds)
     dart = dartpy()
-    skeleton, nodes = bodies.fixed(there.world.pieces)
+    skeleton, nodes = bodies.fixed(sim.world.pieces)
     group = dart.collision.BulletCollisionDetector().createCollisionGroup()
     group.addShapeFrames(nodes)
     turned, eye = camera.placed(at)
@@ -132,8 +132,8 @@ def pictures(count: int, seconds: float) -> tuple[float, float]:
 
 def shares(name: str, seconds: float) -> list[Row]:
     """What a picture at 5 Hz, with its noise and its points, takes of a core, beside the picture alone."""
-    there = Simulation(SimSection(plan=name))
-    solids, drops, at = there.world.solids(), there.world.drops, there.base.pose()
+    sim = Simulation(SimSection(plan=name))
+    solids, drops, at = sim.world.solids(), sim.world.drops, sim.base.pose()
     bare, whole = (DepthCamera(CameraSection(rate=5.0, noise=noise), 0) for noise in (0.0, 0.08))
     ours = rate(lambda: whole.points(whole.picture(0, at, solids, drops)), seconds)
     peer = rate(lambda: bare.picture(0, at, solids, drops), seconds)

@@ -31,7 +31,7 @@ PAUSE = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class Reception:
     """What the other program heard of one topic in a while.
 
     Attributes:
@@ -66,8 +66,8 @@ class Slow:
     """
 
     side: str
-    before: dict[str, Heard]
-    beside: dict[str, Heard]
+    before: dict[str, Reception]
+    beside: dict[str, Reception]
     read: int
     drops: dict[str, int]
     memory_before: dict[str, float]
@@ -94,14 +94,14 @@ def measure(
         stream.slow_down()
     drops = _drops(deployment)
     beside, memory_beside = _watch(deployment, streams, seconds)
-    found = []
+    result = []
     for stream in streams:
         side = stream.side
         read = deployment.ask(f"{side} slow", "report")["heard"][stream.names[BIG]]["count"]
         more = {r: n - drops.get((side, r), 0) for (s, r), n in _drops(deployment).items() if s == side}
         dropped = {reason: count for reason, count in more.items() if count}
-        found.append(Slow(side, before[side], beside[side], read, dropped, memory_before, memory_beside))
-    return found
+        result.append(Slow(side, before[side], beside[side], read, dropped, memory_before, memory_beside))
+    return result
 
 
 class Stream:
@@ -121,7 +121,7 @@ class Stream:
 
         def crosses() -> bool:
             deployment.ask(self.source, "put", topics=list(kinds))
-            return all(ear["count"] for ear in self.heard().values())
+            return all(ear["count"] for ear in self.received().values())
 
         deployment.until(crosses, f"the streams cross to {self.side}")
 
@@ -131,7 +131,7 @@ class Stream:
         topic = self._deployment.topic(self.side, self.names[BIG], "image1")
         self._deployment.ask(slow, "subscribe", topics=[topic], pause=PAUSE)
 
-    def heard(self) -> dict[str, dict[str, Any]]:
+    def received(self) -> dict[str, dict[str, Any]]:
         """What the program that does not pause heard, by topic."""
         report = self._deployment.ask(self.side, "report")["heard"]
         return {topic: report[name] for topic, name in self.names.items()}
@@ -139,14 +139,14 @@ class Stream:
 
 def _watch(
     deployment: Deployment, streams: Sequence[Stream], seconds: float
-) -> tuple[dict[str, dict[str, Heard]], dict[str, float]]:
+) -> tuple[dict[str, dict[str, Reception]], dict[str, float]]:
     """Send for so long; what was heard on each side, and each process's highest memory in MB."""
     rates: dict[str, dict[str, float]] = {}
     for stream in streams:
         rates.setdefault(stream.source, {}).update(stream.rates)
     deployment.drained(*(stream.side for stream in streams))
     start = {name: n for source in rates for name, n in deployment.ask(source, "still")["sent"].items()}
-    told = {stream.side: stream.heard() for stream in streams}
+    before = {stream.side: stream.received() for stream in streams}
     memory: dict[str, float] = {}
     for source, topics in rates.items():
         deployment.ask(source, "flow", rates=topics)
@@ -157,21 +157,21 @@ def _watch(
         time.sleep(0.1)
     sent = {name: n for source in rates for name, n in deployment.ask(source, "still")["sent"].items()}
     deployment.drained(*(stream.side for stream in streams))
-    found = {}
+    result = {}
     for stream in streams:
-        heard = stream.heard()
-        found[stream.side] = {
-            topic: _heard(sent[name], start[name], told[stream.side][topic], heard[topic])
+        received = stream.received()
+        result[stream.side] = {
+            topic: _reception(sent[name], start[name], before[stream.side][topic], received[topic])
             for topic, name in stream.names.items()
         }
-    return found, memory
+    return result, memory
 
 
-def _heard(sent: int, start: int, told: dict[str, Any], heard: dict[str, Any]) -> Heard:
+def _reception(sent: int, start: int, told: dict[str, Any], heard: dict[str, Any]) -> Reception:
     lost = heard["lost"] - told["lost"] + behind(sent, heard["last"]) - behind(start, told["last"])
     repeated = heard["repeated"] - told["repeated"]
     ages = heard["ages"]
-    return Heard(sent - start, lost, repeated, ages["p50"], ages["p99"], ages["max"])
+    return Reception(sent - start, lost, repeated, ages["p50"], ages["p99"], ages["max"])
 
 
 def _drops(deployment: Deployment) -> dict[tuple[str, str], int]:
@@ -187,16 +187,16 @@ def _drops(deployment: Deployment) -> dict[tuple[str, str], int]:
 
 def rows(slow: Slow) -> list[Row]:
     """A side's figures beside the slow subscriber; the peer's are those before it came."""
-    made = []
+    result = []
     for topic, beside in slow.beside.items():
         before, case = slow.before[topic], f"slow on {slow.side}, {topic[1:]} topic"
-        made.append(Row(f"{case}, lost of {beside.sent}", beside.lost, before.lost, "count"))
-        made.append(Row(f"{case}, p50", beside.p50, before.p50, "ms"))
-        made.append(Row(f"{case}, p99", beside.p99, before.p99, "ms"))
-        made.append(Row(f"{case}, latest", beside.latest, before.latest, "ms"))
+        result.append(Row(f"{case}, lost of {beside.sent}", beside.lost, before.lost, "count"))
+        result.append(Row(f"{case}, p50", beside.p50, before.p50, "ms"))
+        result.append(Row(f"{case}, p99", beside.p99, before.p99, "ms"))
+        result.append(Row(f"{case}, latest", beside.latest, before.latest, "ms"))
     for name, most in slow.memory_beside.items():
-        made.append(Row(f"slow on {slow.side}, most memory of {name}", most, slow.memory_before[name], "MB"))
-    return made
+        result.append(Row(f"slow on {slow.side}, most memory of {name}", most, slow.memory_before[name], "MB"))
+    return result
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -207,15 +207,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=20.0, help="with and without, each (default %(default)s)")
     add_json_option(parser)
     args = parser.parse_args(arguments)
-    found: list[Row] = []
+    results: list[Row] = []
     for side in args.sides:
         with Deployment() as deployment:
             for program in {side, SOURCE[side]}:
                 deployment.program(program)
             (slow,) = measure(deployment, [side], args.rate, args.seconds)
         print(f"slow on {side}: it read {slow.read} messages; dropped: {slow.drops}", file=sys.stderr, flush=True)
-        found += rows(slow)
-    report(found, args.json)
+        results += rows(slow)
+    report(results, args.json)
     return 0
 
 

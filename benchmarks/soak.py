@@ -57,7 +57,7 @@ class Topic:
 class Sums:
     """What all ears together counted."""
 
-    heard: int = 0
+    received: int = 0
     lost: int = 0
     commands_lost: int = 0
     repeated: int = 0
@@ -106,8 +106,8 @@ class Soak:
             deployment.program(side, _ear(side))
             deployment.ask(side, "publish", topics=self._described(side, [t for t in topics if t.source == side]))
         for side in SIDES:
-            heard = [t for t in topics if t.source != side]
-            deployment.ask(_ear(side), "subscribe", topics=self._described(side, heard))
+            subscribed = [t for t in topics if t.source != side]
+            deployment.ask(_ear(side), "subscribe", topics=self._described(side, subscribed))
         deployment.until(self._crosses, "every topic crosses", every=0.3)
 
     def _described(self, side: str, topics: Sequence[Topic]) -> list[dict[str, Any]]:
@@ -128,7 +128,7 @@ class Soak:
         try:
             while time.monotonic() - began < seconds:
                 time.sleep(min(every, max(0.1, began + seconds - time.monotonic())))
-                self._look(time.monotonic() - began)
+                self._sample(time.monotonic() - began)
         except KeyboardInterrupt:
             print("ended early", file=sys.stderr)
         for side in SIDES:
@@ -136,19 +136,19 @@ class Soak:
         deployment.drained(*map(_ear, SIDES))
         self._sums = self._count()
 
-    def _look(self, seconds: float) -> None:
+    def _sample(self, seconds: float) -> None:
         course = self.course
         self._join()
         reports = [self._deployment.ask(_ear(side), "report")["heard"] for side in SIDES]
-        ages = [ear["ages"]["p99"] for heard in reports for ear in heard.values() if ear["ages"]]
+        ages = [ear["ages"]["p99"] for report_ in reports for ear in report_.values() if ear["ages"]]
         course.seconds.append(seconds)
         course.looks.append(self._deployment.census())
         course.p99.append(median(ages) if ages else 0.0)
-        lost, twice = (sum(ear[w] for heard in reports for ear in heard.values()) for w in ("lost", "repeated"))
-        heard = sum(ear["count"] for heard in reports for ear in heard.values())
+        lost, twice = (sum(ear[w] for report_ in reports for ear in report_.values()) for w in ("lost", "repeated"))
+        report_ = sum(ear["count"] for report_ in reports for ear in report_.values())
         used = ", ".join(f"{n} {u.rss:.0f} MB {u.threads}/{u.descriptors}" for n, u in course.looks[-1].used.items())
         print(
-            f"{seconds:7.0f} s: {heard} heard, {lost} lost, {twice} twice, p99 {course.p99[-1]:.1f} ms,"
+            f"{seconds:7.0f} s: {report_} heard, {lost} lost, {twice} twice, p99 {course.p99[-1]:.1f} ms,"
             f" {course.unanswered} of {course.joins} late joiners unanswered; {used}",
             file=sys.stderr,
             flush=True,
@@ -177,7 +177,7 @@ class Soak:
             for name, ear in self._deployment.ask(_ear(side), "report")["heard"].items():
                 first = self._at_first[side][name]
                 lost = ear["lost"] - first["lost"] + behind(self.sent[name], ear["last"])
-                sums.heard += ear["count"] - first["count"]
+                sums.received += ear["count"] - first["count"]
                 sums.repeated += ear["repeated"] - first["repeated"]
                 sums.disordered += ear["disordered"] - first["disordered"]
                 if kinds[name] == COMMAND:
@@ -189,8 +189,8 @@ class Soak:
     def rows(self) -> list[Row]:
         """The figures; the peer is a daemon that loses and keeps nothing, for the latency the beginning of the run."""
         sums, course = self._sums, self.course
-        made = [
-            Row(f"lost, while {sums.heard} were heard", sums.lost, 0.0, "count"),
+        result = [
+            Row(f"lost, while {sums.received} were heard", sums.lost, 0.0, "count"),
             Row("commands dropped", sums.commands_lost, 0.0, "count"),
             Row("came twice", sums.repeated, 0.0, "count"),
             Row("out of order", sums.disordered, 0.0, "count"),
@@ -198,18 +198,22 @@ class Soak:
         ]
         third = max(1, len(course.p99) // 3)
         if course.p99:
-            made.append(Row("p99, last third to first", median(course.p99[-third:]), median(course.p99[:third]), "ms"))
+            result.append(
+                Row("p99, last third to first", median(course.p99[-third:]), median(course.p99[:third]), "ms")
+            )
         points: dict[str, list[tuple[float, float]]] = defaultdict(list)
         for second, look in zip(course.seconds, course.looks, strict=True):
             for name, usage in look.used.items():
                 points[name].append((second, usage.rss))
         # what is taken once is taken at the beginning
-        made += [Row(f"memory of {n}", slope(p[len(p) // 3 :]) * 3600, 0.0, "MB/h") for n, p in points.items()]
-        for what in ("threads", "descriptors") if course.looks else ():
+        result += [Row(f"memory of {n}", slope(p[len(p) // 3 :]) * 3600, 0.0, "MB/h") for n, p in points.items()]
+        for resource in ("threads", "descriptors") if course.looks else ():
             first, last = course.looks[min(1, len(course.looks) - 1)], course.looks[-1]
             for name, usage in last.used.items():
-                made.append(Row(f"{what} of {name}", getattr(usage, what), getattr(first.used[name], what), "count"))
-        return made
+                result.append(
+                    Row(f"{resource} of {name}", getattr(usage, resource), getattr(first.used[name], resource), "count")
+                )
+        return result
 
 
 def _ear(side: str) -> str:
@@ -227,8 +231,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with Deployment() as deployment:
         soak = Soak(deployment, load(args.topics))
         soak.run(args.minutes * 60, args.every)
-        found = soak.rows()
-    report(found, args.json)
+        results = soak.rows()
+    report(results, args.json)
     return 0
 
 

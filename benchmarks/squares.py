@@ -35,19 +35,19 @@ def measured(side: float, scale: float) -> Iterator[Row]:
             "zenoh-ros2-sdk": lambda: RosLike(deployment.sdk()),
             "YARP": lambda: yarp,
         }
-        for name, made in programs.items():
+        for name, program in programs.items():
             print(f"{name} drives ...", file=sys.stderr)
-            yield from square(robot, name, made(), side)
+            yield from square(robot, name, program(), side)
 
 
 def square(robot: Robot, name: str, program: Program, side: float) -> Iterator[Row]:
     """One square's rows."""
     connected(robot, program)
-    start, told = robot.truth(), program.pose(robot.now)
+    start, odometry = robot.truth(), program.pose(robot.now)
     corners = ((side, 0.0), (side, side), (0.0, side), (0.0, 0.0))
     missed = drifted = turned = 0.0
     for corner, pose in zip(corners, driven(program, side, robot.step), strict=True):
-        true, by_odometry = moved(start, robot.truth()), moved(told, pose)
+        true, by_odometry = moved(start, robot.truth()), moved(odometry, pose)
         missed = max(missed, math.dist(true[:2], corner))
         drifted = max(drifted, math.dist(true[:2], by_odometry[:2]))
         turned = max(turned, abs(math.remainder(true.theta - by_odometry.theta, 2 * math.pi)))

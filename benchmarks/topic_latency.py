@@ -83,15 +83,15 @@ class Samples:
         rows = []
         for case in cases:
             peer = over_rounds(self._floors[case.key])
-            for way, name in WAYS.items():
-                ours = over_rounds(self._hops[case.key, way])
+            for direction, name in WAYS.items():
+                ours = over_rounds(self._hops[case.key, direction])
                 for figure in ("p50", "p99"):
                     row = Row(
                         f"{case.name}, {name}, {figure}{suffix}", getattr(ours, figure), getattr(peer, figure), "us"
                     )
                     rows.append(row)
                     if off is not None:
-                        without = getattr(over_rounds(off._hops[case.key, way]), figure)
+                        without = getattr(over_rounds(off._hops[case.key, direction]), figure)
                         rows.append(Row(f"{case.name}, {name}, {figure}{suffix}, to lane off", row.ours, without, "us"))
         return rows
 
@@ -99,10 +99,10 @@ class Samples:
         """The floor's hops one by one."""
         lines = ["hops in us (p50 / p99), of which the floor is the sum:"]
         for case in cases:
-            each = (over_rounds(self._hops[case.key, hop]) for hop in HOPS)
+            hop_figures = (over_rounds(self._hops[case.key, hop]) for hop in HOPS)
             lines.append(
                 f"  {case.name:<24}"
-                + "".join(f"  {h} {f.p50:7.0f} /{f.p99:7.0f}" for h, f in zip(HOPS, each, strict=True))
+                + "".join(f"  {h} {f.p50:7.0f} /{f.p99:7.0f}" for h, f in zip(HOPS, hop_figures, strict=True))
             )
         return "\n".join(lines)
 
@@ -128,8 +128,8 @@ def _measure(condition: Condition, cases: Sequence[Case], rounds: int, args: arg
     taken = [Samples(lane) for lane in LANES[args.lane]]
     for number in range(rounds):
         for samples in taken if number % 2 else reversed(taken):
-            what = f"{condition.key}, lane {'on' if samples.lane else 'off'}"
-            print(f"{what}: round {number + 1} of {rounds}", file=sys.stderr, flush=True)
+            topic = f"{condition.key}, lane {'on' if samples.lane else 'off'}"
+            print(f"{topic}: round {number + 1} of {rounds}", file=sys.stderr, flush=True)
             _round(samples, condition, cases, number, args)
     for samples in taken:
         print(

@@ -143,7 +143,7 @@ def measure_case(case: str, name: str, values: Mapping[str, Any], rounds: int) -
         source1, source2 = bytearray(ros1), bytearray(cdr)
         pairs["ROS 1 to CDR, bare copy"] = (lambda: to_cdr(ros1), lambda: bytes(source1))
         pairs["CDR to ROS 1, bare copy"] = (lambda: to_ros1(cdr), lambda: bytes(source2))
-    return [Row(f"{case}, {way}", *compare(*calls, rounds), "us") for way, calls in pairs.items()]
+    return [Row(f"{case}, {direction}", *compare(*calls, rounds), "us") for direction, calls in pairs.items()]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

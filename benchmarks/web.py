@@ -87,7 +87,7 @@ class Robot:
             HubSettings(domain=hub.domain, router=hub.listen, node="robot", daemon="robot", worker="robot")
         )
         self._registry = Registry()
-        self.said: dict[str, dict[float, float]] = {"robot": {}, "laser": {}}
+        self.published: dict[str, dict[float, float]] = {"robot": {}, "laser": {}}
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._speak, name="robot")
 
@@ -102,24 +102,24 @@ class Robot:
             self._thread.join()
         self._hub.close()
 
-    def _put(self, topic: str, type_: str, qos: Qos) -> Callable[[dict[str, Any]], None]:
+    def _publisher(self, topic: str, type_: str, qos: Qos) -> Callable[[dict[str, Any]], None]:
         publisher = self._hub.publisher(topic, type_, self._registry.ros2(type_).type_id, qos)
         return lambda message: publisher.put(from_json(self._registry, type_, message))
 
     def _speak(self) -> None:
-        frames = self._put("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=100))
-        laser = self._put("/scan", "sensor_msgs/msg/LaserScan", Qos(depth=5))
+        frames = self._publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=100))
+        laser = self._publisher("/scan", "sensor_msgs/msg/LaserScan", Qos(depth=5))
         number, due = 0, time.monotonic()
         while not self._over.wait(max(0.0, due - time.monotonic())):
             due += 1.0 / RATE
             number += 1
             now, x = time.time_ns(), round(number * STEP, 3)
             stamp = {"sec": now // 10**9, "nanosec": now % 10**9}
-            self.said["robot"][x] = now / 1e6
+            self.published["robot"][x] = now / 1e6
             frames({"transforms": [_moved(stamp, "map", "odom", 0.0), _moved(stamp, "odom", "base_link", x)]})
             if number % 10 == 0:
                 beam = round(1.0 + number * STEP, 3)
-                self.said["laser"][beam] = now / 1e6
+                self.published["laser"][beam] = now / 1e6
                 turned = {"angle_min": math.pi / 2, "angle_increment": 0.01, "ranges": [beam] + [5.0] * 359}
                 head = {"header": {"stamp": stamp, "frame_id": "base_link"}, "range_min": 0.05, "range_max": 200.0}
                 laser({**head, **turned})
@@ -136,8 +136,8 @@ def _with_map(folder: Path) -> dict[str, Any]:
     cells[::100] = cells[:, ::100] = 0
     (folder / "large.pgm").write_bytes(b"P5 %d %d 255\n" % (CELLS, CELLS) + cells.tobytes())
     origin = f"[{-CELLS * METERS / 2}, {-CELLS * METERS / 2}, 0]"
-    words = f"resolution: {METERS}\norigin: {origin}\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
-    (folder / "large.yaml").write_text(f"image: large.pgm\n{words}")
+    settings = f"resolution: {METERS}\norigin: {origin}\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+    (folder / "large.yaml").write_text(f"image: large.pgm\n{settings}")
     store = {"enabled": True, "maps": str(folder / "large.yaml")}
     return {"web": {"enabled": True}, "store": store, "navigation": {"map": "store"}}
 
@@ -150,8 +150,8 @@ def in_chromium(address: str, robot: Robot, worker: Callable[[], int], seconds: 
     options = ChromeOptions()
     options.binary_location = str(shutil.which("chromium"))
     with tempfile.TemporaryDirectory() as profile:
-        for word in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
-            options.add_argument(word)
+        for option in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
+            options.add_argument(option)
         options.add_argument(f"--user-data-dir={profile}")
         chrome = Chrome(options, Service(shutil.which("chromedriver")))
         try:
@@ -170,8 +170,8 @@ def in_chromium(address: str, robot: Robot, worker: Callable[[], int], seconds: 
         Row("first view in Chromium", first / 1e3, FIRST_VIEW, "s"),
         Row(f"map of {CELLS} x {CELLS} visible", seen / 1e3, MAP_SEEN, "s"),
     ]
-    for feed, said in robot.said.items():
-        ages = [at - said[round(value, 3)] for value, at in marks[feed] if round(value, 3) in said]
+    for feed, published in robot.published.items():
+        ages = [at - published[round(value, 3)] for value, at in marks[feed] if round(value, 3) in published]
         if len(ages) < 5 * seconds:
             raise RuntimeError(f"{feed}: {len(ages)} values were seen in {seconds:g} s, of {len(marks[feed])} drawn")
         rows.append(Row(f"{feed}, hub to pixels, p95", statistics.quantiles(ages, n=20)[-1], AGE_MS, "ms"))
@@ -203,18 +203,18 @@ def ten_pages(address: str) -> Iterator[None]:
         threads = []
         for _ in range(PAGES):
             url = address.replace("http", "ws", 1) + "socket"
-            words: Any = {"origin": address.rstrip("/"), "subprotocols": [Subprotocol("midspan.console.1")]}
-            socket = stack.enter_context(connect(url, max_size=None, **words))
+            options: Any = {"origin": address.rstrip("/"), "subprotocols": [Subprotocol("midspan.console.1")]}
+            socket = stack.enter_context(connect(url, max_size=None, **options))
             for feed in FEEDS:
                 socket.send(json.dumps({"op": "watch", "feed": feed}))
-            threads.append(threading.Thread(target=_take, args=(socket,)))
+            threads.append(threading.Thread(target=_receive, args=(socket,)))
             threads[-1].start()
         yield
     for thread in threads:
         thread.join()
 
 
-def _take(socket: Any) -> None:
+def _receive(socket: Any) -> None:
     with contextlib.suppress(ConnectionClosed):
         for text in socket:
             message = json.loads(text)
@@ -253,7 +253,7 @@ def measure(seconds: float) -> list[Row]:
 
         def worker() -> int:
             workers = (ask_daemon(deployment.place.config) or {"workers": []})["workers"]
-            return int(next(each["pid"] for each in workers if each["worker"] == "web"))
+            return int(next(status["pid"] for status in workers if status["worker"] == "web"))
 
         rows = in_chromium(address, robot, worker, seconds)
         for side in ("ros2", "zenoh"):

@@ -36,10 +36,10 @@ ALLOWED_US = 10.0
 
 def image(kind: type[Image], width: int, height: int) -> Image:
     """An image with rows as YARP pads them."""
-    made = kind()
-    made.resize(width, height)
-    made.getRawImage()[:] = np.arange(made.getRawImageSize()) % 256
-    return made
+    result = kind()
+    result.resize(width, height)
+    result.getRawImage()[:] = np.arange(result.getRawImageSize()) % 256
+    return result
 
 
 def numbers(count: int) -> NDArray[np.float64]:
@@ -71,22 +71,22 @@ def measure(case: str, value: Portable, rounds: int) -> list[Row]:
     kind = FlexImage if isinstance(value, Image) else type(value)
 
     def owned() -> object:
-        found = kind.from_bytes(payload, Profile.YARP3)
-        if isinstance(found, Image | Vector):
-            found._writable()
-        return found
+        copy_ = kind.from_bytes(payload, Profile.YARP3)
+        if isinstance(copy_, Image | Vector):
+            copy_._writable()
+        return copy_
 
-    ways: dict[str, Callable[[], object]] = {
+    conversions: dict[str, Callable[[], object]] = {
         "encoded": lambda: value.to_bytes(Profile.YARP3),
         "decoded": lambda: kind.from_bytes(payload, Profile.YARP3),
         "decoded, dialect unknown": lambda: kind.from_bytes(payload),
         "decoded and owned": owned,
     }
     rows = []
-    for way, call in ways.items():
+    for conversion, call in conversions.items():
         ours, copy = compare(call, lambda: bytes(source), rounds)
-        rows.append(Row(f"{case}, {way}, bare copy", ours, copy, "us"))
-        rows.append(Row(f"{case}, {way}, allowance", ours, ALLOWED_COPIES * copy + ALLOWED_US, "us"))
+        rows.append(Row(f"{case}, {conversion}, bare copy", ours, copy, "us"))
+        rows.append(Row(f"{case}, {conversion}, allowance", ours, ALLOWED_COPIES * copy + ALLOWED_US, "us"))
     return rows
 
 

@@ -84,13 +84,13 @@ def _serve_bare() -> None:
     memory = bytearray(1 << 20)
     for line in sys.stdin:
         size, times, reply = map(int, line.split())
-        told = bytes(reply)
+        answer = bytes(reply)
         for _ in range(times):
             left = size
             while left:
                 left -= sock.recv_into(memory, min(left, len(memory)))
             if reply:
-                sock.sendall(told)
+                sock.sendall(answer)
     sock.close()
 
 
@@ -139,8 +139,8 @@ class Ours:
         naming.register("/peer", "127.0.0.1", number)
         self._port = PortCore("/bench", naming=naming)
         self._port.open()
-        done, told = self._port.add_output(f"{carrier}://peer")
-        assert done, told
+        done, reason = self._port.add_output(f"{carrier}://peer")
+        assert done, reason
 
     def round_trips(self, count: int) -> float:
         """The median round trip, in microseconds."""
@@ -218,8 +218,12 @@ def _cores(place: str) -> tuple[set[int] | None, set[int] | None]:
 
 
 def _rows(carrier: str, place: str, rounds: int, share: float) -> list[Row]:
-    here, there = _cores(place)
-    with _process("port", there) as (_, ours_at), _process("bare", there) as (process, bare_at), _placed(here):
+    own_cores, peer_cores = _cores(place)
+    with (
+        _process("port", peer_cores) as (_, ours_at),
+        _process("bare", peer_cores) as (process, bare_at),
+        _placed(own_cores),
+    ):
         ours, bare = Ours(ours_at, carrier), Bare(process, bare_at, carrier)
 
         def both(stream: Stream | None) -> tuple[float, float]:

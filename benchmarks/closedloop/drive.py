@@ -86,7 +86,7 @@ class Loop:
         """Let 10 ms pass."""
         self.stack.step()
         self.robot.tick()
-        self.judge.look()
+        self.judge.check()
         pose = self.stack.pose
         if pose is not None:
             self.lost = max(self.lost, pose.distance(self.robot.truth))

@@ -42,7 +42,7 @@ class Judge:
         self.room = self.keep_out_room = math.inf
         self.where = ""
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Look; to be called once each tick."""
         robot = self._robot
         self._ticks += 1
@@ -79,15 +79,15 @@ def nearest(x: float, y: float, segments: Floats, circles: Floats) -> float:
         segments: (n, 4) x1, y1, x2, y2.
         circles: (m, 3) x, y, radius.
     """
-    found = math.inf
+    least = math.inf
     if len(segments):
-        start, way = segments[:, :2], segments[:, 2:] - segments[:, :2]
+        start, vectors = segments[:, :2], segments[:, 2:] - segments[:, :2]
         to = np.array((x, y)) - start
-        along = np.clip((to * way).sum(1) / np.maximum((way * way).sum(1), 1e-12), 0.0, 1.0)
-        found = float(np.hypot(*(to - along[:, None] * way).T).min())
+        along = np.clip((to * vectors).sum(1) / np.maximum((vectors * vectors).sum(1), 1e-12), 0.0, 1.0)
+        least = float(np.hypot(*(to - along[:, None] * vectors).T).min())
     if len(circles):
-        found = min(found, float((np.hypot(circles[:, 0] - x, circles[:, 1] - y) - circles[:, 2]).min()))
-    return found
+        least = min(least, float((np.hypot(circles[:, 0] - x, circles[:, 1] - y) - circles[:, 2]).min()))
+    return least
 
 
 def _outside(x: float, y: float, area: Rectangle) -> float:

@@ -111,8 +111,8 @@ class Robot:
 
     def _measure(self) -> None:
         encoders = self.simulation.motors.encoders()
-        found = self._base.measured(encoders.positions.tolist(), encoders.time_ns / 1e9)
-        self.odometry = Pose(found.x, found.y, math.remainder(found.theta, 2.0 * math.pi), encoders.time_ns)
+        measured = self._base.measured(encoders.positions.tolist(), encoders.time_ns / 1e9)
+        self.odometry = Pose(measured.x, measured.y, math.remainder(measured.theta, 2.0 * math.pi), encoders.time_ns)
 
 
 def base_section(described: Described) -> BaseControlSection:

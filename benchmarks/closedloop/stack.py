@@ -154,10 +154,10 @@ class Ours:
         self._ticks += 1
         if not drives:
             return
-        pose, why = self._known()
+        pose, reason = self._known()
         if plans:
-            self.planner.step(now, pose, self, why)
-        command = self.driver.step(now, pose, robot.odometry, why)
+            self.planner.step(now, pose, self, reason)
+        command = self.driver.step(now, pose, robot.odometry, reason)
         if not self.driver.silent:
             robot.command(*command)
 

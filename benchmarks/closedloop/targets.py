@@ -44,10 +44,10 @@ class Targets:
 
     def _distances(self) -> NDArray[np.float32]:
         """Meters from each cell to what stands there or is kept out of; rows from the top one down."""
-        grid, there = self._world.map, self._robot.simulation.world
+        grid, floor_world = self._world.map, self._robot.simulation.world
         solid = grid.flags != MapFlag.FREE
-        pieces = [*there.leaves(is_open=False), *(crate.now() for crate in there.crates.values())]
-        pieces += hidden(there)
+        pieces = [*floor_world.leaves(is_open=False), *(crate.now() for crate in floor_world.crates.values())]
+        pieces += hidden(floor_world)
         columns, rows = grid.cells_at(covered(grid, pieces)).T
         solid[rows, columns] = True
         return distance_transform(solid) * np.float32(self._resolution)
@@ -56,16 +56,18 @@ class Targets:
         column, row = self._world.map.cells_at([(pose.x, pose.y)])[0]
         return int(row), int(column)
 
-    def way(self, start: Pose, goal: Pose) -> float:
+    def path_length(self, start: Pose, goal: Pose) -> float:
         """How long the shortest way is, meters; infinite where there is none for a robot of this width."""
         weights = (self._around > self._robot.radius + _TIGHT).astype(np.uint8)
         row, column = self._cell(start)
         free = np.argwhere(weights)
-        here = free[((free - (row, column)) ** 2).sum(1).argmin()]  # a robot may stand nearer to a wall than it drives
-        found = astar(weights, (int(here[0]), int(here[1])), self._cell(goal))
-        if found is None:
+        start_cell = free[
+            ((free - (row, column)) ** 2).sum(1).argmin()
+        ]  # a robot may stand nearer to a wall than it drives
+        path = astar(weights, (int(start_cell[0]), int(start_cell[1])), self._cell(goal))
+        if path is None:
             return math.inf
-        corners = shortcut(weights, found.cells)
+        corners = shortcut(weights, path.cells)
         return float(np.hypot(*np.diff(corners, axis=0).T).sum()) * self._resolution
 
     def _is_somebodys(self, goal: Pose) -> bool:
@@ -84,8 +86,8 @@ class Targets:
             place = int(self._random.integers(len(rows)))
             x, y = self._world.map.centers_of([(columns[place], rows[place])])[0]
             goal = Pose(float(x), float(y), float(self._random.uniform(-math.pi, math.pi)))
-            way = math.inf if self._is_somebodys(goal) else self.way(self._robot.truth, goal)
-            if math.isfinite(way) and _LEAST <= way <= self._farthest:
-                yield goal, way
+            length = math.inf if self._is_somebodys(goal) else self.path_length(self._robot.truth, goal)
+            if math.isfinite(length) and _LEAST <= length <= self._farthest:
+                yield goal, length
         msg = f"no goal in {self._world.name} can be reached from {self._robot.truth}"
         raise RuntimeError(msg)

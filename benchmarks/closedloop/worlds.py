@@ -48,13 +48,13 @@ def covered(grid: MapGrid2D, pieces: Iterable[Piece]) -> NDArray[np.float64]:
     """(n, 2) the middles of a map's cells that pieces touch, meters."""
     rows, columns = np.indices(grid.flags.shape)
     places = grid.centers_of(np.stack((columns, rows), -1).reshape(-1, 2))
-    found = np.zeros(len(places), np.bool_)
+    touched = np.zeros(len(places), np.bool_)
     for piece in pieces:
         dx, dy = places.T - np.array([[piece.x], [piece.y]])
         c, s, half = math.cos(piece.yaw), math.sin(piece.yaw), grid.resolution / 2
         along, aside = np.abs(c * dx + s * dy), np.abs(c * dy - s * dx)
-        found |= (along <= piece.length / 2 + half) & (aside <= piece.width / 2 + half)
-    return places[found]
+        touched |= (along <= piece.length / 2 + half) & (aside <= piece.width / 2 + half)
+    return places[touched]
 
 
 @dataclass(frozen=True, eq=False)

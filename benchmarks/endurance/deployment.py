@@ -96,9 +96,9 @@ class Deployment(Stage):
         """Wait until these programs have heard nothing new for so long; those that send do so no more."""
         count, since = -1, time.monotonic()
         while time.monotonic() < since + seconds:
-            heard = sum(self.ask(name, "count")["count"] for name in programs)
-            if heard != count:
-                count, since = heard, time.monotonic()
+            received = sum(self.ask(name, "count")["count"] for name in programs)
+            if received != count:
+                count, since = received, time.monotonic()
             time.sleep(0.1)
 
     def census(self) -> Census:

@@ -29,7 +29,7 @@ class Ear:
         self._missing: dict[int, None] = {}
         self._ages: list[int] = []
 
-    def hear(self, value: int) -> None:
+    def receive(self, value: int) -> None:
         """One message came, with this ticket."""
         now = time.monotonic_ns() // 1000
         number, sent = divmod(value, _MICROSECONDS)

@@ -70,11 +70,11 @@ class Program(ABC):
             "report": self._report,
             "count": self._count,
         }
-        _tell()
+        _reply()
         try:
             for line in sys.stdin:
                 command = json.loads(line)
-                _tell(**commands[command.pop("do")](**command))
+                _reply(**commands[command.pop("do")](**command))
         except KeyboardInterrupt:
             pass
         finally:
@@ -94,7 +94,7 @@ class Program(ABC):
         for topic in topics:
             name, ear = topic["topic"], Ear()
             stamped = _load(topic["file"], topic["offset"], topic["form"])
-            close = self.listen(name, topic["type"], latched=topic["latched"], heard=_hearer(stamped, ear, pause))
+            close = self.listen(name, topic["type"], latched=topic["latched"], heard=_receiver(stamped, ear, pause))
             self._in[name] = ear, close
         return {}
 
@@ -133,8 +133,8 @@ class Program(ABC):
 
     def _report(self) -> dict[str, Any]:
         """What was sent and heard so far."""
-        heard = {topic: ear.report() for topic, (ear, _) in self._in.items()}
-        return {"sent": {topic: source.sent for topic, source in self._out.items()}, "heard": heard}
+        received = {topic: ear.report() for topic, (ear, _) in self._in.items()}
+        return {"sent": {topic: source.sent for topic, source in self._out.items()}, "heard": received}
 
 
 class Source:
@@ -192,16 +192,16 @@ class Flow:
             heapq.heapreplace(self._due, (max(due + period, time.monotonic() - 1.0), i, period, send))
 
 
-def _hearer(stamped: Stamped, ear: Ear, pause: float) -> Heard:
-    def hear(payload: bytes) -> None:
-        ear.hear(stamped.read(payload))
+def _receiver(stamped: Stamped, ear: Ear, pause: float) -> Heard:
+    def on_message(payload: bytes) -> None:
+        ear.receive(stamped.read(payload))
         if pause:
             time.sleep(pause)
 
-    return hear
+    return on_message
 
 
-def _tell(**values: Any) -> None:
+def _reply(**values: Any) -> None:
     sys.stdout.write(json.dumps({"event": "done", **values}) + "\n")
     sys.stdout.flush()
 

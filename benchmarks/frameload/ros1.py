@@ -23,14 +23,14 @@ _POSE = struct.Struct("<7d")
 
 def transforms(data: bytes) -> list[tuple[str, float]]:
     """Each child with its x."""
-    at, found = _SIZE.size, []
+    at, result = _SIZE.size, []
     for _ in range(_SIZE.unpack_from(data)[0]):
         at += _HEAD.size + _HEAD.unpack_from(data, at)[3]
         start = at + _SIZE.size
         at = start + _SIZE.unpack_from(data, at)[0]
-        found.append((data[start:at].decode(), _POSE.unpack_from(data, at)[0]))
+        result.append((data[start:at].decode(), _POSE.unpack_from(data, at)[0]))
         at += _POSE.size
-    return found
+    return result
 
 
 class Program:
@@ -43,21 +43,21 @@ class Program:
     def count(self) -> dict[str, Any]:
         """Begin to count."""
 
-        def hear(message: Any) -> None:
+        def on_message(message: Any) -> None:
             self.tally.see([round(x) for child, x in transforms(message._buff) if child.startswith("load")])
 
-        rospy.Subscriber("/tf", rospy.AnyMsg, hear, tcp_nodelay=True)
+        rospy.Subscriber("/tf", rospy.AnyMsg, on_message, tcp_nodelay=True)
         return {}
 
     def mount(self, frames: list[str]) -> dict[str, Any]:
         """Publish static frames, latched."""
         self.static = rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)
-        made = []
+        stamped = []
         for name in frames:
-            one = TransformStamped()
-            one.header.frame_id, one.child_frame_id, one.transform.rotation.w = "base", name, 1.0
-            made.append(one)
-        self.static.publish(TFMessage(made))
+            transform = TransformStamped()
+            transform.header.frame_id, transform.child_frame_id, transform.transform.rotation.w = "base", name, 1.0
+            stamped.append(transform)
+        self.static.publish(TFMessage(stamped))
         return {}
 
     def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
@@ -66,13 +66,13 @@ class Program:
         for _ in range(count):
             left, done = set(frames), threading.Event()
 
-            def hear(message: Any, left: set[str] = left, done: threading.Event = done) -> None:
+            def on_message(message: Any, left: set[str] = left, done: threading.Event = done) -> None:
                 left.difference_update(child for child, _ in transforms(message._buff))
                 if not left:
                     done.set()
 
             start = time.monotonic()
-            subscriber = rospy.Subscriber("/tf_static", rospy.AnyMsg, hear)
+            subscriber = rospy.Subscriber("/tf_static", rospy.AnyMsg, on_message)
             whole += done.wait(seconds)
             slowest = max(slowest, time.monotonic() - start)
             subscriber.unregister()

@@ -39,11 +39,17 @@ class Program:
     def count(self) -> dict[str, Any]:
         """Begin to count."""
 
-        def hear(data: bytes) -> None:
-            found = read(bytes(data))
-            self.tally.see([round(one.translation[0]) for one in found if one.child_frame_id.startswith("load")])
+        def on_message(data: bytes) -> None:
+            transforms = read(bytes(data))
+            self.tally.see(
+                [
+                    round(transform.translation[0])
+                    for transform in transforms
+                    if transform.child_frame_id.startswith("load")
+                ]
+            )
 
-        self.node.create_subscription(TFMessage, "/tf", hear, qos(1000), raw=True)
+        self.node.create_subscription(TFMessage, "/tf", on_message, qos(1000), raw=True)
         self.spinning = threading.Thread(target=self._spin, daemon=True)
         self.spinning.start()
         return {}
@@ -57,9 +63,9 @@ class Program:
         self.static = self.node.create_publisher(TFMessage, "/tf_static", qos(1, latched=True))
         message = TFMessage()
         for name in frames:
-            one = TransformStamped()
-            one.header.frame_id, one.child_frame_id = "base", name
-            message.transforms.append(one)
+            transform = TransformStamped()
+            transform.header.frame_id, transform.child_frame_id = "base", name
+            message.transforms.append(transform)
         self.static.publish(message)
         return {}
 
@@ -69,14 +75,14 @@ class Program:
         for number in range(count):
             left = set(frames)
 
-            def hear(data: bytes, left: set[str] = left) -> None:
-                left.difference_update(one.child_frame_id for one in read(bytes(data)))
+            def on_message(data: bytes, left: set[str] = left) -> None:
+                left.difference_update(transform.child_frame_id for transform in read(bytes(data)))
 
             start = time.monotonic()
             node = rclpy.create_node(f"late_{number}")
             executor = rclpy.executors.SingleThreadedExecutor()
             executor.add_node(node)
-            node.create_subscription(TFMessage, "/tf_static", hear, qos(100, latched=True), raw=True)
+            node.create_subscription(TFMessage, "/tf_static", on_message, qos(100, latched=True), raw=True)
             while left and time.monotonic() - start < seconds:
                 executor.spin_once(timeout_sec=0.1)
             whole += not left

@@ -41,8 +41,8 @@ class Program:
 
         def read() -> None:
             for message in reader:
-                found = message.to(AllTransforms).transforms_list
-                ticks = [round(one.tX) for one in found if one.dst_frame_id.startswith("load")]
+                transforms = message.to(AllTransforms).transforms_list
+                ticks = [round(transform.tX) for transform in transforms if transform.dst_frame_id.startswith("load")]
                 if ticks:
                     self.tally.see(ticks)
 
@@ -58,17 +58,17 @@ class Program:
     def set(self, rate: float, ticks: int, first: int) -> dict[str, Any]:
         """Begin to set all frames at once, so many times, with the numbers from ``first`` on."""
         self.sent, self.took = 0, []
-        made = [FrameTransform("base", f"load{n}") for n in range(self.frames)]
+        transforms = [FrameTransform("base", f"load{n}") for n in range(self.frames)]
 
         def work() -> None:
             with TransformClient(naming=self.names, streaming=False) as client:
                 due = time.monotonic()
                 for tick in range(first, first + ticks):
                     now = time.time()
-                    for one in made:
-                        one.timestamp, one.tX = now, float(tick)
+                    for transform in transforms:
+                        transform.timestamp, transform.tX = now, float(tick)
                     start = time.monotonic()
-                    assert client.send(made)
+                    assert client.send(transforms)
                     self.took.append(time.monotonic() - start)
                     self.sent = tick - first + 1
                     due += 1.0 / rate

@@ -47,7 +47,7 @@ class End(ABC):
         """Obey until the input ends."""
         gc.collect()
         gc.disable()  # pauses of these programs are not what is measured
-        tell("ready")
+        reply("ready")
         commands: dict[str, Callable[..., None]] = {
             "advertise": self._advertise,
             "subscribe": self._subscribe,
@@ -67,24 +67,24 @@ class End(ABC):
             name = topic["topic"]
             self._prepared[name] = _load(topic)
             self._put[name], self._matched[name] = self.publisher(name, topic["type"])
-        tell("advertised")
+        reply("advertised")
 
     def _subscribe(self, topics: list[dict[str, Any]]) -> None:
         for topic in topics:
             name = topic["topic"]
             self.listen(name, topic["type"], _collector(_load(topic), self._ages.setdefault(name, [])))
-        tell("subscribed")
+        reply("subscribed")
 
     def _idle(self, topics: list[str], type_: str) -> None:
         for topic in topics:
             self.publisher(topic, type_)
-        tell("idle")
+        reply("idle")
 
     def _is_matched(self, topic: str) -> None:
         end = time.monotonic() + MATCH_SECONDS
         while not self._matched[topic]() and time.monotonic() < end:
             time.sleep(0.02)
-        tell("matched", ok=self._matched[topic]())
+        reply("matched", ok=self._matched[topic]())
 
     def _send(self, topic: str, count: int, period: float) -> None:
         put, prepared = self._put[topic], self._prepared[topic]
@@ -95,7 +95,7 @@ class End(ABC):
             time.sleep(max(0.0, due - time.monotonic()))
             prepared.stamp(fresh)
             put(fresh)
-        tell("sent")
+        reply("sent")
 
     def _drum(self, topics: list[str], rate: float, seconds: float = 0.0) -> None:
         """Send on all these topics at a rate each, evenly spread in time, so long or until the program ends."""
@@ -111,10 +111,10 @@ class End(ABC):
                 number += 1
                 due = max(due + period, time.monotonic() - 1.0)
                 time.sleep(max(0.0, due - time.monotonic()))
-            tell("drummed")
+            reply("drummed")
 
         threading.Thread(target=beat, name="drum", daemon=True).start()
-        tell("drumming")
+        reply("drumming")
 
     def _count(self, topics: list[dict[str, Any]]) -> None:
         """Listen to numbered messages; `_tally` tells of them."""
@@ -122,7 +122,7 @@ class End(ABC):
             name = topic["topic"]
             ages, numbers = self._ages.setdefault(name, []), self._numbers.setdefault(name, [])
             self.listen(name, topic["type"], _counter(_load(topic), ages, numbers))
-        tell("counting")
+        reply("counting")
 
     def _tally(self, sent: int, seconds: float) -> None:
         """Tell what has come of the numbered messages since the last tally, and the topics that were silent.
@@ -136,20 +136,20 @@ class End(ABC):
             got += len(numbers)
             distinct += len(set(numbers))
             silent += not numbers
-            disorder += sum(1 for one, two in itertools.pairwise(numbers) if two < one)
+            disorder += sum(1 for earlier, later in itertools.pairwise(numbers) if later < earlier)
             self._ages[name].clear()
             numbers.clear()
-        tell("tallied", ages=ages, got=got, distinct=distinct, silent=silent, disorder=disorder)
+        reply("tallied", ages=ages, got=got, distinct=distinct, silent=silent, disorder=disorder)
 
     def _clear(self) -> None:
         for ages in self._ages.values():
             ages.clear()
-        tell("cleared")
+        reply("cleared")
 
     def _collect(self, topic: str, count: int, seconds: float) -> None:
         ages = self._ages[topic]
         self._wait_for(lambda: len(ages), count, seconds)
-        tell("collected", ages=list(ages))
+        reply("collected", ages=list(ages))
 
     @staticmethod
     def _wait_for(come: Callable[[], int], count: int, seconds: float) -> None:
@@ -167,14 +167,14 @@ def _collector(prepared: Stamped, ages: list[int]) -> Callable[[bytes], None]:
 
 
 def _counter(prepared: Stamped, ages: list[int], numbers: list[int]) -> Callable[[bytes], None]:
-    def heard(payload: bytes) -> None:
+    def on_message(payload: bytes) -> None:
         ages.append(prepared.age(payload))
         numbers.append(prepared.number(payload))
 
-    return heard
+    return on_message
 
 
-def tell(event: str, **values: Any) -> None:
+def reply(event: str, **values: Any) -> None:
     """Write one line."""
     sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
     sys.stdout.flush()

@@ -65,23 +65,23 @@ class Network(Stage):
         period = 1 / prepared.case.rate
         self.command(listener, "clear", "cleared")
         self.command(sender, "send", "sent", topic=topic, count=_WARM + count, period=period)
-        told = self.command(listener, "collect", "collected", topic=topic, count=_WARM + count, seconds=2.0)
-        ages: list[int] = told["ages"]
+        reply = self.command(listener, "collect", "collected", topic=topic, count=_WARM + count, seconds=2.0)
+        ages: list[int] = reply["ages"]
         return ages[_WARM:]
 
     def background_rate(self) -> float:
         """Messages of the busy background that arrive in a second."""
-        self._background_heard()
+        self._background_received()
         began = time.monotonic()
         time.sleep(1.0)
-        return self._background_heard() / (time.monotonic() - began)
+        return self._background_received() / (time.monotonic() - began)
 
-    def _background_heard(self) -> int:
+    def _background_received(self) -> int:
         total = 0
         for sink, topics in self._sunk.items():
             for topic in topics:
-                told = self.command(sink, "collect", "collected", topic=topic, count=0, seconds=0.0)
-                total += len(told["ages"])
+                reply = self.command(sink, "collect", "collected", topic=topic, count=0, seconds=0.0)
+                total += len(reply["ages"])
             self.command(sink, "clear", "cleared")
         return total
 
@@ -115,10 +115,13 @@ class Network(Stage):
         self.launch(name, f"benchmarks.latency.{kind}_end", *arguments, system=kind == "ros1")
 
     def _open(self, kinds: Sequence[str]) -> None:
-        ways = {"ros1": (THERE, BACK), "ros2": (BACK, THERE), "zenoh": (None, None)}
+        prefixes = {"ros1": (THERE, BACK), "ros2": (BACK, THERE), "zenoh": (None, None)}
         for kind in kinds:
-            for role, event, way in (("listener", "subscribe", ways[kind][1]), ("sender", "advertise", ways[kind][0])):
-                parts = [FLOOR] if way is None else [FLOOR, way]
+            for role, event, prefix in (
+                ("listener", "subscribe", prefixes[kind][1]),
+                ("sender", "advertise", prefixes[kind][0]),
+            ):
+                parts = [FLOOR] if prefix is None else [FLOOR, prefix]
                 topics = [
                     m.topic(f"/{p}/{m.case.key}", ros1=kind == "ros1") for p in parts for m in self.messages.values()
                 ]
@@ -132,9 +135,9 @@ class Network(Stage):
             if busy:
                 names = self._sunk[f"{other} sink"] = [f"/busy/{kind}_{i}" for i in range(busy // 2)]
                 sink, drummer = f"{other} sink", f"{kind} drummer"
-                heard = [self._background.topic(name, ros1=other == "ros1") for name in names]
+                subscribed = [self._background.topic(name, ros1=other == "ros1") for name in names]
                 sent = [self._background.topic(name, ros1=kind == "ros1") for name in names]
-                self.command(sink, "subscribe", "subscribed", topics=heard)
+                self.command(sink, "subscribe", "subscribed", topics=subscribed)
                 self.command(drummer, "advertise", "advertised", topics=sent)
                 self.command(drummer, "drum", "drumming", topics=names, rate=20.0)
 

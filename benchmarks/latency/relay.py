@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 from xmlrpc.server import SimpleXMLRPCServer
 
-from benchmarks.latency.end import tell
+from benchmarks.latency.end import reply
 from benchmarks.latency.zenoh_end import ZenohEnd
 from bridge.adapters.ros1.handshake import connect, encode, read_header
 from bridge.adapters.ros1_peers import DeadlineSocket
@@ -143,11 +143,11 @@ def main() -> None:
         None if listens else endpoint, shared_memory=True, listen=endpoint if listens else "", express=False
     )
     relay = Ros1Half(link, master).relay if kind == "ros1" else _ros2_half(link)
-    tell("ready")
+    reply("ready")
     for line in sys.stdin:
         command = json.loads(line)
         relay(command["inward"], command["outward"])
-        tell("relaying")
+        reply("relaying")
     link.close()
 
 

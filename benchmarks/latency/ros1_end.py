@@ -28,12 +28,12 @@ class Ros1End(End):
         raw = raw_class(type_)
         publisher = rospy.Publisher(topic, raw, queue_size=QUEUE, tcp_nodelay=True)
 
-        def put(payload: bytes) -> None:
+        def publish(payload: bytes) -> None:
             message = raw()
             message._buff = payload
             publisher.publish(message)
 
-        return put, lambda: publisher.get_num_connections() > 0
+        return publish, lambda: publisher.get_num_connections() > 0
 
     def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:  # noqa: ARG002 - AnyMsg takes any
         """As the base says."""

@@ -71,6 +71,6 @@ class Taker:
                 with self._taking:
                     if descriptor in self._open:
                         os.eventfd_read(descriptor)
-                        handle, class_, heard = self._open[descriptor]
+                        handle, class_, on_message = self._open[descriptor]
                         while (taken := handle.take_message(class_, True)) is not None:
-                            heard(taken[0])
+                            on_message(taken[0])

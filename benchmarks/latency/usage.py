@@ -79,23 +79,23 @@ def total(used: Mapping[str, Usage], names: tuple[str, ...]) -> float:
 
 def processes(folder: Path) -> dict[str, int]:
     """Process ids of the daemon's processes and of the ROS master by their names, of those started in a folder."""
-    found = _named(folder)
-    return {name: found[name] for name in (*DAEMON, "rosmaster")}
+    result = _named(folder)
+    return {name: result[name] for name in (*DAEMON, "rosmaster")}
 
 
 def daemon_processes(folder: Path) -> dict[str, int]:
     """Process ids of all the daemon's processes by their workers' names, the daemon's own by `daemon`."""
-    found = {"daemon" if name == "supervisor" else name: pid for name, pid in _named(folder).items()}
-    return {name: pid for name, pid in found.items() if name not in ("", "rosmaster")}
+    result = {"daemon" if name == "supervisor" else name: pid for name, pid in _named(folder).items()}
+    return {name: pid for name, pid in result.items() if name not in ("", "rosmaster")}
 
 
 def _named(folder: Path) -> dict[str, int]:
     return {_name(Path(f"/proc/{pid}/cmdline").read_text().split("\0")): pid for pid in marked(folder)}
 
 
-def _name(words: list[str]) -> str:
-    if "bridge.cli.child" in words and "worker" in words:
-        return words[words.index("worker") + 1]
-    if words[1:4] == ["-m", "bridge.cli.main", "run"]:
+def _name(command: list[str]) -> str:
+    if "bridge.cli.child" in command and "worker" in command:
+        return command[command.index("worker") + 1]
+    if command[1:4] == ["-m", "bridge.cli.main", "run"]:
         return "supervisor"
-    return "rosmaster" if any(word.endswith("rosmaster") for word in words) else ""
+    return "rosmaster" if any(argument.endswith("rosmaster") for argument in command) else ""

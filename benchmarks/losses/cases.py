@@ -119,7 +119,11 @@ def worker_stopped(field: Field, *workers: str, seconds: float) -> Outcome:
     _speak(field, *ANCHORS)
     if seconds > 5.0:  # the heartbeat's limit
         old = [(w, p.pid) for w, p in processes]
-        field.until(lambda: all(_replaced(field, *each) for each in old), "the stopped workers are replaced", 20)
+        field.until(
+            lambda: all(_replaced(field, *worker_and_pid) for worker_and_pid in old),
+            "the stopped workers are replaced",
+            20,
+        )
         return _after(field, watch, begun)
     time.sleep(max(0.0, begun + seconds - time.monotonic()))
     for _, process in processes:
@@ -167,8 +171,8 @@ def _after(field: Field, watch: Watch, returned: float, replaced: tuple[str, int
 
 
 def _replaced(field: Field, worker: str, pid: int) -> bool:
-    found = next((w for w in field.document()["workers"] if w["worker"] == worker), None)
-    return found is not None and found["pid"] not in (0, pid)
+    entry = next((w for w in field.document()["workers"] if w["worker"] == worker), None)
+    return entry is not None and entry["pid"] not in (0, pid)
 
 
 def _of_workers(what: str, limit: float, happen: Callable[[Field, str], Outcome]) -> list[Loss]:

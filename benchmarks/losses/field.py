@@ -83,12 +83,12 @@ class Field(Processes):
 
     def sounds(self, since: float) -> dict[Flow, list[tuple[float, float, float]]]:
         """What each anchor heard since a moment: arrival, time of sending, number."""
-        heard = {}
+        result = {}
         for name in ANCHORS:
             if name in self._children:
                 for topic, sounds in self.command(name, "heard", "sounds", since=since)["sounds"].items():
-                    heard[name, topic] = [(s[0], s[1], s[2]) for s in sounds]
-        return heard
+                    result[name, topic] = [(s[0], s[1], s[2]) for s in sounds]
+        return result
 
     def flows(self) -> list[Flow]:
         """What must be heard all the time."""

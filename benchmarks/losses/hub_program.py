@@ -40,7 +40,7 @@ class HubProgram(Program):
         self._publishers["state"] = self._publisher("/state", STRING, _latched(1))
         self._subscribe("/state", STRING, _latched(100), lambda data: self.stated(_text(data)))
 
-    def put(self, kind: str, sent: float, number: int) -> None:
+    def publish(self, kind: str, sent: float, number: int) -> None:
         """As the base says."""
         if kind == "large":
             self._publishers[kind].put(_string(MEGABYTE))
@@ -48,7 +48,7 @@ class HubProgram(Program):
             more = 3 if kind == "cmd_vel" else 0
             self._publishers[kind].put(CDR + struct.pack(f"<{3 + more}d", sent, number, *[0.0] * (1 + more)))
 
-    def put_state(self, line: str) -> None:
+    def publish_state(self, line: str) -> None:
         """As the base says."""
         self._publishers["state"].put(_string(line))
 

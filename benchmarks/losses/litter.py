@@ -51,20 +51,20 @@ def litter(field: Field, kills: int, ways: Sequence[str] = tuple(WAYS)) -> list[
     for name in ANCHORS:
         field.command(name, "large", "enlarged", on=True)
     rows = []
-    for what in ways:
+    for target in ways:
         counts = []
         for number in range(kills):
             _steady(field)
             time.sleep(SETTLE)
             field.shared_memory()
-            WAYS[what](field)
+            WAYS[target](field)
             _steady(field)
             counts.append(field.shared_memory())
             files, size = counts[-1]
-            print(f"{what} killed {number + 1}/{kills}: {files} files, {size / 1e6:.1f} MB", flush=True)
+            print(f"{target} killed {number + 1}/{kills}: {files} files, {size / 1e6:.1f} MB", flush=True)
         first, last = counts[0], counts[-1]
-        rows.append(Row(f"files in shared memory after {kills} kills of {what}", last[0], first[0], "files"))
-        rows.append(Row(f"shared memory after {kills} kills of {what}", last[1] / 1e6, first[1] / 1e6, "MB"))
+        rows.append(Row(f"files in shared memory after {kills} kills of {target}", last[0], first[0], "files"))
+        rows.append(Row(f"shared memory after {kills} kills of {target}", last[1] / 1e6, first[1] / 1e6, "MB"))
     for name in ANCHORS:
         field.command(name, "large", "enlarged", on=False)
     return rows

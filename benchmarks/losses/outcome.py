@@ -81,9 +81,9 @@ class Watch:
         end = time.monotonic() + seconds
         while True:
             now = time.monotonic()
-            heard = self._field.sounds(self.since - GAP)
+            sounds = self._field.sounds(self.since - GAP)
             flows = self._field.flows()
-            bad = [flow for flow in flows if not _is_steady(heard.get(flow, ()), now)]
+            bad = [flow for flow in flows if not _is_steady(sounds.get(flow, ()), now)]
             if not bad and now > returned + QUIET:
                 break
             if now > end:
@@ -92,7 +92,7 @@ class Watch:
             time.sleep(0.1)
         outcome = Outcome()
         for flow in flows:
-            self._add(outcome, flow, heard[flow], returned)
+            self._add(outcome, flow, sounds[flow], returned)
         return outcome
 
     @staticmethod

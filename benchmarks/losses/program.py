@@ -26,7 +26,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from benchmarks.latency.end import tell
+from benchmarks.latency.end import reply
 
 PERIOD = 0.02
 KEPT = 20_000
@@ -58,11 +58,11 @@ class Program(ABC):
         """Make the publishers and the subscription of ``/state``."""
 
     @abstractmethod
-    def put(self, kind: str, sent: float, number: int) -> None:
+    def publish(self, kind: str, sent: float, number: int) -> None:
         """Publish on ``stream``, ``cmd_vel``, ``large`` or ``/clock`` (whose time is ``sent``)."""
 
     @abstractmethod
-    def put_state(self, line: str) -> None:
+    def publish_state(self, line: str) -> None:
         """Publish the latched line."""
 
     @abstractmethod
@@ -86,7 +86,7 @@ class Program(ABC):
         if not silent:
             self.open()
             threading.Thread(target=self._beat, name="beat", daemon=True).start()
-        tell("ready")
+        reply("ready")
         commands: dict[str, Callable[..., None]] = {
             "hear": self._hear,
             "state": self._state,
@@ -95,7 +95,7 @@ class Program(ABC):
             "heard": self._heard,
             "large": self._set_large,
             "clock": self._set_clock,
-            "nodes": lambda: tell("nodes", names=self.nodes()),
+            "nodes": lambda: reply("nodes", names=self.nodes()),
         }
         try:
             for line in sys.stdin:
@@ -125,52 +125,54 @@ class Program(ABC):
         number, due = 0, time.monotonic()
         while not self._ended.is_set():
             number += 1
-            self.put("stream", time.monotonic(), number)
+            self.publish("stream", time.monotonic(), number)
             if number % 2:
-                self.put("cmd_vel", time.monotonic(), number)
+                self.publish("cmd_vel", time.monotonic(), number)
                 if self._clock is not None:
                     self._clock += 2 * PERIOD
-                    self.put("clock", self._clock, number)
+                    self.publish("clock", self._clock, number)
             if self._large and number % _LARGE_EVERY == 0:
-                self.put("large", time.monotonic(), number)
+                self.publish("large", time.monotonic(), number)
             due = max(due + PERIOD, time.monotonic() - 0.1)
             time.sleep(max(0.0, due - time.monotonic()))
 
     def _hear(self, sources: list[str]) -> None:
         for source in sources:
             self.listen(source)
-        tell("hearing")
+        reply("hearing")
 
     def _state(self, number: int) -> None:
-        self.put_state(f"{self.name} {number}")
-        tell("stated")
+        self.publish_state(f"{self.name} {number}")
+        reply("stated")
 
     def _tell_states(self) -> None:
-        tell("states", lines=dict(self._states))
+        reply("states", lines=dict(self._states))
 
     def _late(self, count: int, seconds: float) -> None:
         lines: list[str] = []
-        came = threading.Condition()
+        arrived = threading.Condition()
 
-        def take(line: str) -> None:
-            with came:
+        def on_line(line: str) -> None:
+            with arrived:
                 lines.append(line)
-                came.notify()
+                arrived.notify()
 
-        end = self.late(take)
-        with came:
-            came.wait_for(lambda: len(lines) >= count, seconds)
+        end = self.late(on_line)
+        with arrived:
+            arrived.wait_for(lambda: len(lines) >= count, seconds)
         end()
-        tell("joined", lines=sorted(lines))
+        reply("joined", lines=sorted(lines))
 
     def _heard(self, since: float) -> None:
-        sounds: dict[str, Any] = {t: [s for s in list(heard) if s[0] >= since] for t, heard in self._sounds.items()}
-        tell("sounds", sounds=sounds)
+        sounds: dict[str, Any] = {
+            t: [s for s in list(received) if s[0] >= since] for t, received in self._sounds.items()
+        }
+        reply("sounds", sounds=sounds)
 
     def _set_large(self, on: bool) -> None:
         self._large = on
-        tell("enlarged")
+        reply("enlarged")
 
     def _set_clock(self, start: float) -> None:
         self._clock = start
-        tell("ticking")
+        reply("ticking")

@@ -34,7 +34,7 @@ class Ros1Program(Program):
         self._publishers["state"] = rospy.Publisher("/state", String, queue_size=QUEUE, latch=True)
         rospy.Subscriber("/state", String, lambda m: self.stated(m.data))
 
-    def put(self, kind: str, sent: float, number: int) -> None:
+    def publish(self, kind: str, sent: float, number: int) -> None:
         """As the base says."""
         if kind == "stream":
             message: Any = Vector3(sent, number, 0.0)
@@ -48,7 +48,7 @@ class Ros1Program(Program):
                 self._publishers["clock"] = rospy.Publisher("/clock", Clock, queue_size=QUEUE)
         self._publishers[kind].publish(message)
 
-    def put_state(self, line: str) -> None:
+    def publish_state(self, line: str) -> None:
         """As the base says."""
         self._publishers["state"].publish(String(line))
 

@@ -40,7 +40,7 @@ class Ros2Program(Program):
         self._publishers["state"] = self._node.create_publisher(String, "/state", _latched(1))
         self._node.create_subscription(String, "/state", lambda m: self.stated(m.data), _latched(DEPTH))
 
-    def put(self, kind: str, sent: float, number: int) -> None:
+    def publish(self, kind: str, sent: float, number: int) -> None:
         """As the base says."""
         if kind == "clock":
             return  # ROS 1's alone here
@@ -49,7 +49,7 @@ class Ros2Program(Program):
         message = String(data=MEGABYTE) if large else Twist(linear=point) if kind == "cmd_vel" else point
         self._publishers[kind].publish(message)
 
-    def put_state(self, line: str) -> None:
+    def publish_state(self, line: str) -> None:
         """As the base says."""
         self._publishers["state"].publish(String(data=line))
 

@@ -27,9 +27,9 @@ def left_behind(field: Field) -> list[str]:
 
 def _patiently(look: Callable[[], list[str]]) -> list[str]:
     end = time.monotonic() + SECONDS
-    while (found := look()) and time.monotonic() < end:
+    while (stale := look()) and time.monotonic() < end:
         time.sleep(0.2)
-    return found
+    return stale
 
 
 def _on_master(field: Field) -> list[str]:

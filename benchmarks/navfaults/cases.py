@@ -38,7 +38,7 @@ class Fault:
         ends: how the goal should end; None: that depends.
         code: the result's error_code; None: any.
         tries: whether the robot may try for a moment meanwhile whether it is over.
-        again: whether the goal is asked for once more after it.
+        again: whether the goal is sent again after it.
         where: makes the deployment that it happens to.
     """
 
@@ -55,56 +55,58 @@ class Fault:
 
     def happen(self, chain: Chain, place: str) -> Outcome:
         """Drive to a place, have it happen on the way, and see what comes of it."""
-        found = Outcome(self.key)
+        outcome = Outcome(self.key)
         try:
-            self._happen(chain, place, found)
+            self._happen(chain, place, outcome)
         except AssertionError as err:
-            found.wrong = found.wrong or str(err) or "it did not come to its end"
-        return found
+            outcome.wrong = outcome.wrong or str(err) or "it did not come to its end"
+        return outcome
 
-    def _happen(self, chain: Chain, place: str, found: Outcome) -> None:
-        asked = chain.goto(place)
+    def _happen(self, chain: Chain, place: str, outcome: Outcome) -> None:
+        goal = chain.goto(place)
         chain.until_moving()
-        chain.until(lambda: _way_off(chain, asked) > 0.5, "it is on the way")
+        chain.until(lambda: _driven(chain, goal) > 0.5, "it is on the way")
         truth = chain.truth
         assert truth is not None
         x, y, began = truth.x, truth.y, time.monotonic()
         with self.make(chain):
             try:
-                found.still = _still(chain, max(self.limit + 3.0, self.lasts) if math.isfinite(self.limit) else 3.0)
+                outcome.still = _still(chain, max(self.limit + 3.0, self.lasts) if math.isfinite(self.limit) else 3.0)
             except AssertionError as err:
-                found.wrong = str(err) if math.isfinite(self.limit) else ""
+                outcome.wrong = str(err) if math.isfinite(self.limit) else ""
             now = chain.truth
             assert now is not None
-            found.way = math.dist((x, y), (now.x, now.y))
+            outcome.distance = math.dist((x, y), (now.x, now.y))
             time.sleep(max(0.0, began + self.lasts - time.monotonic()))
             if math.isfinite(self.limit) and not self.tries and not (chain.truth and chain.truth.still):
-                found.wrong = found.wrong or "it drove again before the fault was over"
+                outcome.wrong = outcome.wrong or "it drove again before the fault was over"
         over = time.monotonic()
         if self.ends is GoalState.SUCCEEDED and math.isfinite(self.limit):
             with contextlib.suppress(AssertionError):
-                found.onward = chain.until_moving(30.0)
-        chain.until(lambda: asked.ended is not None, "the goal ends", 90.0)
-        told = [why for _, why in chain.statuses_since(began) if self.says and self.says in why]
-        found.told = told[0] if told else " | ".join(dict.fromkeys(w for _, w in chain.statuses_since(began) if w))
-        status = asked.status or GoalState.UNKNOWN
-        found.end = (
-            f"{status.name}{f' ({asked.reason})' if asked.reason else ''} after {(asked.ended or over) - over:.1f} s"
+                outcome.onward = chain.until_moving(30.0)
+        chain.until(lambda: goal.ended is not None, "the goal ends", 90.0)
+        reasons = [reason for _, reason in chain.statuses_since(began) if self.says and self.says in reason]
+        outcome.reported = (
+            reasons[0] if reasons else " | ".join(dict.fromkeys(w for _, w in chain.statuses_since(began) if w))
+        )
+        status = goal.status or GoalState.UNKNOWN
+        outcome.end = (
+            f"{status.name}{f' ({goal.reason})' if goal.reason else ''} after {(goal.ended or over) - over:.1f} s"
         )
         if self.again:
             chain.goto(place)
-            found.anew = chain.until_moving(30.0)
+            outcome.anew = chain.until_moving(30.0)
         if self.ends is not None and status is not self.ends:
-            found.wrong = found.wrong or f"the goal should have ended {self.ends.name}"
-        if self.code is not None and asked.code != self.code:
-            found.wrong = found.wrong or f"the goal ended with the code {asked.code}, not {self.code}"
-        if self.says and not told and self.says not in asked.reason:
-            found.wrong = found.wrong or f"the client did not hear '{self.says}'"
+            outcome.wrong = outcome.wrong or f"the goal should have ended {self.ends.name}"
+        if self.code is not None and goal.code != self.code:
+            outcome.wrong = outcome.wrong or f"the goal ended with the code {goal.code}, not {self.code}"
+        if self.says and not reasons and self.says not in goal.reason:
+            outcome.wrong = outcome.wrong or f"the client did not hear '{self.says}'"
 
 
-def _way_off(chain: Chain, asked: SentGoal) -> float:
-    if asked.ended is not None:
-        raise AssertionError(f"the goal ended before the fault: {asked.status} {asked.reason}")
+def _driven(chain: Chain, goal: SentGoal) -> float:
+    if goal.ended is not None:
+        raise AssertionError(f"the goal ended before the fault: {goal.status} {goal.reason}")
     truth = chain.truth
     return truth.speed + 0.4 if truth else 0.0
 

@@ -13,8 +13,8 @@ class Outcome:
     Attributes:
         key: the fault's.
         still: seconds from the fault until the wheels stood; infinite where they did not.
-        way: meters that the robot went meanwhile.
-        told: what the client heard of it: state and reason.
+        distance: meters that the robot went meanwhile.
+        reported: what the client heard of it: state and reason.
         onward: seconds from the end of the fault until the robot drove on; infinite where it was not to, or did not.
         anew: seconds from asking for the goal anew until the robot drove; infinite where nobody did, or it did not.
         end: how the client's goal ended, and its reason.
@@ -23,8 +23,8 @@ class Outcome:
 
     key: str
     still: float = math.inf
-    way: float = 0.0
-    told: str = ""
+    distance: float = 0.0
+    reported: str = ""
     onward: float = math.inf
     anew: float = math.inf
     end: str = ""
@@ -32,10 +32,12 @@ class Outcome:
 
     def __str__(self) -> str:
         parts = [
-            f"still after {self.still:.2f} s ({self.way * 100:.0f} cm)" if math.isfinite(self.still) else "drove on"
+            f"still after {self.still:.2f} s ({self.distance * 100:.0f} cm)"
+            if math.isfinite(self.still)
+            else "drove on"
         ]
-        if self.told:
-            parts.append(f"client: {self.told}")
+        if self.reported:
+            parts.append(f"client: {self.reported}")
         if math.isfinite(self.onward):
             parts.append(f"went on {self.onward:.2f} s after the end of the fault")
         if self.end:

@@ -49,10 +49,10 @@ class TwoMachines(Chain):
         robot["hub"]["open"] = self._door(listen=[f"tls/0.0.0.0:{_DOOR}"], trusted=["operator1"])
         operator["hub"]["open"] = self._door(connect=[f"tls/robot1:{_DOOR}"], trusted=["robot1"])
         operator["sim"] = operator["yarp"] = {"enabled": False}
-        here = operator.pop("modules")
+        robot_modules = operator.pop("modules")
         if self._split:
             del robot["navigation"], robot["modules"][_SEEKS]
-            operator["modules"] = {_SEEKS: here[_SEEKS]}
+            operator["modules"] = {_SEEKS: robot_modules[_SEEKS]}
             operator["navigation"]["map"] = "/map"
         else:
             del operator["navigation"]

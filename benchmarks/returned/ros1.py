@@ -10,18 +10,18 @@ from typing import Any
 
 import actionlib
 
-from benchmarks.returned.words import tell
+from benchmarks.returned.words import report
 
 _start = actionlib.ActionServer.start
 
 
-def _told(server: Any) -> None:
+def _start_and_report(server: Any) -> None:
     _start(server)  # it returns with all five topics at the master
-    tell("registered")
+    report("registered")
 
 
 def _plan(program: str) -> None:
-    actionlib.ActionServer.start = _told
+    actionlib.ActionServer.start = _start_and_report
     sys.argv = [program, "1.0", "1.0"]
     runpy.run_path(program, run_name="__main__")
 
@@ -33,9 +33,9 @@ def _wait() -> None:
 
     rospy.init_node(f"waiter_{os.getpid()}", disable_signals=True, disable_rosout=True)
     client = actionlib.SimpleActionClient("/move_base", MoveBaseAction)
-    tell("waiting")
+    report("waiting")
     client.wait_for_server()
-    tell("found")
+    report("found")
     sys.stdin.read()
 
 

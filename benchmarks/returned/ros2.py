@@ -11,19 +11,19 @@ from typing import Any
 import rclpy
 import rclpy.action
 
-from benchmarks.returned.words import tell
+from benchmarks.returned.words import report
 
 _server: Any = vars(rclpy.action)["ActionServer"]
 _make = _server.__init__
 
 
-def _told(*args: Any, **more: Any) -> None:
+def _create_and_report(*args: Any, **more: Any) -> None:
     _make(*args, **more)
-    tell("registered")
+    report("registered")
 
 
 def _plan(program: str) -> None:
-    _server.__init__ = _told
+    _server.__init__ = _create_and_report
     sys.argv = [program, "1.0", "1.0"]
     runpy.run_path(program, run_name="__main__")
 
@@ -35,9 +35,9 @@ def _wait() -> None:
     rclpy.init()
     node = rclpy.create_node(f"waiter_{os.getpid()}")
     client: Any = vars(rclpy.action)["ActionClient"](node, NavigateToPose, "/navigate_to_pose")
-    tell("waiting")
+    report("waiting")
     client.wait_for_server()
-    tell("found")
+    report("found")
     sys.stdin.read()
 
 

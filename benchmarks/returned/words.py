@@ -1,4 +1,4 @@
-"""How the programs tell what happened when. Standard library only."""
+"""How the programs report what happened when. Standard library only."""
 
 import json
 import sys
@@ -6,7 +6,7 @@ import time
 from typing import Any
 
 
-def tell(event: str, **values: Any) -> None:
+def report(event: str, **values: Any) -> None:
     """Write one line: an event, and the machine's monotonic time in seconds."""
     sys.stdout.write(json.dumps({"event": event, "at": time.monotonic(), **values}) + "\n")
     sys.stdout.flush()

@@ -13,7 +13,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-from benchmarks.latency.end import tell
+from benchmarks.latency.end import reply
 
 MAP_SIDE = 1000
 """Cells of the map along each side, one byte each."""
@@ -55,7 +55,7 @@ class End(ABC):
         """Obey until the input ends."""
         gc.collect()
         gc.disable()  # pauses of these programs are not what is measured
-        tell("ready")
+        reply("ready")
         cases: dict[str, Callable[[str], int]] = {
             "call": self.call,
             "map": self.get_map,
@@ -68,15 +68,15 @@ class End(ABC):
                 prefix = command["prefix"]
                 if command["do"] == "serve":
                     self.serve(prefix)
-                    tell("serving")
+                    reply("serving")
                 elif command["do"] == "find":
                     self.wait_for(prefix)
-                    tell("found")
+                    reply("found")
                 else:
                     trip, times = cases[command["case"]], []
                     for _ in range(command["count"]):
                         times.append(trip(prefix))
                         time.sleep(command["pause"])
-                    tell("measured", times=times)
+                    reply("measured", times=times)
         finally:
             self.close()

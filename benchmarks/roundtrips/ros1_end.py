@@ -95,9 +95,9 @@ class _Goal:
         goal.target_pose.header.frame_id = "map"
         goal.target_pose.pose.orientation.w = 1.0
         goal.target_pose.pose.position.x = float(number % 1000)
-        self.handle = client.send_goal(goal, self._told)
+        self.handle = client.send_goal(goal, self._on_transition)
 
-    def _told(self, handle: Any) -> None:
+    def _on_transition(self, handle: Any) -> None:
         with self._changed:
             self._state = handle.get_comm_state()
             self._changed.notify_all()

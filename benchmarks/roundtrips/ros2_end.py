@@ -31,8 +31,8 @@ class Ros2End(End):
         self._held: dict[bytes, Any] = {}
 
     def _node(self, name: str) -> Any:
-        own = f"end_{os.getpid()}_{len(self._executors)}"
-        node: Any = rclpy.create_node(own, enable_rosout=False, start_parameter_services=False)
+        name_ = f"end_{os.getpid()}_{len(self._executors)}"
+        node: Any = rclpy.create_node(name_, enable_rosout=False, start_parameter_services=False)
         executor = self._executors[name] = SingleThreadedExecutor()
         executor.add_node(node)
         return node

@@ -91,11 +91,11 @@ class ZenohEnd(End):
         self._wait(result)
         return time.perf_counter_ns() - began
 
-    def _ask(self, name: str, payload: bytes) -> _Asked:
-        asked = _Asked()
+    def _ask(self, name: str, payload: bytes) -> _PendingReply:
+        pending = _PendingReply()
         self._session.get(
             name.strip("/"),
-            zenoh.handlers.Callback(asked.replied, asked.ended.set, indirect=False),
+            zenoh.handlers.Callback(pending.replied, pending.ended.set, indirect=False),
             target=zenoh.QueryTarget.ALL_COMPLETE,
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=SECONDS,
@@ -103,10 +103,10 @@ class ZenohEnd(End):
             attachment=bytes(ATTACHMENT_SIZE),
             express=True,
         )
-        return asked
+        return pending
 
     @staticmethod
-    def _wait(asked: _Asked) -> None:
+    def _wait(asked: _PendingReply) -> None:
         asked.ended.wait(SECONDS)
         if not asked.replies:
             raise RuntimeError("no answer")
@@ -116,7 +116,7 @@ class ZenohEnd(End):
         self._session.close()  # type: ignore[no-untyped-call]
 
 
-class _Asked:
+class _PendingReply:
     def __init__(self) -> None:
         self.replies: list[bytes] = []
         self.ended = threading.Event()

@@ -12,4 +12,4 @@ def test_the_maps_walls_match_the_plan(plan: str, seconds: float) -> None:
     result, scans = quality(plan, seconds)
     assert len(scans) >= 10 * (seconds - 1.0)
     assert result.near == 1.0
-    assert result.found >= 0.95
+    assert result.covered >= 0.95
