@@ -242,9 +242,8 @@ def _busy(crowd: Crowd, title: str, rate: float, seconds: float) -> Busy:
     tallies, used = crowd.drum("many", list(WAYS), rate, seconds)
     report_progress(text(title, used))
     for direction, (_, _, name) in WAYS.items():
-        report_progress(
-            f"{name}: {tallies[direction]['got'] - tallies[direction]['distinct']} doubled, {tallies[direction]['disorder']} out of order"
-        )
+        tally = tallies[direction]
+        report_progress(f"{name}: {tally['got'] - tally['distinct']} doubled, {tally['disorder']} out of order")
     if warnings := crowd.words():
         report_progress(f"the daemon's warnings:\n{warnings}")
     ages = {direction: figures(tally["ages"]) for direction, tally in tallies.items()}

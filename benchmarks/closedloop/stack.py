@@ -90,25 +90,20 @@ class Ours:
 
     @property
     def state(self) -> State:
-        """See `navigation.robot_path_planner.navigators.LocalNavigator`."""
         return self.driver.status.state
 
     @property
     def reason(self) -> str:
-        """See there."""
         return self.driver.status.reason
 
     @property
     def fault(self) -> Fault:
-        """See there."""
         return Fault.parse(self.driver.status.fault)
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
-        """See there."""
         self.driver.goal(pose, constraints)
 
     def cancel(self) -> None:
-        """See there."""
         self.driver.cancel()
 
     # what a loop has of them

@@ -36,11 +36,9 @@ class Ros1Program(Program):
         rospy.init_node(f"program_{os.getpid()}", disable_signals=True, disable_rosout=True)
 
     def publisher(self, topic: str, type_: str, *, latched: bool) -> Ros1Publisher:
-        """As the base says."""
         return Ros1Publisher(topic, type_, latched=latched)
 
     def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:  # noqa: ARG002 - AnyMsg takes any
-        """As the base says."""
         subscriber = rospy.Subscriber(
             topic, rospy.AnyMsg, lambda message: heard(message._buff), buff_size=BUFFER, tcp_nodelay=True
         )
@@ -48,7 +46,6 @@ class Ros1Program(Program):
         return unregister
 
     def close(self) -> None:
-        """As the base says."""
         rospy.signal_shutdown("done")
 
 

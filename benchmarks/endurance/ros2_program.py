@@ -38,11 +38,9 @@ class Ros2Program(Program):
         self._taker = Taker()
 
     def publisher(self, topic: str, type_: str, *, latched: bool) -> Ros2Publisher:
-        """As the base says."""
         return Ros2Publisher(self._node, topic, type_, latched=latched)
 
     def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:
-        """As the base says."""
         return self._taker.listen(self._node, topic, type_, _qos(latched=latched), heard)
 
     def close(self) -> None:

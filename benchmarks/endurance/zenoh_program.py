@@ -25,7 +25,6 @@ class ZenohProgram(Program):
         self._registry = Registry()
 
     def publisher(self, topic: str, type_: str, *, latched: bool) -> HubPublisher:
-        """As the base says."""
         return self._hub.publisher(topic, type_, self._registry.ros2(type_).type_id, _qos(latched=latched))
 
     def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:
@@ -37,7 +36,6 @@ class ZenohProgram(Program):
         return subscription.close
 
     def close(self) -> None:
-        """As the base says."""
         self._hub.close()
 
 

@@ -24,7 +24,6 @@ class Ros1End(End):
         rospy.init_node(f"end_{os.getpid()}", disable_signals=True, disable_rosout=True)
 
     def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:
-        """As the base says."""
         raw = raw_class(type_)
         publisher = rospy.Publisher(topic, raw, queue_size=QUEUE, tcp_nodelay=True)
 
@@ -36,11 +35,9 @@ class Ros1End(End):
         return publish, lambda: publisher.get_num_connections() > 0
 
     def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:  # noqa: ARG002 - AnyMsg takes any
-        """As the base says."""
         rospy.Subscriber(topic, rospy.AnyMsg, lambda message: heard(message._buff), buff_size=BUFFER, tcp_nodelay=True)
 
     def close(self) -> None:
-        """As the base says."""
         rospy.signal_shutdown("done")
 
 

@@ -26,12 +26,10 @@ class Ros2End(End):
         self._taker = Taker()
 
     def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:
-        """As the base says."""
         publisher = self._node.create_publisher(message_class(type_), topic, _qos())
         return publisher.publish, lambda: publisher.get_subscription_count() > 0
 
     def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:
-        """As the base says."""
         self._taker.listen(self._node, topic, type_, _qos(), heard)
 
     def close(self) -> None:

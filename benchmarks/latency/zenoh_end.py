@@ -36,7 +36,6 @@ class ZenohEnd(End):
         self._endpoints: list[Any] = []
 
     def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:  # noqa: ARG002
-        """As the base says."""
         publisher = self._session.declare_publisher(
             topic.strip("/"), congestion_control=zenoh.CongestionControl.DROP, express=self._express
         )
@@ -45,12 +44,10 @@ class ZenohEnd(End):
         return lambda payload: publisher.put(payload, attachment=attached), lambda: self._is_linked(publisher)
 
     def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:  # noqa: ARG002
-        """As the base says."""
         handler: Any = zenoh.handlers.Callback(lambda sample: heard(sample.payload.to_bytes()), indirect=False)
         self._endpoints.append(self._session.declare_subscriber(topic.strip("/"), handler))
 
     def close(self) -> None:
-        """As the base says."""
         self._session.close()  # type: ignore[no-untyped-call]
 
     def _is_linked(self, publisher: Any) -> bool:

@@ -34,14 +34,12 @@ class HubProgram(Program):
         self._publishers: dict[str, HubPublisher] = {}
 
     def open(self) -> None:
-        """As the base says."""
         for kind, type_ in (("stream", POINT), ("cmd_vel", TWIST), ("large", STRING)):
             self._publishers[kind] = self._publisher(f"/{self.name}/{kind}", type_, _STREAM)
         self._publishers["state"] = self._publisher("/state", STRING, _latched(1))
         self._subscribe("/state", STRING, _latched(100), lambda data: self.stated(_text(data)))
 
     def publish(self, kind: str, sent: float, number: int) -> None:
-        """As the base says."""
         if kind == "large":
             self._publishers[kind].put(_string(MEGABYTE))
         elif kind != "clock":  # ROS 1's alone here
@@ -49,11 +47,9 @@ class HubProgram(Program):
             self._publishers[kind].put(CDR + struct.pack(f"<{3 + more}d", sent, number, *[0.0] * (1 + more)))
 
     def publish_state(self, line: str) -> None:
-        """As the base says."""
         self._publishers["state"].put(_string(line))
 
     def listen(self, source: str) -> None:
-        """As the base says."""
         if source == "clock":
             self._follow("/clock", CLOCK, _clock)
             return
@@ -62,15 +58,12 @@ class HubProgram(Program):
         self._follow(f"/{source}/large", STRING, lambda _data: (0.0, 0.0))
 
     def late(self, take: Callable[[str], None]) -> Callable[[], None]:
-        """As the base says."""
         return self._subscribe("/state", STRING, _latched(100), lambda data: take(_text(data)))
 
     def nodes(self) -> list[str]:
-        """As the base says."""
         return [node.node for node in self._hub.graph.nodes()]
 
     def close(self) -> None:
-        """As the base says."""
         self._hub.close()
 
     def _publisher(self, topic: str, type_: str, qos: Qos) -> HubPublisher:

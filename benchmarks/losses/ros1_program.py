@@ -27,7 +27,6 @@ class Ros1Program(Program):
         self._publishers: dict[str, Any] = {}
 
     def open(self) -> None:
-        """As the base says."""
         for kind, type_ in KINDS.items():
             topic = f"/{self.name}/{kind}"
             self._publishers[kind] = rospy.Publisher(topic, type_, queue_size=QUEUE, tcp_nodelay=True)
@@ -35,7 +34,6 @@ class Ros1Program(Program):
         rospy.Subscriber("/state", String, lambda m: self.stated(m.data))
 
     def publish(self, kind: str, sent: float, number: int) -> None:
-        """As the base says."""
         if kind == "stream":
             message: Any = Vector3(sent, number, 0.0)
         elif kind == "cmd_vel":
@@ -49,11 +47,9 @@ class Ros1Program(Program):
         self._publishers[kind].publish(message)
 
     def publish_state(self, line: str) -> None:
-        """As the base says."""
         self._publishers["state"].publish(String(line))
 
     def listen(self, source: str) -> None:
-        """As the base says."""
         more = {"tcp_nodelay": True, "queue_size": QUEUE, "buff_size": 1 << 22}
         if source == "clock":
             rospy.Subscriber("/clock", Clock, lambda m: self.sound("/clock", m.clock.to_sec(), 0.0), **more)
@@ -67,11 +63,9 @@ class Ros1Program(Program):
         return lambda: subscriber.unregister()
 
     def nodes(self) -> list[str]:
-        """As the base says."""
         return sorted({n for kind in rosgraph.Master(rospy.get_name()).getSystemState() for _, ns in kind for n in ns})
 
     def close(self) -> None:
-        """As the base says."""
         rospy.signal_shutdown("done")
 
 

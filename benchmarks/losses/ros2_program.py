@@ -34,14 +34,12 @@ class Ros2Program(Program):
         self._spinner.start()
 
     def open(self) -> None:
-        """As the base says."""
         for kind, type_ in KINDS.items():
             self._publishers[kind] = self._node.create_publisher(type_, f"/{self.name}/{kind}", DEPTH)
         self._publishers["state"] = self._node.create_publisher(String, "/state", _latched(1))
         self._node.create_subscription(String, "/state", lambda m: self.stated(m.data), _latched(DEPTH))
 
     def publish(self, kind: str, sent: float, number: int) -> None:
-        """As the base says."""
         if kind == "clock":
             return  # ROS 1's alone here
         point = Vector3(x=sent, y=float(number))
@@ -50,11 +48,9 @@ class Ros2Program(Program):
         self._publishers[kind].publish(message)
 
     def publish_state(self, line: str) -> None:
-        """As the base says."""
         self._publishers["state"].publish(String(data=line))
 
     def listen(self, source: str) -> None:
-        """As the base says."""
         if source == "clock":
             self._node.create_subscription(Clock, "/clock", self._hear_clock, DEPTH)
             return
@@ -65,17 +61,14 @@ class Ros2Program(Program):
         self.sound("/clock", message.clock.sec + message.clock.nanosec / 1e9, 0.0)
 
     def late(self, take: Callable[[str], None]) -> Callable[[], None]:
-        """As the base says."""
         subscription = self._node.create_subscription(String, "/state", lambda m: take(m.data), _latched(DEPTH))
         self._executor.wake()
         return lambda: self._node.destroy_subscription(subscription)
 
     def nodes(self) -> list[str]:
-        """As the base says."""
         return list(self._node.get_node_names())
 
     def close(self) -> None:
-        """As the base says."""
         self._executor.shutdown(2.0)
         self._spinner.join(2.0)
         self._node.destroy_node()  # else the others take it for alive until its lease is over

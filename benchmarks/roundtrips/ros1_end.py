@@ -28,7 +28,6 @@ class Ros1End(End):
         self._servers: list[Any] = []
 
     def serve(self, prefix: str) -> None:
-        """As the base says."""
         grid = GetMapResponse()
         grid.map.info.width = grid.map.info.height = MAP_SIDE
         grid.map.data = bytes(MAP_SIDE * MAP_SIDE)
@@ -42,7 +41,6 @@ class Ros1End(End):
             self._servers.append(server)
 
     def wait_for(self, prefix: str) -> None:
-        """As the base says."""
         for name, kind in (("call", SetBool), ("map", GetMap)):
             rospy.wait_for_service(f"{prefix}/{name}", SECONDS)
             self._services[f"{prefix}/{name}"] = rospy.ServiceProxy(f"{prefix}/{name}", kind, persistent=True)
@@ -52,13 +50,11 @@ class Ros1End(End):
                 raise RuntimeError("no server of " + prefix)
 
     def call(self, prefix: str) -> int:
-        """As the base says."""
         began = time.perf_counter_ns()
         self._services[f"{prefix}/call"](True)
         return time.perf_counter_ns() - began
 
     def get_map(self, prefix: str) -> int:
-        """As the base says."""
         began = time.perf_counter_ns()
         reply = self._services[f"{prefix}/map"]()
         took = time.perf_counter_ns() - began
@@ -67,13 +63,11 @@ class Ros1End(End):
         return took
 
     def run_goal(self, prefix: str) -> int:
-        """As the base says."""
         began = time.perf_counter_ns()
         _Goal(self._clients[f"{prefix}/go"], began).wait(actionlib.CommState.DONE)
         return time.perf_counter_ns() - began
 
     def cancel_goal(self, prefix: str) -> int:
-        """As the base says."""
         goal = _Goal(self._clients[f"{prefix}/hold"], 0)
         goal.wait(actionlib.CommState.ACTIVE)
         time.sleep(0.02)
@@ -83,7 +77,6 @@ class Ros1End(End):
         return time.perf_counter_ns() - began
 
     def close(self) -> None:
-        """As the base says."""
         rospy.signal_shutdown("done")
 
 

@@ -38,7 +38,6 @@ class Ros2End(End):
         return node
 
     def serve(self, prefix: str) -> None:
-        """As the base says."""
         grid = GetMap.Response()
         grid.map.info.width = grid.map.info.height = MAP_SIDE
         grid.map.data.frombytes(bytes(MAP_SIDE * MAP_SIDE))
@@ -62,7 +61,6 @@ class Ros2End(End):
         return _action.CancelResponse.ACCEPT
 
     def wait_for(self, prefix: str) -> None:
-        """As the base says."""
         for name, kind in (("call", SetBool), ("map", GetMap)):
             path = f"{prefix}/{name}"
             client = self._ends[path] = self._node(path).create_client(kind, path)
@@ -75,14 +73,12 @@ class Ros2End(End):
                 raise RuntimeError("no server of " + prefix)
 
     def call(self, prefix: str) -> int:
-        """As the base says."""
         began = time.perf_counter_ns()
         path = f"{prefix}/call"
         self._until(path, self._ends[path].call_async(SetBool.Request(data=True)))
         return time.perf_counter_ns() - began
 
     def get_map(self, prefix: str) -> int:
-        """As the base says."""
         began = time.perf_counter_ns()
         path = f"{prefix}/map"
         reply = self._until(path, self._ends[path].call_async(GetMap.Request()))
@@ -92,7 +88,6 @@ class Ros2End(End):
         return took
 
     def run_goal(self, prefix: str) -> int:
-        """As the base says."""
         began = time.perf_counter_ns()
         path = f"{prefix}/go"
         goal = self._until(path, self._ends[path].send_goal_async(_goal()))
@@ -100,7 +95,6 @@ class Ros2End(End):
         return time.perf_counter_ns() - began
 
     def cancel_goal(self, prefix: str) -> int:
-        """As the base says."""
         path = f"{prefix}/hold"
         goal = self._until(path, self._ends[path].send_goal_async(_goal()))
         ended = goal.get_result_async()

@@ -33,7 +33,6 @@ class ZenohEnd(End):
         self._asking: list[Any] = []
 
     def serve(self, prefix: str) -> None:
-        """As the base says."""
         grid = bytes(MAP_SIDE * MAP_SIDE + 100)
         for name, reply in (("call", SMALL), ("map", grid), ("go/send", SMALL), ("go/result", SMALL)):
             self._serve(f"{prefix}/{name}", _answerer(reply))
@@ -63,26 +62,22 @@ class ZenohEnd(End):
                 time.sleep(0.05)
 
     def call(self, prefix: str) -> int:
-        """As the base says."""
         began = time.perf_counter_ns()
         self._wait(self._ask(f"{prefix}/call", SMALL))
         return time.perf_counter_ns() - began
 
     def get_map(self, prefix: str) -> int:
-        """As the base says."""
         began = time.perf_counter_ns()
         self._wait(self._ask(f"{prefix}/map", SMALL))
         return time.perf_counter_ns() - began
 
     def run_goal(self, prefix: str) -> int:
-        """As the base says."""
         began = time.perf_counter_ns()
         self._wait(self._ask(f"{prefix}/go/send", GOAL))
         self._wait(self._ask(f"{prefix}/go/result", SMALL))
         return time.perf_counter_ns() - began
 
     def cancel_goal(self, prefix: str) -> int:
-        """As the base says."""
         self._wait(self._ask(f"{prefix}/hold/send", GOAL))
         result = self._ask(f"{prefix}/hold/result", SMALL)
         time.sleep(0.02)
@@ -112,7 +107,6 @@ class ZenohEnd(End):
             raise RuntimeError("no answer")
 
     def close(self) -> None:
-        """As the base says."""
         self._session.close()  # type: ignore[no-untyped-call]
 
 
