@@ -1,14 +1,14 @@
-"""What it costs to convert and cut large bags, beside copying the same bytes, or compressing them by zstd alone.
+"""The cost of converting and cutting large bags, compared with a copy of the same bytes or with zstd compression.
 
-Each row is one bag of ``--megabytes`` whose messages are images of 1 MB (half of each noise), or texts of 1 kB. Ours is
-``midspan bag``'s own functions in a process of its own; so is the peer's work:
+Each row is one bag of ``--megabytes`` whose messages are images of 1 MB (half of each noise), or texts of 1 kB. "Ours"
+are the functions of ``midspan bag`` in a separate process; the peer's work runs in another:
 
-- disk: the source's bytes are copied to a new file by 1 MB;
-- zstd: the source's data are compressed by 1 MB and written, unpacked before where the source is compressed.
+- disk: the source's bytes are copied to a new file in pieces of 1 MB;
+- zstd: the source's data are compressed in pieces of 1 MB and written, after unpacking if the source is compressed.
 
-Each counts the time until its file is on the disk, and its start, without the interpreter's.
+The time includes the process's start without the interpreter's, until its file is on the disk.
 
-The last rows are the largest memory of those processes, in megabytes, beside a limit of 400.
+The last rows are the peak memory of these processes in megabytes, compared with a limit of 400.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ CASES: dict[str, tuple[str, str, str]] = {
 
 
 def messages(kind: str, registry: Registry) -> tuple[str, list[bytes]]:
-    """A type, and some messages of it, as CDR."""
+    """Return a type, and some of its messages as CDR."""
     from bridge.messages.json import from_json
 
     dice = random.Random(kind)
@@ -70,7 +70,7 @@ def messages(kind: str, registry: Registry) -> tuple[str, list[bytes]]:
 
 
 def write_source(path: Path, megabytes: int) -> None:
-    """A bag of messages at 100 Hz."""
+    """Write a bag of messages at 100 Hz."""
     registry = Registry()
     type_name, contents = messages("texts" if path.name.startswith("texts") else "images", registry)
     kind = "bag" if path.suffix == ".bag" else "mcap"
@@ -112,7 +112,7 @@ def disk(source: Path, target: Path) -> None:
 
 
 def zstd(source: Path, target: Path) -> None:
-    """Compress the data by themselves, and before that unpack them where they are compressed."""
+    """Compress only the data, after unpacking if they are compressed."""
     import zstandard
 
     with target.open("wb") as write:
@@ -139,7 +139,7 @@ WORK: dict[str, Callable[[Path, Path], None]] = {"ours": ours, "disk": disk, "zs
 
 
 def work(what: str, source: Path, target: Path) -> None:
-    """One process's work; prints seconds, and the largest memory in megabytes."""
+    """Run one process's work, and print the seconds and the peak memory in megabytes."""
     begun = time.perf_counter()
     WORK[what](source, target)
     with target.open("rb") as file:
@@ -149,13 +149,13 @@ def work(what: str, source: Path, target: Path) -> None:
 
 
 def _peak() -> float:
-    """The largest memory of this process so far, in megabytes; `resource` would tell its parent's too."""
+    """Return this process's peak memory in megabytes; `resource` would include that of its parent."""
     line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
     return int(line.split()[1]) / 1024
 
 
 def measure(what: str, source: Path, folder: Path, name: str) -> tuple[float, float]:
-    """Seconds and megabytes of a process that does it once."""
+    """Return the seconds and megabytes of a process that does the work once."""
     target = folder / name
     command = [sys.executable, __file__, "--work", what, str(source), str(target)]
     output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
@@ -173,7 +173,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--megabytes", type=int, default=1000)
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--cases", nargs="+", default=[""], metavar="WORD", help="only cases with such a word")
+    parser.add_argument(
+        "--cases", nargs="+", default=[""], metavar="WORD", help="only cases that contain one of these words"
+    )
     parser.add_argument("--work", nargs=3, help=argparse.SUPPRESS)
     add_json_option(parser)
     args = parser.parse_args(arguments)

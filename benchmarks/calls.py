@@ -1,9 +1,9 @@
-"""Round trips of services, actions and cancel requests between ROS 1 and ROS 2 through the daemon, beside the floor.
+"""Round trips of services, actions and cancel requests between ROS 1 and ROS 2 through the daemon, and their floor.
 
-The floor is what the same round trip costs from rospy to rospy, from zenoh to zenoh and from rclpy to rclpy, added:
-each measured in the same run, in turns with the whole way, as in `topic_latency.py`. The ends are stock: typed
-messages, actionlib, rclpy's executor (one for each end, so that none pays for the others). So the floor holds the work
-of two more programs than the whole way, and a ratio below 1 says no more than that. Each round has new processes.
+The floor is the sum of the same round trip from rospy to rospy, from zenoh to zenoh and from rclpy to rclpy. Each is
+measured in the same run, in turns with the whole path, as in `topic_latency.py`. The ends are standard: typed messages,
+actionlib, rclpy's executor (one for each end, so that they do not delay each other). So the floor includes the work of
+two more programs than the whole path, which explains ratios below 1. Each round starts new processes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ WARM = 3
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One kind of round trip; p50 is to be at most ``mark`` times the floor."""
+    """One kind of round trip; its p50 should be at most ``mark`` times the floor."""
 
     key: str
     name: str
@@ -47,12 +47,12 @@ CASES = (
 
 
 class Network(Stage):
-    """All processes of one round, new ones."""
+    """The processes of one round, all newly started."""
 
     def __init__(self) -> None:
         super().__init__({
             "ros1": {"poll": 0.1},
-            "ros2": {"transport": "shared_memory"},  # as the ends; "auto" looks who else is on the machine
+            "ros2": {"transport": "shared_memory"},  # as in the ends; "auto" depends on other programs on the machine
             "routing": {"rules": [{"topic": f"{FLOOR}/**", "deny": True}]},
             "log": {"level": "warning"},
         })  # fmt: skip
@@ -82,7 +82,7 @@ class Network(Stage):
             self.command(f"{client} client", "find", "found", prefix=direction)
 
     def measure(self, case: Case, hop: str, count: int) -> list[int]:
-        """Round trips in nanoseconds, after the first ones, which do not count."""
+        """Return round trips in nanoseconds, without the first ones."""
         client, prefix = (WAYS[hop][1], hop) if hop in WAYS else (hop, FLOOR)
         wanted = {"prefix": prefix, "case": case.key, "count": WARM + count, "pause": 0.005}
         times: list[int] = self.command(f"{client} client", "measure", "measured", **wanted)["times"]
@@ -90,7 +90,7 @@ class Network(Stage):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; returns 1 where a mark is missed and ``--check`` was given."""
+    """Run the benchmark; return 1 if a limit is exceeded and ``--check`` is given."""
     args = _parser().parse_args(arguments)
     cases = [case for case in CASES if args.cases is None or case.key in args.cases]
     taken: dict[tuple[str, str], list[Figures]] = defaultdict(list)
@@ -106,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for hop, durations in times.items():
                     taken[case.key, hop].append(figures(durations))
                 floors[case.key].append(floor([times[hop] for hop in HOPS], number))
-    print("hops in us (p50 / p99), of which the floor is the sum:", file=sys.stderr)
+    print("hops in us (p50 / p99), whose sum is the floor:", file=sys.stderr)
     for case in cases:
         hop_figures = ((hop, over_rounds(taken[case.key, hop])) for hop in HOPS)
         line = "".join(f"  {hop} {f.p50:7.0f} /{f.p99:7.0f}" for hop, f in hop_figures)
@@ -121,15 +121,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     marks = {case.name: case.mark for case in cases}
     missed = [r for r in rows if r.case.endswith("p50") and r.ratio > marks[r.case.split(", ")[0]]]
     for row in missed:
-        print(f"above its mark of {marks[row.case.split(', ')[0]]:g}: {row.case}: {row.ratio:.2f}")
+        print(f"above its limit of {marks[row.case.split(', ')[0]]:g}: {row.case}: {row.ratio:.2f}")
     return 1 if missed and args.check else 0
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", nargs="+", choices=[case.key for case in CASES], help="default all")
-    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="each with new processes (default 5)")
-    parser.add_argument("--check", action="store_true", help="exit code 1 where a ratio is above its mark")
+    parser.add_argument(
+        "--rounds", type=int, default=5, metavar="N", help="rounds, each with new processes (default 5)"
+    )
+    parser.add_argument("--check", action="store_true", help="exit with code 1 if a ratio is above its limit")
     add_json_option(parser)
     return parser
 

@@ -1,9 +1,9 @@
-"""Endpoints made and destroyed by the thousand on each side: what the daemon keeps of them, which should be nothing.
+"""Thousands of endpoints created and closed on each side: what the daemon retains of them, which should be nothing.
 
-A real rospy, rclpy and zenoh program each make and destroy publishers and subscriptions, in batches of a hundred, of
-which each is seen to cross before it goes, with a last message on its way. The slope of each process's memory over the
-endpoints is printed, and how many threads, descriptors, routes, hub tokens and registrations on the ROS 1 master are
-left at the end.
+Real rospy, rclpy and zenoh programs create and close publishers and subscriptions in batches of a hundred. Each
+endpoint carries a message before it is closed, and is closed with a last message in flight. Printed are the slope of
+each process's memory over the endpoints, and the threads, descriptors, routes, hub tokens and ROS 1 registrations that
+are left at the end.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from benchmarks.rows import Row, add_json_option, report
 KINDS = ("string", "twist", "scan", "tf", "grid", "image1")
 LATCHED_KINDS = ("string", "scan", "grid")
 FRESH, KEPT = 50, 10
-"""Publishers of a batch: on topics of names that never come again, and on the same ones in each batch."""
+"""Publishers of a batch: on topics with new names, and on the same topics in each batch."""
 FED, STREAMED = 30, 10
-"""Subscriptions of a batch: to latched topics of another side, and to its streams."""
+"""Subscriptions of a batch: to another side's latched topics, and to its streams."""
 BATCH = FRESH + KEPT + FED + STREAMED
 WARM = 3
-"""Batches before what the processes hold counts."""
+"""Batches before the measurement."""
 SETTLE_SECONDS, IDLE_SECONDS = 40.0, 12.0
 FLOW = 4.0
-"""Messages a second of a stream: not so quick that it stays on the hub while nobody listens (`hub_to_side.QUICK`)."""
+"""Messages per second of a stream: below the rate that stays on the hub without subscribers (`hub_to_side.QUICK`)."""
 FEEDER = {"ros1": "ros2", "ros2": "ros1", "zenoh": "ros1"}
-"""The side from which each side's subscriptions hear."""
+"""The side to which each side's programs subscribe."""
 
 
 @dataclass(slots=True)
@@ -44,11 +44,11 @@ class Churned:
     """One side's result.
 
     Attributes:
-        endpoints: how many were made and destroyed, without the first ones.
-        before: the daemon after the first batches.
-        after: the daemon at the end.
-        slopes: bytes of memory for each endpoint, by process.
-        seconds: how long it took.
+        endpoints: number of created and closed endpoints, without the first batches.
+        before: the daemon's census after the first batches.
+        after: the daemon's census at the end.
+        slopes: bytes of memory per endpoint, by process.
+        seconds: duration.
     """
 
     side: str
@@ -61,7 +61,7 @@ class Churned:
 
 
 class Churn:
-    """Makes and destroys endpoints of one side, while its feeder goes on sending. Both sides' programs run already."""
+    """Creates and closes endpoints of one side, while its feeder keeps publishing; both sides' programs already run."""
 
     def __init__(self, deployment: Deployment, side: str) -> None:
         self._deployment, self._side = deployment, side
@@ -76,7 +76,7 @@ class Churn:
         self._feeds = [deployment.topic(side, name, kind, latched=latched) for name, kind, latched in fed + streams]
 
     def run(self, endpoints: int, warm: int = WARM) -> Churned:
-        """Make and destroy so many endpoints, after some first batches that do not count."""
+        """Create and close endpoints, after some batches that do not count."""
         deployment = self._deployment
         for _ in range(warm):
             self.batch()
@@ -95,7 +95,7 @@ class Churn:
         return Churned(self._side, len(range(0, endpoints, BATCH)) * BATCH, before, after, slopes, seconds, memory)
 
     def batch(self) -> None:
-        """Make a batch of endpoints, see all of them cross, and destroy them."""
+        """Create a batch of endpoints, wait until all are bridged, and close them."""
         deployment, side, number = self._deployment, self._side, next(self._numbers)
         prefix = f"/churn_{side}_{number}"
         fresh = [(f"{prefix}/t{i}", KINDS[i % len(KINDS)]) for i in range(FRESH)]
@@ -109,8 +109,8 @@ class Churn:
         deployment.ask(side, "subscribe", topics=self._feeds)
         deployment.ask(side, "put", topics=names)
         far = [s for s in ("ros1", "ros2") if s != side]
-        deployment.until(lambda: all(deployment.routes(prefix).get(s) == FRESH for s in far), f"{prefix} crosses")
-        deployment.until(self._all_received, f"{prefix}: all feeds are heard")
+        deployment.until(lambda: all(deployment.routes(prefix).get(s) == FRESH for s in far), f"{prefix} is bridged")
+        deployment.until(self._all_received, f"{prefix}: all feeds are received")
         deployment.ask(side, "drop", publish=names, subscribe=feeds)
 
     def _all_received(self) -> bool:
@@ -118,7 +118,7 @@ class Churn:
         return all(ear["count"] for ear in received.values())
 
     def settled(self) -> Census:
-        """The daemon once nothing has come or gone for a while; its idle threads end after ten seconds."""
+        """Return the daemon's census once it is stable; idle threads end after ten seconds."""
         last, since = self._deployment.census(), time.monotonic()
         end = since + SETTLE_SECONDS
         while time.monotonic() < min(since + IDLE_SECONDS, end):
@@ -142,7 +142,7 @@ def _memory(census: Census) -> str:
 
 
 def rows(churned: Churned) -> list[Row]:
-    """A side's figures; the peer is a daemon that keeps nothing."""
+    """Return a side's figures; the peer is a daemon that retains nothing."""
     case = f"{churned.endpoints} endpoints on {churned.side}"
     before, after = churned.before, churned.after
     result = [Row(f"{case}, memory of {n}", s / 1000, 0.0, "kB each") for n, s in churned.slopes.items()]
@@ -158,7 +158,9 @@ def rows(churned: Churned) -> list[Row]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--endpoints", type=int, default=10_000, metavar="N", help="on each side (default %(default)s)")
+    parser.add_argument(
+        "--endpoints", type=int, default=10_000, metavar="N", help="endpoints on each side (default %(default)s)"
+    )
     parser.add_argument("--sides", nargs="+", choices=SIDES, default=list(SIDES), help="default all")
     add_json_option(parser)
     args = parser.parse_args(arguments)

@@ -1,8 +1,8 @@
-"""What it costs to drive: RobotGoto's control step and the localizer's update, as shares of the time they have.
+"""The cost of driving: RobotGoto's control step and the localizer's update, as shares of their periods.
 
-The simulated R1 drives through the apartment in lock-step, so that both see what they see on a robot. The peer is the
-period: RobotGoto's step comes every 10 ms (upstream's period), with the scan taken up at 10 Hz; the localizer's update
-(1,000 particles, 360 beams) at most once for each scan, 100 ms. All on one core, by the clock.
+The simulated R1 drives through the apartment in lock-step, so that both process realistic data. The peer is the period:
+RobotGoto's step runs every 10 ms (upstream's period), and receives scans at 10 Hz; the localizer's update (1,000
+particles, 360 beams) runs at most once per scan, 100 ms. All on one core, in real time.
 
     python benchmarks/control.py [--json FILE] [--seconds 60]
 """
@@ -30,39 +30,39 @@ from navigation.robot_goto.driver import Driver
 from navigation.scan import scan_points
 
 STEP, TURN = 10.0, 100.0
-"""Periods: of RobotGoto's step and of the laser, ms."""
+"""Periods of RobotGoto's step and of the laser, ms."""
 
 _SHARES = (50, 99, 100)
 
 
 class Clock:
-    """What calls take.
+    """Measures the duration of calls.
 
     Attributes:
-        milliseconds: of each call.
+        milliseconds: duration of each call.
     """
 
     def __init__(self) -> None:
         self.milliseconds: list[float] = []
 
     def __call__(self, call: Callable[[], Any]) -> Any:
-        """Call, and write down what it took."""
+        """Make a call, and record its duration."""
         begun = time.perf_counter()
         result = call()
         self.milliseconds.append((time.perf_counter() - begun) * 1e3)
         return result
 
     def rows(self, case: str, period: float) -> Iterator[Row]:
-        """The shares of a period."""
+        """Yield the percentiles, compared with a period."""
         for share in _SHARES:
             yield Row(f"{case}, {share} %", float(np.percentile(self.milliseconds, share)), period, "ms")
 
 
 def measure(seconds: float) -> list[Row]:
-    """Drive, and look at the clock."""
+    """Drive, and measure the calls."""
     tour = Tour(simulated("apartment", 0), 0)
     simulation = tour.there
-    # an update for each scan, so that it is the update that is measured
+    # one update per scan, so that the update itself is measured
     localizer = Localizer(tour.grid, LocaliserSection(update_min_d=1e-9, update_min_a=1e-9))
     localizer.initial(Pose(*simulation.base.pose()))
     driver = Driver()

@@ -1,10 +1,9 @@
-"""What several real daemons on the same networks bring twice, and what they lose: both should be nothing.
+"""Duplicate and lost messages with several real daemons on the same networks: both should be none.
 
 The cases: two daemons in a ring (both join the same ROS 1 and the same ROS 2 network) and a triangle of three networks,
-each with hubs that are joined and nodes of one name, and with hubs that are not and nodes that are renamed. All daemons
-of a case start in the same moment. Then a program on each network publishes unique numbers, and one on each other
-network counts what comes; rows hold the messages that came more than once and those that did not come, of all that were
-to come, beside the none that is allowed.
+each with joined hubs and equal node names, and with separate hubs and renamed nodes. All daemons of a case start at the
+same time. Then a program on each network publishes unique numbers, and one on each other network counts them. The rows
+are the duplicates and the losses among all expected messages; the peer is the allowed number, 0.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ from tests.interop.several import Several, flows, pour, ring, triangle
 CASES = {"ring": ring, "triangle": triangle}
 HUBS = {"joined": True, "apart": False}
 NODES = {"joined": "midspan", "apart": "bridge_of_ours"}
-"""Name of every second daemon's nodes: the same as the first's, or another one."""
+"""Node name of every second daemon: the same as the first's, or another one."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; returns 1 where something came twice."""
+    """Run the benchmark; return 1 if a message arrived twice."""
     args = _parser().parse_args(arguments)
     rows: list[Row] = []
     for case in args.cases:
@@ -38,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def measure(case: str, hubs: str, messages: int, rate: float) -> list[Row]:
-    """One case with so many messages published on all networks together."""
+    """Measure one case, with a total number of messages on all networks."""
     with tempfile.TemporaryDirectory(prefix="midspan-duplicates-") as folder, Several(Path(folder)) as several:
         _, networks = CASES[case](several, joined=HUBS[hubs], node=NODES[hubs])
         all_flows = flows(several, networks)
@@ -46,10 +45,10 @@ def measure(case: str, hubs: str, messages: int, rate: float) -> list[Row]:
         pour(all_flows, share, rate / len(all_flows))
         tallies = [tally for flow in all_flows for tally in flow.tallies()]
         lost = sum(max(share - int(tally["distinct"]), 0) for tally in tallies)
-        name = f"{case}, hubs {hubs}, {share * len(tallies)} to come"
+        name = f"{case}, hubs {hubs}, {share * len(tallies)} expected"
         return [
-            Row(f"{name}: came twice", sum(flow.duplicates() for flow in all_flows), 0, "messages"),
-            Row(f"{name}: did not come", lost, 0, "messages"),
+            Row(f"{name}: duplicates", sum(flow.duplicates() for flow in all_flows), 0, "messages"),
+            Row(f"{name}: lost", lost, 0, "messages"),
         ]
 
 

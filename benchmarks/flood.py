@@ -1,8 +1,8 @@
-"""A stream of images of 100 MB/s through the daemon beside /cmd_vel and /tf: what it does to these small ones.
+"""A stream of images of 100 MB/s through the daemon together with /cmd_vel and /tf: its effect on these small messages.
 
-The stream and the small topics go the same way, from ROS 1 to ROS 2 and then back. In turns the stream runs or not; the
-peer is what the small ones take without it. Images are sent and heard by processes of their own, so that the small
-topics' ends have nothing to do with them.
+The stream and the small topics have the same direction, from ROS 1 to ROS 2 and then back. The stream runs in every
+other turn; the peer is the latency without it. Separate processes send and receive the images, so that the small
+topics' ends are not involved.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ WAYS = {("ros1", "ros2"): "ROS 1 to ROS 2", ("ros2", "ros1"): "ROS 2 to ROS 1"}
 SMALL = {"/cmd_vel": "twist", "/tf": "tf"}
 STREAM, IMAGE = "/camera/image", "image1"
 FLOW = 100e6
-"""Bytes a second of the stream."""
+"""Bytes per second of the stream."""
 RATE = 100.0
-"""Messages a second on each small topic."""
+"""Messages per second on each small topic."""
 LATEST_SECONDS = 2.0
-"""How long after the last message was sent one is waited for that has not come; images may be lost."""
+"""Seconds to wait for missing messages after the last was sent; images may be lost."""
 
 
 class Flood(Stage):
-    """The daemon, and two pairs of ends that send one way: of the small topics, and of the stream."""
+    """The daemon, and two pairs of ends for one direction: for the small topics, and for the stream."""
 
     def __init__(self, source: str, target: str, *, realtime: bool) -> None:
         super().__init__({"ros2": {"transport": "shared_memory"}, "log": {"level": "warning"}})
@@ -66,7 +66,7 @@ class Flood(Stage):
                 self.until_crosses(f"{part} sender", f"{part} listener", name)
 
     def turn(self, seconds: float, *, flooded: bool) -> dict[str, list[int]]:
-        """Send on the small topics, and on the stream where ``flooded``; the ages that arrived, by topic."""
+        """Send on the small topics, and on the stream if ``flooded``; return the received ages by topic."""
         for part in self.topics:
             self.command(f"{part} listener", "clear", "cleared")
         lead = 1.0
@@ -87,7 +87,7 @@ class Flood(Stage):
         return {topic: self._arrived(topic, count) for topic, count in sent.items()}
 
     def _arrived(self, topic: str, sent: int) -> list[int]:
-        """The ages of what was heard on a topic, once all has come or nothing more does."""
+        """Return the ages received on a topic, once all messages or no more arrive."""
         listener = "stream listener" if topic == STREAM else "small listener"
         reply = self.command(listener, "collect", "collected", topic=topic, count=sent, seconds=LATEST_SECONDS)
         ages: list[int] = reply["ages"]
@@ -99,11 +99,11 @@ class Flood(Stage):
 
 
 def measure(source: str, target: str, args: argparse.Namespace) -> list[Row]:
-    """The rows of one way."""
+    """Return the rows of one direction."""
     direction = WAYS[source, target]
     ages: dict[tuple[str, bool], list[int]] = defaultdict(list)
     with Flood(source, target, realtime=args.realtime) as flood:
-        flood.turn(min(args.seconds, 1.0), flooded=True)  # the first images make room for themselves
+        flood.turn(min(args.seconds, 1.0), flooded=True)  # the first images allocate their memory
         for _ in range(args.turns):
             for flooded in (False, True):
                 for topic, taken in flood.turn(args.seconds, flooded=flooded).items():
@@ -112,7 +112,7 @@ def measure(source: str, target: str, args: argparse.Namespace) -> list[Row]:
     rows = []
     for topic in SMALL:
         (p50, p99), (plain50, plain99) = figures(ages[topic, True]), figures(ages[topic, False])
-        case = f"{topic} beside {FLOW / 1e6:.0f} MB/s, {direction}"
+        case = f"{topic} with {FLOW / 1e6:.0f} MB/s, {direction}"
         rows += [
             Row(f"{case}, p50, to without", p50, plain50, "us"),
             Row(f"{case}, p99, to without", p99, plain99, "us"),
@@ -133,7 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--way", choices=["ros1", "ros2"], help="only the way from this side (default both)")
+    parser.add_argument("--way", choices=["ros1", "ros2"], help="only the direction from this side (default both)")
     parser.add_argument("--turns", type=int, default=3, metavar="N", help="turns with and without the stream (3)")
     parser.add_argument("--seconds", type=float, default=6.0, metavar="S", help="length of each turn (6)")
     add_realtime_option(parser)

@@ -1,17 +1,17 @@
-"""What Midspan takes of a small computer: memory, processor time and seconds of each worker, beside bare peers.
+"""Midspan's footprint on a small computer: memory, processor time and start-up of each worker, and of bare peers.
 
-Five parts, `--parts` chooses:
+Five parts, selected by `--parts`:
 
-- `start`: each worker in turn, started as the daemon starts it, beside an interpreter that has nothing but rospy, rclpy
-  or a zenoh session and one subscriber: seconds to the first heartbeat and until it runs, processor time until then.
-- `robot`: `midspan run` with all sides and the demo's robot, which stands: memory of each process beside the project's
-  aims and beside the bare peers, seconds until all sides run, processor time while it stands.
-- `idle`: the same without a robot and with the zenoh side: processor time while nothing happens, beside bare zenoh
-  sessions that are configured and joined as the hub's are, and idle programs of ROS 1 and ROS 2: what is left to save.
-- `metrics`: what metrics cost at rest, not scraped and scraped each five seconds, beside the same daemon without them.
-- `cli`: seconds of the command line's verbs, on the robot's daemon.
+- `start`: each worker, started as by the daemon, compared with an interpreter with only rospy, rclpy or a zenoh session
+  and one subscriber: seconds to the first heartbeat and until it runs, processor time until then.
+- `robot`: `midspan run` with all sides and the demo's robot, which stands: memory of each process compared with the
+  project's aims and the bare peers, seconds until all sides run, processor time at rest.
+- `idle`: the same without a robot and with the zenoh side: idle processor time, compared with bare zenoh sessions that
+  are configured and joined like the hub's, and idle ROS 1 and ROS 2 programs. The difference is what could be saved.
+- `metrics`: the cost of metrics at rest, without scrapes and with one every five seconds, compared with no metrics.
+- `cli`: seconds of the command line's verbs, with the robot's daemon.
 
-Files are warm: what the first run compiles and reads is there.
+File caches are warm, and bytecode is compiled.
 """
 
 from __future__ import annotations
@@ -44,33 +44,33 @@ from bridge.state_file import with_state
 from tests.support.ports import free_port
 
 PEERS = {"router": "zenoh", "ros1": "ros1", "ros2": "ros2", "yarp": "zenoh", "modules": "zenoh", "sim": "zenoh"}
-"""The bare peer of each worker; YARP has no library in Python to compare with, modules and simulator are on the hub."""
+"""The bare peer of each worker; none for YARP, which has no Python library, nor for modules and simulator."""
 AIMS = {"router": 30.0, "ros1": 60.0, "ros2": 120.0, "yarp": 50.0, "modules": 80.0, "sim": 80.0, "daemon": 25.0}
-"""MB of PSS."""
+"""Aims for PSS, MB."""
 IDLE, STANDING, RUN, HELP, VERB = 1.0, 25.0, 3.0, 0.25, 0.8
-"""Aims: percent of a core idle and with the robot standing; seconds of `midspan run`, `midspan --help` and a verb."""
+"""Aims: percent of a core idle and with the robot at rest; seconds of `midspan run`, `midspan --help` and a verb."""
 SIDES = ("ros1", "ros2", "yarp")
 DRIVER = "robot_goto"
-"""The module that runs last: it waits for the simulator's laser."""
+"""The module that is running last, because it waits for the simulator's laser."""
 VERBS = ("--help", "status", "topic list", "nav status", "tf tree")
 SETTLE_SECONDS = 10.0
-"""What is compiled, opened and found at the start is over by then."""
+"""Seconds after which compilation, opening and discovery of the start are over."""
 _UP_SECONDS = 60.0
 PARTS = ("start", "robot", "idle", "metrics", "cli")
 SCRAPE_SECONDS = 5.0
 
 
 def _laid_over() -> dict[str, Any]:
-    """What the demo lays over its configuration, without the console: the aims are of what bridges and drives."""
+    """Return the demo's overrides without the console, because the aims are for bridging and driving."""
     return {**laid_over(CONFIG), "web": {"enabled": False}}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each measurement at rest (default 60)")
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="which (default all)")
-    parser.add_argument("--times", type=int, default=5, metavar="N", help="how often each verb runs (default 5)")
+    parser.add_argument("--seconds", type=float, default=60.0, help="seconds of each measurement at rest (default 60)")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="parts to run (default all)")
+    parser.add_argument("--times", type=int, default=5, metavar="N", help="runs of each verb (default 5)")
     add_json_option(parser)
     args = parser.parse_args(arguments)
     rows: list[Row] = []
@@ -98,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _metrics(peers: dict[str, Taken], seconds: float) -> list[Row]:
-    """The same daemon without metrics, with them, and scraped."""
+    """Measure the daemon without metrics, with metrics, and with scrapes."""
     modules = {"modules": {"enabled": False}}
     address = f"127.0.0.1:{free_port()}"
     with _daemon(Processes(modules, yarp=True), SIDES) as (place, _):
@@ -129,7 +129,7 @@ def _scrape(url: str, stop: threading.Event) -> None:
 
 
 def _peers(place: Processes) -> tuple[dict[str, Taken], dict[str, float]]:
-    """What the bare peers take, each alone beside the others, and the seconds until they were there."""
+    """Measure the bare peers and their start-up, in seconds."""
     children, seconds = {}, {}
     for kind in ("ros1", "ros2", "zenoh"):
         began = time.monotonic()
@@ -143,7 +143,7 @@ def _peers(place: Processes) -> tuple[dict[str, Taken], dict[str, float]]:
 
 
 def _idle_floor(place: Processes, seconds: float) -> float:
-    """Percent of a core of a router, four sessions as the workers have them, and one idle program of each ROS."""
+    """Return the percentage of a core of a router, four sessions like the workers', and an idle program of each ROS."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     kinds = {"router": "router", **{f"hub{number}": "hub" for number in range(4)}, "ros1": "ros1", "ros2": "ros2"}
     children = {}
@@ -163,7 +163,7 @@ def _idle_floor(place: Processes, seconds: float) -> float:
 
 
 def _start(place: Processes, peers: dict[str, Taken], peer_seconds: dict[str, float]) -> list[Row]:
-    """Each worker started beside those before it, as one that comes back meets them."""
+    """Start the workers in sequence, each with the earlier ones running, as after a restart of it."""
     config, environ, rows = with_state(place.place.config), place.place.environment(), []
     with contextlib.ExitStack() as stack:
         for name, kind in PEERS.items():
@@ -179,7 +179,7 @@ def _start(place: Processes, peers: dict[str, Taken], peer_seconds: dict[str, fl
 
 @contextlib.contextmanager
 def _daemon(place: Processes, sides: Sequence[str]) -> Iterator[tuple[Processes, list[Row]]]:
-    """A daemon whose sides all run, after a moment of rest; with how long that took."""
+    """Start a daemon, and wait until all sides run and it rests; yields the rows of its start-up."""
     with place:
         place.start_master()
         began = time.monotonic()
@@ -216,7 +216,7 @@ def _robot(place: Processes, peers: dict[str, Taken], seconds: float) -> list[Ro
 
 
 def _at_rest(what: str, place: Processes, seconds: float, aim: float) -> list[Row]:
-    """Percent of a core of each process and of all, while nothing is asked of them."""
+    """Measure each process at rest, and all together, in percent of a core."""
     pids = daemon_processes(place.place.folder)
     before = {name: cpu_seconds(pid) for name, pid in pids.items()}
     began = time.monotonic()
@@ -233,7 +233,7 @@ def _verbs(place: Processes, times: int) -> list[Row]:
         config = [] if verb.startswith("-") else ["--config", str(place.place.config_file)]
         command = [sys.executable, "-m", "bridge.cli.main", *verb.split(), *config]
         took: list[float] = []
-        for _ in range(3 * times):  # the first reads the files; one that fails, on a busy machine, tells nothing
+        for _ in range(3 * times):  # the first warms the caches; a failure on a busy machine does not count
             began = time.monotonic()
             ended = subprocess.run(command, env=place.place.environment(), stdout=subprocess.DEVNULL, check=False)
             if ended.returncode == 0:

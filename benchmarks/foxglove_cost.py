@@ -1,8 +1,8 @@
-"""What the server for the Foxglove app costs: processor and memory with one client, beside a bare relay.
+"""The cost of the server for the Foxglove app: processor and memory with one client, compared with a bare relay.
 
-The relay is a zenoh subscriber that hands each payload to a channel of the same SDK, and nothing else: no definitions,
-no hub, no front that looks at who comes. Router, publisher, relay and client are processes of their own, started by
-this file with ``--role``.
+The relay is a zenoh subscriber that passes each payload to a channel of the same SDK, and nothing else: no definitions,
+no hub, no check of clients. Router, publisher, relay and client are separate processes, which this file starts with
+``--role``.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from bridge.hub.wire.qos import Qos
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 from bridge.messages.registry import Registry
 
-CASES = {"images of 1 MB at 10 Hz": (1_000_000, 10.0), "1,000 messages of 100 B a second": (100, 1000.0)}
+CASES = {"images of 1 MB at 10 Hz": (1_000_000, 10.0), "1,000 messages of 100 B per second": (100, 1000.0)}
 TOPIC, TYPE = "/bench", "std_msgs/msg/String"
 PROTOCOL = "foxglove.sdk.v1"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, or be one of the other processes."""
+    """Run the benchmark, or one of its other processes."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--seconds", type=float, default=8.0, help="of each measurement (default 8)")
-    parser.add_argument("--rounds", type=int, default=3, help="ours and the relay in turns, so many times (default 3)")
+    parser.add_argument("--seconds", type=float, default=8.0, help="seconds of each measurement (default 8)")
+    parser.add_argument("--rounds", type=int, default=3, help="rounds of Midspan and the relay in turns (default 3)")
     parser.add_argument("--role", nargs="+", help=argparse.SUPPRESS)
     add_json_option(parser)
     args = parser.parse_args(arguments)
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def measure(seconds: float, rounds: int) -> list[Row]:
-    """The rows."""
+    """Measure all cases, and return the rows."""
     rows: list[Row] = []
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -71,7 +71,7 @@ def measure(seconds: float, rounds: int) -> list[Row]:
         rows.append(Row("memory without clients (PSS)", pss(ours), 0.0, "MB"))
         for case, (size, rate) in CASES.items():
             with running(role("publish", router, size, rate), "ready"):
-                rows.append(Row(f"idle beside {case}", cpu(ours, seconds), 0.0, "%"))
+                rows.append(Row(f"idle with {case}", cpu(ours, seconds), 0.0, "%"))
                 taken: dict[str, list[float]] = {"ours": [], "relay": []}
                 for _ in range(rounds):
                     with running(role("client", port), "takes"):
@@ -89,32 +89,32 @@ def measure(seconds: float, rounds: int) -> list[Row]:
 
 
 def median(values: Sequence[float]) -> float:
-    """The middle one."""
+    """Return the median."""
     return sorted(values)[len(values) // 2]
 
 
 def free_port() -> int:
-    """A port of loopback that nobody uses now."""
+    """Return a free port of loopback."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def until_listening(port: int) -> None:
-    """Wait until a server takes connections; raises `TimeoutError`."""
+    """Wait until a server accepts connections; raises `TimeoutError`."""
     end = time.monotonic() + 30.0
     while time.monotonic() < end:
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
             return
         time.sleep(0.05)
-    raise TimeoutError(f"nobody listens on port {port}")
+    raise TimeoutError(f"no server on port {port}")
 
 
 class Child:
-    """A process, and the line by which it said that it is ready."""
+    """A process, and the line with which it reported that it is ready."""
 
     def __init__(self, command: Sequence[str], ready: str) -> None:
-        """Start it; wait for a line with the word ``ready``, where that is not ""."""
+        """Start the process, and wait for a line that contains ``ready`` unless that is ""."""
         self.popen = subprocess.Popen(
             [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
@@ -131,7 +131,7 @@ class Child:
 
 @contextmanager
 def running(command: Sequence[str], ready: str = "") -> Iterator[Child]:
-    """A process until the end of the block."""
+    """Run a process until the end of the context."""
     child = Child(command, ready)
     try:
         yield child
@@ -144,13 +144,13 @@ def running(command: Sequence[str], ready: str = "") -> Iterator[Child]:
             child.popen.wait()
 
 
-def role(*words: object) -> list[str]:
-    """The command of one of this file's processes."""
-    return ["-m", "benchmarks.foxglove_cost", "--role", *map(str, words)]
+def role(*arguments: object) -> list[str]:
+    """Return the command of one of this file's processes."""
+    return ["-m", "benchmarks.foxglove_cost", "--role", *map(str, arguments)]
 
 
 def cpu(child: Child, seconds: float) -> float:
-    """Percent of a core."""
+    """Measure a process's load, in percent of a core."""
     before = child.process.cpu_times()
     time.sleep(seconds)
     after = child.process.cpu_times()
@@ -158,7 +158,7 @@ def cpu(child: Child, seconds: float) -> float:
 
 
 def pss(child: Child) -> float:
-    """Megabytes."""
+    """Return a process's PSS, in megabytes."""
     return float(child.process.memory_full_info().pss) / 1e6
 
 
@@ -176,7 +176,7 @@ def publish(router: str, size: str, rate: str) -> None:
 
 
 def relay(router: str) -> None:
-    """Hand the topic's payloads to the SDK until SIGTERM."""
+    """Pass the topic's payloads to the SDK until SIGTERM."""
     import foxglove
     import zenoh
 
@@ -192,7 +192,7 @@ def relay(router: str) -> None:
 
 
 def client(port: str) -> None:
-    """Subscribe to the topic and take what comes until SIGTERM."""
+    """Subscribe to the topic, and read its messages until SIGTERM."""
     from websockets.sync.client import connect
     from websockets.typing import Subprotocol
 

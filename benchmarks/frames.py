@@ -1,11 +1,11 @@
-"""Lookups and inserts of Midspan's transform buffer beside those of ROS 1's tf2 (tf2_py), each in a process of its own.
+"""Lookups and inserts of Midspan's transform buffer and of ROS 1's tf2 (tf2_py), each in a separate process.
 
-Both have the same transforms and are asked the same questions, and take turns, round by round. tf2's messages are made
-beforehand for the inserts, but not where whole messages are taken up from their bytes, as a listener does; its answers
-are messages, as its users get them. Each figure is the median over the rounds.
+Both have the same transforms and the same lookups, and take turns, round by round. tf2's messages are created
+beforehand for the inserts, except for inserts from message bytes, as in a listener; its results are messages, as its
+users receive them. Each figure is the median over the rounds.
 
-With ``--relay``: the latency of transforms between ROS 1 and ROS 2 at 1 kHz through the daemon, beside the floor of the
-same hops without it, as `benchmarks.topic_latency` measures it.
+With ``--relay``: the latency of transforms between ROS 1 and ROS 2 at 1 kHz through the daemon, compared with the floor
+of the same hops without it, as in `benchmarks.topic_latency`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Measure = Callable[[], float]
 
 
 def samples() -> list[Sample]:
-    """A chain of frames that all move, in the order of time."""
+    """Return the samples of a chain of moving frames, in temporal order."""
     dice = random.Random(6)
     turns = [[dice.gauss(0, 1) for _ in range(4)] for _ in range(FRAMES)]
     chain: list[Sample] = []
@@ -58,21 +58,21 @@ def samples() -> list[Sample]:
 
 
 def stamps(count: int) -> list[int]:
-    """Times within the history."""
+    """Return times within the history."""
     dice = random.Random(7)
     return [START + dice.randrange((SAMPLES - 1) * SECOND // RATE) for _ in range(count)]
 
 
 def per_second(count: int, work: Callable[[], object]) -> float:
-    """How many of a work's ``count`` parts are done in a second."""
+    """Return the rate per second of work with ``count`` parts."""
     start = time.perf_counter()
     work()
     return count / (time.perf_counter() - start)
 
 
 def ours() -> dict[str, Measure]:
-    """The cases with Midspan's buffer."""
-    from bridge.tf.buffer import TransformBuffer  # the other side has none of this
+    """Return the cases with Midspan's buffer."""
+    from bridge.tf.buffer import TransformBuffer  # not available on the other side
     from bridge.tf.stamped import Stamped, write
 
     stored, times = samples(), stamps(LOOKUPS)
@@ -106,8 +106,8 @@ def ours() -> dict[str, Measure]:
 
 
 def tf2() -> dict[str, Measure]:
-    """The cases with tf2; a batch is a loop."""
-    import genpy  # the system's Python alone has these
+    """Return the cases with tf2, which loops over a batch."""
+    import genpy  # only in the system's Python
     import tf2_py
     from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
     from tf2_msgs.msg import TFMessage
@@ -178,7 +178,7 @@ def _measures(
 
 
 def serve(side: str) -> None:
-    """Measure each case that standard input names."""
+    """Measure each case named on standard input."""
     cases = ours() if side == "ours" else tf2()
     print(json.dumps(list(cases)), flush=True)
     for line in sys.stdin:
@@ -194,13 +194,13 @@ class Side:
         self.cases: list[str] = self._answer()
 
     def measure(self, case: str) -> float:
-        """One round of a case, per second."""
+        """Measure one round of a case, per second."""
         assert self._process.stdin is not None
         print(case, file=self._process.stdin, flush=True)
         return float(self._answer())
 
     def close(self) -> None:
-        """Let it end."""
+        """Let the process exit."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait()
@@ -210,13 +210,13 @@ class Side:
         line = self._process.stdout.readline()
         if not line:
             self._process.wait()
-            msg = "a side ended; tf2 needs python3-tf2 (Debian, Ubuntu: apt install python3-tf2)"
+            msg = "a process has exited; tf2 needs python3-tf2 (Debian, Ubuntu: apt install python3-tf2)"
             raise SystemExit(msg)
         return json.loads(line)
 
 
 def compare(rounds: int) -> list[Row]:
-    """The rows of all cases."""
+    """Measure all cases, and return the rows."""
     sides = [Side("ours", sys.executable), Side("tf2", SYSTEM_PYTHON)]
     try:
         rates: dict[str, list[list[float]]] = {case: [[], []] for case in sides[0].cases}
@@ -232,7 +232,7 @@ def compare(rounds: int) -> list[Row]:
 
 
 def relay(rounds: int, *, realtime: bool) -> list[Row]:
-    """Transforms at 1 kHz between ROS 1 and ROS 2: the whole way beside the floor."""
+    """Measure transforms at 1 kHz between ROS 1 and ROS 2: the whole path and the floor."""
     from benchmarks.latency.cases import CASES
     from benchmarks.latency.network import Network
     from benchmarks.topic_latency import Samples
@@ -254,7 +254,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=11, help="rounds of each case (default 11)")
     parser.add_argument("--relay", action="store_true", help="measure the relay of transforms between ROS 1 and ROS 2")
-    parser.add_argument("--realtime", action="store_true", help="with --relay: as topic_latency.py has it")
+    parser.add_argument("--realtime", action="store_true", help="with --relay: as in topic_latency.py")
     parser.add_argument("--side", choices=("ours", "tf2"), help=argparse.SUPPRESS)
     add_json_option(parser)
     options = parser.parse_args(arguments)

@@ -1,12 +1,12 @@
-"""A load of frames: set by one YARP client, seen by rospy, rclpy and a streaming YARP client; and late joiners.
+"""A load of frames, set by one YARP client and received by rospy, rclpy and a streaming YARP client; and late joiners.
 
-200 frames (``--frames``) are set in one call 100 times a second (``--rate``) for a minute (``--seconds``). Printed are
-the ticks of which each side saw all frames, beside those that were set, and the processor time of each worker. YARP's
-stream is a state, sent 100 times a second by its own clock, so it shows what held at its times: there it counts that
-none of its messages lacks a frame.
+200 frames (``--frames``) are set in one call 100 times per second (``--rate``) for a minute (``--seconds``). Printed
+are the ticks of which each side received all frames, of those that were set, and the processor time of each worker.
+YARP's stream is a state, sent 100 times per second by its own clock, so it samples the frames: for it, the complete
+messages count.
 
-Then each side publishes 100 static frames, and programs of each side join late, one after the other (``--joiners``): of
-each it is counted whether it got all.
+Then each side publishes 100 static frames, and programs of each side join late, one after the other (``--joiners``);
+counted is how many of them receive all frames.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Load:
     """The daemon and the programs.
 
     Args:
-        deployment: not started yet.
-        frames: how many are set.
+        deployment: the deployment, not started yet.
+        frames: number of frames.
     """
 
     def __init__(self, deployment: Deployment, frames: int) -> None:
@@ -54,7 +54,10 @@ class Load:
             modules={"transform_server": {"enabled": True}},
         )
         until(
-            lambda: "tf:o" in str(self._server()) and "waiting" not in str(self._server()), "the server serves", 40, 0.2
+            lambda: "tf:o" in str(self._server()) and "waiting" not in str(self._server()),
+            "the transform server runs",
+            40,
+            0.2,
         )
         self.setter = self._program("yarp")
         self.programs = {side: self._program(side) for side in SIDES}
@@ -76,12 +79,12 @@ class Load:
         return peer
 
     def workers(self) -> dict[str, psutil.Process]:
-        """The daemon's processes by what they are."""
+        """Return the daemon's processes by worker."""
         pids = {status["worker"]: status["pid"] for status in self.deployment.status() if "pid" in status}
         return {name: psutil.Process(pid) for name, pid in sorted(pids.items())}
 
     def run(self, rate: float, seconds: float) -> list[Row]:
-        """Set frames for a while."""
+        """Set frames for a time, and return the rows."""
         for program in self.programs.values():
             program.ask("count")
         self._warm(rate)
@@ -110,7 +113,7 @@ class Load:
         return rows
 
     def join(self, count: int) -> list[Row]:
-        """Late joiners of each side."""
+        """Let programs of each side join late, and return the rows."""
         frames = {side: [f"{side}_{n}" for n in range(STATIC)] for side in SIDES}
         for side, program in self.programs.items():
             program.ask("mount", frames=frames[side])
@@ -120,26 +123,24 @@ class Load:
             program.ask("join", count=1, frames=everything, seconds=2 * PATIENCE)
         for side, program in self.programs.items():
             joined = program.ask("join", count=count, frames=everything, seconds=PATIENCE)
-            rows.append(
-                Row(f"late joiners of {side} that got all {len(everything)}", joined["whole"], count, "", "more")
-            )
+            rows.append(Row(f"late joiners of {side} with all {len(everything)}", joined["whole"], count, "", "more"))
             rows.append(Row(f"the slowest of {side}, to {PATIENCE:g} s", joined["slowest"], PATIENCE, "s"))
         return rows
 
     def _warm(self, rate: float) -> None:
-        """Set frames until every program sees them."""
+        """Set frames until every program receives them."""
 
         def seen() -> bool:
             self.setter.ask("set", rate=rate, ticks=5, first=_WARM)
             self.setter.ask("done", seconds=60)
             return all(program.ask("report")["ticks"] for program in self.programs.values())
 
-        until(seen, "all sides see frames", 60, 0.2)
-        time.sleep(1.0)  # these leave YARP's view, and what is under way arrives
+        until(seen, "all sides receive frames", 60, 0.2)
+        time.sleep(1.0)  # these frames expire in YARP, and messages in flight arrive
 
     @staticmethod
     def _seen(program: Peer, before: int, sent: int) -> int:
-        """Ticks that a program saw, once all are there or nothing has come for a while."""
+        """Return the ticks that a program received, once all or no more arrive."""
         end = time.monotonic() + 5.0
         while True:
             seen = int(program.ask("report")["ticks"]) - before
@@ -149,7 +150,7 @@ class Load:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run it and print the rows."""
+    """Run the benchmark, and print the rows."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=200)
     parser.add_argument("--rate", type=float, default=100.0)

@@ -1,9 +1,9 @@
-"""What becomes of a goal whose server, client, bridge worker or ROS master is killed in its middle.
+"""The outcome of goals whose server, client, bridge worker or ROS master is killed meanwhile.
 
-Real actionlib and rclpy programs on both ends, through the whole daemon, each way; each danger so many times (default
-10). A goal is well where its client is told one end, and no second one, and nobody on its side is told two. Where the
-client itself is killed, the end must be told to those who look on. Printed: how often that was so, in which states the
-goals ended, and the seconds from the kill to the end; the rows hold how often.
+Real actionlib and rclpy programs on both ends, through the whole daemon, in both directions; each danger several times
+(default 10). A goal is good if its client receives exactly one end, and no other subscriber on its side receives two.
+If the client itself is killed, the other subscribers must receive the end. Printed are the number of good goals, their
+final states, and the seconds from the kill to the end; the rows contain the numbers.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from tests.support.wait import until
 
 SECONDS = 60.0
 SETTLE = 1.5
-"""Seconds after the end in which a second one would come: status lists and results are sent within one."""
+"""Seconds to wait for a second end: status lists and results are sent within one second."""
 TERMINAL = {ROS1: (2, 3, 4, 5, 8, 9), ROS2: (4, 5, 6)}
 STATES = {0: "none", 4: "SUCCEEDED", 5: "CANCELED", 6: "ABORTED"}
 KEYS = {ROS1: "ros1", ROS2: "ros2"}
@@ -40,12 +40,12 @@ KEYS = {ROS1: "ros1", ROS2: "ros2"}
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """How one goal ended.
+    """The end of a goal.
 
     Attributes:
-        status: its state, as ROS 2 numbers them; 0 where none was told.
-        told: how often an end was told, to the client or to those who look on.
-        seconds: from the kill to the end.
+        status: its state in ROS 2's numbers; 0 if none was reported.
+        reports: number of reported ends, to the client or to other subscribers.
+        seconds: time from the kill to the end.
     """
 
     status: int
@@ -54,15 +54,15 @@ class End:
 
     @property
     def good(self) -> bool:
-        """One end, and no second one."""
+        """Whether exactly one end was reported."""
         return self.reports == 1 and self.status != 0
 
 
 class Scene:
-    """A daemon between real programs, which are started again as they die.
+    """A daemon between real programs, which are restarted when they die.
 
     Args:
-        deployment: a daemon that runs.
+        deployment: a running daemon.
     """
 
     def __init__(self, deployment: Deployment) -> None:
@@ -71,7 +71,7 @@ class Scene:
         self._goals = 0
 
     def peer(self, side: str, role: str) -> Peer:
-        """A program of a side, started where it does not run."""
+        """Return a program of a side, and start it if it does not run."""
         name = f"{KEYS[side]}_{role}"
         peer = self._peers.get(name)
         if peer is None or peer.popen.poll() is not None:
@@ -81,12 +81,12 @@ class Scene:
         return peer
 
     def goal(self, server: str, client: str) -> Goal:
-        """Begin a goal."""
+        """Start a goal."""
         self._goals += 1
         return Goal(self, server, client, self._goals)
 
     def describe(self, action: str) -> str:
-        """What the workers say of an action, and who is on the side of each."""
+        """Describe an action's routes, and the programs on each side, for a failure."""
         lines = [f"{line['direction']} {line['topic']}: {line['why']}" for line in self.deployment.explain(action)]
         for status in self.deployment.status():
             lines.append(f"{status['side']}: {status['state']}, {status.get('network')}, {status.get('warnings')}")
@@ -94,7 +94,7 @@ class Scene:
         return "\n".join(lines)
 
     def kill_worker(self, worker: str) -> None:
-        """SIGKILL a worker; returns when the next one runs."""
+        """Send SIGKILL to a worker, and wait until its successor runs."""
         old = self.deployment.worker(worker)["pid"]
         os.kill(old, signal.SIGKILL)
 
@@ -105,24 +105,24 @@ class Scene:
         until(runs, f"the next worker of {worker} runs", SECONDS, every=0.1)
 
     def kill_master(self) -> None:
-        """SIGKILL roscore."""
+        """Send SIGKILL to roscore."""
         self.deployment.master.kill()
 
     def start_master(self) -> None:
-        """Start roscore again; returns when the bridge has joined it."""
+        """Restart roscore, and wait until the bridge has joined it."""
         self.deployment.master.start()
         network = self.deployment.master.call("getParam", "/run_id")
         joined = lambda: self.deployment.worker("ros1").get("network") == network  # noqa: E731
         until(joined, "the new ROS 1 network is joined", SECONDS, every=0.1)
 
     def forget_ros1(self) -> None:
-        """End the ROS 1 programs, of which a new master knows nothing."""
+        """Stop the ROS 1 programs, which are not registered at a new master."""
         for name in [n for n in self._peers if n.startswith("ros1")]:
             self._peers.pop(name).stop(0)
 
 
 class Goal:
-    """A goal that is being worked on, and what is told of it."""
+    """An active goal, and its reported states."""
 
     def __init__(self, scene: Scene, server: str, client: str, number: int) -> None:
         self.scene, self.sides = scene, (server, client)
@@ -135,10 +135,10 @@ class Goal:
         except AssertionError as err:
             raise AssertionError(f"{err}\n{scene.describe(name)}") from None
         pair.goal(self.id, accepted=True, feedback=1)
-        self._look_on(name)
+        self._observe(name)
         self.killed_at = time.monotonic()
 
-    def _look_on(self, name: str) -> None:
+    def _observe(self, name: str) -> None:
         self._looker = self.scene.peer(self.sides[1], "looker")
         if self.sides[1] == ROS1:
             self._heard = self._looker.subscribe(f"{name}/status", "actionlib_msgs/GoalStatusArray")
@@ -147,7 +147,7 @@ class Goal:
         until(lambda: self._states(), "the goal is in the status list", SECONDS)
 
     def _states(self) -> dict[str, list[int]]:
-        """The states of every goal that the side was told, in order, none twice in a row."""
+        """Return the reported states of every goal on the side, in order, without repetitions."""
         seen: dict[str, list[int]] = defaultdict(list)
         for message in self._looker.wait(self._heard, 0, 0.0):
             for status in message["status_list"]:
@@ -157,30 +157,30 @@ class Goal:
         return seen
 
     def reported_ends(self) -> int:
-        """How many ends those who look on were told, of the goal of which they were told most."""
+        """Return the number of ends that other subscribers received, for the goal with most ends."""
         terminal = TERMINAL[self.sides[1]]
         return max((sum(s in terminal for s in states) for states in self._states().values()), default=0)
 
     def kill(self, role: str) -> None:
-        """SIGKILL the server or the client."""
+        """Send SIGKILL to the server or the client."""
         (self.server if role == "server" else self.client).stop(0)
 
     def release(self) -> None:
-        """Have the server end it."""
+        """Let the server end the goal."""
         self.server.ask("release", id=self.acting)
 
     def ask_again(self) -> None:
-        """Have the client ask for the result until it is told: a request to a server that is being found is lost."""
+        """Let the client request the result until it arrives; requests are lost until the server is discovered."""
 
         def has_ended() -> bool:
             self.client.ask("ask_result", id=self.id)
             return bool(self.client.ask("goal", id=self.id, until={"ends": 1}, seconds=1.0)["ends"])
 
-        with contextlib.suppress(AssertionError):  # `end` tells that there was none
+        with contextlib.suppress(AssertionError):  # `end` reports that there was none
             until(has_ended, "a result", SECONDS)
 
     def end(self) -> End:
-        """Wait for the end that the client is told, and for a second one that must not come."""
+        """Wait until the client receives the end, and for a second one, which must not arrive."""
         state = self.client.ask("goal", id=self.id, until={"ends": 1}, seconds=SECONDS)
         took = time.monotonic() - self.killed_at
         time.sleep(SETTLE)
@@ -188,7 +188,7 @@ class Goal:
         return End(state["status"], max(state["ends"], self.reported_ends()), took)
 
     def end_for_others(self) -> End:
-        """The same, as those who look on are told it."""
+        """Wait for the end as received by other subscribers."""
         try:
             until(self.reported_ends, "an end", SECONDS, every=0.1)
         except AssertionError:
@@ -211,7 +211,7 @@ def server_killed(scene: Scene, server: str, client: str) -> End:
 
 
 def client_killed(scene: Scene, server: str, client: str) -> End:
-    """The client dies: the goal goes on, and its end is told to who else is there."""
+    """The client dies: the goal continues, and other subscribers receive its end."""
     goal = scene.goal(server, client)
     goal.kill("client")
     goal.release()
@@ -219,7 +219,7 @@ def client_killed(scene: Scene, server: str, client: str) -> End:
 
 
 def worker_killed(worker: str, scene: Scene, server: str, client: str) -> End:
-    """A worker dies. A client on ROS 2 whose own worker died asks again, as it has to where a server was restarted."""
+    """A worker dies. A ROS 2 client whose worker died requests the result again, as after a restart of a server."""
     goal = scene.goal(server, client)
     scene.kill_worker(worker)
     if (worker, client) == ("ros2", ROS2):
@@ -229,7 +229,7 @@ def worker_killed(worker: str, scene: Scene, server: str, client: str) -> End:
 
 
 def master_killed(scene: Scene, server: str, client: str) -> End:
-    """The ROS master dies and comes back, and then the server ends the goal: its end is told, if none was before."""
+    """The ROS master is restarted, and then the server ends the goal: its end is reported, unless one was before."""
     goal = scene.goal(server, client)
     scene.kill_master()
     scene.start_master()
@@ -251,7 +251,7 @@ WAYS = {"ROS 2 client, ROS 1 server": (ROS1, ROS2), "ROS 1 client, ROS 2 server"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; returns 1 where a goal had no end, or two."""
+    """Run the benchmark; return 1 if a goal had no end, or more than one."""
     args = _parser().parse_args(arguments)
     ends: dict[tuple[str, str], list[End]] = defaultdict(list)
     with tempfile.TemporaryDirectory() as folder, Deployment(Path(folder)) as deployment:
@@ -281,7 +281,7 @@ def _text(end: End) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--dangers", nargs="+", choices=list(DANGERS), help="default all")
-    parser.add_argument("--times", type=int, default=10, metavar="N", help="how often each (default 10)")
+    parser.add_argument("--times", type=int, default=10, metavar="N", help="repetitions of each danger (default 10)")
     add_json_option(parser)
     return parser
 

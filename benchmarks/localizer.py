@@ -1,9 +1,9 @@
-"""How well our localizer holds: the simulated R1 drives about for minutes, with odometry that drifts.
+"""The accuracy of the localizer while the simulated R1 drives for minutes with drifting odometry.
 
-In lock-step, so that the figures hold on any machine. The encoders are wrong by 2 and 3 percent and by noise, the laser
-is R1's own, blind to the sides, with noise and lost echoes; people walk about, and crates stand where the map has none.
-The peer of each figure is the limit that it is to hold: 0.15 m and 5 degrees over 10 minutes, and the same within 60 s
-of driving from starts that are wrong by 3 m and 30 degrees.
+The drive runs in lock-step, so that the figures hold on any machine. The encoders have errors of 2 and 3 percent and
+noise; the laser is the R1's own, blind to the sides, with noise and lost echoes; people walk, and there are crates that
+the map lacks. The peer of each figure is its limit: 0.15 m and 5 degrees over 10 minutes, and the same within 60 s of
+driving from starts that are wrong by 3 m and 30 degrees.
 
     python benchmarks/localizer.py [--json FILE] [--minutes 10] [--seeds 3] [--starts 10]
 """
@@ -48,19 +48,19 @@ _PERSON = 0.8
 _STUCK = 6.0
 _TURN_FIRST = 0.8
 _CONTROL = 10
-"""Ticks of 10 ms from one command to the next."""
+"""Ticks of 10 ms between two commands."""
 
 
 class Tour:
-    """Drives a simulated robot from one random place to another, by the truth, so that the localizer steers nothing.
+    """Drives a simulated robot between random places by its true pose, so that the localizer has no influence.
 
     Args:
         there: the simulation.
-        seed: of the places.
+        seed: seed of the places.
 
     Attributes:
         grid: the floor's map.
-        ahead: the way that is left, meters.
+        ahead: the remaining path, meters.
     """
 
     def __init__(self, there: Simulation, seed: int) -> None:
@@ -71,7 +71,7 @@ class Tour:
         self._moved, self._at, self._backs = 0.0, (0.0, 0.0), 0.0
 
     def steer(self) -> None:
-        """Command what leads on."""
+        """Command the velocity along the path."""
         x, y, yaw = self.there.base.pose()
         now = self.there.time_ns / 1e9
         if math.hypot(x - self._at[0], y - self._at[1]) > 0.1:
@@ -89,7 +89,7 @@ class Tour:
         self.there.command(Twist(speed, 0.0, max(-0.5, min(0.5, 1.5 * error))))
 
     def _blocked(self, x: float, y: float, yaw: float) -> bool:
-        """Whether a person stands ahead."""
+        """Return whether a person stands ahead."""
         return any(
             math.hypot(person.x - x, person.y - y) < _PERSON
             and abs(wrapped(math.atan2(person.y - y, person.x - x) - yaw)) < 2 * _TURN_FIRST
@@ -97,7 +97,7 @@ class Tour:
         )
 
     def _next(self, x: float, y: float) -> list[tuple[float, float]]:
-        """A way to anywhere that is not near."""
+        """Return a path to a random distant place."""
         weights = self._weights()
         places = np.argwhere(weights > 0)
         column, row = (int(v) for v in self.grid.cells_at((x, y)))
@@ -109,7 +109,7 @@ class Tour:
                 return [(float(px), float(py)) for px, py in centers[2:]]
 
     def _weights(self) -> NDArray[np.uint8]:
-        """Where to drive: not where something stands, on the map or not."""
+        """Return the cost of each cell, with all obstacles, including those that the map lacks."""
         solid = self.grid.flags == MapFlag.WALL
         rows, columns = np.indices(solid.shape)
         middles = self.grid.centers_of(np.stack((columns, rows), axis=-1))
@@ -122,12 +122,12 @@ class Tour:
 
 
 def simulated(world: str, seed: int) -> Simulation:
-    """A world with everything that makes it hard."""
+    """Return a simulation with all disturbances."""
     return Simulation(SimSection(plan=world, seed=seed, laser=LASER, encoders=DRIFT))
 
 
 def drive(tour: Tour, localizer: Localizer, seconds: float, costs: list[float]) -> Iterator[tuple[float, float, float]]:
-    """Drive, and say ten times a second how long it has been, and how far off the localizer is (m, degrees)."""
+    """Drive, and yield ten times per second the time and the localizer's error (m, degrees)."""
     simulation = tour.there
     begun = simulation.time_ns
     last = -1
@@ -153,7 +153,7 @@ def drive(tour: Tour, localizer: Localizer, seconds: float, costs: list[float]) 
 def held(
     world: str, seed: int, minutes: float, settings: LocaliserSection
 ) -> tuple[np.ndarray, list[float], Localizer]:
-    """The errors (n, 3: s, m, degrees) over a drive that began right."""
+    """Return the errors (n, 3: s, m, degrees) over a drive from the correct pose."""
     tour = Tour(simulated(world, seed), seed)
     localizer = Localizer(tour.grid, settings, seed)
     localizer.initial(Pose(*tour.there.base.pose()))
@@ -162,10 +162,10 @@ def held(
 
 
 def recovered(world: str, seed: int, settings: LocaliserSection) -> float:
-    """Seconds of driving from a start that is wrong by 3 m and 30 degrees, after which the limits hold for 30 s."""
+    """Return the seconds of driving from a start wrong by 3 m and 30 degrees until the limits hold for 30 s."""
     rng = np.random.default_rng(1000 + seed)
     tour = Tour(simulated(world, seed), seed)
-    for _ in range(round(10.0 * float(rng.random())) * 10):  # begin anywhere on the way
+    for _ in range(round(10.0 * float(rng.random())) * 10):  # start anywhere on the path
         tour.steer()
         tour.there.run(0.1)
     truth = tour.there.base.pose()
@@ -182,7 +182,7 @@ def recovered(world: str, seed: int, settings: LocaliserSection) -> float:
 
 
 def rows(minutes: float, seeds: int, starts: int, settings: LocaliserSection) -> Iterator[Row]:
-    """All figures."""
+    """Yield all rows."""
     for world in WORLDS:
         if seeds:
             yield from _held_rows(world, minutes, seeds, settings)
@@ -190,7 +190,7 @@ def rows(minutes: float, seeds: int, starts: int, settings: LocaliserSection) ->
             late = [recovered(world, seed, settings) for seed in range(starts)]
             for share in (50, 90, 100):
                 value = float(np.percentile(late, share, method="higher"))
-                yield Row(f"{world}, {starts} wrong starts: found after, {share} %", value, RECOVERY, "s")
+                yield Row(f"{world}, {starts} wrong starts: recovered after, {share} %", value, RECOVERY, "s")
 
 
 def _held_rows(world: str, minutes: float, seeds: int, settings: LocaliserSection) -> Iterator[Row]:
@@ -201,7 +201,7 @@ def _held_rows(world: str, minutes: float, seeds: int, settings: LocaliserSectio
     for column, limit, unit in ((1, METERS, "m"), (2, DEGREES, "deg")):
         for share in (50, 99, 100):
             value = float(np.percentile(errors[:, column], share))
-            yield Row(f"{name}: error, {f'{share} %' if share < 100 else 'greatest'}", value, limit, unit)
+            yield Row(f"{name}: error, {f'{share} %' if share < 100 else 'maximum'}", value, limit, unit)
     for share in (50, 99, 100):
         yield Row(f"{name}: a scan, {share} %", float(np.percentile(costs, share)), 100.0, "ms")
 

@@ -1,6 +1,6 @@
-"""A goal that takes long, with feedback all the time, each way: all feedback comes, and its end.
+"""A long goal with continuous feedback, in both directions: all feedback arrives, and the result.
 
-Real actionlib and rclpy programs on both ends, through the whole daemon, in real time; both ways at once.
+Real actionlib and rclpy programs on both ends, through the whole daemon, in real time; both directions at once.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ SLACK = 30.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; returns 1 where a goal did not end well, or feedback was lost."""
+    """Run the benchmark; return 1 if a goal did not succeed, or feedback was lost."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=10.0, help="how long the goals take (default 10)")
+    parser.add_argument("--minutes", type=float, default=10.0, help="duration of the goals (default 10)")
     parser.add_argument("--rate", type=float, default=10.0, help="feedback per second (default 10)")
     add_json_option(parser)
     args = parser.parse_args(arguments)
@@ -44,7 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             goal, began = goals[direction]
             state = pair.client.ask("goal", id=goal, until={"ends": 1}, seconds=args.minutes * 60 + SLACK)
             took = time.monotonic() - began
-            print(f"{direction}: status {state['status']}, told {state['ends']} times, after {took:.1f} s", flush=True)
+            print(
+                f"{direction}: status {state['status']}, reported {state['ends']} times, after {took:.1f} s", flush=True
+            )
             well = well and state["status"] == SUCCEEDED and state["ends"] == 1
             rows.append(Row(f"{direction}, feedback", len(state["feedback"]), count, "messages", "more"))
     report(rows, args.json)

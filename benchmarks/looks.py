@@ -1,8 +1,8 @@
-"""What one look of an engine at both graphs costs beside many endpoints, when one of them has come or gone.
+"""The cost of an engine's check of both graphs with many endpoints, after one of them was added or removed.
 
-Half of the endpoints are on the side (in memory), half on the hub (another session), each on a topic of its own; one
-more comes and goes on either. Each row's peer is the same beside 50 endpoints: a look that follows what changed costs
-no more beside thousands.
+Half of the endpoints are on the side (in memory), half on the hub (another session), each on a separate topic; one more
+is added and removed on either. Each row's peer is the same with 50 endpoints: a check that processes only changes costs
+the same with thousands.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ UP_SECONDS = 120.0
 
 
 class Beside:
-    """An engine between so many endpoints."""
+    """An engine between a number of endpoints."""
 
     def __init__(self, hubs: HubNetwork, count: int, registry: Registry) -> None:
         self._network = FakeNetwork()
@@ -65,7 +65,7 @@ class Beside:
         self._engine._reconcile = timed  # type: ignore[method-assign]
 
     def _settle(self) -> None:
-        """Until nothing looks any more: what was seen by then is what changed next."""
+        """Wait until no check is pending, so that the next check is caused by the next change."""
         while True:
             before = len(self.took)
             time.sleep(0.15)
@@ -73,7 +73,7 @@ class Beside:
                 return
 
     def change(self, times: int) -> list[float]:
-        """Seconds of each look after one endpoint came or went."""
+        """Return the seconds of each check after one endpoint was added or removed."""
         self._settle()
         self.took.clear()
         for number in range(times):
@@ -87,7 +87,7 @@ class Beside:
         return list(self.took)
 
     def idle(self, times: int) -> list[float]:
-        """Seconds of each look after nothing changed."""
+        """Return the seconds of each check without changes."""
         self._settle()
         self.took.clear()
         for _ in range(times):
@@ -96,7 +96,7 @@ class Beside:
         return list(self.took)
 
     def close(self) -> None:
-        """End both sessions."""
+        """Close both sessions."""
         self._engine.stop()
         self._hub.close()
         self._other.close()

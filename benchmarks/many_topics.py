@@ -1,9 +1,9 @@
-"""Hundreds of topics between ROS 1 and ROS 2 through the daemon: what they cost idle and busy, and whether all arrives.
+"""Hundreds of topics between ROS 1 and ROS 2 through the daemon: their cost when idle and busy, and losses.
 
-Half of the topics go from ROS 1 to ROS 2, half back. First nothing is sent; then ten messages a second on each, every
-one numbered and counted at its other end; then one more topic runs at 250 Hz beside the idle ones, and as it did alone,
-in a round of its own before and after. Where the project promises an absolute limit, this is the peer. What the same
-ends cost depends on the machine: the busy topics also run through two bare relays (`benchmarks.latency.relay`).
+Half of the topics go from ROS 1 to ROS 2, half back. First nothing is sent; then ten messages per second on each, all
+numbered and counted at the receiver; then one more topic runs at 250 Hz with the idle ones, and without them in
+separate rounds before and after. If the project promises an absolute limit, this is the peer. Since the ends' cost
+depends on the machine, the busy topics also run through two bare relays (`benchmarks.latency.relay`).
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from benchmarks.rows import Row, add_json_option, report
 
 WAYS = {THERE: ("ros1", "ros2", "ROS 1 to ROS 2"), BACK: ("ros2", "ros1", "ROS 2 to ROS 1")}
 IDLE_CPU, BUSY_CPU, BUSY_P99 = 1.0, 70.0, 3000.0
-"""The project's limits: of all the daemon's processes and of both workers in percent of a core, microseconds."""
+"""The project's limits: all daemon processes and both workers in percent of a core; latency in microseconds."""
 FAST = 250.0
 KINDS = ("ros1", "ros2")
 LANES = {"on": (True,), "off": (False,), "both": (True, False)}
 LATEST_SECONDS = 2.0
-"""How long one waits for a message that has not come."""
+"""Seconds to wait for a missing message."""
 
 
 class Crowd(Stage):
-    """The daemon with so many topics each way, and one more for each way on which messages are sent fast."""
+    """The daemon with a number of topics in each direction, and one more in each for fast messages."""
 
     def __init__(self, topics: int, *, realtime: bool, lane: bool = True) -> None:
         super().__init__({
@@ -61,7 +61,7 @@ class Crowd(Stage):
             raise
 
     def _ends(self, part: str, topics: Mapping[str, Sequence[str]]) -> None:
-        """Start the senders and listeners of some topics, and wait until each of these has a message through."""
+        """Start the senders and listeners of some topics, and wait until a message has arrived on each."""
         self.start_ends({f"{kind} {part} {role}": kind for kind in KINDS for role in ("listener", "sender")})
         for direction, (source, target, _) in WAYS.items():
             subscribed = [self._message.topic(name, ros1=target == "ros1") for name in topics[direction]]
@@ -77,15 +77,15 @@ class Crowd(Stage):
             self.wait_for(sender, "drummed")
             return not self._tally(listener, len(topics), 0.5)["silent"]
 
-        self.until(all_cross, f"all {len(topics)} topics from {sender} to {listener} have a message through")
+        self.until(all_cross, f"a message arrives on all {len(topics)} topics from {sender} to {listener}")
 
     def _tally(self, listener: str, sent: int, seconds: float) -> dict[str, Any]:
-        """What a listener counted, once all has come or nothing more did for so long."""
+        """Return a listener's counts, once all or no more messages have arrived."""
         return self.command(listener, "tally", "tallied", sent=sent, seconds=seconds)
 
     def idle(self, seconds: float) -> dict[str, Usage]:
-        """What the processes take while nothing is sent."""
-        time.sleep(2.0)  # what followed from the last messages is over by then
+        """Return the processes' use while nothing is sent."""
+        time.sleep(2.0)  # until the effects of the last messages are over
         self.meter.start()
         time.sleep(seconds)
         return self.meter.read()
@@ -93,7 +93,7 @@ class Crowd(Stage):
     def drum(
         self, part: str, directions: Sequence[str], rate: float, seconds: float
     ) -> tuple[dict[str, dict[str, Any]], dict[str, Usage]]:
-        """Send on the topics of some ways; what arrived each way, and what the processes took."""
+        """Send on the topics of some directions; return the arrived messages by direction, and the processes' use."""
         topics = {
             direction: self._topics[direction] if part == "many" else [f"/fast/{direction}"] for direction in directions
         }
@@ -114,7 +114,7 @@ class Crowd(Stage):
 
 
 class Bare(Crowd):
-    """The same ends and topics with two bare relays in the daemon's place."""
+    """The same ends and topics, with two bare relays instead of the daemon."""
 
     def start_bridge(self) -> None:
         """Start roscore and the relays."""
@@ -127,18 +127,18 @@ class Bare(Crowd):
             self.command(kind, "relay", "relaying", inward=topics[inward], outward=topics[outward])
 
     def process_ids(self) -> dict[str, int]:
-        """Process ids by name: the relays as ``ros1`` and ``ros2``, the ends."""
+        """Return process ids by name: the relays as ``ros1`` and ``ros2``, the ends."""
         return {name: child.pid for name, child in self._children.items()}
 
 
 class Samples:
-    """Figures of the fast topic, by way and condition."""
+    """Figures of the fast topic, by direction and condition."""
 
     def __init__(self) -> None:
         self._all: dict[tuple[str, str, str], list[float]] = defaultdict(list)
 
     def measure(self, crowd: Crowd, condition: str, seconds: float) -> None:
-        """Send each way, one after the other."""
+        """Send in each direction, one after the other."""
         for direction in WAYS:
             tallies, used = crowd.drum("fast", [direction], FAST, seconds)
             p50, p99 = figures(tallies[direction]["ages"])
@@ -148,14 +148,14 @@ class Samples:
             report_progress(text(f"one topic at {FAST:g} Hz, {WAYS[direction][2]}, {condition}, {lost} lost", used))
 
     def rows(self, count: int, suffix: str) -> list[Row]:
-        """A row of each way and figure: medians, beside idle topics and alone."""
+        """Return a row for each direction and figure: medians, with and without idle topics."""
         rows = []
         for direction, (_, _, name) in WAYS.items() if self._all else ():
             for figure, unit in (("CPU", "%"), ("p50", "us"), ("p99", "us")):
                 ours, alone = (statistics.median(self._all[direction, which, figure]) for which in ("beside", "alone"))
                 label = "CPU of both workers" if figure == "CPU" else figure
                 rows.append(
-                    Row(f"{FAST:g} Hz beside {count} idle, {name}, {label}, to alone{suffix}", ours, alone, unit)
+                    Row(f"{FAST:g} Hz with {count} idle, {name}, {label}, to without{suffix}", ours, alone, unit)
                 )
         return rows
 
@@ -183,7 +183,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 class Taken:
-    """What was measured with the lane on or off."""
+    """The measurements with the lane on or off."""
 
     def __init__(self, *, lane: bool) -> None:
         self.suffix = "" if lane else ", lane off"
@@ -210,7 +210,7 @@ def _measure(args: argparse.Namespace, *, lane: bool) -> Taken:
 
 
 def _idle(quiet: dict[str, list[float]], count: int, suffix: str) -> list[Row]:
-    """Rows of the daemon's processor time while nothing is sent, taken beside the idle routes and alone."""
+    """Return rows of the daemon's idle processor time, with and without idle routes."""
     case = f"{count} idle, CPU of the daemon, to the limit{suffix}"
     rows = [Row(case, took, IDLE_CPU, "%") for took in quiet.get("beside", ())]
     if quiet.get("alone"):
@@ -221,14 +221,14 @@ def _idle(quiet: dict[str, list[float]], count: int, suffix: str) -> list[Row]:
 
 @dataclass(frozen=True, slots=True)
 class Busy:
-    """What the busy topics took.
+    """The cost of the busy topics.
 
     Attributes:
-        cpu: of both workers, or relays, in percent of a core.
-        sent: messages each way.
-        arrived: messages by way, each counted once.
-        p50: microseconds by way.
-        p99: the same.
+        cpu: processor time of both workers or relays, in percent of a core.
+        sent: sent messages by direction.
+        arrived: arrived messages by direction, without duplicates.
+        p50: median latency by direction, microseconds.
+        p99: 99th percentile by direction, microseconds.
     """
 
     cpu: float
@@ -257,7 +257,7 @@ def _busy(crowd: Crowd, title: str, rate: float, seconds: float) -> Busy:
 
 
 def _busy_rows(case: str, ours: Busy, bare: Busy) -> list[Row]:
-    """Ours to the project's limits, and to the bare relays."""
+    """Return rows that compare with the project's limits, and with the bare relays."""
     label = "CPU of both workers"
     rows = [
         Row(f"{case}, {label}, to the limit", ours.cpu, BUSY_CPU, "%"),
@@ -273,17 +273,19 @@ def _busy_rows(case: str, ours: Busy, bare: Busy) -> list[Row]:
     return rows
 
 
-def report_progress(words: str) -> None:
-    """Tell beside the rows."""
-    print(words, file=sys.stderr, flush=True)
+def report_progress(message: str) -> None:
+    """Print progress to standard error."""
+    print(message, file=sys.stderr, flush=True)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parts = ("idle", "busy", "fast")
-    parser.add_argument("--parts", nargs="+", choices=parts, default=parts, help="what is measured (default all)")
-    parser.add_argument("--topics", type=int, default=500, metavar="N", help="topics, half of them each way (500)")
-    parser.add_argument("--rate", type=float, default=10.0, metavar="HZ", help="messages a second on each (10)")
+    parser.add_argument("--parts", nargs="+", choices=parts, default=parts, help="parts to measure (default all)")
+    parser.add_argument(
+        "--topics", type=int, default=500, metavar="N", help="topics, half of them in each direction (500)"
+    )
+    parser.add_argument("--rate", type=float, default=10.0, metavar="HZ", help="messages per second on each (10)")
     parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="length of each measurement (20)")
     parser.add_argument("--lane", choices=LANES, default="on", help="the hub's lane: on, off, or one after the other")
     add_realtime_option(parser)

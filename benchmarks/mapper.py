@@ -1,8 +1,8 @@
-"""Mapper2D: scans a second beside an octomap, and whether its maps match the plan that the simulator drives in.
+"""Mapper2D: scans per second compared with an octomap, and the agreement of its maps with the simulator's plans.
 
-The scans are those of a tour that the simulated R1 drives, each with its true pose. Of each map are told the occupied
-cells that lie within two cells of what stands on the floor, and the share of the surface in the laser's sight that the
-map has as occupied. `make bench-peers` installs the peer.
+The scans are from a tour of the simulated R1, with true poses. For each map the rows give the share of occupied cells
+within two cells of a surface, and the share of the surface in the laser's sight that the map has as occupied. `make
+bench-peers` installs the peer.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ _FINE = 0.01
 
 
 class Seen(NamedTuple):
-    """A scan and where it was made."""
+    """A scan and its pose."""
 
     pose: Pose
     scan: Turn
 
 
 def empty(name: str) -> Plan:
-    """A plan without people and without things that can be pushed about."""
+    """Return a plan without people and movable things."""
     plan = load_plan(name)
     floors = {
         key: floor.model_copy(update={"people": (), "boxes": tuple(b for b in floor.boxes if b.mass is None)})
@@ -70,7 +70,7 @@ def empty(name: str) -> Plan:
 
 
 def tour(simulation: Simulation, seconds: float = math.inf) -> Iterator[Seen]:
-    """Drive along all of the floor, in lock-step, for so long at most."""
+    """Drive through the whole floor in lock-step, within a time."""
     grid = true_grid(simulation.plan, simulation.floor)
     walls = grid.flags != MapFlag.FREE
     open_ = (distance_transform(walls) * grid.resolution > CLEARANCE).astype(np.uint8)
@@ -80,7 +80,7 @@ def tour(simulation: Simulation, seconds: float = math.inf) -> Iterator[Seen]:
         start = grid.cells_at((x, y))
         path = astar(open_, (int(start[1]), int(start[0])), place)
         if path is None:
-            continue  # a corner that nobody comes to
+            continue  # an unreachable corner
         for target in grid.centers_of(shortcut(open_, path.cells)[1:, ::-1]):
             for seen in _driven(simulation, *target):
                 yield seen
@@ -89,7 +89,7 @@ def tour(simulation: Simulation, seconds: float = math.inf) -> Iterator[Seen]:
 
 
 def _points(open_: NDArray[np.uint8], step: int) -> Iterator[tuple[int, int]]:
-    """Cells (row, column) of a lattice, to and fro; where one is not open, its nearest neighbor that is."""
+    """Yield the cells (row, column) of a lattice, back and forth; instead of blocked ones the nearest open cell."""
     near = step // 3
     for turn, row in enumerate(range(step // 2, len(open_), step)):
         columns = range(step // 2, open_.shape[1], step)
@@ -103,7 +103,7 @@ def _points(open_: NDArray[np.uint8], step: int) -> Iterator[tuple[int, int]]:
 
 
 def _driven(simulation: Simulation, x: float, y: float) -> Iterator[Seen]:
-    """Drive straight to a place, unless that takes too long; each new scan on the way."""
+    """Drive straight to a place, unless that takes too long, and yield each new scan."""
     last = None
     start = simulation.base.pose()
     patience = simulation.time_ns + (10.0 + math.hypot(x - start.x, y - start.y) / 0.1) * 1e9
@@ -123,7 +123,7 @@ def _driven(simulation: Simulation, x: float, y: float) -> Iterator[Seen]:
 
 
 def mapped(scans: list[Seen], resolution: float = 0.05) -> Mapper:
-    """The map of a tour."""
+    """Return the map of a tour."""
     mapper = Mapper(Mapper2DSection(resolution=resolution, farthest=FARTHEST))
     for pose, scan in scans:
         mapper.scan(pose, scan.ranges, scan.first, scan.step, scan.farthest)
@@ -131,10 +131,10 @@ def mapped(scans: list[Seen], resolution: float = 0.05) -> Mapper:
 
 
 class Match(NamedTuple):
-    """How a map matches what stands on a floor.
+    """The agreement of a map with the surfaces of a floor.
 
     ``near``: share of the occupied cells whose middle is within two cells of a surface. ``covered``: share of the
-    surface that was in sight which is within one cell of an occupied one.
+    surface in sight that is within one cell of an occupied cell.
     """
 
     near: float
@@ -142,7 +142,7 @@ class Match(NamedTuple):
 
 
 def match(grid: MapGrid2D, simulation: Simulation, poses: list[Pose]) -> Match:
-    """Compare a map with the surfaces of a floor on which nothing moves."""
+    """Compare a map with the surfaces of a static floor."""
     segments, circles = simulation.world.seen()
     rows, columns = np.nonzero(grid.flags == MapFlag.WALL)
     centers = grid.centers_of(np.stack((columns, rows), -1))
@@ -157,7 +157,7 @@ def match(grid: MapGrid2D, simulation: Simulation, poses: list[Pose]) -> Match:
 
 
 def _distance(points: Floats, segments: Floats, circles: Floats) -> Floats:
-    """Each point's distance to the nearest surface, meters."""
+    """Return each point's distance to the nearest surface, in meters."""
     best = np.full(len(points), math.inf)
     for x, y, to_x, to_y in segments:
         vector = np.array((to_x - x, to_y - y))
@@ -169,7 +169,7 @@ def _distance(points: Floats, segments: Floats, circles: Floats) -> Floats:
 
 
 def _in_sight(segments: Floats, circles: Floats, poses: list[Pose]) -> Floats:
-    """The centimeters of surface that a laser at these poses has in sight, (n, 2) meters: by very many beams."""
+    """Return the points of surface at centimeter resolution in a laser's sight from these poses, (n, 2) meters."""
     step = math.tau / _DENSE
     angles = np.arange(_DENSE) * step
     beams = np.ascontiguousarray(np.stack((np.cos(angles), np.sin(angles)), axis=1))
@@ -194,7 +194,7 @@ def quality(name: str, seconds: float = math.inf) -> tuple[Match, list[Seen]]:
 
 
 def ours(scans: list[Seen]) -> float:
-    """Scans a second."""
+    """Return Mapper2D's scans per second."""
     mapped(scans[:2])  # warm
     begin = time.perf_counter()
     mapped(scans)
@@ -202,7 +202,7 @@ def ours(scans: list[Seen]) -> float:
 
 
 def octomap(scans: list[Seen], seconds: float) -> float:
-    """The peer's scans a second: it is given the same beams, and so long."""
+    """Return the peer's scans per second, with the same beams, within a time."""
     tree: Any = importlib.import_module("pyoctomap").OcTree(0.05)
     begin, count = time.perf_counter(), 0
     for pose, scan in scans:
@@ -222,7 +222,9 @@ def main() -> int:
     """Measure and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--plans", nargs="+", default=list(PLANS), metavar="PLAN")
-    parser.add_argument("--seconds", type=float, default=math.inf, help="of simulated time a tour; else all of it")
+    parser.add_argument(
+        "--seconds", type=float, default=math.inf, help="simulated seconds of a tour (default: the whole tour)"
+    )
     add_json_option(parser)
     args = parser.parse_args()
     need_peers("pyoctomap")
@@ -233,7 +235,7 @@ def main() -> int:
         rows.append(
             Row(f"{driven}, occupied cells within 2 cells of a surface", 100.0 * match_.near, 100.0, "%", "more")
         )
-        rows.append(Row(f"{driven}, surface in sight that is found", 100.0 * match_.covered, 95.0, "%", "more"))
+        rows.append(Row(f"{driven}, surface in sight that is mapped", 100.0 * match_.covered, 95.0, "%", "more"))
         rows.append(Row(f"{name}, 720 beams, octomap", ours(scans), octomap(scans, 10.0), "scans/s", "more"))
     report(rows, args.json)
     return 0

@@ -1,10 +1,10 @@
-"""Mapper3D: a depth image becomes the tree that octomap makes of the same points, several times as fast.
+"""Mapper3D: a depth image updates the same tree as octomap from the same points, several times as fast.
 
-The camera of a RealSense D435's field of view stands and turns in a room with tables, and its depth has noise. Ours is
-all that the module does with an image that has come: depth to points, points to the map, rays, odds, and what has gone
-at its rate. The peer is ``insertPointCloud`` of the same points, on the map, alone, with ``discretize``;
-that the trees are equal is tested. `make bench-peers` installs the peer. A layer is made after each image, which
-changes it, and told on a hub: as a grid with its update, and the heights of what is hit.
+The camera has a RealSense D435's field of view, and turns in a room with tables; its depth has noise. "Ours" is all
+that the module does with an image: depth to points, points to the map, rays, odds, and removals at their rate. The peer
+is only ``insertPointCloud`` of the same points on the map, with ``discretize``; a test checks that the trees are equal.
+`make bench-peers` installs the peer. After each image a layer is computed and published on a hub: as a grid with its
+update, and the heights of obstacles.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ WIDTH, HEIGHT, RATE = 640, 480, 5.0
 FOCUS = WIDTH / 2 / math.tan(math.radians(87.0) / 2)
 CAMERA = Camera(WIDTH, HEIGHT, FOCUS, FOCUS, WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5)
 MOST = 0.4
-"""Of a core, at ``RATE`` images a second."""
+"""Share of a core at ``RATE`` images per second."""
 
 
 def seat(turn: float) -> SensorPose:
-    """A camera 1 m above the floor, turned to the left by radians and 15 degrees downwards."""
+    """Return a camera 1 m above the floor, turned to the left (radians) and 15 degrees down."""
     down = math.radians(15.0)
     pitch = np.array([[math.cos(down), 0, math.sin(down)], [0, 1, 0], [-math.sin(down), 0, math.cos(down)]])
     yaw = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
@@ -55,7 +55,7 @@ def seat(turn: float) -> SensorPose:
 
 
 def depth(at: SensorPose, size: float, rng: np.random.Generator) -> NDArray[np.float32]:
-    """What the camera sees of a room of so many meters a side, 2.6 m high, with two tables."""
+    """Return the camera's depth in a square room of a size in meters, 2.6 m high, with two tables."""
     u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     rays = (
         np.stack(((u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u, float)), -1) @ at.rotation.T
@@ -78,20 +78,20 @@ def depth(at: SensorPose, size: float, rng: np.random.Generator) -> NDArray[np.f
 
 
 def images(count: int, size: float) -> list[tuple[SensorPose, NDArray[np.float32]]]:
-    """So many images of a camera that turns."""
+    """Return images of a turning camera."""
     rng = np.random.default_rng(0)
     seats = [seat(0.1 * index) for index in range(count)]
     return [(seat_, depth(seat_, size, rng)) for seat_ in seats]
 
 
 def placed(at: SensorPose, seen: NDArray[np.float32], every: int) -> NDArray[np.float64]:
-    """The points of an image on the map."""
+    """Return the points of an image on the map."""
     points = Rays(every).points(seen, CAMERA)
     return (points @ at.rotation.T.astype(np.float32) + np.array(at.origin, np.float32)).astype(np.float64)
 
 
 def ours(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
-    """Milliseconds of processor time an image."""
+    """Return Mapper3D's processor time per image, in milliseconds."""
     space, rays = Space(settings), Rays(settings.pixels)
     begin = time.process_time()
     for index, (at, seen) in enumerate(taken):
@@ -100,7 +100,7 @@ def ours(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3D
 
 
 def octomaps(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
-    """The same of the peer, whose points are on the map already."""
+    """Return octomap's processor time per image, in milliseconds; its points are on the map already."""
     tree = importlib.import_module("pyoctomap").OcTree(settings.resolution)
     clouds = [(placed(at, seen, settings.pixels), np.array(at.origin)) for at, seen in taken]
     begin = time.process_time()
@@ -110,7 +110,7 @@ def octomaps(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapp
 
 
 def layer(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> tuple[float, float]:
-    """Milliseconds of a layer, and of telling it to one that hears all of it; the medians of one after each image."""
+    """Return the median milliseconds of computing a layer, and of publishing it to a subscriber, after each image."""
     space, rays = Space(settings), Rays(settings.pixels)
     computing, publishing = [], []
     with QuickHub() as network, Hub.open(network.settings("listener")) as listener:
@@ -127,7 +127,7 @@ def layer(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3
             publisher.publish(result)
             computing.append(middle - begin)
             publishing.append(time.thread_time() - middle)
-            received.wait(10.0)  # from then on it is listened to
+            received.wait(10.0)  # the subscriber is connected from then on
         host.close()
     return 1000.0 * statistics.median(computing), 1000.0 * statistics.median(publishing)
 
@@ -148,7 +148,7 @@ def main() -> int:
             case, cost = f"room of {size:g} m, {WIDTH // every} x {HEIGHT // every}", ours(taken, settings)
             rows.append(Row(f"{case}, octomap", cost, octomaps(taken, settings), "ms"))
             rows.append(Row(f"{case}, at {RATE:g} Hz", 0.1 * cost * RATE, 100.0 * MOST, "% core"))
-        for step, cost in zip(("made", "told"), layer(taken, Mapper3DSection()), strict=True):
+        for step, cost in zip(("computed", "published"), layer(taken, Mapper3DSection()), strict=True):
             rows.append(Row(f"room of {size:g} m, layer {step}", cost, 1000.0 * MOST / RATE, "ms"))
     report(rows, args.json)
     return 0

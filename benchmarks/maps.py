@@ -1,8 +1,8 @@
-"""Maps loaded, saved and turned into bytes, beside the bare image or a bare copy, in one process, in turn.
+"""Loading, saving and encoding maps, compared with the bare image or a bare copy, in one process, in turns.
 
-A file of a map is set beside reading or writing its images with Pillow, from and to NumPy arrays: of YARP's the two of
-flags and occupancy, of ROS's the one. Bytes are set beside a copy of the map's two arrays, and zipped ones beside zlib
-on them. Each figure is the median over the rounds of one call's time. The marks: 3 times Pillow, 1.5 copies.
+Map files are compared with reading or writing their images with Pillow, from and to NumPy arrays: YARP's two images of
+flags and occupancy, or ROS's one. Bytes are compared with a copy of the map's two arrays, zipped ones with zlib on
+them. Each figure is the median over the rounds of one call's time. The limits: 3 times Pillow, 1.5 copies.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ Pair = tuple[Callable[[], object], Callable[[], object]]
 
 
 def office(size: int) -> MapGrid2D:
-    """A map of rooms of 80 cells, some unknown or to be kept out of, with obstacles and greys here and there."""
+    """Return a map of rooms of 80 cells, some unknown or keep-out, with scattered obstacles and gray cells."""
     dice = np.random.default_rng(7)
     rooms = dice.choice([0, 0, 0, 0, 0, 1, 5, 5], (size // 80 + 1, size // 80 + 1)).astype(np.uint8)
     cells = np.repeat(np.repeat(rooms, 80, axis=0), 80, axis=1)[:size, :size]
-    flags = np.ascontiguousarray(cells)  # as maps from files and from the wire are
+    flags = np.ascontiguousarray(cells)  # like maps from files and from the wire
     flags[::80] = flags[:, ::80] = MapFlag.WALL
     flags[40::80] = flags[:, 40::80] = MapFlag.FREE
     spots = dice.integers(0, size, (2, size * size // 200))
@@ -56,7 +56,7 @@ def office(size: int) -> MapGrid2D:
 
 
 def files(grid: MapGrid2D, folder: Path) -> dict[str, Pair]:
-    """Loading and saving."""
+    """Return the pairs for loading and saving."""
     plain = folder / "plain"
     plain.mkdir()
     grid.save(folder / "office.map")
@@ -82,27 +82,27 @@ def files(grid: MapGrid2D, folder: Path) -> dict[str, Pair]:
             partial(grid.save, path, image=kind),
             partial(write, plain / f"g.{kind}", pixels),
         )
-    trinary = folder / "trinary.yaml"  # as most maps are; the others are raw, for the greys
+    trinary = folder / "trinary.yaml"  # like most maps; the others are raw, for the gray cells
     grid.save(trinary, mode="trinary")
     pairs["load yaml and pgm, trinary"] = partial(MapGrid2D.load, trinary), partial(read, folder / "trinary.pgm")
     return pairs
 
 
 def read(path: Path) -> Any:
-    """An image's pixels by Pillow."""
+    """Read an image's pixels with Pillow."""
     with Image.open(path) as image:
         return np.array(image)
 
 
 def write(path: Path, pixels: Any) -> Path:
-    """An image by Pillow, png at the level that we save it at."""
+    """Write an image with Pillow, PNG at Midspan's compression level."""
     options: dict[str, Any] = {"compress_level": 1} if path.suffix == ".png" else {}
     Image.fromarray(pixels).save(path, **options)
     return path
 
 
 def payloads(grid: MapGrid2D) -> dict[str, Pair]:
-    """To bytes and back."""
+    """Return the pairs for encoding and decoding."""
     registry = Registry()
     schema = registry.schema(GRID)
     zipped, plain = grid.copy(), grid.copy()
@@ -143,7 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     add_json_option(parser)
     options = parser.parse_args(arguments)
-    keep_memory()  # as the workers do: else both pay for page faults in turn
+    keep_memory()  # as in the workers; otherwise both cause page faults in turn
     rows = []
     for size in options.sizes:
         grid = office(size)

@@ -1,9 +1,9 @@
-"""What the navigation of one robot costs: shares of a core of each process, idle and driving, at a laser of 10 Hz.
+"""The cost of one robot's navigation: each process's share of a core, idle and driving, with a laser at 10 Hz.
 
 The whole deployment, `midspan run` with simulator, base control, localizer, RobotGoto, RobotPathPlanner and gateway.
-The "peer" of a row is what is meant to be enough: 40 % of a core for all modules while they drive. With ``--tables`` it
-is that of configs/tables.yaml: a depth camera of 640 x 480 at 5 Hz whose points RobotGoto hears, without Mapper3D and
-with it; the difference is what mapping costs.
+The "peer" of a row is the limit: 40 % of a core for all modules while driving. With ``--tables`` the deployment is that
+of configs/tables.yaml: a depth camera of 640 x 480 at 5 Hz, whose points RobotGoto receives, without Mapper3D and with
+it; the difference is the cost of mapping.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from benchmarks.rows import Row, add_json_option, report
 from tests.support.chain import Chain
 
 _ENOUGH = {"modules": 40.0, "sim": 25.0, "yarp": 10.0, "router": 5.0, "daemon": 2.0}
-"""Percent of a core."""
+"""Limits, percent of a core."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tables", action="store_true", help="with a depth camera, without Mapper3D and with it")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement (default 10)")
+    parser.add_argument("--seconds", type=float, default=10.0, help="seconds of each measurement (default 10)")
     add_json_option(parser)
     args = parser.parse_args(arguments)
     if args.tables:
@@ -55,8 +55,8 @@ def _tables(*, mapping: bool) -> dict[str, Any]:
 def _measured(place: str, seconds: float, case: str = "", **sections: Any) -> list[Row]:
     with tempfile.TemporaryDirectory(prefix="midspan-nav-cost-") as folder, Chain(Path(folder), **sections) as chain:
         chain.start()
-        chain.until(lambda: chain.truth is not None, "the robot is there")
-        time.sleep(3.0)  # what is compiled and opened at the start is no cost of a rest
+        chain.until(lambda: chain.truth is not None, "the true pose is published")
+        time.sleep(3.0)  # until compilation and opening at the start are over
         rows = _rows(f"{case}idle", _shares(chain, seconds))
         chain.goto(place)
         chain.until_moving()
@@ -68,7 +68,7 @@ def _rows(what: str, shares: dict[str, float]) -> list[Row]:
 
 
 def _shares(chain: Chain, seconds: float) -> dict[str, float]:
-    """Percent of a core of each process."""
+    """Return each process's load, in percent of a core."""
     assert chain.daemon is not None
     daemon = psutil.Process(chain.daemon.pid)
     processes = {"daemon": daemon}

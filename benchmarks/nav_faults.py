@@ -1,8 +1,8 @@
-"""What a robot does that drives to a place while something fails, with the whole deployment: simulator to gateway.
+"""The behavior of a driving robot while something fails, with the whole deployment from simulator to gateway.
 
-Printed of each fault: seconds until the wheels stood and meters until then, what the client heard, whether the robot
-went on by itself, and how the goal ended. Rows hold the seconds until the wheels stood; their "peer" is the time that
-is allowed. Links are cut between two machines that are network namespaces, which takes root and iproute2.
+Printed for each fault are the seconds and meters until the wheels stood, the status that the client received, whether
+the robot continued by itself, and how the goal ended. The rows contain the seconds until the wheels stood; their "peer"
+is the allowed time. Links are cut between two network namespaces, which needs root and iproute2.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from benchmarks.rows import Row, add_json_option, report
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; returns 1 where something was not as it should be."""
+    """Run the benchmark; return 1 if an outcome was wrong."""
     args = _parser().parse_args(arguments)
     chosen = [fault for fault in FAULTS if args.faults is None or fault.key in args.faults]
     rows, wrong = [], 0
@@ -44,8 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--faults", nargs="+", choices=[fault.key for fault in FAULTS], metavar="FAULT")
-    parser.add_argument("--place", default="kitchen", help="where to (default kitchen)")
-    parser.add_argument("--log", action="store_true", help="print the daemon's log where something was wrong")
+    parser.add_argument("--place", default="kitchen", help="destination (default kitchen)")
+    parser.add_argument("--log", action="store_true", help="print the daemon's log if an outcome was wrong")
     add_json_option(parser)
     return parser
 

@@ -1,7 +1,7 @@
-"""Ways on grids: Midspan's A* beside scipy, w9-pathfinding and pyastar2d, with and without building the peer's graph.
+"""Grid paths: Midspan's A* compared with scipy, w9-pathfinding and pyastar2d, with and without the peer's graph.
 
-The optimum without cutting corners is w9-pathfinding's and scipy's; pyastar2d counts a diagonal as one and cuts
-corners, so its way is another one. `make bench-peers` installs the peers.
+w9-pathfinding and scipy find the optimum without cutting corners; pyastar2d counts a diagonal as one and cuts corners,
+so its path differs. `make bench-peers` installs the peers.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MAPS = ("rooms", "maze", "random20", "random30")
 
 
 class Found(NamedTuple):
-    """What a planner did: seconds for its graph and for the way, the way's length in cells, corners that it cuts."""
+    """A planner's result: seconds for its graph and for the path, the path's length in cells, corners that it cuts."""
 
     build: float
     search: float
@@ -41,7 +41,7 @@ class Found(NamedTuple):
 
 
 def rooms(size: int) -> Grid:
-    """Ten by ten rooms, each with a door to each neighbor."""
+    """Return ten by ten rooms, each with a door to each neighbor."""
     dice = random.Random(1)
     grid = np.ones((size, size), np.uint8)
     step = size // 10
@@ -57,7 +57,7 @@ def rooms(size: int) -> Grid:
 
 
 def maze(size: int) -> Grid:
-    """A perfect maze with corridors of three cells, carved depth first."""
+    """Return a perfect maze with corridors of three cells, carved depth first."""
     dice = random.Random(2)
     count = (size - 1) // 4
     grid = np.zeros((size, size), np.uint8)
@@ -85,27 +85,27 @@ def maze(size: int) -> Grid:
 
 
 def scattered(size: int, share: float) -> Grid:
-    """Obstacles at random, none near the two ends."""
+    """Return random obstacles, none near the two ends."""
     grid = (np.random.default_rng(3).random((size, size)) >= share).astype(np.uint8)
     grid[:4, :4] = grid[-6:, -6:] = 1
     return grid
 
 
 def ends(name: str, size: int) -> tuple[Cell, Cell]:
-    """Opposite corners."""
+    """Return opposite corners."""
     last = 4 * ((size - 1) // 4) - 2 if name == "maze" else size - 3
     return (2, 2), (last, last)
 
 
 def make_map(name: str, size: int) -> Grid:
-    """A map by its name."""
+    """Return a map by its name."""
     if name.startswith("random"):
         return scattered(size, int(name.removeprefix("random")) / 100.0)
     return rooms(size) if name == "rooms" else maze(size)
 
 
 def ours(grid: Grid, start: Cell, goal: Cell) -> Found:
-    """Midspan's: there is no graph to build."""
+    """Plan with Midspan's A*, which builds no graph."""
     begin = time.perf_counter()
     path = astar(grid, start, goal)
     seconds = time.perf_counter() - begin
@@ -113,7 +113,7 @@ def ours(grid: Grid, start: Cell, goal: Cell) -> Found:
 
 
 def by_scipy(grid: Grid, start: Cell, goal: Cell) -> Found:
-    """Dijkstra on a sparse matrix, without cut corners."""
+    """Plan with Dijkstra on a sparse matrix, without cutting corners."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import dijkstra
 
@@ -140,7 +140,7 @@ def by_scipy(grid: Grid, start: Cell, goal: Cell) -> Found:
 
 
 def by_w9(grid: Grid, start: Cell, goal: Cell) -> Found:
-    """A* in C++, without cut corners."""
+    """Plan with A* in C++, without cutting corners."""
     from w9_pathfinding.envs import DiagonalMovement
     from w9_pathfinding.envs import Grid as Environment
     from w9_pathfinding.pf import AStar
@@ -158,7 +158,7 @@ def by_w9(grid: Grid, start: Cell, goal: Cell) -> Found:
 
 
 def by_pyastar2d(grid: Grid, start: Cell, goal: Cell) -> Found:
-    """A* in C++; a diagonal counts as one, and corners are cut."""
+    """Plan with A* in C++, where a diagonal counts as one, and corners are cut."""
     import pyastar2d
 
     begin = time.perf_counter()
@@ -169,13 +169,13 @@ def by_pyastar2d(grid: Grid, start: Cell, goal: Cell) -> Found:
 
 
 def length(path: Any) -> float:
-    """Of a way of cells, a diagonal being the square root of two."""
+    """Return the length of a path in cells, with a diagonal as the square root of two."""
     steps = np.abs(np.diff(np.asarray(path), axis=0)).sum(axis=1)
     return float((steps == 1).sum() + math.sqrt(2.0) * (steps == 2).sum())
 
 
 def corners_cut(grid: Grid, path: Any) -> int:
-    """Diagonal steps of a way of rows and columns past a cell that is not free."""
+    """Return the number of diagonal steps of a path past an occupied cell."""
     steps_from, steps_to = np.asarray(path)[:-1], np.asarray(path)[1:]
     diagonal = (steps_from != steps_to).all(axis=1)
     beside = (grid[steps_from[:, 0], steps_to[:, 1]] > 0) & (grid[steps_to[:, 0], steps_from[:, 1]] > 0)
@@ -183,7 +183,7 @@ def corners_cut(grid: Grid, path: Any) -> int:
 
 
 def smoothed(grid: Grid, start: Cell, goal: Cell) -> float:
-    """Seconds for a way and its waypoints."""
+    """Return the seconds for a path and its waypoints."""
     begin = time.perf_counter()
     path = astar(grid, start, goal)
     assert path is not None
@@ -195,11 +195,11 @@ PEERS = {"scipy": by_scipy, "w9-pathfinding": by_w9, "pyastar2d": by_pyastar2d}
 
 
 def measured(sizes: list[int], maps: list[str], rounds: int) -> Iterator[Row]:
-    """All rows: the best of some rounds of each, in turns."""
+    """Yield all rows: the best of several rounds of each, in turns."""
     for size in sizes:
         for name in maps:
             grid, (start, goal) = make_map(name, size), ends(name, size)
-            ours(grid, start, goal)  # memory is there
+            ours(grid, start, goal)  # allocates the memory
             smoothed(grid, start, goal)
             peer_results: dict[str, list[Found]] = {peer: [] for peer in PEERS}
             own_results: list[Found] = []
@@ -215,10 +215,10 @@ def measured(sizes: list[int], maps: list[str], rounds: int) -> Iterator[Row]:
                 built = min(result.build + result.search for result in all_)
                 yield Row(f"{name} {size}, {peer}", 1e3 * mine, 1e3 * search, "ms")
                 yield Row(f"{name} {size}, {peer} with its graph", 1e3 * mine, 1e3 * built, "ms")
-                yield Row(f"{name} {size}, length beside {peer}", own_results[0].length, all_[0].length, "cells")
+                yield Row(f"{name} {size}, length to {peer}", own_results[0].length, all_[0].length, "cells")
                 if all_[0].cut:
-                    yield Row(f"{name} {size}, corners cut beside {peer}", 0, all_[0].cut, "steps")
-            yield Row(f"{name} {size}, with waypoints beside without", 1e3 * min(whole), 1e3 * mine, "ms")
+                    yield Row(f"{name} {size}, corners cut to {peer}", 0, all_[0].cut, "steps")
+            yield Row(f"{name} {size}, with waypoints to without", 1e3 * min(whole), 1e3 * mine, "ms")
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""The processes of a benchmark: roscore, the daemon, and programs that obey commands, in a place of their own."""
+"""The processes of a benchmark: roscore, the daemon, and programs that execute commands, in a temporary sandbox."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ UP_SECONDS = 60.0
 
 
 class Processes:
-    """A place, and the processes in it; all end with it.
+    """A sandbox with its processes, which end with it.
 
     Args:
-        config: the daemon's configuration, but for what names the place.
-        template: a configuration file over which it is laid.
-        yarp: whether there is a YARP network, whose worker carries every topic too.
+        config: the daemon's configuration, without the sandbox's folders and addresses.
+        template: a configuration file that ``config`` overrides.
+        yarp: whether there is a YARP network, to which every topic is bridged, too.
     """
 
     def __init__(self, config: Mapping[str, Any], template: Path | None = None, *, yarp: bool = False) -> None:
@@ -43,14 +43,14 @@ class Processes:
         self._own = place.environment()
 
     def start_master(self) -> None:
-        """Start roscore and wait until it answers."""
+        """Start roscore, and wait until it replies."""
         place = self.place
         command = guarded(sandbox.SYSTEM_PYTHON, sandbox.roscore(place.config), "-p", str(place.master_port))
         self._spawn("roscore", command, self._ros1)
         self.until(place.master_answers, "roscore answers")
 
     def start_daemon(self) -> None:
-        """Start the daemon; returns at once."""
+        """Start the daemon, without waiting for it."""
         command = guarded(sys.executable, "-m", "bridge.cli.main", "run", "--config", self.place.config_file)
         self._spawn("daemon", command, self.place.environment())
 
@@ -58,10 +58,10 @@ class Processes:
         """Start a program.
 
         Args:
-            name: its name, for people and for `command`.
+            name: its name, for display and for `command`.
             module: the Python module that it runs.
-            arguments: the module's.
-            system: on the system's Python with ROS 1's packages, instead of Midspan's own.
+            arguments: the module's arguments.
+            system: whether it runs on the system's Python with ROS 1's packages, instead of Midspan's.
         """
         python, env = (sandbox.SYSTEM_PYTHON, self._ros1) if system else (sys.executable, self._own)
         return self._spawn(name, [python, "-m", module, *arguments], env)
@@ -71,12 +71,12 @@ class Processes:
         return child
 
     def command(self, name: str, do: str, event: str, **params: Any) -> dict[str, Any]:
-        """Send a program a command, and wait for its answer."""
+        """Send a command to a program, and return its answer."""
         self._children[name].ask(do, **params)
         return self.wait_for(name, event)
 
     def wait_for(self, name: str, event: str) -> dict[str, Any]:
-        """An event that a program tells; raises `RuntimeError` where it does not in time."""
+        """Wait for an event from a program; raises `RuntimeError` on a time-out."""
         message = self._children[name].wait_for(event, UP_SECONDS)
         if message is None:
             msg = f"{name} did not answer ({event}):\n{self._children[name].last_words()}\n{self.words()}"
@@ -86,7 +86,7 @@ class Processes:
     def until(
         self, condition: Callable[[], object], what: str, seconds: float = UP_SECONDS, every: float = 0.05
     ) -> float:
-        """Wait for a condition; the moment at which it held. Raises `RuntimeError` where it does not come true."""
+        """Wait for a condition, and return the moment at which it held; raises `RuntimeError` on a time-out."""
         end = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > end:
@@ -96,29 +96,29 @@ class Processes:
         return time.monotonic()
 
     def words(self) -> str:
-        """The daemon's last ones."""
+        """Return the end of the daemon's log."""
         return self._children["daemon"].last_words() if "daemon" in self._children else ""
 
     def prefer(self) -> None:
-        """Have all these processes scheduled before the machine's others (Linux, root); for all alike, so fair."""
+        """Schedule all these processes before the machine's others (Linux, root)."""
         for pid in marked(self.place.folder):
             for task in Path(f"/proc/{pid}/task").iterdir():
                 with contextlib.suppress(ProcessLookupError):
                     os.sched_setscheduler(int(task.name), os.SCHED_RR, os.sched_param(1))
 
     def stop(self, name: str) -> None:
-        """Have a process leave in good order."""
+        """Stop a process in an orderly manner."""
         child = self._children.pop(name)
         child.begin_stop()
         child.finish_stop(5.0)
 
     def remember_memory(self) -> set[Path]:
-        """Files in shared memory that a process of this run uses, or used when this was called before."""
+        """Return the files in shared memory that processes of this run use, or used at an earlier call."""
         self._memory |= shared_memory(self.place.folder, self.place.domain_ports)[0]
         return self._memory
 
     def close(self) -> None:
-        """End all processes."""
+        """Stop all processes."""
         self.remember_memory()
         last = ("daemon", "roscore")
         groups = [[name for name in self._children if name not in last], *([name] for name in last)]
@@ -140,7 +140,9 @@ class Processes:
 
 
 def add_realtime_option(parser: argparse.ArgumentParser) -> None:
-    """Give a benchmark the option ``--realtime``, for `Processes.prefer`."""
+    """Add the option ``--realtime`` to a benchmark, for `Processes.prefer`."""
     parser.add_argument(
-        "--realtime", action="store_true", help="schedule all processes of it before the machine's others (Linux, root)"
+        "--realtime",
+        action="store_true",
+        help="schedule the benchmark's processes before the machine's others (Linux, root)",
     )

@@ -1,16 +1,16 @@
-"""Recording images at 200 MB/s and 5,000 small messages a second: what is lost, what it costs, whom it delays.
+"""Recording images at 200 MB/s and 5,000 small messages per second: losses, cost, and delay of other subscribers.
 
-One sender, one listener of the same topics, and in turns beside them `midspan record`, a bare zenoh subscriber that
-writes the same bytes with the library `mcap` on another thread, and nobody. All are processes of their own on one
-hub, with the hub's own session configuration. Rows:
+One sender, one listener to the same topics, and in turns: `midspan record`, a bare zenoh subscriber that writes the
+same bytes with the library `mcap` on another thread, and no recorder. All are separate processes on one hub, with the
+hub's own session configuration. Rows:
 
 - messages lost: numbered by the sender and not in the file;
-- processor time of the recorder's process over the bare subscriber's, for each gigabyte that was sent (the aim: 1.3);
-- latency of the small messages to the listener beside the recorder, over that beside nobody (the aim: 1.1).
+- processor time of the recorder's process over the bare subscriber's, per sent gigabyte (the aim: 1.3);
+- latency of the small messages to the listener with the recorder, over that without (the aim: 1.1).
 
-Chunks are not compressed unless ``--compression`` says so: zstd, `midspan record`'s default, takes about 14 processor
-seconds for a gigabyte of these images, which is more than two cores at 200 MB/s, for whoever writes them by `mcap`.
-Files are written into memory (/dev/shm) unless ``--folder`` says where: the disk is not what is measured.
+Chunks are not compressed, except with ``--compression``: zstd, the default of `midspan record`, needs about 14
+processor seconds per gigabyte of these images, which is more than two cores at 200 MB/s for any writer with `mcap`.
+Files are written into memory (/dev/shm), except with ``--folder``, so that the disk is not measured.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ IMAGE, IMAGE_TYPE = "/camera/image", "sensor_msgs/msg/Image"
 SMALL = [f"/small_{number}" for number in range(5)]
 SMALL_TYPE = "geometry_msgs/msg/TwistStamped"
 SIDE = 1200
-"""Pixels of an image's side; three bytes each: 4.3 MB."""
+"""Pixels of an image's side; with three bytes each 4.3 MB."""
 
 SMALL_RATE = 1000.0
 FLOW = 200e6
@@ -54,24 +54,24 @@ RECORDERS = ("nobody", "midspan", "bare")
 
 
 def settings(endpoint: str, node: str, domain: int = 0) -> HubSettings:
-    """Of each participant: the hub's defaults, without a lane."""
+    """Return a participant's settings: the hub's defaults, without the lane."""
     return HubSettings(router=endpoint, node=node, worker=node, domain=domain)
 
 
 def until_subscribed(hub: Hub, topics: Sequence[str], count: int) -> None:
-    """Wait until each topic has so many subscribers; raises `RuntimeError` after 20 s."""
+    """Wait until each topic has ``count`` subscribers; raises `RuntimeError` after 20 s."""
     end = time.monotonic() + 20.0
     while any(len(hub.graph.subscriptions(topic)) != count for topic in topics):
         if time.monotonic() > end:
             subscribers = {
                 topic: [subscription.node for subscription in hub.graph.subscriptions(topic)] for topic in topics
             }
-            raise RuntimeError(f"there are not {count} subscribers of each topic: {subscribers}")
+            raise RuntimeError(f"not {count} subscribers of each topic: {subscribers}")
         time.sleep(0.05)
 
 
 def picture() -> bytes:
-    """An image in CDR: a gradient with noise in its lowest bits, as a camera has."""
+    """Return an image in CDR: a gradient with noise in its lowest bits, like that of a camera."""
     import numpy as np
 
     from bridge.messages.values import MessageWriter
@@ -87,7 +87,7 @@ def picture() -> bytes:
 
 
 def send(endpoint: str, domain: int, flow: float) -> None:
-    """Publish for so many seconds whenever a line says how many; tells how many of each were sent."""
+    """For each input line with seconds, publish for that time, and print the numbers of sent messages."""
     registry = Registry()
     image, small = picture(), bytes(100)
     image_rate = flow / len(image)
@@ -112,7 +112,7 @@ def send(endpoint: str, domain: int, flow: float) -> None:
 
 
 def listen(endpoint: str, domain: int) -> None:
-    """Hear everything; at each line tell how late the small messages came (ms), and forget them."""
+    """Subscribe to everything; at each input line print the latencies of the small messages (ms), and clear them."""
     registry = Registry()
     ages: list[int] = []
     images = [0]
@@ -137,9 +137,9 @@ def listen(endpoint: str, domain: int) -> None:
 
 
 def bare(endpoint: str, file: Path, compression: str) -> None:
-    """Subscribe with bare zenoh, and write with `mcap` on another thread; ends at the end of its input.
+    """Subscribe with bare zenoh, and write with `mcap` on another thread, until the input ends.
 
-    Where it wrote in zenoh's callback it would hold the sender up, and be sent less.
+    Writing in zenoh's callback would block the sender, which would then send less.
     """
     import zenoh
     from mcap.writer import CompressionType, Writer
@@ -182,7 +182,7 @@ def bare(endpoint: str, file: Path, compression: str) -> None:
 
 
 def send_line(message: dict[str, Any]) -> None:
-    """A line of JSON for who started this."""
+    """Print a line of JSON for the benchmark."""
     print(json.dumps(message), flush=True)
 
 
@@ -190,7 +190,7 @@ def send_line(message: dict[str, Any]) -> None:
 
 
 class Program:
-    """A process that is told lines, and tells lines."""
+    """A process that reads and writes lines."""
 
     def __init__(self, *words: str | Path) -> None:
         self._name = " ".join(map(str, words))
@@ -200,27 +200,27 @@ class Program:
         )  # fmt: skip
 
     def receive(self) -> dict[str, Any]:
-        """The next line; raises `RuntimeError` where the process has ended."""
+        """Return the next line; raises `RuntimeError` if the process has exited."""
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         if not line:
-            raise RuntimeError(f"{self._name} has ended")
+            raise RuntimeError(f"{self._name} has exited")
         message: dict[str, Any] = json.loads(line)
         return message
 
     def send(self, line: str) -> None:
-        """A line for it."""
+        """Send a line to the process."""
         assert self.process.stdin is not None
         self.process.stdin.write(f"{line}\n")
         self.process.stdin.flush()
 
     def cpu(self) -> float:
-        """Processor seconds so far."""
+        """Return the processor seconds so far."""
         times = psutil.Process(self.process.pid).cpu_times()
         return float(times.user + times.system)
 
     def cpu_at_rest(self) -> float:
-        """The same once it rests, which it does when all is written."""
+        """Return the processor seconds once the process rests, since then all is written."""
         before, now = -1.0, self.cpu()
         while now - before > 0.05:
             Event().wait(0.5)
@@ -228,7 +228,7 @@ class Program:
         return now
 
     def end(self) -> None:
-        """Have it end by itself, by the end of its input and Ctrl-C."""
+        """Let the process exit, by the end of its input and Ctrl-C."""
         if self.process.poll() is None:
             assert self.process.stdin is not None
             self.process.stdin.close()
@@ -243,7 +243,7 @@ class Program:
 
 
 class Turn(NamedTuple):
-    """One turn: processor seconds a GB, messages lost in the file, latency in ms, what the sender reached."""
+    """One turn: processor seconds per GB, messages lost in the file, latency in ms, and the sent flow."""
 
     cpu: float
     lost: int
@@ -255,7 +255,7 @@ class Turn(NamedTuple):
 
 @contextlib.contextmanager
 def running(*words: str | Path) -> Iterator[Program]:
-    """A program until the block's end."""
+    """Run a program until the end of the context."""
     program = Program(*words)
     try:
         yield program
@@ -264,7 +264,7 @@ def running(*words: str | Path) -> Iterator[Program]:
 
 
 class Bench:
-    """The hub, the sender and the listener; turns of recorders beside them."""
+    """The hub, the sender and the listener; recorders run in turns."""
 
     def __init__(self, args: argparse.Namespace, stack: contextlib.ExitStack) -> None:
         from tests.support.ports import free_port
@@ -286,7 +286,7 @@ class Bench:
         self.image = self.sender.receive()["image"]
 
     def turn(self, recorder: str) -> Turn:
-        """One turn with this recorder."""
+        """Run one turn with a recorder."""
         file = self.folder / "turn.mcap"
         with contextlib.ExitStack() as stack:
             program = None
@@ -322,7 +322,7 @@ class Bench:
         ]  # fmt: skip
 
     def _flow(self, seconds: float) -> dict[str, Any]:
-        """Have the sender send, and wait until all has arrived and is written."""
+        """Let the sender send, and wait until all messages have arrived and are written."""
         self.sender.send(str(seconds))
         sent = self.sender.receive()
         Event().wait(SETTLE_SECONDS)
@@ -333,7 +333,7 @@ class Bench:
 
     @staticmethod
     def _lost(file: Path) -> int:
-        """Messages that are missing between the first and the last of each topic."""
+        """Return the number of missing messages between the first and the last of each topic."""
         from mcap.records import Channel, Message
         from mcap.stream_reader import StreamReader
 
@@ -348,12 +348,12 @@ class Bench:
                     first, last, count = spans.get(record.channel_id, (number, number, 0))
                     spans[record.channel_id] = min(first, number), max(last, number), count + 1
         if set(topics.values()) != {IMAGE, *SMALL}:
-            raise RuntimeError(f"the file has {set(topics.values())}")
+            raise RuntimeError(f"the file contains {set(topics.values())}")
         return sum(last - first + 1 - count for first, last, count in spans.values())
 
 
 def measure(args: argparse.Namespace) -> list[Row]:
-    """All turns, recorders in turn; the medians as rows."""
+    """Run all turns; return the medians as rows."""
     turns: dict[str, list[Turn]] = {name: [] for name in RECORDERS}
     with contextlib.ExitStack() as stack:
         bench = Bench(args, stack)
@@ -365,14 +365,14 @@ def measure(args: argparse.Namespace) -> list[Row]:
         return float(statistics.median(getattr(turn, figure) for turn in turns[name]))
 
     flow = middle("midspan", "megabytes"), middle("midspan", "small")
-    print(f"sent beside midspan: {flow[0]:.0f} MB/s of images, {flow[1]:.0f} small messages a second", file=sys.stderr)
+    print(f"sent with midspan: {flow[0]:.0f} MB/s of images, {flow[1]:.0f} small messages per second", file=sys.stderr)
     lost = {name: float(sum(turn.lost for turn in turns[name])) for name in RECORDERS}
     return [
-        Row("images of MB/s that were sent, beside its recorder", flow[0], middle("bare", "megabytes"), "MB/s", "more"),
+        Row("sent images, with midspan, against bare", flow[0], middle("bare", "megabytes"), "MB/s", "more"),
         Row("messages lost", lost["midspan"], lost["bare"], "msgs"),
         Row(f"processor, {args.compression}, against bare", middle("midspan", "cpu"), middle("bare", "cpu"), "s/GB"),
-        Row("latency p50 of small ones, against nobody", middle("midspan", "p50"), middle("nobody", "p50"), "ms"),
-        Row("latency p99 of small ones, against nobody", middle("midspan", "p99"), middle("nobody", "p99"), "ms"),
+        Row("latency p50 of small ones, against no recorder", middle("midspan", "p50"), middle("nobody", "p50"), "ms"),
+        Row("latency p99 of small ones, against no recorder", middle("midspan", "p99"), middle("nobody", "p99"), "ms"),
         Row("latency p50 of small ones, against bare", middle("midspan", "p50"), middle("bare", "p50"), "ms"),
         Row("latency p99 of small ones, against bare", middle("midspan", "p99"), middle("bare", "p99"), "ms"),
     ]
@@ -381,11 +381,11 @@ def measure(args: argparse.Namespace) -> list[Row]:
 def main(argv: Sequence[str] | None = None) -> None:
     """Run the comparison."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each turn (default 10)")
+    parser.add_argument("--seconds", type=float, default=10.0, help="seconds of each turn (default 10)")
     parser.add_argument("--rounds", type=int, default=3, help="turns of each (default 3)")
-    parser.add_argument("--flow", type=float, default=FLOW, help="bytes a second of images (default 200e6)")
+    parser.add_argument("--flow", type=float, default=FLOW, help="bytes per second of images (default 200e6)")
     parser.add_argument("--compression", choices=["zstd", "lz4", "none"], default="none")
-    parser.add_argument("--folder", type=Path, help="where files are written (default: memory)")
+    parser.add_argument("--folder", type=Path, help="folder for the files (default: memory)")
     add_json_option(parser)
     inner = parser.add_argument_group("for its own processes")
     inner.add_argument("--role", choices=["send", "listen", "bare"])
@@ -396,7 +396,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     if args.role is None:
         report(measure(args), args.json)
         return
-    # Ctrl-C ends the benchmark, which ends its processes in its own order
+    # Ctrl-C ends the benchmark, which stops its processes in order
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if args.role == "send":
         send(args.endpoint, args.domain, args.flow)

@@ -1,9 +1,9 @@
-"""Latency of bridged topics beside the recorder: ROS 1 to ROS 2 and back, while images and small messages are recorded.
+"""Latency of bridged topics with the recorder: ROS 1 to ROS 2 and back, while images and small messages are recorded.
 
-On the daemon's hub one sender has 200 MB/s of images and 5,000 small messages a second, as in `record.py`. In turns
-`midspan record` records these and the bridged topics, and nobody does; in both a rospy program and an rclpy program
-send each other small messages, whose way through the daemon is what a deployment waits for. Rows: p50 and p99 beside
-the recorder over those beside nobody (the aim: 1.1). The file is written into memory, as `record.py` has it.
+On the daemon's hub a sender publishes 200 MB/s of images and 5,000 small messages per second, as in `record.py`. In
+every other turn `midspan record` records these and the bridged topics; in all turns a rospy program and an rclpy
+program send small messages to each other through the daemon. Rows: p50 and p99 with the recorder over those without
+(the aim: 1.1). The file is written into memory, as in `record.py`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _CASE = next(case for case in CASES if case.key == "string")
 
 
 class Bench:
-    """A deployment with both ROS, the sender of what is recorded, and who hears it."""
+    """A deployment with ROS 1 and ROS 2, and sender and listener of the recorded topics."""
 
     def __init__(self, args: argparse.Namespace, stack: contextlib.ExitStack) -> None:
         self.args = args
@@ -54,14 +54,14 @@ class Bench:
         self.image = self.sender.receive()["image"]
 
     def turn(self, *, recorded: bool) -> dict[str, list[int]]:
-        """Latencies in nanoseconds by way; everything is sent meanwhile, with the recorder beside or without."""
+        """Return latencies in nanoseconds by direction while everything is sent, with or without the recorder."""
         count = max(1, int(self.args.seconds * _CASE.rate / len(WAYS)))
         with contextlib.ExitStack() as stack:
             if recorded:
                 stack.enter_context(record.running(*self._recorder()))
             record.until_subscribed(self.watch, [record.IMAGE, *record.SMALL], 2 if recorded else 1)
             self.sender.send(str(WARM_SECONDS + self.args.seconds * 1.5))
-            time.sleep(WARM_SECONDS)  # the flow is under way, and the file's channels are written
+            time.sleep(WARM_SECONDS)  # until messages flow, and the file's channels are written
             prepared = self.network.messages[_CASE.key]
             taken = {direction: self.network.measure(prepared, direction, count) for direction in WAYS}
             sent = self.sender.receive()
@@ -80,7 +80,7 @@ class Bench:
 
 
 def measure(args: argparse.Namespace) -> list[Row]:
-    """All turns, with and without the recorder; the medians over turns as rows."""
+    """Run all turns, with and without the recorder; return the medians as rows."""
     values: dict[tuple[bool, str, str], list[float]] = defaultdict(list)
     with contextlib.ExitStack() as stack:
         bench = Bench(args, stack)
@@ -93,7 +93,7 @@ def measure(args: argparse.Namespace) -> list[Row]:
 
     def row(direction: str, figure: str) -> Row:
         ours, peer = (statistics.median(values[recorded, direction, figure]) for recorded in (True, False))
-        return Row(f"{WAYS[direction]}, {figure}, beside the recorder, against nobody", ours, peer, "us")
+        return Row(f"{WAYS[direction]}, {figure}, with the recorder, against without", ours, peer, "us")
 
     return [row(direction, figure) for direction in WAYS for figure in ("p50", "p99")]
 
@@ -101,9 +101,9 @@ def measure(args: argparse.Namespace) -> list[Row]:
 def main(argv: Sequence[str] | None = None) -> None:
     """Run the comparison."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=8.0, help="of each turn (default 8)")
+    parser.add_argument("--seconds", type=float, default=8.0, help="seconds of each turn (default 8)")
     parser.add_argument("--rounds", type=int, default=4, help="turns of each (default 4)")
-    parser.add_argument("--flow", type=float, default=record.FLOW, help="bytes a second of images (default 200e6)")
+    parser.add_argument("--flow", type=float, default=record.FLOW, help="bytes per second of images (default 200e6)")
     add_json_option(parser)
     args = parser.parse_args(argv)
     report(measure(args), args.json)

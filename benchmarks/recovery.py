@@ -1,10 +1,10 @@
-"""What it takes to come back after a loss, with the real daemon between real ROS 1, ROS 2 and hub programs.
+"""Recovery after a loss, with the real daemon between real ROS 1, ROS 2 and hub programs.
 
-Each loss happens so many times (default 10). Printed of each: how often everything flowed again by itself; the seconds
-until then, counted from the moment at which the lost part was there again (or, where the daemon brings it back, from
-the loss); the longest silence of a stream; stale commands that came out, stream messages that came twice, latched lines
-that old or new listeners miss, what is left of the dead on the networks. Rows hold the seconds; their "peer" is the
-time that the project allows.
+Each loss happens several times (default 10). Printed for each are: how often all messages flowed again without help;
+the seconds until then, counted from the moment at which the lost part was back (or from the loss, if the daemon
+restarts the part); the longest silence of a stream; delivered stale commands, duplicate stream messages, latched lines
+that old or new subscribers miss, and leftovers of dead processes on the networks. The rows contain the seconds; their
+"peer" is the time that the project allows.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LITTER = "litter"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; returns 1 where something did not come back, or came back wrong, or was left behind."""
+    """Run the benchmark; return 1 if a recovery failed or was wrong, or left something behind."""
     args = _parser().parse_args(arguments)
     chosen = [loss for loss in LOSSES if args.cases is None or loss.key in args.cases]
     outcomes: dict[str, list[Outcome]] = defaultdict(list)
@@ -73,7 +73,7 @@ def _rows(loss: Loss, outcomes: Sequence[Outcome]) -> list[Row]:
 
 
 def _spread(values: Sequence[float]) -> tuple[float, float, float]:
-    """Median, 95th percentile and maximum; infinite where there are none."""
+    """Return median, 95th percentile and maximum; infinite without values."""
     if not values:
         return (float("inf"),) * 3
     ordered = sorted(values)
@@ -83,7 +83,7 @@ def _spread(values: Sequence[float]) -> tuple[float, float, float]:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", nargs="+", choices=[*(loss.key for loss in LOSSES), LITTER], help="default all")
-    parser.add_argument("--times", type=int, default=10, metavar="N", help="how often each (default 10)")
+    parser.add_argument("--times", type=int, default=10, metavar="N", help="repetitions of each loss (default 10)")
     parser.add_argument("--kills", type=int, default=20, metavar="N", help="kills of the case litter (default 20)")
     add_json_option(parser)
     return parser

@@ -1,14 +1,14 @@
-"""How soon a planner that was killed and started again is found through the daemon, beside a bare client of its side.
+"""The time until a killed and restarted planner is discovered through the daemon, compared with a bare client.
 
-The planner is the tests' stand-in for move_base (rospy) or Nav2 (rclpy), killed with SIGKILL: what it registered at the
-ROS 1 master stays there until the new one comes. The seconds count from the moment at which the new one's action server
-is registered (its five topics at the master) until a client on the hub finds it, by the same question as the gateway
-asks. The floor is what a bare client of the planner's own side takes from the same moment, which waits since before.
-It is started anew at once, or after it was gone for a while (`--away`; a dead ROS 2 program is known to be gone after
-20 s, Fast DDS's lease). 0 s: it was back before anybody knew that it was gone.
+The planner is the tests' stand-in for move_base (rospy) or Nav2 (rclpy), killed with SIGKILL: its registrations at the
+ROS 1 master stay until it is restarted. The seconds count from the moment at which the new action server is registered
+(its five topics at the master) until a client on the hub discovers it, by the same check as the gateway. The floor is
+the time of a bare client on the planner's own side from the same moment; it has been waiting before. The planner is
+restarted at once or after a time (`--away`; the death of a ROS 2 program is detected after 20 s, Fast DDS's lease).
+After 0 s it is back before its death is detected.
 
-The last rows tell the processor time of the side's worker, in per cent of a core, while the planner is away; their
-"peer" is that while the planner is there and idle.
+The last rows are the processor time of the side's worker, in percent of a core, while the planner is away; their "peer"
+is that while the planner is available and idle.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ _STEADY_SECONDS = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One side's planner: the side's key, which is its worker's name too; for people; its action; the stand-in.
+    """One side's planner: the side's key (also its worker's name), a name for display, its action, the stand-in.
 
-    ``aways``: for how many seconds it is gone.
+    ``aways``: seconds until it is restarted.
     """
 
     key: str
@@ -66,14 +66,14 @@ SIDES = (
 
 @dataclass(slots=True)
 class Times:
-    """Seconds from the registration until the hub's client, and the bare one, found the planner."""
+    """Seconds from the registration until the hub's client, and the bare one, discovered the planner."""
 
     ours: list[float] = field(default_factory=list)
     bare: list[float] = field(default_factory=list)
 
 
 class Watcher:
-    """A client on the hub, asked all the time whether the planner is there.
+    """A client on the hub, which continuously checks whether the planner is available.
 
     Attributes:
         ready: whether it is.
@@ -88,7 +88,7 @@ class Watcher:
         self._thread.start()
 
     def close(self) -> None:
-        """Ask no more."""
+        """Stop checking."""
         self._stopping.set()
         self._thread.join()
         self._client.close()
@@ -104,7 +104,7 @@ class Bench(Processes):
     """One side's planner, with the daemon and a client on the hub."""
 
     def __init__(self, side: Side) -> None:
-        # the daemon polls as it does where nobody set anything
+        # the daemon polls with its default settings
         super().__init__({"log": {"level": "warning"}})
         self.side = side
         self._loop: EventLoop | None = None
@@ -113,7 +113,7 @@ class Bench(Processes):
             self.start_daemon()
             self._open_hub()
             self.start_planner()
-            self.until(lambda: self.watcher.ready, "the planner is found for the first time")
+            self.until(lambda: self.watcher.ready, "the planner is discovered")
         except BaseException:
             self.close()
             raise
@@ -121,14 +121,14 @@ class Bench(Processes):
     def _open_hub(self) -> None:
         hub = self.place.config.hub
         settings = HubSettings(domain=hub.domain, router=hub.listen, node="client", daemon="client", worker="client")
-        self.until(lambda: self._worker(), "the side's worker is up")
+        self.until(lambda: self._worker(), "the side's worker runs")
         self._hub, self._loop = Hub.open(settings), EventLoop("client")
         self._node = ModuleNode(self._hub, Registry(), self._loop, SYSTEM)
         self._loop.start()
         self.watcher = Watcher(self._node, self.side.action)
 
     def start_planner(self) -> float:
-        """Start the planner; the moment at which it was registered."""
+        """Start the planner, and return the moment at which it was registered."""
         program = str(_SUPPORT / self.side.program)
         self.launch(
             "planner", f"benchmarks.returned.{self.side.key}", "planner", program, system=self.side.key == "ros1"
@@ -136,12 +136,12 @@ class Bench(Processes):
         return float(self.wait_for("planner", "registered")["at"])
 
     def kill_planner(self) -> None:
-        """SIGKILL."""
+        """Send SIGKILL to the planner."""
         os.kill(self._children["planner"].pid, signal.SIGKILL)
         self.stop("planner")
 
     def round(self, away: float, times: Times) -> None:
-        """Kill the planner, and start it again after so many seconds."""
+        """Kill the planner, and restart it after some seconds."""
         killed = time.monotonic()
         self.kill_planner()
         self.launch("waiter", f"benchmarks.returned.{self.side.key}", "waiter", system=self.side.key == "ros1")
@@ -150,17 +150,17 @@ class Bench(Processes):
         registered = self.start_planner()
 
         def recovered() -> bool:
-            """Found again, or never lost."""
+            """Return whether it was discovered again, or never lost."""
             known = self.watcher.since > killed or time.monotonic() > registered + _STEADY_SECONDS
             return self.watcher.ready and known
 
-        self.until(recovered, "the hub's client finds it again")
+        self.until(recovered, "the hub's client discovers it again")
         times.ours.append(max(0.0, self.watcher.since - registered))
         times.bare.append(float(self.wait_for("waiter", "found")["at"]) - registered)
         self.stop("waiter")
 
     def load(self) -> float:
-        """The processor time of the side's worker for a while from now, in per cent of a core."""
+        """Measure the load of the side's worker for a while, in percent of a core."""
         process = psutil.Process(self._worker())
         before, began = process.cpu_times(), time.monotonic()
         time.sleep(_IDLE_SECONDS)
@@ -172,7 +172,7 @@ class Bench(Processes):
         return next((int(w["pid"]) for w in workers if w["worker"] == self.side.key and w["phase"] == "running"), 0)
 
     def close(self) -> None:
-        """End everything."""
+        """Stop all processes, and close the hub session."""
         if self._loop is not None:
             self.watcher.close()
             self._node.close()
@@ -184,7 +184,7 @@ class Bench(Processes):
 
 
 def measure(side: Side, aways: Sequence[float], rounds: int) -> list[Row]:
-    """The rows of one side."""
+    """Measure one side, and return the rows."""
     rows = []
     with Bench(side) as bench:
         for away in aways:
@@ -193,12 +193,12 @@ def measure(side: Side, aways: Sequence[float], rounds: int) -> list[Row]:
                 bench.round(away, times)
                 last = f"{times.ours[-1]:.3f} s, bare {times.bare[-1]:.3f} s"
                 print(f"{side.name}, away for {away:g} s, {number + 1}/{rounds}: {last}", flush=True)
-            name = f"{side.name}, killed, back after {away:g} s, found"
+            name = f"{side.name}, killed, back after {away:g} s, discovered"
             for statistic, of in (("p50", statistics.median), ("max", max)):
                 rows.append(Row(f"{name}, {statistic}", of(times.ours), of(times.bare), "s"))
         idle_load = bench.load()
         bench.kill_planner()
-        bench.until(lambda: not bench.watcher.ready, "the planner's death is known")
+        bench.until(lambda: not bench.watcher.ready, "the planner's death is detected")
         rows.append(Row(f"{side.name}, its worker's load while it is away", bench.load(), idle_load, "%"))
     return rows
 
@@ -207,8 +207,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sides", nargs="+", choices=[side.key for side in SIDES], help="default all")
-    parser.add_argument("--away", nargs="+", type=float, metavar="S", help="default 0 and 5; ROS 2: 25")
-    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="of each (default 5)")
+    parser.add_argument(
+        "--away", nargs="+", type=float, metavar="S", help="seconds until the restart (default 0 and 5; ROS 2: 25)"
+    )
+    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="rounds of each (default 5)")
     add_json_option(parser)
     args = parser.parse_args(arguments)
     rows = []

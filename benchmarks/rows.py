@@ -1,7 +1,6 @@
-"""Benchmark results as rows: what was measured, ours beside a peer's, as a table and as JSON.
+"""Benchmark results as rows, with Midspan's and a peer's figures, as a table and as JSON.
 
-A row is ``{case, ours, peer, ratio, unit, better}``; ``ratio`` is ours over the peer's, ``better`` says whether less or
-more of it is better.
+A row is ``{case, ours, peer, ratio, unit, better}``; ``ratio`` is ours over the peer's, ``better`` is "less" or "more".
 """
 
 from __future__ import annotations
@@ -27,24 +26,24 @@ class Row:
 
     @property
     def ratio(self) -> float:
-        """Ours over the peer's."""
+        """Midspan's figure over the peer's."""
         return self.ours / self.peer if self.peer else float("inf")
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:
-    """Give a benchmark the option ``--json FILE``."""
+    """Add the option ``--json FILE`` to a benchmark."""
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows to this file as JSON")
 
 
 def need_peers(*modules: str) -> None:
-    """End with an error where a library that is compared with is missing: a table without its rows would mislead."""
+    """Exit with an error if a compared library is missing, because a table without its rows would mislead."""
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
     if missing:
         raise SystemExit(f"missing peers: {', '.join(missing)}; 'make bench-peers' installs them")
 
 
 def report(rows: Sequence[Row], file: Path | None = None) -> None:
-    """Print the rows as a table, and write them to ``file`` where one is given."""
+    """Print the rows as a table, and write them to ``file`` if given."""
     width = max((len(row.case) for row in rows), default=4)
     print(f"{'case':<{width}}  {'ours':>12}  {'peer':>12}  {'ratio':>7}  unit    better")
     for row in rows:

@@ -1,8 +1,8 @@
-"""What the simulator costs: the base with a laser among more and more walls, beside the bare base; the laser's scans.
+"""The cost of the simulator: the base with a laser among many walls compared with the bare base; scans and pictures.
 
-The peer of the real-time factor is the bare loop of `World.step` of the same base on an empty floor, driven the same;
-those of the laser and of the depth camera are DART's own ray cast (with Bullet) on the same walls; that of the camera's
-share of a core is its picture without noise and points.
+The peer of the real-time factor is the bare loop of `World.step` of the same base on an empty floor, with the same
+commands; the peers of laser and depth camera are DART's own ray casts (with Bullet) on the same walls; that of the
+camera's share of a core is its picture without noise and points.
 
     python benchmarks/simulator.py [--json FILE] [--quick]
 """
@@ -39,7 +39,7 @@ _RAYS = 100
 
 
 def plan(count: int) -> Plan:
-    """So many walls on a floor that grows with them, with room to drive a circle in the middle."""
+    """Return a plan with a number of walls, whose size grows with them, with space for a circle in the middle."""
     rng = np.random.default_rng(count)
     half = 10.0 * math.sqrt(count / 50)
     boxes: list[Box] = []
@@ -52,7 +52,7 @@ def plan(count: int) -> Plan:
 
 
 def simulation(count: int) -> Simulation:
-    """The base with a laser of 1,600 beams at 10 Hz among so many walls."""
+    """Return the base with a laser of 1,600 beams at 10 Hz among a number of walls."""
     laser = LaserSection(beams=BEAMS, rate=10.0, noise=0.005)
     return Simulation(SimSection(laser=laser), plan(count))
 
@@ -65,14 +65,14 @@ def drive(sim: Simulation, seconds: float) -> None:
 
 
 def bare(sim: Simulation, seconds: float) -> None:
-    """The same base in the same circles, with nothing but steps: its wheels' commands stay."""
+    """Drive the same base in the same circles, with only DART steps and constant wheel commands."""
     step, base = sim.world.step, sim.base
     base.turn((base.matrix(0.16416, 0.338) @ (0.25, 0.0, _TURN)).tolist())
     step(round(seconds * 1e9 / STEP_NS))
 
 
 def factor(run: Callable[[Simulation, float], None], sim: Simulation, seconds: float) -> tuple[float, float]:
-    """Simulated seconds per second of processor time, and per second of the clock; the best of three."""
+    """Return simulated seconds per second of processor time, and of real time; the best of three."""
     run(sim, 1.0)
     best = (0.0, 0.0)
     for _ in range(3):
@@ -83,7 +83,7 @@ def factor(run: Callable[[Simulation, float], None], sim: Simulation, seconds: f
 
 
 def scans(count: int, seconds: float) -> tuple[float, float]:
-    """Scans per second: ours and by DART's rays."""
+    """Return scans per second: Midspan's, and by DART's rays."""
     sim = simulation(count)
     segments, circles = sim.world.seen()
     step = 2 * math.pi / BEAMS
@@ -108,7 +108,7 @@ def scans(count: int, seconds: float) -> tuple[float, float]:
 
 
 def pictures(count: int, seconds: float) -> tuple[float, float]:
-    """Depth pictures without noise per second: ours and by DART's rays, of which every hundredth is cast."""
+    """Return depth pictures without noise per second: Midspan's, and by DART's rays, with every hundredth cast."""
     sim = simulation(count)
     camera = DepthCamera(CameraSection(rate=5.0, noise=0.0), 0)
     solids, drops, at = sim.world.solids(), sim.world.drops, sim.base.pose()
@@ -131,7 +131,7 @@ def pictures(count: int, seconds: float) -> tuple[float, float]:
 
 
 def shares(name: str, seconds: float) -> list[Row]:
-    """What a picture at 5 Hz, with its noise and its points, takes of a core, beside the picture alone."""
+    """Return the load of pictures at 5 Hz with noise and points, compared with only the pictures."""
     sim = Simulation(SimSection(plan=name))
     solids, drops, at = sim.world.solids(), sim.world.drops, sim.base.pose()
     bare, whole = (DepthCamera(CameraSection(rate=5.0, noise=noise), 0) for noise in (0.0, 0.08))
@@ -141,7 +141,7 @@ def shares(name: str, seconds: float) -> list[Row]:
 
 
 def rate(do: Callable[[], Any], seconds: float) -> float:
-    """How often per second something can be done."""
+    """Return how often per second a function can be called."""
     do()
     count, began = 0, time.perf_counter()
     while time.perf_counter() - began < seconds:
@@ -153,7 +153,7 @@ def rate(do: Callable[[], Any], seconds: float) -> float:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="a tenth of the time, for a look")
+    parser.add_argument("--quick", action="store_true", help="a tenth of the time")
     add_json_option(parser)
     args = parser.parse_args()
     seconds = 4.0 if args.quick else 30.0

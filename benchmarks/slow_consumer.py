@@ -1,9 +1,8 @@
-"""A subscriber that reads one message a second from a fast stream: what it costs the daemon, and whom it delays.
+"""A subscriber that reads one message per second from a fast stream: its cost for the daemon, and delays of others.
 
-On each side a program's callback takes a second for each message of a large stream that another side publishes. Beside
-it another program of the same side reads the same stream, and a small one, without such a pause. Printed are the
-daemon's memory at its highest, and of the other program's messages those that were lost and the latency, with the slow
-one there and (the peer's column) before it came.
+On each side a program's callback takes a second for each message of a large stream from another side. A second program
+on the same side reads the same stream, and a small one, without such a pause. Printed are the daemon's peak memory, and
+the second program's lost messages and latency, with the slow program and (the peer's column) before it started.
 """
 
 from __future__ import annotations
@@ -32,15 +31,15 @@ PAUSE = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Reception:
-    """What the other program heard of one topic in a while.
+    """The messages of one topic that the second program received in a period.
 
     Attributes:
-        sent: messages that were sent.
-        lost: how many of them did not come.
-        repeated: how many came twice.
+        sent: number of sent messages.
+        lost: number of lost messages.
+        repeated: number of duplicates.
         p50: median latency in milliseconds.
         p99: the latency that one in a hundred exceeds.
-        latest: the highest latency.
+        latest: the maximum latency.
     """
 
     sent: int
@@ -56,13 +55,13 @@ class Slow:
     """One side's result.
 
     Attributes:
-        side: where the subscribers are.
-        before: by topic, without the slow subscriber.
-        beside: by topic, with it.
-        read: messages that the slow subscriber read.
-        drops: what the routes counted beside it, by reason.
-        memory_before: highest memory of each process in MB.
-        memory_beside: the same beside the slow subscriber.
+        side: the subscribers' side.
+        before: reception by topic, without the slow subscriber.
+        beside: reception by topic, with the slow subscriber.
+        read: number of messages that the slow subscriber read.
+        drops: the routes' drops with it, by reason.
+        memory_before: peak memory of each process without it, in MB.
+        memory_beside: peak memory of each process with it, in MB.
     """
 
     side: str
@@ -77,14 +76,14 @@ class Slow:
 def measure(
     deployment: Deployment, sides: Sequence[str], rate: float, seconds: float, alone: float | None = None
 ) -> list[Slow]:
-    """Measure some sides at once. Their programs and their sources' run already; the slow ones are started.
+    """Measure several sides at once. Their programs and sources already run; the slow programs are started.
 
     Args:
         deployment: the daemon.
-        sides: where the subscribers are.
-        rate: images of 1 MB a second on each side.
-        seconds: how long beside the slow ones.
-        alone: how long without them before; the same by default.
+        sides: the subscribers' sides.
+        rate: images of 1 MB per second on each side.
+        seconds: duration with the slow programs.
+        alone: duration without them before; by default the same.
     """
     streams = [Stream(deployment, side, rate) for side in sides]
     for stream in streams:
@@ -114,7 +113,7 @@ class Stream:
         self._deployment = deployment
 
     def open(self) -> None:
-        """Make the publishers and the subscriptions of the program that does not pause; returns when both cross."""
+        """Create the publishers, and the subscriptions of the fast program; wait until both topics are bridged."""
         deployment, kinds = self._deployment, {self.names[BIG]: "image1", self.names[SMALL]: "string"}
         for side, do in ((self.source, "publish"), (self.side, "subscribe")):
             deployment.ask(side, do, topics=[deployment.topic(side, name, kind) for name, kind in kinds.items()])
@@ -123,7 +122,7 @@ class Stream:
             deployment.ask(self.source, "put", topics=list(kinds))
             return all(ear["count"] for ear in self.received().values())
 
-        deployment.until(crosses, f"the streams cross to {self.side}")
+        deployment.until(crosses, f"the streams are bridged to {self.side}")
 
     def slow_down(self) -> None:
         """Start the slow subscriber."""
@@ -132,7 +131,7 @@ class Stream:
         self._deployment.ask(slow, "subscribe", topics=[topic], pause=PAUSE)
 
     def received(self) -> dict[str, dict[str, Any]]:
-        """What the program that does not pause heard, by topic."""
+        """Return what the fast program has received, by topic."""
         report = self._deployment.ask(self.side, "report")["heard"]
         return {topic: report[name] for topic, name in self.names.items()}
 
@@ -140,7 +139,7 @@ class Stream:
 def _watch(
     deployment: Deployment, streams: Sequence[Stream], seconds: float
 ) -> tuple[dict[str, dict[str, Reception]], dict[str, float]]:
-    """Send for so long; what was heard on each side, and each process's highest memory in MB."""
+    """Send for a time; return the reception on each side, and each process's peak memory in MB."""
     rates: dict[str, dict[str, float]] = {}
     for stream in streams:
         rates.setdefault(stream.source, {}).update(stream.rates)
@@ -175,7 +174,7 @@ def _reception(sent: int, start: int, told: dict[str, Any], heard: dict[str, Any
 
 
 def _drops(deployment: Deployment) -> dict[tuple[str, str], int]:
-    """What the routes of each side's large topic have dropped so far, by side and reason."""
+    """Return the drops so far of the routes of each side's large topic, by side and reason."""
     drops: dict[tuple[str, str], int] = {}
     for worker in deployment.status().values():
         for route in worker["routes"]:
@@ -186,7 +185,7 @@ def _drops(deployment: Deployment) -> dict[tuple[str, str], int]:
 
 
 def rows(slow: Slow) -> list[Row]:
-    """A side's figures beside the slow subscriber; the peer's are those before it came."""
+    """Return a side's figures with the slow subscriber; the peer's are those before it started."""
     result = []
     for topic, beside in slow.beside.items():
         before, case = slow.before[topic], f"slow on {slow.side}, {topic[1:]} topic"
@@ -195,7 +194,7 @@ def rows(slow: Slow) -> list[Row]:
         result.append(Row(f"{case}, p99", beside.p99, before.p99, "ms"))
         result.append(Row(f"{case}, latest", beside.latest, before.latest, "ms"))
     for name, most in slow.memory_beside.items():
-        result.append(Row(f"slow on {slow.side}, most memory of {name}", most, slow.memory_before[name], "MB"))
+        result.append(Row(f"slow on {slow.side}, peak memory of {name}", most, slow.memory_before[name], "MB"))
     return result
 
 
@@ -203,8 +202,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sides", nargs="+", choices=SIDES, default=list(SIDES), help="default all")
-    parser.add_argument("--rate", type=float, default=50.0, help="images of 1 MB a second (default %(default)s)")
-    parser.add_argument("--seconds", type=float, default=20.0, help="with and without, each (default %(default)s)")
+    parser.add_argument("--rate", type=float, default=50.0, help="images of 1 MB per second (default %(default)s)")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=20.0,
+        help="seconds with and without the slow program, each (default %(default)s)",
+    )
     add_json_option(parser)
     args = parser.parse_args(arguments)
     results: list[Row] = []

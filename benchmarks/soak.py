@@ -1,9 +1,9 @@
-"""A mixed load over all sides for as long as one likes, of which every message is counted.
+"""A mixed load over all sides of any duration, in which every message is counted.
 
-Topics of many kinds and rates go from each side to both others; every message is numbered, and what is lost, comes
-twice or out of order is told. Every while a late joiner on each side asks each latched topic for its last message. At
-the end, or after Ctrl-C, the slope of each process's memory is printed, what threads and descriptors came or went, and
-whether the latency has drifted. Commands (Twist) are newest-only, so that a lost one is told apart.
+Topics of many kinds and rates go from each side to both others; every message is numbered, and lost, duplicate and
+misordered messages are reported. Periodically a late joiner on each side subscribes to each latched topic. At the end,
+or after Ctrl-C, the slope of each process's memory is printed, the change of threads and descriptors, and the drift of
+the latency. Commands (Twist) are newest-only, so their losses are reported separately.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ MIX = (
     ("scan", 10.0),
     ("image1", 1.0),
 )
-"""Kind and messages a second of one topic after the other."""
+"""Kind and messages per second of the topics, in turn."""
 LATCHED = (("grid", 0.1), ("string", 0.1))
-"""The same of the latched topics, of which each side has these."""
+"""Kind and messages per second of each side's latched topics."""
 COMMAND = "twist"
 JOIN_SECONDS = 10.0
 
@@ -55,7 +55,7 @@ class Topic:
 
 @dataclass(slots=True)
 class Sums:
-    """What all ears together counted."""
+    """The total counts of all receivers."""
 
     received: int = 0
     lost: int = 0
@@ -66,14 +66,14 @@ class Sums:
 
 @dataclass(slots=True)
 class Course:
-    """How a soak went.
+    """The course of a soak test.
 
     Attributes:
-        seconds: when each look was, from the start.
-        looks: what the daemon held at each look.
-        p99: of each look, the median over the topics of the latency that one message in a hundred exceeds, in ms.
-        unanswered: late joiners that got nothing in `JOIN_SECONDS`.
-        joins: late joiners in all.
+        seconds: time of each sample, from the start.
+        looks: the daemon's census at each sample.
+        p99: the median over the topics of the 99th percentile of the latency at each sample, in ms.
+        unanswered: late joiners that received nothing within `JOIN_SECONDS`.
+        joins: total number of late joiners.
     """
 
     seconds: list[float] = field(default_factory=list)
@@ -84,7 +84,7 @@ class Course:
 
 
 def load(count: int) -> list[Topic]:
-    """So many topics, the sides' in turn, and the latched ones."""
+    """Return a number of topics, from the sides in turn, and the latched ones."""
     topics = [
         Topic(f"/soak/{kind}_{i}", kind, rate, SIDES[i % len(SIDES)])
         for i, (kind, rate) in ((i, MIX[i // len(SIDES) % len(MIX)]) for i in range(count))
@@ -94,7 +94,7 @@ def load(count: int) -> list[Topic]:
 
 
 class Soak:
-    """The load between two programs of each side: one sends, the other hears what the other sides send."""
+    """The load between two programs of each side: one sends, the other subscribes to the other sides' topics."""
 
     def __init__(self, deployment: Deployment, topics: Sequence[Topic]) -> None:
         self._deployment, self._topics = deployment, topics
@@ -108,7 +108,7 @@ class Soak:
         for side in SIDES:
             subscribed = [t for t in topics if t.source != side]
             deployment.ask(_ear(side), "subscribe", topics=self._described(side, subscribed))
-        deployment.until(self._crosses, "every topic crosses", every=0.3)
+        deployment.until(self._crosses, "every topic is bridged", every=0.3)
 
     def _described(self, side: str, topics: Sequence[Topic]) -> list[dict[str, Any]]:
         return [self._deployment.topic(side, t.name, t.kind, latched=t.latched) for t in topics]
@@ -119,7 +119,7 @@ class Soak:
         return not any(self._unheard(_ear(side)) for side in SIDES)
 
     def run(self, seconds: float, every: float) -> None:
-        """Send and count for so long, with a look every while; Ctrl-C ends it early and in good order."""
+        """Send and count for a time, with periodic samples; Ctrl-C ends it early, but regularly."""
         deployment = self._deployment
         self._at_first = {side: deployment.ask(_ear(side), "report")["heard"] for side in SIDES}
         for side in SIDES:
@@ -148,14 +148,14 @@ class Soak:
         report_ = sum(ear["count"] for report_ in reports for ear in report_.values())
         used = ", ".join(f"{n} {u.rss:.0f} MB {u.threads}/{u.descriptors}" for n, u in course.looks[-1].used.items())
         print(
-            f"{seconds:7.0f} s: {report_} heard, {lost} lost, {twice} twice, p99 {course.p99[-1]:.1f} ms,"
+            f"{seconds:7.0f} s: {report_} received, {lost} lost, {twice} twice, p99 {course.p99[-1]:.1f} ms,"
             f" {course.unanswered} of {course.joins} late joiners unanswered; {used}",
             file=sys.stderr,
             flush=True,
         )
 
     def _join(self) -> None:
-        """On each side somebody joins the other sides' latched topics late; a sender does it, whose ears are free."""
+        """On each side join the other sides' latched topics late, by the sender, which has no other subscriptions."""
         deployment = self._deployment
         for side in SIDES:
             topics = [t for t in self._topics if t.latched and t.source != side]
@@ -168,7 +168,7 @@ class Soak:
             self.course.unanswered += missing
 
     def _unheard(self, program: str) -> int:
-        """Topics of a program on which nothing has come."""
+        """Return the number of a program's topics without messages."""
         return sum(not ear["count"] for ear in self._deployment.ask(program, "report")["heard"].values())
 
     def _count(self) -> Sums:
@@ -187,10 +187,10 @@ class Soak:
         return sums
 
     def rows(self) -> list[Row]:
-        """The figures; the peer is a daemon that loses and keeps nothing, for the latency the beginning of the run."""
+        """Return the rows; the peer is a daemon without losses and leaks, or the latency at the start of the run."""
         sums, course = self._sums, self.course
         result = [
-            Row(f"lost, while {sums.received} were heard", sums.lost, 0.0, "count"),
+            Row(f"lost, with {sums.received} received", sums.lost, 0.0, "count"),
             Row("commands dropped", sums.commands_lost, 0.0, "count"),
             Row("came twice", sums.repeated, 0.0, "count"),
             Row("out of order", sums.disordered, 0.0, "count"),
@@ -205,7 +205,7 @@ class Soak:
         for second, look in zip(course.seconds, course.looks, strict=True):
             for name, usage in look.used.items():
                 points[name].append((second, usage.rss))
-        # what is taken once is taken at the beginning
+        # one-time allocations happen at the beginning
         result += [Row(f"memory of {n}", slope(p[len(p) // 3 :]) * 3600, 0.0, "MB/h") for n, p in points.items()]
         for resource in ("threads", "descriptors") if course.looks else ():
             first, last = course.looks[min(1, len(course.looks) - 1)], course.looks[-1]
@@ -223,9 +223,17 @@ def _ear(side: str) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=10.0, metavar="N", help="how long (default %(default)s)")
-    parser.add_argument("--topics", type=int, default=48, metavar="M", help="beside the latched (default %(default)s)")
-    parser.add_argument("--every", type=float, default=10.0, metavar="S", help="seconds between two looks (default 10)")
+    parser.add_argument("--minutes", type=float, default=10.0, metavar="N", help="duration (default %(default)s)")
+    parser.add_argument(
+        "--topics",
+        type=int,
+        default=48,
+        metavar="M",
+        help="number of topics without the latched ones (default %(default)s)",
+    )
+    parser.add_argument(
+        "--every", type=float, default=10.0, metavar="S", help="seconds between two samples (default 10)"
+    )
     add_json_option(parser)
     args = parser.parse_args(arguments)
     with Deployment() as deployment:

@@ -1,7 +1,7 @@
-"""Squares driven by the simulated R1 through BaseControl, commanded from each side: how well their corners are met.
+"""Squares driven by the simulated R1 through BaseControl, commanded from each side: the accuracy of their corners.
 
-Each leg is closed on odometry as its own side hears it. The peers are what the project allows: 5 cm from where the
-commands say, odometry within 1 % of the truth (of the way driven). ``--scale 0.03`` has the encoders err by 3 %.
+Each leg ends by the odometry that its own side receives. The peers are the project's limits: 5 cm from the commanded
+corners, and odometry within 1 % of the driven path. ``--scale 0.03`` adds an encoder error of 3 %.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ALLOWED, DRIFT = 0.05, 0.01
 
 
 def measured(side: float, scale: float) -> Iterator[Row]:
-    """The rows of all sides."""
+    """Drive on all sides, and yield the rows."""
     with tempfile.TemporaryDirectory() as folder, Deployment(Path(folder)) as deployment:
         robot = Robot(deployment, encoders={"scale": [scale, scale]})
         yarp = deployment.keep(YarpProgram(robot.names))
@@ -41,7 +41,7 @@ def measured(side: float, scale: float) -> Iterator[Row]:
 
 
 def square(robot: Robot, name: str, program: Program, side: float) -> Iterator[Row]:
-    """One square's rows."""
+    """Drive one square, and yield its rows."""
     connected(robot, program)
     start, odometry = robot.truth(), program.pose(robot.now)
     corners = ((side, 0.0), (side, side), (0.0, side), (0.0, 0.0))
@@ -52,15 +52,15 @@ def square(robot: Robot, name: str, program: Program, side: float) -> Iterator[R
         drifted = max(drifted, math.dist(true[:2], by_odometry[:2]))
         turned = max(turned, abs(math.remainder(true.theta - by_odometry.theta, 2 * math.pi)))
     yield Row(f"{name}, {side:g} m: farthest from a corner", missed, ALLOWED, "m")
-    yield Row(f"{name}, {side:g} m: odometry from truth, of the way", drifted / (4 * side), DRIFT, "share")
+    yield Row(f"{name}, {side:g} m: odometry from truth, of the path", drifted / (4 * side), DRIFT, "share")
     yield Row(f"{name}, {side:g} m: odometry from truth, of the turns", turned / (2 * math.pi), DRIFT, "share")
 
 
 def main() -> int:
-    """Drive and report."""
+    """Drive, and report the rows."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--side", type=float, default=4.0, metavar="METERS")
-    parser.add_argument("--scale", type=float, default=0.0, help="how much more the encoders say, as a share")
+    parser.add_argument("--scale", type=float, default=0.0, help="scale error of the encoders, as a share")
     add_json_option(parser)
     args = parser.parse_args()
     report(list(measured(args.side, args.scale)), args.json)

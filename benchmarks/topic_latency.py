@@ -1,9 +1,9 @@
-"""One-way latency of topics between ROS 1 and ROS 2 through the daemon, beside the floor of the same hops without it.
+"""One-way latency of topics between ROS 1 and ROS 2 through the daemon, and the floor of the same hops without it.
 
 The floor is rospy to rospy plus zenoh to zenoh plus rclpy to rclpy: all raw bytes, zenoh over a direct link with the
 daemon's own shared-memory setting, rclpy with a loop that does not slow down with subscriptions. It is measured in the
-same run, in turns with the whole way: each round has new processes, and each message is measured hop by hop and both
-ways.
+same run, in turns with the whole path: each round has new processes, and each message is measured hop by hop and in
+both directions.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from benchmarks.rows import Row, add_json_option, report
 HOPS = ("ros1", "zenoh", "ros2")
 WAYS = {THERE: "ROS 1 to ROS 2", BACK: "ROS 2 to ROS 1"}
 TURNS = 5
-"""How often in a round each hop of the floor and each way has its turn with one kind of message."""
+"""Turns per round of each hop of the floor and each direction, with one kind of message."""
 
-MARKS = {"small": (1.15, 1.5), "tf": (1.2, 1.5), "large": (1.25, 1.5)}
-"""Highest ratios to the floor that the project promises, of p50 and of p99, by kind of message."""
+LIMITS = {"small": (1.15, 1.5), "tf": (1.2, 1.5), "large": (1.25, 1.5)}
+"""The project's limits for the ratio to the floor, of p50 and p99, by kind of message."""
 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What else is bridged meanwhile."""
+    """The other routes during a measurement."""
 
     key: str
     name: str
@@ -54,7 +54,7 @@ LANES = {"on": (True,), "off": (False,), "both": (True, False)}
 
 
 class Samples:
-    """Figures of every round, by case and what was measured."""
+    """Figures of every round, by case and measurement."""
 
     def __init__(self, lane: bool = True) -> None:
         self.lane = lane
@@ -64,7 +64,7 @@ class Samples:
         self.sent = 0
 
     def round(self, network: Network, number: int) -> None:
-        """Measure every case once, floor and ours in turns."""
+        """Measure every case once, the floor and Midspan in turns."""
         for key, prepared in network.messages.items():
             taken: dict[str, list[int]] = defaultdict(list)
             for _ in range(TURNS):
@@ -78,7 +78,7 @@ class Samples:
             self._floors[key].append(floor([taken[hop] for hop in HOPS], number))
 
     def rows(self, cases: Sequence[Case], suffix: str, off: Samples | None = None) -> list[Row]:
-        """A row of each case, way and figure; another one to those without the lane, where they were taken."""
+        """Return a row for each case, direction and figure, and if measured another compared with the lane off."""
         suffix += "" if self.lane else ", lane off"
         rows = []
         for case in cases:
@@ -96,8 +96,8 @@ class Samples:
         return rows
 
     def hops_text(self, cases: Sequence[Case]) -> str:
-        """The floor's hops one by one."""
-        lines = ["hops in us (p50 / p99), of which the floor is the sum:"]
+        """Return the floor's hops as text."""
+        lines = ["hops in us (p50 / p99), whose sum is the floor:"]
         for case in cases:
             hop_figures = (over_rounds(self._hops[case.key, hop]) for hop in HOPS)
             lines.append(
@@ -108,7 +108,7 @@ class Samples:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; returns 1 where a mark is missed and ``--check`` was given."""
+    """Run the benchmark; return 1 if a limit is exceeded and ``--check`` is given."""
     args = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.WARNING)
     cases = _chosen(args.cases, quick=args.quick)
@@ -118,9 +118,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if condition.key in (args.conditions or (["alone"] if args.quick else [c.key for c in CONDITIONS])):
             rows += _measure(condition, cases, rounds, args)
     report(rows, args.json)
-    missed = [row for row in rows if "lane off" not in row.case and row.ratio > _mark(row, cases)]
+    missed = [row for row in rows if "lane off" not in row.case and row.ratio > _limit(row, cases)]
     for row in missed:
-        print(f"above its mark of {_mark(row, cases):g}: {row.case}: {row.ratio:.2f}")
+        print(f"above its limit of {_limit(row, cases):g}: {row.case}: {row.ratio:.2f}")
     return 1 if missed and args.check else 0
 
 
@@ -153,9 +153,9 @@ def _round(
             print(f"background: {network.background_rate():.0f} messages/s arrive", file=sys.stderr)
 
 
-def _mark(row: Row, cases: Sequence[Case]) -> float:
+def _limit(row: Row, cases: Sequence[Case]) -> float:
     kind = next(case.kind for case in cases if row.case.startswith(f"{case.name},"))
-    return MARKS[kind][1 if ", p99" in row.case else 0]
+    return LIMITS[kind][1 if ", p99" in row.case else 0]
 
 
 def _chosen(names: Sequence[str] | None, *, quick: bool) -> list[Case]:
@@ -174,7 +174,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--no-shared-memory", action="store_true", help="without shared memory on the hub")
     parser.add_argument("--lane", choices=LANES, default="on", help="the hub's lane: on, off, or both in turns")
     add_realtime_option(parser)
-    parser.add_argument("--check", action="store_true", help="exit code 1 where a ratio is above its mark")
+    parser.add_argument("--check", action="store_true", help="exit with code 1 if a ratio is above its limit")
     add_json_option(parser)
     return parser
 

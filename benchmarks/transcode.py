@@ -1,6 +1,6 @@
-"""ROS 1 to CDR and back: Midspan's converters beside rosbags', in one process, round by round in turn.
+"""ROS 1 to CDR and back: Midspan's converters compared with rosbags', in one process, in turns.
 
-Bulk messages are also set beside a bare copy of their bytes. Each figure is the median over the rounds of one
+Bulk messages are also compared with a bare copy of their bytes. Each figure is the median over the rounds of one
 conversion's time.
 """
 
@@ -25,13 +25,13 @@ from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
 
 BULK = 500_000
-"""Messages from this many bytes on are set beside a bare copy."""
+"""Size in bytes from which messages are compared with a bare copy."""
 
 SECONDS_A_ROUND = 0.02
 
 
 def transforms(count: int) -> dict[str, Any]:
-    """A TFMessage."""
+    """Return the values of a TFMessage."""
     rotation = {"x": 0.0, "y": 0.0, "z": 0.6, "w": 0.8}
     moves = [
         {
@@ -45,7 +45,7 @@ def transforms(count: int) -> dict[str, Any]:
 
 
 def diagnostics(count: int, values: int) -> dict[str, Any]:
-    """A DiagnosticArray."""
+    """Return the values of a DiagnosticArray."""
     keys = [{"key": f"temperature of part {k}", "value": f"{20 + k} degrees"} for k in range(values)]
     status = [
         {
@@ -61,26 +61,26 @@ def diagnostics(count: int, values: int) -> dict[str, Any]:
 
 
 def joints(count: int) -> dict[str, Any]:
-    """A JointState."""
+    """Return the values of a JointState."""
     numbers = [0.1 * k for k in range(count)]
     names = [f"arm_{k}_joint" for k in range(count)]
     return {"header": {"frame_id": "base"}, "name": names, "position": numbers, "velocity": numbers, "effort": numbers}
 
 
 def image(width: int, height: int) -> dict[str, Any]:
-    """An rgb8 Image."""
+    """Return the values of an rgb8 Image."""
     content = bytes(range(256)) * (3 * width * height // 256)
     return {"header": {"frame_id": "camera"}, "width": width, "height": height, "encoding": "rgb8", "data": content}
 
 
 def goals(count: int) -> dict[str, Any]:
-    """A GoalStatusArray."""
+    """Return the values of a GoalStatusArray."""
     status = [{"goal_id": {"id": f"/client-{k}-1700000000.25"}, "status": 3, "text": "reached"} for k in range(count)]
     return {"status_list": status}
 
 
 def cloud(points: int) -> dict[str, Any]:
-    """A PointCloud2 of points of 16 bytes."""
+    """Return the values of a PointCloud2 with points of 16 bytes."""
     fields = [{"name": name, "offset": 4 * k, "datatype": 7, "count": 1} for k, name in enumerate("xyz")]
     content = bytes(range(256)) * (points // 16)
     return {"header": {"frame_id": "lidar"}, "width": points, "height": 1, "fields": fields, "data": content}
@@ -106,7 +106,7 @@ CASES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
 
 
 def compare(ours: Callable[[], object], peer: Callable[[], object], rounds: int) -> tuple[float, float]:
-    """Median times of one call of each, in microseconds; the two take turns, and turns at being first."""
+    """Return the median times of one call of each, in microseconds; they run in turns, and alternate in being first."""
     calls = [max(1, int(SECONDS_A_ROUND / max(_time(call, 3), 1e-7))) for call in (ours, peer)]
     times: list[list[float]] = [[], []]
     for number in range(rounds):
@@ -123,7 +123,7 @@ def _time(call: Callable[[], object], times: int) -> float:
 
 
 def measure_case(case: str, name: str, values: Mapping[str, Any], rounds: int) -> list[Row]:
-    """The rows of one message."""
+    """Measure one message, and return the rows."""
     registry = Registry()
     store = get_typestore(Stores.ROS2_JAZZY)
     cdr = from_json(registry, name, values)
@@ -152,7 +152,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--rounds", type=int, default=15, help="rounds of each comparison (default 15)")
     add_json_option(parser)
     options = parser.parse_args(arguments)
-    keep_memory()  # as the workers do: else rosbags and we pay for page faults in turn
+    keep_memory()  # as in the workers; otherwise both cause page faults in turn
     rows = [row for case, (name, values) in CASES.items() for row in measure_case(case, name, values, options.rounds)]
     report(rows, options.json)
 

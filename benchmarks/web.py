@@ -1,11 +1,12 @@
-"""The console: how soon a page is there, how old is what it shows, and what ten pages cost.
+"""The console: time to the first view, age of the displayed data, and the cost of ten pages.
 
-A daemon with ROS 1, ROS 2 and the console; what pages show comes from this program on the hub: frames at 100 Hz, a
-laser at 10 Hz, a map of 4,000 x 4,000 cells. A real Chromium with an empty profile opens the page; a script in it notes
-when what a message brought is drawn. Then ten pages without a browser (one WebSocket each, the map view's feeds, each
-value taken at once) watch for a while, and a topic crosses from ROS 2 to the hub with and without them.
+A daemon with ROS 1, ROS 2 and the console; this program publishes the displayed data on the hub: transforms at 100 Hz,
+a laser at 10 Hz, a map of 4,000 x 4,000 cells. A real Chromium with an empty profile opens the page; a script in it
+records when the data of a message is drawn. Then ten pages without a browser (one WebSocket each, with the map view's
+feeds, and each value acknowledged at once) are open for a while, and a topic is bridged from ROS 2 to the hub with and
+without them.
 
-The peer's column is the aim, but for the topic's latency: there it is that without pages.
+The peer's column is the aim, except for the topic's latency, where it is the latency without pages.
 """
 
 from __future__ import annotations
@@ -45,15 +46,15 @@ from bridge.messages.registry import Registry
 from bridge.web.feeds.map_pictures import TILE
 
 FIRST_VIEW, MAP_SEEN, AGE_MS, BACK, TEN_PERCENT = 1.0, 2.0, 100.0, 3.0, 15.0
-"""Aims: seconds to the first view and to the large map; ms from hub to pixels, p95; seconds until the page goes on once
-the console is back; percent of a core for ten pages."""
+"""Aims: seconds to the first view and to the large map; ms from hub to pixels, p95; seconds until the page reconnects
+after a restart of the console; percent of a core for ten pages."""
 CELLS, METERS = 4000, 0.05
 TILES = math.ceil(CELLS / TILE) ** 2
 FEEDS = ("robot", "robots", "driving", "map", "laser", "path", "places")
 PAGES = 10
 SMALL, RATE = "/small", 100.0
 STEP = 0.001
-"""Meters that the robot moves in 10 ms, and by which the laser's beam grows: what is drawn is known by them."""
+"""Meters that the robot moves in 10 ms, and by which the laser's beam grows; they identify drawn values."""
 MARKS = """
 window.marks = { robot: [], laser: [], map: 0, tiles: 0 };
 const Plain = window.WebSocket;
@@ -79,7 +80,7 @@ CanvasRenderingContext2D.prototype.drawImage = function (...words) {
 
 
 class Robot:
-    """Says on the hub where it is and what its laser sees, and remembers when it said what."""
+    """Publishes a robot's transforms and laser on the hub, and records when it published each value."""
 
     def __init__(self, deployment: Deployment) -> None:
         hub = deployment.place.config.hub
@@ -89,14 +90,14 @@ class Robot:
         self._registry = Registry()
         self.published: dict[str, dict[float, float]] = {"robot": {}, "laser": {}}
         self._over = threading.Event()
-        self._thread = threading.Thread(target=self._speak, name="robot")
+        self._thread = threading.Thread(target=self._publish, name="robot")
 
     def start(self) -> None:
-        """Begin to speak."""
+        """Start to publish."""
         self._thread.start()
 
     def close(self) -> None:
-        """Fall silent."""
+        """Stop publishing."""
         self._over.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -106,7 +107,7 @@ class Robot:
         publisher = self._hub.publisher(topic, type_, self._registry.ros2(type_).type_id, qos)
         return lambda message: publisher.put(from_json(self._registry, type_, message))
 
-    def _speak(self) -> None:
+    def _publish(self) -> None:
         frames = self._publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=100))
         laser = self._publisher("/scan", "sensor_msgs/msg/LaserScan", Qos(depth=5))
         number, due = 0, time.monotonic()
@@ -131,7 +132,7 @@ def _moved(stamp: dict[str, int], parent: str, child: str, x: float) -> dict[str
 
 
 def _with_map(folder: Path) -> dict[str, Any]:
-    """The configuration of a console with a map: rooms of 5 m, with walls."""
+    """Write a map of rooms of 5 m, and return the configuration of a console with it."""
     cells = np.full((CELLS, CELLS), 254, np.uint8)
     cells[::100] = cells[:, ::100] = 0
     (folder / "large.pgm").write_bytes(b"P5 %d %d 255\n" % (CELLS, CELLS) + cells.tobytes())
@@ -143,7 +144,7 @@ def _with_map(folder: Path) -> dict[str, Any]:
 
 
 def in_chromium(address: str, robot: Robot, worker: Callable[[], int], seconds: float) -> list[Row]:
-    """Open the page in a browser with an empty profile, and watch."""
+    """Open the page in a browser with an empty profile, and measure what it shows."""
     from selenium.webdriver import Chrome, ChromeOptions
     from selenium.webdriver.chrome.service import Service
 
@@ -173,18 +174,18 @@ def in_chromium(address: str, robot: Robot, worker: Callable[[], int], seconds: 
     for feed, published in robot.published.items():
         ages = [at - published[round(value, 3)] for value, at in marks[feed] if round(value, 3) in published]
         if len(ages) < 5 * seconds:
-            raise RuntimeError(f"{feed}: {len(ages)} values were seen in {seconds:g} s, of {len(marks[feed])} drawn")
+            raise RuntimeError(f"{feed}: {len(ages)} values were matched in {seconds:g} s, of {len(marks[feed])} drawn")
         rows.append(Row(f"{feed}, hub to pixels, p95", statistics.quantiles(ages, n=20)[-1], AGE_MS, "ms"))
-    return [*rows, Row("page goes on once a killed console is back", back, BACK, "s")]
+    return [*rows, Row("page reconnects once a killed console is back", back, BACK, "s")]
 
 
 def _comes_back(line: Callable[[], str], address: str, worker: Callable[[], int]) -> float:
-    """Kill the console; seconds from its successor's first answer until the page is connected again."""
+    """Kill the console; return the seconds from its successor's first reply until the page is connected again."""
     os.kill(worker(), signal.SIGKILL)
-    _until(lambda: line() != "open", "the page notices")
+    _until(lambda: line() != "open", "the page detects the loss")
     _until(lambda: _answers(address), "the console is back")
     begun = time.monotonic()
-    _until(lambda: line() == "open", "the page goes on")
+    _until(lambda: line() == "open", "the page is connected again")
     return time.monotonic() - begun
 
 
@@ -198,7 +199,7 @@ def _answers(address: str) -> bool:
 
 @contextlib.contextmanager
 def ten_pages(address: str) -> Iterator[None]:
-    """Ten pages that watch what the map shows."""
+    """Open ten pages with the map view's feeds."""
     with contextlib.ExitStack() as stack:
         threads = []
         for _ in range(PAGES):
@@ -223,9 +224,9 @@ def _receive(socket: Any) -> None:
 
 
 def _latency(deployment: Deployment, seconds: float) -> float:
-    """Milliseconds from ROS 2 to the hub, median."""
+    """Return the median latency from ROS 2 to the hub, in milliseconds."""
     deployment.drained("zenoh")
-    deployment.ask("zenoh", "report")  # what came before is not counted
+    deployment.ask("zenoh", "report")  # clears earlier counts
     deployment.ask("ros2", "flow", rates={SMALL: RATE})
     time.sleep(seconds)
     deployment.ask("ros2", "still")
@@ -242,7 +243,7 @@ def _until(condition: Callable[[], Any], what: str, seconds: float = 60.0) -> No
 
 
 def measure(seconds: float) -> list[Row]:
-    """All rows."""
+    """Measure everything, and return the rows."""
     with (
         tempfile.TemporaryDirectory() as folder,
         Deployment(config=_with_map(Path(folder))) as deployment,
@@ -260,15 +261,15 @@ def measure(seconds: float) -> list[Row]:
             deployment.program(side)
         deployment.ask("ros2", "publish", topics=[deployment.topic("ros2", SMALL, "string")])
         deployment.ask("zenoh", "subscribe", topics=[deployment.topic("zenoh", SMALL, "string")])
-        _until(lambda: _crosses(deployment), "the topic crosses")
+        _until(lambda: _crosses(deployment), "the topic is bridged")
         alone = _latency(deployment, seconds)
         with ten_pages(address):
-            time.sleep(2.0)  # each has the map and what else is said once
+            time.sleep(2.0)  # until each has the map and other initial values
             begun, before = time.monotonic(), cpu_seconds(pid := worker())
             beside = _latency(deployment, seconds)
             percent = 100 * (cpu_seconds(pid) - before) / (time.monotonic() - begun)
     rows.append(Row(f"{PAGES} pages", percent, TEN_PERCENT, "% of a core"))
-    rows.append(Row(f"ROS 2 to the hub beside {PAGES} pages, p50", beside, alone, "ms"))
+    rows.append(Row(f"ROS 2 to the hub with {PAGES} pages, p50", beside, alone, "ms"))
     return rows
 
 
@@ -280,7 +281,7 @@ def _crosses(deployment: Deployment) -> bool:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each watch (default %(default)s)")
+    parser.add_argument("--seconds", type=float, default=10.0, help="seconds of each measurement (default %(default)s)")
     add_json_option(parser)
     args = parser.parse_args(arguments)
     need_peers("selenium", "websockets")

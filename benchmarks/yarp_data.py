@@ -1,8 +1,8 @@
-"""YARP's typed data to bytes and back, beside a bare copy of the same bytes, in one process, round by round in turn.
+"""YARP's typed data to bytes and back, compared with a bare copy of the same bytes, in one process, in turns.
 
-Each kind is set beside one copy, and beside what it may take: one and a half copies and 10 microseconds. Each figure is
-the median over the rounds of one conversion's time. A decoded value is a view into its payload; the row "decoded and
-owned" is with the copy that a first change of it makes.
+Each kind is compared with one copy, and with its limit: one and a half copies and 10 microseconds. Each figure is the
+median over the rounds of one conversion's time. A decoded value is a view into its payload; the row "decoded and owned"
+includes the copy that its first change causes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ALLOWED_US = 10.0
 
 
 def image(kind: type[Image], width: int, height: int) -> Image:
-    """An image with rows as YARP pads them."""
+    """Return an image with rows padded as in YARP."""
     result = kind()
     result.resize(width, height)
     result.getRawImage()[:] = np.arange(result.getRawImageSize()) % 256
@@ -43,7 +43,7 @@ def image(kind: type[Image], width: int, height: int) -> Image:
 
 
 def numbers(count: int) -> NDArray[np.float64]:
-    """Numbers of many digits."""
+    """Return numbers with many digits."""
     return np.arange(count) / 7
 
 
@@ -65,7 +65,7 @@ CASES: Mapping[str, Callable[[], Portable]] = {
 
 
 def measure(case: str, value: Portable, rounds: int) -> list[Row]:
-    """The rows of one value."""
+    """Measure one value, and return the rows."""
     payload = value.to_bytes(Profile.YARP3)
     source = bytearray(payload)
     kind = FlexImage if isinstance(value, Image) else type(value)
@@ -96,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--rounds", type=int, default=9, help="rounds of each comparison (default 9)")
     add_json_option(parser)
     options = parser.parse_args(arguments)
-    keep_memory()  # as the workers do: else copies and we pay for page faults in turn
+    keep_memory()  # as in the workers; otherwise both cause page faults in turn
     report([row for case, make in CASES.items() for row in measure(case, make(), options.rounds)], options.json)
 
 

@@ -1,12 +1,12 @@
-"""YARP ports against bare sockets that move the same bytes: RPC and streams over tcp and fast_tcp on loopback.
+"""YARP ports compared with bare sockets that move the same bytes: RPC and streams over tcp and fast_tcp on loopback.
 
-Two processes, nothing else between them. The bare sockets know how many bytes to expect and look at none; ours read
-what the messages say. Rounds of both take turns. Each figure is the median over the rounds: of a round's median round
-trip, or of a stream's time for each message, from the first byte until the other process has the last.
+Both use two processes. The bare sockets know how many bytes to expect and inspect none; the ports parse the messages.
+Their rounds take turns. Each figure is the median over the rounds: of a round's median round trip, or of a stream's
+time per message, from the first byte until the other process has received the last.
 
-Where the two processes run decides more than what they do: on one core a bare round trip took 13 microseconds, on two
-cores of the same virtual machine 56, since each end then sleeps and is woken by the other core. Left to itself the
-system puts now ours and now the bare sockets one way or the other, so they are measured in either place.
+The choice of cores matters more than the code: on one core a bare round trip took 13 microseconds, on two cores of the
+same virtual machine 56, because each end sleeps until the other core wakes it. By itself the system places either pair
+of processes in either way, so both placements are measured.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ _IMAGE = bytes(60) + bytes(range(256)) * (640 * 480 * 3 // 256)
 _BARRIER = framing.prefix(len(_EMPTY), "d") + _EMPTY
 _REQUESTS = 1000
 _PLACES = {"one": ", one core", "two": ", two cores", "any": ""}
-"""On which cores this process and the other one run, in the rows' words; ``any``: where the system puts them."""
+"""Placement of both processes, with its text in the rows; ``any``: chosen by the system."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """What is streamed in one round: the messages' name, content and number."""
+    """The stream of one round: the messages' name, content and number."""
 
     name: str
     payload: bytes
@@ -63,7 +63,7 @@ _STREAMS = (
 
 
 def _serve_port() -> None:
-    """A port that answers requests of RPC with what they said, until standard input ends."""
+    """Run a port that echoes RPC requests, until standard input ends."""
 
     def answer(incoming: PortMessage) -> None:
         if incoming.wants_reply:
@@ -76,7 +76,7 @@ def _serve_port() -> None:
 
 
 def _serve_bare() -> None:
-    """A socket that answers a number of bytes with a number of bytes, as often as each line of standard input says."""
+    """Run a socket that replies to a number of bytes with a number of bytes, as often as each input line demands."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         print(server.getsockname()[1], flush=True)
         sock, _ = server.accept()
@@ -95,14 +95,14 @@ def _serve_bare() -> None:
 
 
 def _places() -> list[str]:
-    """Where to measure: on one core and on two, or where the system does not let us choose, anywhere."""
+    """Return the placements to measure: one core and two, or any if the system does not support a choice."""
     can_choose = hasattr(os, "sched_setaffinity") and len(os.sched_getaffinity(0)) > 1
     return ["one", "two"] if can_choose else ["any"]
 
 
 @contextmanager
 def _placed(cores: set[int] | None) -> Iterator[None]:
-    """Run here, with the threads and processes that are started meanwhile."""
+    """Run on these cores, including threads and processes that are started in the context."""
     if cores is None:
         yield
         return
@@ -132,7 +132,7 @@ def _process(role: str, cores: set[int] | None) -> Iterator[tuple[subprocess.Pop
 
 
 class Ours:
-    """A port connected to the port of the other process."""
+    """A port that is connected to the port of the other process."""
 
     def __init__(self, number: int, carrier: str) -> None:
         naming = LocalNaming()
@@ -143,11 +143,11 @@ class Ours:
         assert done, reason
 
     def round_trips(self, count: int) -> float:
-        """The median round trip, in microseconds."""
+        """Return the median round trip, in microseconds."""
         return _median(lambda: self._port.request(_NUMBERS, timeout=5), count)
 
     def stream(self, stream: Stream, count: int) -> float:
-        """Microseconds for each message of a stream."""
+        """Return the microseconds per message of a stream."""
         start = time.perf_counter()
         for _ in range(count):
             self._port.write(stream.payload, wait=True)
@@ -155,12 +155,12 @@ class Ours:
         return (time.perf_counter() - start) / count * 1e6
 
     def close(self) -> None:
-        """End it."""
+        """Close the connection."""
         self._port.close()
 
 
 class Bare:
-    """A socket connected to the socket of the other process, which moves the same bytes."""
+    """A socket that is connected to the socket of the other process, and moves the same bytes."""
 
     def __init__(self, process: subprocess.Popen[str], number: int, carrier: str) -> None:
         self._process = process
@@ -179,13 +179,13 @@ class Bare:
             reply -= len(self._sock.recv(reply))
 
     def round_trips(self, count: int) -> float:
-        """The median round trip, in microseconds."""
+        """Return the median round trip, in microseconds."""
         request, reply = framing.prefix(len(_NUMBERS), "d") + _NUMBERS, len(_NUMBERS) + self._ack
         self._expect(len(request), count, reply)
         return _median(lambda: self._call(request, reply), count)
 
     def stream(self, stream: Stream, count: int) -> float:
-        """Microseconds for each message of a stream."""
+        """Return the microseconds per message of a stream."""
         sent = framing.prefix(len(stream.payload)) + stream.payload
         self._expect(len(sent), count, self._ack)
         self._expect(len(_BARRIER), 1, len(_EMPTY) + self._ack)
@@ -196,7 +196,7 @@ class Bare:
         return (time.perf_counter() - start) / count * 1e6
 
     def close(self) -> None:
-        """End it."""
+        """Close the connection."""
         self._sock.close()
 
 
@@ -210,7 +210,7 @@ def _median(call: Callable[[], object], times: int) -> float:
 
 
 def _cores(place: str) -> tuple[set[int] | None, set[int] | None]:
-    """The cores of this process and of the other."""
+    """Return the cores of this process and of the other."""
     if place == "any":
         return None, None
     mine = sorted(os.sched_getaffinity(0))
@@ -244,11 +244,11 @@ def _rows(carrier: str, place: str, rounds: int, share: float) -> list[Row]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run it."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--share", type=float, default=1.0, help="of the messages of a round: below 1 is quicker")
-    parser.add_argument("--cores", choices=_PLACES, nargs="+", help="where both run (default: one two)")
+    parser.add_argument("--share", type=float, default=1.0, help="share of a round's messages; below 1 is faster")
+    parser.add_argument("--cores", choices=_PLACES, nargs="+", help="placements of both processes (default: one two)")
     parser.add_argument("--serve", choices=["port", "bare"], help=argparse.SUPPRESS)
     add_json_option(parser)
     options = parser.parse_args(arguments)

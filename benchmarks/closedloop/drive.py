@@ -1,4 +1,4 @@
-"""One drive to a goal: the loop that ticks everything, and what came of it."""
+"""One drive to a goal: the loop that ticks all parts, and the result."""
 
 from __future__ import annotations
 
@@ -14,46 +14,46 @@ from navigation.pose import Pose, wrapped
 from navigation.status import State
 
 NEAR_METERS, NEAR_DEGREES = 0.25, 10.0
-"""In truth so near to its goal a robot is that says to have reached it: its tolerance and its localizer's error."""
+"""Distance from the goal within which a reached goal counts: the goal tolerance and the localizer's error."""
 
 _SPEED = 0.1
 _EXTRA = 180.0
 
 
 class Stack(Protocol):
-    """Who drives a robot: planner, local navigator and localizer."""
+    """The software that drives a robot: planner, local navigator and localizer."""
 
     def goal(self, pose: Pose, constraints: Constraints | None = None) -> None:
-        """Begin to drive there, on the map."""
+        """Start to drive to a pose on the map."""
 
     def stop(self) -> None:
-        """Give the goal up."""
+        """Cancel the goal."""
 
     def step(self) -> None:
-        """Take up what the robot's last tick brought, and command it."""
+        """Process the sensor data of the last tick, and command the robot."""
 
     @property
     def status(self) -> tuple[State, str]:
-        """How it is getting on, and why."""
+        """Return the state, and its reason."""
 
     @property
     def pose(self) -> Pose | None:
-        """Where it believes the robot to be, on the map; None while it does not know."""
+        """Return the estimated pose on the map, None if it is unknown."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What came of one.
+    """The result of a drive.
 
     Attributes:
-        reached: whether it was said to be reached, and was.
-        state: how it ended.
-        reason: what was said of it.
-        seconds: of simulated time.
-        driven: meters.
-        optimum: meters of the shortest way.
-        off: meters from the goal at the end, in truth.
-        lost: meters between where the robot believed to be and where it was, the most.
+        reached: whether the goal was reported as reached, and actually reached.
+        state: the final state.
+        reason: the reported reason.
+        seconds: simulated time.
+        driven: driven distance, meters.
+        optimum: length of the shortest path, meters.
+        off: true distance from the goal at the end, meters.
+        lost: maximum distance between estimated and true position, meters.
     """
 
     reached: bool
@@ -67,15 +67,15 @@ class Drive:
 
 
 class Loop:
-    """Ticks a robot, who drives it and who watches it.
+    """Ticks a robot, the software that drives it, and the judge.
 
     Args:
-        robot: who is driven.
-        stack: who drives it.
-        judge: who watches.
+        robot: the robot.
+        stack: the software that drives it.
+        judge: detects contacts and entries.
 
     Attributes:
-        lost: meters between belief and truth, the most since it was set.
+        lost: maximum distance between estimated and true position since it was reset, meters.
     """
 
     def __init__(self, robot: Robot, stack: Stack, judge: Judge) -> None:
@@ -83,7 +83,7 @@ class Loop:
         self.lost = 0.0
 
     def tick(self) -> None:
-        """Let 10 ms pass."""
+        """Advance by 10 ms."""
         self.stack.step()
         self.robot.tick()
         self.judge.check()
@@ -92,7 +92,7 @@ class Loop:
             self.lost = max(self.lost, pose.distance(self.robot.truth))
 
     def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Let so much time pass, or less where something comes true; whether it did."""
+        """Advance by a time, or until a condition holds; return whether it held."""
         for _ in range(round(seconds * 100)):
             if until():
                 return True
@@ -100,11 +100,11 @@ class Loop:
         return until()
 
     def settle(self) -> None:
-        """Let the robot come to rest and the localizer settle."""
+        """Wait until the robot rests and the localizer has settled."""
         self.run(1.0)
 
     def drive(self, goal: Pose, optimum: float = math.inf, seconds: float | None = None) -> Drive:
-        """Drive to a goal on the map, for so many seconds at most (by default what a slow drive takes)."""
+        """Drive to a goal on the map, within a number of seconds (default: the time of a slow drive)."""
         began, driven = self.robot.now, self.robot.driven
         self.lost = 0.0
         self.stack.goal(goal)

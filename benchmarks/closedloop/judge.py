@@ -1,4 +1,4 @@
-"""Watches a drive: whether the robot touches anything, and whether it is where it must not be."""
+"""Watches a drive for contacts and for entries into keep-out areas."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from benchmarks.closedloop.worlds import Rectangle
 Floats = NDArray[np.float64]
 
 STANDING = 0.01
-"""m/s; a robot slower than this is not driving into anybody: people come near by themselves."""
+"""m/s; a slower robot is not at fault for a contact, because people walk up to it."""
 
 _LOOK = 5
-"""Ticks between two looks at distances: 1.5 cm of the way at R1's speed."""
+"""Ticks between two distance checks: 1.5 cm at the R1's speed."""
 
 
 class Judge:
-    """Looks at the robot after every tick.
+    """Checks the robot after every tick.
 
     Args:
-        robot: whom.
+        robot: the robot.
         keep_out: areas that its hull must not enter.
 
     Attributes:
         contacts: ticks in which its hull touched something while it was moving.
-        room: meters between its hull and the nearest thing while it was moving, the least so far.
-        entered: looks at which its hull was in a keep-out area.
-        keep_out_room: meters between its hull and the nearest keep-out area, the least so far.
-        where: the time and place of the first contact or entry, for people.
+        room: minimum distance between its hull and the nearest thing while it was moving, meters.
+        entered: distance checks at which its hull was in a keep-out area.
+        keep_out_room: minimum distance between its hull and the nearest keep-out area, meters.
+        where: time and place of the first contact or entry, for display.
     """
 
     def __init__(self, robot: Robot, keep_out: Iterable[Rectangle]) -> None:
@@ -43,7 +43,7 @@ class Judge:
         self.where = ""
 
     def check(self) -> None:
-        """Look; to be called once each tick."""
+        """Check the robot; call this once per tick."""
         robot = self._robot
         self._ticks += 1
         touches = bool(robot.simulation.bumps)
@@ -71,7 +71,7 @@ class Judge:
 
 
 def nearest(x: float, y: float, segments: Floats, circles: Floats) -> float:
-    """How far the nearest thing is from a point, meters.
+    """Return the distance from a point to the nearest thing, in meters.
 
     Args:
         x: of the point, meters.
@@ -91,6 +91,6 @@ def nearest(x: float, y: float, segments: Floats, circles: Floats) -> float:
 
 
 def _outside(x: float, y: float, area: Rectangle) -> float:
-    """How far a point is from a rectangle, meters; 0 within it."""
+    """Return a point's distance from a rectangle, in meters; 0 inside it."""
     x0, y0, x1, y1 = area
     return math.hypot(max(x0 - x, 0.0, x - x1), max(y0 - y, 0.0, y - y1))

@@ -18,10 +18,10 @@ from sim.simulation import TICK_NS, Simulation
 
 LASER = LaserSection(beams=720, rate=10.0, noise=0.005)
 SCALES = (0.006, -0.004, 0.005)
-"""How much more each wheel's encoder says: so odometry drifts by half a meter and some ten degrees in five minutes."""
+"""Scale errors of the encoders, with which odometry drifts by half a meter and some ten degrees in five minutes."""
 
 CAMERA = CameraSection(rate=5.0, width=160, height=120, noise=0.02)
-"""A D435's picture, made four times smaller: an error of 0.08 of its pixels is one of 0.02 of these."""
+"""A D435's picture at a quarter of its size: an error of 0.08 of its pixels is 0.02 of these."""
 
 ENCODER_NOISE = 0.01
 _INPUT = "ros"
@@ -34,14 +34,14 @@ class Robot:
     Args:
         plan: one floor.
         base: the robot's name, or a file.
-        seed: of all noise.
-        start: x, y (meters), direction (degrees); None for the plan's.
-        camera: its depth camera; None: it has none.
+        seed: seed of all noise.
+        start: x, y (meters), direction (degrees); None: the plan's start.
+        camera: its depth camera, or None.
 
     Attributes:
         simulation: the floor with the robot on it.
-        odometry: where BaseControl believes it to be, in the odometry's frame.
-        driven: meters, in truth.
+        odometry: pose estimate of BaseControl, in the odometry frame.
+        driven: true driven distance, meters.
     """
 
     def __init__(
@@ -69,37 +69,37 @@ class Robot:
 
     @property
     def radius(self) -> float:
-        """Of its hull, meters."""
+        """Radius of the hull, meters."""
         return self.simulation.robot.body.radius
 
     @property
     def now(self) -> float:
-        """The time, seconds."""
+        """The simulation's time, seconds."""
         return self.simulation.time_ns / 1e9
 
     @property
     def truth(self) -> Pose:
-        """Where it truly is."""
+        """The true pose."""
         at = self.simulation.base.pose()
         return Pose(at.x, at.y, at.yaw, self.simulation.time_ns)
 
     @property
     def moving(self) -> float:
-        """How fast it truly drives, m/s."""
+        """The true speed, m/s."""
         twist = self.simulation.base.twist()
         return math.hypot(twist.x, twist.y)
 
     @property
     def scan(self) -> Turn:
-        """The laser's last turn."""
+        """The laser's last scan."""
         return self.simulation.scan
 
     def command(self, x: float, y: float, turn: float) -> None:
-        """Command a velocity, m/s, m/s and rad/s, as by ``/cmd_vel``."""
+        """Command a velocity as on ``/cmd_vel``, in m/s, m/s and rad/s."""
         self._input.command(Velocity(x, y, turn), self.now)
 
     def tick(self) -> None:
-        """Let 10 ms pass."""
+        """Advance by 10 ms."""
         if self._ticks % self._every == 0:
             self.simulation.motors.drive(self._base.step(self.now).tolist())
         before = self.simulation.base.pose()
@@ -116,7 +116,7 @@ class Robot:
 
 
 def base_section(described: Described) -> BaseControlSection:
-    """BaseControl's section for a robot of the simulator."""
+    """Return BaseControl's section for a robot of the simulator."""
     wheels, limits = described.wheels, described.limits
     return BaseControlSection(
         kind=_KINDS[described.kinematics],

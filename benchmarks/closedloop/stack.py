@@ -1,4 +1,4 @@
-"""Midspan's own: RobotPathPlanner, RobotGoto and the localizer about one robot, in lock-step, without a hub."""
+"""Midspan's navigation: RobotPathPlanner, RobotGoto and the localizer for one robot, in lock-step, without a hub."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ from navigation.status import Fault, State
 from sim.base import BasePose
 
 RADII = {"r1": 0.3, "ikart_v1": 0.38}
-"""What the navigation takes the robots' radii for: R1's as in its own files, iKart's a little more than its hull."""
+"""The robots' radii for navigation: the R1's from its own files, the iKart's slightly more than its hull."""
 
 _ROOM = 0.05
-"""Meters that the planner keeps beyond that: RobotGoto needs them."""
+"""Additional clearance of the planner, meters, which RobotGoto needs."""
 
 _DRIVE_EVERY, _PLAN_EVERY, _LOOK_EVERY = 2, 10, 2
-"""Ticks between steps of RobotGoto and of RobotPathPlanner, and scans between two that the latter looks at."""
+"""Ticks between steps of RobotGoto and of RobotPathPlanner, and scans between two that the planner uses."""
 
 
 _POINTS, _LAYER = "/camera/depth/points", "/mapper3d/layer"
 MAPPING = Mapper3DSection(resolution=0.04, farthest=2.5, layer=LayerSection(height=1.3))
-"""Voxels in which a step of 10 cm is more than two, and rays to where the camera's noise is less than one of them."""
+"""Voxel size of which a step of 10 cm spans more than two, and range up to which the camera's noise is below one."""
 
 
 class Ours:
-    """All three, stepped as their modules would.
+    """All three, stepped like their modules.
 
-    Where the robot has a depth camera, RobotGoto hears its points live, and the planner has the layer of Mapper3D's
-    code, which knows nothing at first, and maps while the robot drives, from where it believes to be.
+    With a depth camera, RobotGoto receives its points live, and the planner uses a layer of Mapper3D's code, which is
+    empty at first and maps while the robot drives, from the estimated poses.
 
     Args:
-        robot: whom they drive.
-        world: where; they know its map.
-        localized: whether the localizer tells where the robot is; else the simulator does.
-        seed: of the localizer's chance.
-        start: where the robot is said to be at first; None: where it is.
+        robot: the robot.
+        world: the floor, whose map is given to them.
+        localized: whether poses come from the localizer; otherwise from the simulator.
+        seed: seed of the localizer.
+        start: initial pose estimate; None: the true pose.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class Ours:
         self._ticks = self._scans = 0
         self._scanned = -1
 
-    # what the planner has of the driver
+    # the planner's interface to the local navigator
 
     @property
     def state(self) -> State:
@@ -106,19 +106,19 @@ class Ours:
     def cancel(self) -> None:
         self.driver.cancel()
 
-    # what a loop has of them
+    # the loop's interface
 
     def goal(self, pose: Pose, constraints: Constraints | None = None) -> None:
-        """Begin to drive there, on the map."""
+        """Start to drive to a pose on the map."""
         self.planner.goal(pose, constraints=constraints, now=self._robot.now)
 
     def stop(self) -> None:
-        """Give the goal up."""
+        """Cancel the goal."""
         self.planner.cancel()
         self.driver.cancel()
 
     def put_elsewhere(self) -> None:
-        """The robot was carried, and is told where it is."""
+        """Set the pose estimate to the true pose, after the robot was carried."""
         self.stop()
         self.driver.restart()
         if self.localizer is not None:
@@ -126,16 +126,16 @@ class Ours:
 
     @property
     def status(self) -> tuple[State, str]:
-        """How the goal is getting on, and why."""
+        """Return the goal's state, and its reason."""
         return self.planner.status.state, self.planner.status.reason
 
     @property
     def pose(self) -> Pose | None:
-        """Where the robot is, as far as is known."""
+        """Return the estimated pose, None if it is unknown."""
         return self._robot.truth if self.localizer is None else self.localizer.pose
 
     def step(self) -> None:
-        """Take up what the last tick brought, and do what is due."""
+        """Process the sensor data of the last tick, and run the steps that are due."""
         robot, now = self._robot, self._robot.now
         if self.localizer is not None:
             self.localizer.odometry(robot.odometry)
@@ -167,7 +167,7 @@ class Ours:
             self.planner.scan(robot.now, pose, scan)
 
     def _picture(self) -> None:
-        """Give RobotGoto what the camera sees, as from its place by odometry, and map it by the pose believed in."""
+        """Pass the camera's points to RobotGoto, placed by odometry, and map them by the estimated pose."""
         simulation, now, at = self._robot.simulation, self._robot.now, self._robot.odometry
         camera = simulation.camera
         assert camera is not None
@@ -189,7 +189,7 @@ class Ours:
             self.planner.layer(_LAYER, grid.centers_of(np.argwhere(grid.occupancy == 100)[:, ::-1]))
 
     def _known(self) -> tuple[Pose | None, str]:
-        """The pose that may be driven by, and why there is none."""
+        """Return the pose for driving, or None with the reason."""
         if self.localizer is None:
             return self._robot.truth, ""
         status, reason = self.localizer.check(self._robot.simulation.time_ns)

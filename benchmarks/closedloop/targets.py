@@ -1,4 +1,4 @@
-"""Goals to drive to, drawn at random, and how long the shortest way to each is."""
+"""Random goals, with the length of the shortest path to each."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from navigation.pose import Pose
 from yarp_compat.dev.mapgrid import MapFlag
 
 _ROOM = 0.25
-"""Meters between the hull at a goal and anything: it can be reached by whoever keeps 0.2 m away."""
+"""Minimum clearance of the hull at a goal, meters: a planner that keeps 0.2 m away can reach it."""
 
 _TIGHT = 0.12
-"""The same on the way: what is narrower is no way."""
+"""Minimum clearance on the path; narrower passages are not used."""
 
 _LEAST = 1.0
 _TRIES = 10_000
@@ -30,10 +30,10 @@ class Targets:
     """Draws goals on a world's map that a robot can reach while the doors are as they are.
 
     Args:
-        world: where.
-        robot: who.
-        seed: of the goals.
-        farthest: meters of way to a goal at most.
+        world: the floor.
+        robot: the robot.
+        seed: seed of the goals.
+        farthest: maximum length of the path to a goal, meters.
     """
 
     def __init__(self, world: World, robot: Robot, seed: int, farthest: float = math.inf) -> None:
@@ -43,7 +43,7 @@ class Targets:
         self._around = self._distances()
 
     def _distances(self) -> NDArray[np.float32]:
-        """Meters from each cell to what stands there or is kept out of; rows from the top one down."""
+        """Return each cell's distance to obstacles and keep-out areas, in meters; the top row first."""
         grid, floor_world = self._world.map, self._robot.simulation.world
         solid = grid.flags != MapFlag.FREE
         pieces = [*floor_world.leaves(is_open=False), *(crate.now() for crate in floor_world.crates.values())]
@@ -57,7 +57,7 @@ class Targets:
         return int(row), int(column)
 
     def path_length(self, start: Pose, goal: Pose) -> float:
-        """How long the shortest way is, meters; infinite where there is none for a robot of this width."""
+        """Return the length of the shortest path, in meters; infinite if this robot has none."""
         weights = (self._around > self._robot.radius + _TIGHT).astype(np.uint8)
         row, column = self._cell(start)
         free = np.argwhere(weights)
@@ -71,7 +71,7 @@ class Targets:
         return float(np.hypot(*np.diff(corners, axis=0).T).sum()) * self._resolution
 
     def _is_somebodys(self, goal: Pose) -> bool:
-        """Whether people turn round and rest there: the robot would wait for them until they are elsewhere."""
+        """Return whether people turn round and rest there, where the robot would wait for them."""
         people = [walker.person for walker in self._robot.simulation.world.people.values()]
         return any(
             math.dist((goal.x, goal.y), point) < self._robot.radius + person.radius + _ROOM
@@ -80,7 +80,7 @@ class Targets:
         )
 
     def __iter__(self) -> Iterator[tuple[Pose, float]]:
-        """Goals, each with the length of the shortest way from where the robot then is."""
+        """Yield goals, with the length of the shortest path from the robot's current position."""
         rows, columns = np.nonzero(self._around > self._robot.radius + _ROOM)
         for _ in range(_TRIES):
             place = int(self._random.integers(len(rows)))
@@ -89,5 +89,5 @@ class Targets:
             length = math.inf if self._is_somebodys(goal) else self.path_length(self._robot.truth, goal)
             if math.isfinite(length) and _LEAST <= length <= self._farthest:
                 yield goal, length
-        msg = f"no goal in {self._world.name} can be reached from {self._robot.truth}"
+        msg = f"no reachable goal in {self._world.name} from {self._robot.truth}"
         raise RuntimeError(msg)

@@ -1,4 +1,4 @@
-"""The floors that are driven on: the simulator's plans, one floor at a time, with keep-out areas in their maps."""
+"""The floors for the drives: single floors of the simulator's plans, with keep-out areas in their maps."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ KEEP_OUT: dict[str, tuple[Rectangle, ...]] = {
     "two_storeys/ground": ((3.5, 5.5, 4.5, 6.5),),
     "two_storeys/upper": ((9.4, 6.4, 10.4, 7.2),),
 }
-"""Where no robot may go although the floor is free, by world."""
+"""Keep-out areas on free floor, by world."""
 
 
 LEAST, TALL = 0.05, 1.3
-"""Meters above the floor within which a thing is one for a robot."""
+"""Range of heights above the floor in which things are obstacles, meters."""
 
 
 def hidden(there: FloorWorld) -> list[Piece]:
-    """What stands fast in a robot's way that its map does not have: boards, steps, and drops in the floor."""
+    """Return the fixed obstacles that a robot's map lacks: boards, steps, and drops in the floor."""
     fast = [piece for piece in there.pieces[: there.first_leaf] if piece.above < TALL and piece.top > LEAST]
     drops = [Piece("", *d.at, 0.0, *d.size, d.depth, above=-d.depth) for d in there.floor.drops]
     return [piece for piece in fast if not piece.above <= export.SEEN < piece.top] + drops
 
 
 def covered(grid: MapGrid2D, pieces: Iterable[Piece]) -> NDArray[np.float64]:
-    """(n, 2) the middles of a map's cells that pieces touch, meters."""
+    """Return the middles of a map's cells that pieces touch, (n, 2) meters."""
     rows, columns = np.indices(grid.flags.shape)
     places = grid.centers_of(np.stack((columns, rows), -1).reshape(-1, 2))
     touched = np.zeros(len(places), np.bool_)
@@ -63,9 +63,9 @@ class World:
 
     Attributes:
         name: one of `WORLDS`.
-        plan: the floor alone.
-        map: what the robot is given of it: doors stand open in it, and what moves is left out.
-        keep_out: areas of the map that are not to be entered.
+        plan: a plan with only this floor.
+        map: the robot's map, with open doors and without movable things.
+        keep_out: areas of the map that must not be entered.
     """
 
     name: str
@@ -75,23 +75,23 @@ class World:
 
     @property
     def hides(self) -> bool:
-        """Whether it has what a laser does not see."""
+        """Whether it has obstacles that a laser does not see."""
         floor = self.plan.floors[self.plan.first]
         return bool(floor.tables or floor.drops)
 
     @property
     def drops(self) -> tuple[Rectangle, ...]:
-        """Where the floor is lower."""
+        """The lower parts of the floor."""
         drops = self.plan.floors[self.plan.first].drops
         halves = [((d.at[0], d.at[1]), (d.size[0] / 2, d.size[1] / 2)) for d in drops]
         return tuple((x - length, y - width, x + length, y + width) for (x, y), (length, width) in halves)
 
 
 def world(name: str, *, people: bool = True) -> World:
-    """A world by its name, with the people who walk there or without.
+    """Return a world by its name, with or without people.
 
     Raises:
-        SimError: there is none of that name.
+        SimError: the name is unknown.
     """
     building, _, level = name.partition("/")
     whole = load_plan(building)

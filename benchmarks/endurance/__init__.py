@@ -1,1 +1,1 @@
-"""What the benchmarks of endurance share: a daemon between programs of every side, and what its processes hold."""
+"""Shared parts of the endurance benchmarks: a daemon between programs of every side, and its processes' resources."""

@@ -1,4 +1,4 @@
-"""A daemon between programs of every side, and a look at what it holds."""
+"""A daemon between programs of every side, and a census of its resources."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from bridge.hub.session import Hub, HubSettings
 
 SIDES = ("ros1", "ros2", "zenoh")
 QUIET_SECONDS = 1.0
-"""After so long without a message no more is expected."""
+"""Seconds without a message after which no more are expected."""
 
 
 @dataclass(frozen=True, slots=True)
 class Census:
-    """What the daemon holds at one moment.
+    """The daemon's resources at one moment.
 
     Attributes:
         used: its processes' memory, threads and descriptors, by name.
         routes: routes of each worker.
-        tokens: endpoints, nodes and origins on the hub's graph.
-        registrations: its publications and subscriptions on the ROS 1 master.
+        tokens: endpoints, nodes and origins in the hub's graph.
+        registrations: its publishers and subscribers on the ROS 1 master.
     """
 
     used: Mapping[str, Usage]
@@ -37,7 +37,7 @@ class Census:
 
 
 class Deployment(Stage):
-    """A stage with a running daemon, a program of each side named as the side, and a session that looks at the hub."""
+    """A stage with a running daemon, a program of each side named after it, and a session that observes the hub."""
 
     def __init__(self, cases: Sequence[Case] = CASES, config: Mapping[str, Any] | None = None) -> None:
         lane = {"hub": {"lane": os.environ.get("MIDSPAN_TEST_LANE") != "off"}}
@@ -53,7 +53,7 @@ class Deployment(Stage):
                     node="watch",
                     daemon="watch",
                     worker="w",
-                    shared_memory=False,  # it would hold that of every worker that is killed
+                    shared_memory=False,  # this session would retain that of every killed worker
                 )
             )
             self.until(lambda: all(self.status().get(s, {}).get("state") == "running" for s in WORKERS), "both workers")
@@ -67,7 +67,7 @@ class Deployment(Stage):
         return f"tcp/127.0.0.1:{self.place.router_port}"
 
     def program(self, side: str, name: str = "") -> str:
-        """Start a program of a side; its name, which is the side's by default."""
+        """Start a program of a side; return its name, by default the side's."""
         name = name or side
         arguments = (self._router, str(self.place.config.hub.domain)) if side == "zenoh" else ()
         self.launch(name, f"benchmarks.endurance.{side}_program", *arguments, system=side == "ros1")
@@ -75,25 +75,25 @@ class Deployment(Stage):
         return name
 
     def ask(self, program: str, do: str, **params: Any) -> dict[str, Any]:
-        """Have a program obey a command; its answer."""
+        """Send a command to a program, and return the answer."""
         return self.command(program, do, "done", **params)
 
     def topic(self, side: str, name: str, case: str, *, latched: bool = False) -> dict[str, Any]:
-        """A topic as the programs' commands name it."""
+        """Return a topic in the format of the programs' commands."""
         return self._messages[case].topic(name, ros1=side == "ros1") | {"latched": latched}
 
     def status(self) -> dict[str, dict[str, Any]]:
-        """What each worker tells of itself, by side; the router's is left out."""
+        """Return each worker's status by side, without the router."""
         assert self._hub is not None
         answers = [a.value for a in self._hub.ask("status", {}, timeout=5.0) if isinstance(a.value, dict)]
         return {str(a["side"]): a for a in answers if a.get("side") in WORKERS}
 
     def routes(self, prefix: str) -> dict[str, int]:
-        """Routes of each worker for topics that begin so."""
+        """Return the number of each worker's routes for topics with a prefix."""
         return {side: sum(r["topic"].startswith(prefix) for r in a["routes"]) for side, a in self.status().items()}
 
     def drained(self, *programs: str, seconds: float = QUIET_SECONDS) -> None:
-        """Wait until these programs have heard nothing new for so long; those that send do so no more."""
+        """Wait until these programs have received nothing for a time, after the senders have stopped."""
         count, since = -1, time.monotonic()
         while time.monotonic() < since + seconds:
             received = sum(self.ask(name, "count")["count"] for name in programs)
@@ -102,18 +102,18 @@ class Deployment(Stage):
             time.sleep(0.1)
 
     def census(self) -> Census:
-        """What the daemon holds now."""
+        """Return the daemon's current resources."""
         assert self._hub is not None
         graph = self._hub.graph
         tokens = len(graph.endpoints()) + len(graph.nodes()) + len(graph.origins())
         return Census(self.usage(), self.routes("/"), tokens, self._registrations())
 
     def usage(self) -> dict[str, Usage]:
-        """Memory, threads and descriptors of the daemon's processes now; raises where one of them has ended."""
+        """Return the daemon's processes' memory, threads and descriptors; raises if one of them has exited."""
         try:
             return Meter({name: self.pids[name] for name in DAEMON}).read()
         except FileNotFoundError as err:
-            msg = f"a process of the daemon has ended ({err.filename}); they were {self.pids}\n{self.words()}"
+            msg = f"a process of the daemon has exited ({err.filename}); process ids: {self.pids}\n{self.words()}"
             raise RuntimeError(msg) from err
 
     def _registrations(self) -> int:

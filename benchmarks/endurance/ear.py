@@ -1,6 +1,6 @@
-"""Every message is unique and counted: tickets that number and time it, and ears. Standard library only.
+"""Counts unique messages by tickets with number and time. Standard library only.
 
-A ticket is a number below 2**53, so that it fits any field: the message's number modulo 2**16, and when it was sent,
+A ticket is a number below 2**53, so that it fits any field: the message's number modulo 2**16, and its time of sending,
 CLOCK_MONOTONIC in microseconds modulo 2**36, which is 19 hours.
 """
 
@@ -16,12 +16,12 @@ _MOST_AGES = 100_000
 
 
 def ticket(number: int) -> int:
-    """The ticket of a message that is sent now."""
+    """Return the ticket of a message that is sent now."""
     return (number % _NUMBERS) * _MICROSECONDS + time.monotonic_ns() // 1000 % _MICROSECONDS
 
 
 class Ear:
-    """What was heard of one publisher."""
+    """The messages received from one publisher."""
 
     def __init__(self) -> None:
         self.count = self.lost = self.repeated = self.disordered = 0
@@ -30,7 +30,7 @@ class Ear:
         self._ages: list[int] = []
 
     def receive(self, value: int) -> None:
-        """One message came, with this ticket."""
+        """Count a message with this ticket."""
         now = time.monotonic_ns() // 1000
         number, sent = divmod(value, _MICROSECONDS)
         self.count += 1
@@ -56,7 +56,7 @@ class Ear:
             del self._missing[next(iter(self._missing))]
 
     def report(self) -> dict[str, Any]:
-        """The counts so far, and the ages in milliseconds of what was heard since the last report."""
+        """Return the counts so far, and the ages in milliseconds of the messages since the last report."""
         ages, self._ages = sorted(self._ages), []
         quantiles = (
             {n: ages[min(int(len(ages) * q), len(ages) - 1)] / 1000 for n, q in QUANTILES.items()} if ages else {}
@@ -75,5 +75,5 @@ QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
 def behind(sent: int, last: int | None) -> int:
-    """Messages at the end of so many that were numbered from 0 and of which ``last`` was heard last."""
+    """Return the number of messages after ``last``, the last one received, of ``sent`` numbered from 0."""
     return 0 if last is None or not sent else (sent - 1 - last) % _NUMBERS

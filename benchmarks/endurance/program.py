@@ -1,7 +1,7 @@
-"""What the programs of all sides share: they make endpoints, send, hear and count. Standard library only.
+"""Base of the programs of all sides, which create endpoints, send, receive and count. Standard library only.
 
-Commands are JSON lines, each answered by one: ``{"event": "done", ...}``. A topic in a command is ``{"topic", "type",
-"file", "offset", "form", "latched"}``: a prepared message in ``file``, in which a ticket stands at ``offset``.
+Commands are JSON lines, each answered by one line: ``{"event": "done", ...}``. A topic in a command is ``{"topic",
+"type", "file", "offset", "form", "latched"}``: a prepared message in ``file``, with a ticket at ``offset``.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from benchmarks.endurance.ear import Ear, ticket
 from benchmarks.latency.stamps import Stamped
 
 DEPTH = 200
-"""History of the programs' endpoints, so that what is lost is not lost in a program that had no turn for a second."""
+"""History depth of the programs' endpoints, so that a program that is not scheduled for a second loses nothing."""
 
 Heard = Callable[[bytes], None]
 Close = Callable[[], None]
 
 
 class Publisher(Protocol):
-    """One of the middleware's publishers."""
+    """A publisher of the middleware."""
 
     def put(self, payload: bytes) -> None:
         """Publish raw bytes."""
 
     def close(self) -> None:
-        """Give it back."""
+        """Close the publisher."""
 
 
 class Program(ABC):
@@ -48,18 +48,18 @@ class Program(ABC):
 
     @abstractmethod
     def publisher(self, topic: str, type_: str, *, latched: bool) -> Publisher:
-        """A raw publisher of a type spelled ``package/msg/Name``."""
+        """Return a raw publisher of a type spelled ``package/msg/Name``."""
 
     @abstractmethod
     def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:
-        """A raw subscription; the returned call gives it back."""
+        """Create a raw subscription; return a function that closes it."""
 
     @abstractmethod
     def close(self) -> None:
         """Leave the network."""
 
     def run(self) -> None:
-        """Obey until the input ends."""
+        """Execute commands until the input ends."""
         commands: dict[str, Callable[..., dict[str, Any]]] = {
             "publish": self._publish,
             "subscribe": self._subscribe,
@@ -82,7 +82,7 @@ class Program(ABC):
             self.close()
 
     def _publish(self, topics: list[dict[str, Any]]) -> dict[str, Any]:
-        """Make publishers."""
+        """Create publishers."""
         for topic in topics:
             name = topic["topic"]
             publisher = self.publisher(name, topic["type"], latched=topic["latched"])
@@ -90,7 +90,7 @@ class Program(ABC):
         return {}
 
     def _subscribe(self, topics: list[dict[str, Any]], pause: float = 0.0) -> dict[str, Any]:
-        """Make subscriptions; each message costs its callback ``pause`` seconds."""
+        """Create subscriptions, whose callbacks sleep ``pause`` seconds per message."""
         for topic in topics:
             name, ear = topic["topic"], Ear()
             stamped = _load(topic["file"], topic["offset"], topic["form"])
@@ -99,13 +99,13 @@ class Program(ABC):
         return {}
 
     def _put(self, topics: list[str]) -> dict[str, Any]:
-        """Send one message on each of these topics."""
+        """Send a message on each of these topics."""
         for topic in topics:
             self._out[topic].send()
         return {}
 
     def _drop(self, publish: list[str], subscribe: list[str]) -> dict[str, Any]:
-        """Give endpoints back, a last message of each publisher on its way."""
+        """Close endpoints, with a last message of each publisher in flight."""
         for topic in publish:
             source = self._out.pop(topic)
             source.send()
@@ -115,24 +115,24 @@ class Program(ABC):
         return {}
 
     def _start_flow(self, rates: dict[str, float]) -> dict[str, Any]:
-        """Send on these topics too, so many messages a second each, until told otherwise."""
+        """Also send on these topics at a rate each, until `_still`."""
         self._flow.stop()
         self._rates |= rates
         self._flow.start({topic: (self._out[topic].send, rate) for topic, rate in self._rates.items()})
         return {}
 
     def _still(self) -> dict[str, Any]:
-        """Send no more by itself; how many messages were sent on each topic."""
+        """Stop sending; return the number of messages sent on each topic."""
         self._flow.stop()
         self._rates.clear()
         return {"sent": {topic: source.sent for topic, source in self._out.items()}}
 
     def _count(self) -> dict[str, Any]:
-        """How many messages were heard so far, on all topics."""
+        """Return the number of messages received so far on all topics."""
         return {"count": sum(ear.count for ear, _ in self._in.values())}
 
     def _report(self) -> dict[str, Any]:
-        """What was sent and heard so far."""
+        """Return what was sent and received so far."""
         received = {topic: ear.report() for topic, (ear, _) in self._in.items()}
         return {"sent": {topic: source.sent for topic, source in self._out.items()}, "heard": received}
 
@@ -154,12 +154,12 @@ class Source:
             self._publisher.put(fresh)
 
     def close(self) -> None:
-        """Give the publisher back."""
+        """Close the publisher."""
         self._publisher.close()
 
 
 class Flow:
-    """A thread that sends each message when it is due; what it cannot manage in time it leaves out."""
+    """A thread that sends each message when it is due, and skips messages that are late."""
 
     def __init__(self) -> None:
         self._due: list[tuple[float, int, float, Callable[[], None]]] = []
@@ -167,7 +167,7 @@ class Flow:
         self._thread: threading.Thread | None = None
 
     def start(self, sends: dict[str, tuple[Callable[[], None], float]]) -> None:
-        """Send by these calls, so often a second each, evenly spread."""
+        """Call these functions at a rate each, evenly spread."""
         now = time.monotonic()
         self._due = [(now + i / len(sends) / rate, i, 1 / rate, send) for i, (send, rate) in enumerate(sends.values())]
         heapq.heapify(self._due)
@@ -176,7 +176,7 @@ class Flow:
         self._thread.start()
 
     def stop(self) -> None:
-        """Send no more."""
+        """Stop sending."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join()

@@ -1,4 +1,4 @@
-"""A rospy program that makes endpoints, sends, hears and counts. Runs on the system's Python."""
+"""A rospy program that creates endpoints, sends, receives and counts. Runs on the system's Python."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Ros1Publisher:
         self._publisher.publish(message)
 
     def close(self) -> None:
-        """Give it back."""
+        """Close the publisher."""
         self._publisher.unregister()
 
 
@@ -38,7 +38,7 @@ class Ros1Program(Program):
     def publisher(self, topic: str, type_: str, *, latched: bool) -> Ros1Publisher:
         return Ros1Publisher(topic, type_, latched=latched)
 
-    def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:  # noqa: ARG002 - AnyMsg takes any
+    def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:  # noqa: ARG002 - AnyMsg accepts any
         subscriber = rospy.Subscriber(
             topic, rospy.AnyMsg, lambda message: heard(message._buff), buff_size=BUFFER, tcp_nodelay=True
         )

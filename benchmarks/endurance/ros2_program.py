@@ -1,4 +1,4 @@
-"""An rclpy program that makes endpoints, sends, hears and counts."""
+"""An rclpy program that creates endpoints, sends, receives and counts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Ros2Publisher:
         self._publisher.publish(payload)
 
     def close(self) -> None:
-        """Give it back."""
+        """Close the publisher."""
         self._node.destroy_publisher(self._publisher)
 
 
@@ -44,7 +44,7 @@ class Ros2Program(Program):
         return self._taker.listen(self._node, topic, type_, _qos(latched=latched), heard)
 
     def close(self) -> None:
-        """Leave at once."""
+        """Exit at once, without closing the middleware."""
         self._taker.abandon()
         rclpy.shutdown()
         os._exit(0)

@@ -1,4 +1,4 @@
-"""How fast a figure grows."""
+"""The growth rate of a figure."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ _MOST = 200
 
 
 def slope(points: Sequence[tuple[float, float]]) -> float:
-    """The median slope of all pairs of points (Theil and Sen's): a step or an outlier does not make a trend.
+    """Return the median slope of all pairs of points (Theil-Sen), which is robust against steps and outliers.
 
     Args:
-        points: place and value; at most 200, spread evenly, are looked at.
+        points: x and y; at most 200 of them, evenly spread, are used.
 
     Returns:
-        The value's growth for each unit of the place, 0.0 for fewer than two points.
+        The growth of y per unit of x, 0.0 for fewer than two points.
     """
     some = points[:: max(1, -(-len(points) // _MOST))]
     slopes = [(v2 - v1) / (p2 - p1) for (p1, v1), (p2, v2) in combinations(some, 2) if p1 != p2]

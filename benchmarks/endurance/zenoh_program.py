@@ -1,4 +1,4 @@
-"""A native program of the hub that makes endpoints, sends, hears and counts.
+"""A native hub program that creates endpoints, sends, receives and counts.
 
 Usage: ``python -m benchmarks.endurance.zenoh_program ROUTER DOMAIN``.
 """
@@ -28,7 +28,7 @@ class ZenohProgram(Program):
         return self._hub.publisher(topic, type_, self._registry.ros2(type_).type_id, _qos(latched=latched))
 
     def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:
-        """As the base says; ``heard`` runs on zenoh's receiving thread, so that a slow one stops its link."""
+        # ``heard`` runs on zenoh's receiving thread, so that a slow one blocks its link
         type_hash = self._registry.ros2(type_).type_id
         subscription = self._hub.subscription(
             topic, type_, type_hash, _qos(latched=latched), lambda sample: heard(sample.data())

@@ -1,1 +1,1 @@
-"""Parts of `benchmarks.footprint`: bare peers, one worker by its pipes, a process as the kernel sees it."""
+"""Parts of `benchmarks.footprint`: bare peers, a single worker, and the kernel's figures of a process."""

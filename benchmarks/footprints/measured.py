@@ -1,4 +1,4 @@
-"""What one process takes of the machine, as the kernel counts it (Linux)."""
+"""A process's use of memory and processor, as counted by the kernel (Linux)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _FIGURE = re.compile(r"^(Pss|Rss): +(\d+) kB", re.MULTILINE)
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """What a process has taken so far.
+    """A process's use so far.
 
     Attributes:
-        pss: its memory in MB, what it shares with others in parts; the sum over all processes is what is taken.
-        rss: its memory in MB, what it shares counted whole.
+        pss: memory in MB, with its share of shared pages; the sum over all processes is the total use.
+        rss: memory in MB, with all shared pages.
         seconds: processor time.
     """
 
@@ -27,13 +27,13 @@ class Taken:
 
 
 def taken(pid: int) -> Taken:
-    """What a process has taken by now."""
+    """Return a process's use so far."""
     figures = {name: int(value) / 1024 for name, value in _FIGURE.findall(_text(pid))}
     return Taken(figures["Pss"], figures["Rss"], cpu_seconds(pid))
 
 
 def cpu_seconds(pid: int) -> float:
-    """Processor time of a process, s."""
+    """Return a process's processor time, in seconds."""
     times = psutil.Process(pid).cpu_times()
     return float(times.user + times.system)
 

@@ -1,4 +1,4 @@
-"""One worker as the daemon starts it, by its pipes: how long until its first heartbeat, and until it runs."""
+"""Starts one worker like the daemon, and measures the time until its first heartbeat and until it runs."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class StartedWorker:
     """A worker's process.
 
     Args:
-        name: which worker.
-        config: what it is told.
+        name: the worker's name.
+        config: its configuration.
         environ: the daemon's environment.
 
     Attributes:
         first: seconds until its first heartbeat.
-        running: seconds until it said that it runs.
-        cpu: processor time that this took, s.
+        running: seconds until it reported that it runs.
+        cpu: processor time until then, seconds.
     """
 
     def __init__(self, name: str, config: Config, environ: dict[str, str]) -> None:
@@ -49,7 +49,7 @@ class StartedWorker:
         self._reader.start()
 
     def wait(self) -> None:
-        """Until it runs; raises `RuntimeError` where it does not in time."""
+        """Wait until it runs; raises `RuntimeError` if it does not in time."""
         if not self._runs.wait(UP_SECONDS):
             msg = f"{self._name} does not run after {UP_SECONDS:g} s: {self._last}"
             raise RuntimeError(msg)

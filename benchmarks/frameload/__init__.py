@@ -1,1 +1,1 @@
-"""The programs of `benchmarks/frames_load.py`: one on each side, driven as `tests.support.peer` says."""
+"""The programs of `benchmarks/frames_load.py`: one on each side, controlled as in `tests.support.peer`."""

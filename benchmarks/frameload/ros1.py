@@ -22,7 +22,7 @@ _POSE = struct.Struct("<7d")
 
 
 def transforms(data: bytes) -> list[tuple[str, float]]:
-    """Each child with its x."""
+    """Return each child frame with its x."""
     at, result = _SIZE.size, []
     for _ in range(_SIZE.unpack_from(data)[0]):
         at += _HEAD.size + _HEAD.unpack_from(data, at)[3]
@@ -34,14 +34,14 @@ def transforms(data: bytes) -> list[tuple[str, float]]:
 
 
 class Program:
-    """What it does."""
+    """The program's commands."""
 
     def __init__(self, frames: int) -> None:
         self.tally = Tally(frames)
         self.static: Any = None
 
     def count(self) -> dict[str, Any]:
-        """Begin to count."""
+        """Start to count."""
 
         def on_message(message: Any) -> None:
             self.tally.see([round(x) for child, x in transforms(message._buff) if child.startswith("load")])
@@ -61,7 +61,7 @@ class Program:
         return {}
 
     def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
-        """Join late, so many times; in how many of them all frames came, and how long the slowest took."""
+        """Join late several times; return how often all frames arrived, and the time of the slowest."""
         whole, slowest = 0, 0.0
         for _ in range(count):
             left, done = set(frames), threading.Event()
@@ -80,7 +80,7 @@ class Program:
 
 
 def main() -> None:
-    """Run until told otherwise."""
+    """Execute commands until the input ends."""
     answers = only_answers()
     rospy.init_node("frames_load", disable_signals=True)
     program = Program(int(sys.argv[1]))

@@ -22,13 +22,13 @@ from bridge.tf.stamped import read
 
 
 def qos(depth: int, *, latched: bool = False) -> QoSProfile:
-    """Reliable, with or without what was said before."""
+    """Return a reliable profile, latched or not."""
     durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
     return QoSProfile(depth=depth, durability=durability)  # type: ignore[no-untyped-call]
 
 
 class Program:
-    """What it does."""
+    """The program's commands."""
 
     def __init__(self, frames: int) -> None:
         self.tally = Tally(frames)
@@ -37,7 +37,7 @@ class Program:
         self.spinning: threading.Thread | None = None
 
     def count(self) -> dict[str, Any]:
-        """Begin to count."""
+        """Start to count."""
 
         def on_message(data: bytes) -> None:
             transforms = read(bytes(data))
@@ -70,7 +70,7 @@ class Program:
         return {}
 
     def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
-        """Join late, so many times; in how many of them all frames came, and how long the slowest took."""
+        """Join late several times; return how often all frames arrived, and the time of the slowest."""
         whole, slowest = 0, 0.0
         for number in range(count):
             left = set(frames)
@@ -93,7 +93,7 @@ class Program:
 
 
 def main() -> None:
-    """Run until told otherwise."""
+    """Execute commands until the input ends."""
     answers = only_answers()
     rclpy.init()
     program = Program(int(sys.argv[1]))

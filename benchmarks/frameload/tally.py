@@ -1,4 +1,4 @@
-"""What a program saw of frames that say the number of their tick; runs on any of the sides' Pythons."""
+"""Counts received frames that contain the number of their tick; runs on each side's Python."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any, TextIO
 
 
 class Tally:
-    """Counts ticks of which all frames were there.
+    """Counts ticks of which all frames have arrived.
 
     Args:
-        frames: how many there are.
+        frames: number of frames per tick.
     """
 
     def __init__(self, frames: int) -> None:
@@ -22,7 +22,7 @@ class Tally:
         self.messages = self.short = 0
 
     def see(self, ticks: list[int]) -> None:
-        """Take up a message by the ticks of its frames."""
+        """Count a message, given by the ticks of its frames."""
         self.messages += 1
         if len(ticks) < self._frames:
             self.short += 1
@@ -30,19 +30,19 @@ class Tally:
             self._whole.add(min(ticks))
 
     def report(self) -> dict[str, int]:
-        """All that was seen so far."""
+        """Return the counts so far."""
         return {"messages": self.messages, "ticks": len(self._whole), "short": self.short}
 
 
 def only_answers() -> TextIO:
-    """Standard output for answers alone: what others print goes to standard error from now on."""
+    """Reserve standard output for answers, and redirect other output to standard error."""
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
     return answers
 
 
 def serve(answers: TextIO, commands: dict[str, Callable[..., dict[str, Any]]]) -> None:
-    """Carry out commands, one a line, until there are no more."""
+    """Execute commands, one per line, until the input ends."""
     for line in sys.stdin:
         command = json.loads(line)
         do = command.pop("do")

@@ -1,4 +1,4 @@
-"""The YARP programs: yarp.py FRAMES NAMESERVER-PORT. One of them sets, another reads the stream."""
+"""The YARP programs: yarp.py FRAMES NAMESERVER-PORT. One sets transforms, the other reads the stream."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from yarp_compat.pythonic import Reader
 
 
 class Program:
-    """What it does."""
+    """The program's commands."""
 
     def __init__(self, frames: int, port: int) -> None:
         self.frames = frames
@@ -35,7 +35,7 @@ class Program:
         self.took: list[float] = []
 
     def count(self) -> dict[str, Any]:
-        """Begin to count what is streamed."""
+        """Start to count the streamed messages."""
         reader = self.reader = Reader("", naming=self.names, strict=True).open()
         connections.connect(self.names, SERVER + STREAM, reader.name)
 
@@ -56,7 +56,7 @@ class Program:
         return {}
 
     def set(self, rate: float, ticks: int, first: int) -> dict[str, Any]:
-        """Begin to set all frames at once, so many times, with the numbers from ``first`` on."""
+        """Start to set all frames at once, at a rate, with tick numbers from ``first`` on."""
         self.sent, self.took = 0, []
         transforms = [FrameTransform("base", f"load{n}") for n in range(self.frames)]
 
@@ -79,12 +79,12 @@ class Program:
         return {}
 
     def done(self, seconds: float) -> dict[str, Any]:
-        """Wait for the end of setting."""
+        """Wait until all ticks are set."""
         self.setting.join(seconds)
         return {"sent": self.sent, "ms": 1000 * statistics.median(self.took) if self.took else 0.0}
 
     def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
-        """Join late, so many times; in how many of them all frames came, and how long the slowest took."""
+        """Join late several times; return how often all frames arrived, and the time of the slowest."""
         whole, slowest = 0, 0.0
         for _ in range(count):
             start = time.monotonic()
@@ -94,14 +94,14 @@ class Program:
         return {"whole": whole, "slowest": slowest}
 
     def close(self) -> None:
-        """End what is open."""
+        """Close the transform clients."""
         for end in (self.reader, self.client):
             if end is not None:
                 end.close()
 
 
 def main() -> None:
-    """Run until told otherwise."""
+    """Execute commands until the input ends."""
     answers = only_answers()
     program = Program(int(sys.argv[1]), int(sys.argv[2]))
     serve(answers, {

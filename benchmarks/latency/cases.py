@@ -1,4 +1,4 @@
-"""The messages of the benchmark, as both wires have them; serialized by rosbags, not by Midspan."""
+"""The messages of the benchmark in both wire formats; serialized by rosbags, not by Midspan."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _STORE = get_typestore(Stores.ROS2_JAZZY)
 _T: dict[str, Any] = dict(_STORE.types)
 _TEXT_MARK = "#" * DIGITS
 _NUMBER_MARK = 123456789.015625
-"""What stands where the stamp will be; occurs once in each message."""
+"""Placeholder of the stamp; occurs once in each message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +25,12 @@ class Case:
     """One kind of message.
 
     Attributes:
-        name: for people.
-        key: as part of a topic's name.
+        name: name for display.
+        key: part of topic names.
         type: ROS 2's name of the type.
-        make: builds the message with a mark where the stamp goes.
-        kind: decides the mark that it has to reach: small, tf or large; or ``numbered``.
-        count: messages of one measurement.
+        make: builds the message with the placeholder of the stamp.
+        kind: selects the limit: small, tf or large; or ``numbered``.
+        count: messages per measurement.
         rate: messages per second.
     """
 
@@ -45,7 +45,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """A case's message in files, with the place of the stamp."""
+    """A case's message in files, with the offset of the stamp."""
 
     case: Case
     form: str
@@ -55,7 +55,7 @@ class Prepared:
     cdr_offset: int
 
     def topic(self, name: str, *, ros1: bool) -> dict[str, Any]:
-        """A topic as the ends' commands name it."""
+        """Return a topic in the format of the ends' commands."""
         file, offset = (self.ros1, self.ros1_offset) if ros1 else (self.cdr, self.cdr_offset)
         return {"topic": name, "type": self.case.type, "file": str(file), "offset": offset, "form": self.form}
 
@@ -149,7 +149,7 @@ CASES = (
 )
 
 BACKGROUND = CASES[0]
-"""What the idle and the busy background topics carry."""
+"""The message of the idle and the busy background topics."""
 
 NUMBERED = Case("String 100 B", "numbered", "std_msgs/msg/String", _string, "numbered", 0, 10.0)
-"""Has room for a number behind its stamp."""
+"""A message with space for a number after its stamp."""

@@ -1,4 +1,4 @@
-"""What the benchmark's programs at both ends share: they obey JSON lines. Standard library only."""
+"""Base of the programs at both ends, controlled by JSON lines. Standard library only."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MATCH_SECONDS = 20.0
 
 
 class End(ABC):
-    """A program that publishes and one that listens, for one middleware.
+    """A program that publishes or subscribes, for one middleware.
 
     A topic in a command is ``{"topic", "type", "file", "offset", "form"}``: a prepared message in ``file``.
     """
@@ -33,20 +33,20 @@ class End(ABC):
 
     @abstractmethod
     def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:
-        """A raw publisher: its publishing function, and whether somebody listens."""
+        """Return a raw publisher's functions: one publishes, one returns whether it has subscribers."""
 
     @abstractmethod
     def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:
-        """A raw subscription."""
+        """Create a raw subscription."""
 
     @abstractmethod
     def close(self) -> None:
         """Leave the network."""
 
     def run(self) -> None:
-        """Obey until the input ends."""
+        """Execute commands until the input ends."""
         gc.collect()
-        gc.disable()  # pauses of these programs are not what is measured
+        gc.disable()  # pauses of these programs must not count
         reply("ready")
         commands: dict[str, Callable[..., None]] = {
             "advertise": self._advertise,
@@ -98,7 +98,7 @@ class End(ABC):
         reply("sent")
 
     def _drum(self, topics: list[str], rate: float, seconds: float = 0.0) -> None:
-        """Send on all these topics at a rate each, evenly spread in time, so long or until the program ends."""
+        """Send on all these topics at a rate each, evenly spread, for a time or until the program exits."""
         total = round(rate * seconds) * len(topics)
 
         def beat() -> None:
@@ -117,7 +117,7 @@ class End(ABC):
         reply("drumming")
 
     def _count(self, topics: list[dict[str, Any]]) -> None:
-        """Listen to numbered messages; `_tally` tells of them."""
+        """Count numbered messages, for `_tally`."""
         for topic in topics:
             name = topic["topic"]
             ages, numbers = self._ages.setdefault(name, []), self._numbers.setdefault(name, [])
@@ -125,9 +125,9 @@ class End(ABC):
         reply("counting")
 
     def _tally(self, sent: int, seconds: float) -> None:
-        """Tell what has come of the numbered messages since the last tally, and the topics that were silent.
+        """Report the numbered messages since the last tally, and topics without messages.
 
-        So many were sent: those that have not come are waited for as long as one comes within ``seconds``.
+        Waits for missing ones of ``sent`` messages as long as one arrives within ``seconds``.
         """
         self._wait_for(lambda: sum(map(len, self._numbers.values())), sent, seconds)
         ages, got, distinct, silent, disorder = list[int](), 0, 0, 0, 0
@@ -153,7 +153,7 @@ class End(ABC):
 
     @staticmethod
     def _wait_for(come: Callable[[], int], count: int, seconds: float) -> None:
-        """Wait until so many have come, or none more within some seconds."""
+        """Wait until ``count`` messages have arrived, or no more within some seconds."""
         last, since = come(), time.monotonic()
         while last < count and time.monotonic() < since + seconds:
             time.sleep(0.02)
@@ -175,7 +175,7 @@ def _counter(prepared: Stamped, ages: list[int], numbers: list[int]) -> Callable
 
 
 def reply(event: str, **values: Any) -> None:
-    """Write one line."""
+    """Write an answer as one line."""
     sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
     sys.stdout.flush()
 

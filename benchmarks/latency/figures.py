@@ -11,23 +11,22 @@ _SUMS = 20_000
 
 
 class Figures(NamedTuple):
-    """Of one set of samples, in microseconds."""
+    """Percentiles of a set of samples, in microseconds."""
 
     p50: float
     p99: float
 
 
 def figures(samples: Sequence[int]) -> Figures:
-    """Median and 99th percentile of latencies in nanoseconds."""
+    """Return median and 99th percentile of latencies in nanoseconds."""
     ordered = sorted(samples)
     return Figures(_quantile(ordered, 0.5), _quantile(ordered, 0.99))
 
 
 def floor(hops: Sequence[Sequence[int]], seed: int) -> Figures:
-    """What the hops give together: figures of the sums of randomly paired samples, one of each hop.
+    """Return the figures of the sums of randomly paired samples, one of each hop.
 
-    A sum of the hops' 99th percentiles would be far too high: it is reached only when all hops are at their worst at
-    once.
+    A sum of the hops' 99th percentiles would be far too high, because all hops are rarely slow at once.
     """
     chance = random.Random(seed)
     columns = [chance.choices(hop, k=_SUMS) for hop in hops]
@@ -35,7 +34,7 @@ def floor(hops: Sequence[Sequence[int]], seed: int) -> Figures:
 
 
 def over_rounds(rounds: Sequence[Figures]) -> Figures:
-    """The median of each figure over the rounds."""
+    """Return the median of each figure over the rounds."""
     return Figures(median(r.p50 for r in rounds), median(r.p99 for r in rounds))
 
 

@@ -9,21 +9,21 @@ from benchmarks.latency.cases import BACKGROUND, Case, Prepared, prepare
 from benchmarks.latency.stage import Stage
 
 FLOOR, THERE, BACK = "floor", "there", "back"
-"""First part of the topics' names: not bridged, from ROS 1 to ROS 2, from ROS 2 to ROS 1."""
+"""Prefixes of topic names: not bridged, from ROS 1 to ROS 2, from ROS 2 to ROS 1."""
 
 _WARM = 3
 
 
 class Network(Stage):
-    """All processes of one round, new ones.
+    """The processes of one round, all newly started.
 
     Args:
-        cases: the messages that will be sent.
-        idle: bridged topics on which nothing is sent, half of them from each side.
-        busy: bridged topics on which 20 messages a second are sent, half of them from each side.
-        shared_memory: the hub's setting, for the daemon and the zenoh ends alike.
+        cases: the messages to send.
+        idle: number of bridged topics without messages, half of them from each side.
+        busy: number of bridged topics with 20 messages per second, half of them from each side.
+        shared_memory: the hub's setting, for the daemon and the zenoh ends.
         lane: the hub's setting.
-        apart: topics that are not bridged, besides the floor's.
+        apart: topics that are not bridged, in addition to the floor's.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Network(Stage):
     ) -> None:
         super().__init__({
             "hub": {"shared_memory": shared_memory, "lane": lane},
-            "ros2": {"transport": "shared_memory"},  # as the ends; "auto" looks who else is on the machine
+            "ros2": {"transport": "shared_memory"},  # as in the ends; "auto" depends on other programs on the machine
             "routing": {"rules": [{"topic": topic, "deny": True} for topic in (f"/{FLOOR}/**", *apart)]},
             "log": {"level": "warning"},
         })  # fmt: skip
@@ -52,12 +52,12 @@ class Network(Stage):
             raise
 
     def measure(self, prepared: Prepared, hop: str, count: int) -> list[int]:
-        """One-way latencies in nanoseconds of so many messages.
+        """Return the one-way latencies of messages, in nanoseconds.
 
         Args:
             prepared: the message.
-            hop: ``ros1``, ``ros2`` or ``zenoh`` for the floor's hops, ``there`` or ``back`` for the whole way.
-            count: messages after the first ones, which do not count.
+            hop: ``ros1``, ``ros2`` or ``zenoh`` for the floor's hops, ``there`` or ``back`` for the whole path.
+            count: number of messages, without the first ones.
         """
         topic = f"/{hop if hop in (THERE, BACK) else FLOOR}/{prepared.case.key}"
         source, target = {THERE: ("ros1", "ros2"), BACK: ("ros2", "ros1")}.get(hop, (hop, hop))
@@ -70,7 +70,7 @@ class Network(Stage):
         return ages[_WARM:]
 
     def background_rate(self) -> float:
-        """Messages of the busy background that arrive in a second."""
+        """Return the received messages of the busy background per second."""
         self._background_received()
         began = time.monotonic()
         time.sleep(1.0)
@@ -142,7 +142,7 @@ class Network(Stage):
                 self.command(drummer, "drum", "drumming", topics=names, rate=20.0)
 
     def _wait_until_up(self, kinds: Sequence[str]) -> None:
-        """Until every topic of the benchmark has a message through, the whole way."""
+        """Wait until a message has arrived on every topic of the benchmark."""
         for key in self.messages:
             for hop in (*kinds, THERE, BACK):
                 source, target = {THERE: ("ros1", "ros2"), BACK: ("ros2", "ros1")}.get(hop, (hop, hop))

@@ -1,11 +1,11 @@
-"""A bare relay: one half of a bridge between ROS 1 and ROS 2 with nothing of Midspan's on the way of a message.
+"""A bare relay: one half of a bridge between ROS 1 and ROS 2, without Midspan in the path of a message.
 
-It obeys JSON lines as the ends do (`benchmarks.latency.end`). The half of ROS 1 reads all its connections on one thread
-and writes from zenoh's; that of ROS 2 is an end (`benchmarks.latency.ros2_end`). Between the two is a direct link of
-zenoh sessions that are configured as the daemon's own. Strings alone cross, converted by hand; no type is looked up,
-nothing is checked, numbered, counted, queued or kept.
+It is controlled by JSON lines like the ends (`benchmarks.latency.end`). The ROS 1 half reads all connections on one
+thread, and writes on zenoh's; the ROS 2 half is an end (`benchmarks.latency.ros2_end`). Both are connected by a direct
+link of zenoh sessions that are configured like the daemon's. It relays only strings, converted by hand, without type
+lookups, checks, numbers, counters, queues or caches.
 
-Usage: ``python -m benchmarks.latency.relay ros1|ros2 ENDPOINT MASTER``; the one of ROS 1 listens on the zenoh endpoint.
+Usage: ``python -m benchmarks.latency.relay ros1|ros2 ENDPOINT MASTER``; the ROS 1 half listens on the zenoh endpoint.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Heard = Callable[[bytes], None]
 
 NODE = "/bare_relay"
 TYPE = {"type": "std_msgs/String", "md5sum": "992ce8a1687cec8c8bd883ec73ca41d1", "message_definition": "string data\n"}
-"""Of every topic; the md5 is that of std_msgs/String."""
+"""Connection header of every topic, with the md5 of std_msgs/String."""
 
 _CDR = bytes([0, 1, 0, 0])
 _LENGTH = struct.Struct("<I")
@@ -40,7 +40,7 @@ _SECONDS = 10.0
 
 
 class Ros1Half:
-    """A ROS 1 node of bare sockets."""
+    """A ROS 1 node on plain sockets."""
 
     def __init__(self, link: ZenohEnd, master: str) -> None:
         self._link = link
@@ -58,7 +58,7 @@ class Ros1Half:
             threading.Thread(target=run, daemon=True).start()
 
     def relay(self, inward: Sequence[str], outward: Sequence[str]) -> None:
-        """Carry topics from ROS 1, and to it."""
+        """Relay topics from ROS 1, and to ROS 1."""
         address = f"http://127.0.0.1:{self._api.server_address[1]}/"
         for topic in inward:
             self._senders[topic] = self._link.publisher(topic, TYPE["type"])[0]
@@ -93,7 +93,7 @@ class Ros1Half:
         while True:
             for number, _ in self._poll.poll(maxevents=64):
                 sock, send = self._incoming[number]
-                data = sock.recv(_CHUNK)  # whole messages: these are small, and each is sent in one piece
+                data = sock.recv(_CHUNK)  # whole messages, since small messages are sent in one piece
                 if not data:
                     self._poll.unregister(number)
                 at = 0
@@ -114,15 +114,15 @@ class Ros1Half:
 
 
 def _plain(sock: DeadlineSocket) -> socket.socket:
-    """The same connection without a deadline."""
+    """Return a connection's socket without a deadline."""
     plain = socket.socket(fileno=sock.detach())
     plain.settimeout(None)
     return plain
 
 
 def _ros2_half(link: ZenohEnd) -> Callable[[Sequence[str], Sequence[str]], None]:
-    """What carries topics from ROS 2, and to it."""
-    from benchmarks.latency.ros2_end import Ros2End  # which needs rclpy
+    """Return a function that relays topics from ROS 2, and to ROS 2."""
+    from benchmarks.latency.ros2_end import Ros2End  # needs rclpy
 
     end, type_ = Ros2End(), "std_msgs/msg/String"
 
@@ -136,7 +136,7 @@ def _ros2_half(link: ZenohEnd) -> Callable[[Sequence[str], Sequence[str]], None]
 
 
 def main() -> None:
-    """Obey until the input ends."""
+    """Execute commands until the input ends."""
     kind, endpoint, master = sys.argv[1:]
     listens = kind == "ros1"
     link = ZenohEnd(

@@ -1,4 +1,4 @@
-"""An end on ROS 1: stock rospy, raw bytes both ways."""
+"""A ROS 1 end: standard rospy, with raw bytes in both directions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.latency.end import End
 
 QUEUE = 100
 BUFFER = 16 << 20
-"""Bytes that a subscriber reads at once; rospy's default of 64 kB makes it slower on large messages."""
+"""Bytes that a subscriber reads at once; rospy's default of 64 kB is slower for large messages."""
 
 
 class Ros1End(End):
@@ -34,7 +34,7 @@ class Ros1End(End):
 
         return publish, lambda: publisher.get_num_connections() > 0
 
-    def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:  # noqa: ARG002 - AnyMsg takes any
+    def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:  # noqa: ARG002 - AnyMsg accepts any
         rospy.Subscriber(topic, rospy.AnyMsg, lambda message: heard(message._buff), buff_size=BUFFER, tcp_nodelay=True)
 
     def close(self) -> None:
@@ -42,7 +42,7 @@ class Ros1End(End):
 
 
 def raw_class(type_: str) -> Any:
-    """A class of rospy's for raw bytes of a type, which it announces as that type's own."""
+    """Return a rospy class for raw bytes that announces a type."""
     package, _, name = type_.split("/")
     real = getattr(importlib.import_module(f"{package}.msg"), name)
     fields = ("_type", "_md5sum", "_full_text")

@@ -1,4 +1,4 @@
-"""An end on ROS 2: rclpy, and raw bytes both ways."""
+"""A ROS 2 end: rclpy, with raw bytes in both directions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.latency.end import End
 from benchmarks.latency.taker import Taker, message_class
 
 DEPTH = 100
-"""Room for ten seconds of a message at 10 Hz: what is measured is the bridge, not how long a listener may starve."""
+"""History depth for ten seconds at 10 Hz, so that a listener that is not scheduled loses nothing."""
 
 
 class Ros2End(End):
@@ -33,7 +33,7 @@ class Ros2End(End):
         self._taker.listen(self._node, topic, type_, _qos(), heard)
 
     def close(self) -> None:
-        """Leave at once."""
+        """Exit at once, without closing the middleware."""
         self._taker.abandon()
         rclpy.shutdown()
         os._exit(0)

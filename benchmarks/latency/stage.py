@@ -1,4 +1,4 @@
-"""The processes of a benchmark whose ends stamp, send and hear messages."""
+"""The processes of a benchmark whose ends stamp, send and receive messages."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from benchmarks.latency.usage import processes
 from benchmarks.processes import Processes
 
 _MEMORY = {"MALLOC_MMAP_THRESHOLD_": "1000000000", "MALLOC_TRIM_THRESHOLD_": "1000000000"}
-"""glibc keeps freed memory in the ends: with its defaults each large message is paid for again by page faults, 1 MB
-over ROS 1 twice and 6 MB over ROS 2 four times as dear, and the floor would be that much easier to reach."""
+"""Lets glibc retain freed memory in the ends. Otherwise large messages cause page faults, which double the cost of 1 MB
+over ROS 1 and quadruple that of 6 MB over ROS 2, and would make the floor easier to reach."""
 
 _PROFILE = str(Path(__file__).with_name("fastdds.xml"))
 
 
 class Stage(Processes):
-    """A place with a daemon, and ends (`benchmarks.latency.end`)."""
+    """A set of processes with a daemon and ends (`benchmarks.latency.end`)."""
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         super().__init__(config)
@@ -31,22 +31,22 @@ class Stage(Processes):
         self.start_daemon()
 
     def start_ends(self, kinds: Mapping[str, str]) -> None:
-        """Start ends of ROS 1 and ROS 2, given by name, and wait until they obey."""
+        """Start ends of ROS 1 and ROS 2 by name, and wait until they are ready."""
         for name, kind in kinds.items():
             self.launch(name, f"benchmarks.latency.{kind}_end", system=kind == "ros1")
         for name in kinds:
             self.wait_for(name, "ready")
 
     def until_crosses(self, sender: str, listener: str, topic: str) -> None:
-        """Send until a message comes through."""
+        """Send until a message arrives."""
 
         def crosses() -> bool:
             self.command(sender, "send", "sent", topic=topic, count=1, period=0.0)
             return bool(self.command(listener, "collect", "collected", topic=topic, count=1, seconds=0.5)["ages"])
 
-        self.until(crosses, f"a message comes through on {topic} from {sender} to {listener}")
+        self.until(crosses, f"a message arrives on {topic} from {sender} to {listener}")
 
     def process_ids(self) -> dict[str, int]:
-        """Process ids by name: the daemon's processes, the ROS master, the ends."""
+        """Return process ids by name: the daemon's processes, the ROS master, the ends."""
         ends = {name: child.pid for name, child in self._children.items() if name not in ("roscore", "daemon")}
         return processes(self.place.folder) | ends

@@ -1,7 +1,7 @@
-"""Takes raw ROS 2 messages in a way that costs the same for one subscription as for many.
+"""Takes raw ROS 2 messages at the same cost for one subscription as for many.
 
 rcl's on-new-message callback is libc's ``eventfd_write``, which needs no lock of Python's; one thread waits for the
-eventfds and takes what is there. rclpy's executors would cost more with every subscription.
+eventfds and takes the messages. rclpy's executors would cost more with every subscription.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import rclpy  # noqa: F401  loads librcl
 
 
 def message_class(type_: str) -> Any:
-    """The class of a type spelled ``package/msg/Name``."""
+    """Return the class of a type spelled ``package/msg/Name``."""
     package, _, name = type_.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
 class Taker:
-    """The thread, and the raw subscriptions that it takes messages of."""
+    """The thread, and its raw subscriptions."""
 
     def __init__(self) -> None:
         self._poll = select.epoll()
@@ -36,7 +36,7 @@ class Taker:
         threading.Thread(target=self._run, name="take", daemon=True).start()
 
     def listen(self, node: Any, topic: str, type_: str, qos: Any, heard: Callable[[bytes], None]) -> Callable[[], None]:
-        """Subscribe; the returned call gives the subscription back."""
+        """Subscribe; return a function that closes the subscription."""
         class_ = message_class(type_)
         subscription = node.create_subscription(class_, topic, lambda _payload: None, qos, raw=True)
         handle = subscription.handle
@@ -60,7 +60,7 @@ class Taker:
         return close
 
     def abandon(self) -> None:
-        """Hear no more; the taking thread still holds what an orderly shutdown would need."""
+        """Stop receiving, without an orderly shutdown, whose objects the taking thread still uses."""
         for handle, _, _ in self._open.values():
             self._set_callback(handle.pointer, None, None)
             handle.__exit__(None, None, None)

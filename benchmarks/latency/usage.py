@@ -1,4 +1,4 @@
-"""What a benchmark's processes take of the machine: processor time, memory, threads and descriptors (Linux)."""
+"""Resource use of a benchmark's processes: processor time, memory, threads and descriptors (Linux)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DAEMON = ("supervisor", "router", *WORKERS)
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """One process over a time.
+    """A process's use over a period.
 
     Attributes:
         cpu: processor time, in percent of one core.
@@ -38,7 +38,7 @@ class Usage:
 
 
 class Meter:
-    """Measures processes from one moment on.
+    """Measures processes from a moment on.
 
     Args:
         pids: the processes by name; see `processes`.
@@ -49,12 +49,12 @@ class Meter:
         self.start()
 
     def start(self) -> None:
-        """Measure from now on."""
+        """Start a new measurement."""
         self._began = time.monotonic()
         self._seconds = {name: cpu_seconds(process.pid) for name, process in self._processes.items()}
 
     def read(self) -> dict[str, Usage]:
-        """What each process took since the start."""
+        """Return each process's use since the start."""
         passed = time.monotonic() - self._began
         return {
             name: Usage(
@@ -68,23 +68,23 @@ class Meter:
 
 
 def text(title: str, used: Mapping[str, Usage]) -> str:
-    """The figures of every process, a line each."""
+    """Return the figures of every process, one per line."""
     return "\n".join([f"{title}:", *(f"  {name:<22}{usage}" for name, usage in used.items())])
 
 
 def total(used: Mapping[str, Usage], names: tuple[str, ...]) -> float:
-    """Processor time of some processes together, in percent of one core."""
+    """Return the total processor time of some processes, in percent of one core."""
     return sum(used[name].cpu for name in names)
 
 
 def processes(folder: Path) -> dict[str, int]:
-    """Process ids of the daemon's processes and of the ROS master by their names, of those started in a folder."""
+    """Return the process ids of the daemon's processes and the ROS master by name, of those started in a folder."""
     result = _named(folder)
     return {name: result[name] for name in (*DAEMON, "rosmaster")}
 
 
 def daemon_processes(folder: Path) -> dict[str, int]:
-    """Process ids of all the daemon's processes by their workers' names, the daemon's own by `daemon`."""
+    """Return the process ids of the daemon's processes by worker, and of the daemon itself as `daemon`."""
     result = {"daemon" if name == "supervisor" else name: pid for name, pid in _named(folder).items()}
     return {name: pid for name, pid in result.items() if name not in ("", "rosmaster")}
 

@@ -1,6 +1,6 @@
-"""An end on zenoh: raw samples with an attachment as large as rmw_zenoh's, between peers with a direct link.
+"""A zenoh end: raw samples with an attachment as large as rmw_zenoh's, between peers with a direct link.
 
-Usage: ``python -m benchmarks.latency.zenoh_end ROUTER SHARED_MEMORY``; sessions are configured as the daemon's own.
+Usage: ``python -m benchmarks.latency.zenoh_end ROUTER SHARED_MEMORY``; sessions are configured like the daemon's.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ class ZenohEnd(End):
     """One session.
 
     Args:
-        peer: the endpoint of a router, or of another peer; None where this one is listened for.
+        peer: endpoint of a router or another peer; None if the other peer connects.
         shared_memory: the hub's setting.
-        listen: the endpoint on which this one listens, "" for any.
-        express: whether each sample goes in a packet of its own.
+        listen: endpoint to listen on, "" for any.
+        express: whether each sample is sent in a separate packet.
     """
 
     def __init__(self, peer: str | None, *, shared_memory: bool, listen: str = "", express: bool = True) -> None:
@@ -51,7 +51,7 @@ class ZenohEnd(End):
         self._session.close()  # type: ignore[no-untyped-call]
 
     def _is_linked(self, publisher: Any) -> bool:
-        """Whether the listener is there, and on a link of its own rather than behind the router."""
+        """Return whether the listener is connected, and by a direct link instead of through the router."""
         return bool(publisher.matching_status.matching) and len(self._session.info.peers_zid()) > 0
 
 

@@ -1,1 +1,1 @@
-"""Parts of `benchmarks/recovery.py`: what is broken, who notices, and what was lost."""
+"""Parts of `benchmarks/recovery.py`: the losses, the programs that detect them, and the outcome."""

@@ -1,4 +1,4 @@
-"""The losses: what is broken, how it comes back, and from which moment on everything could flow again."""
+"""The losses: what is broken, how it is restored, and from when on all messages could flow again."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from benchmarks.losses.outcome import Outcome, Watch
 from benchmarks.losses.traces import left_behind
 
 PAUSE = 0.3
-"""Seconds after the loss at which the programs say new latched lines."""
+"""Seconds after the loss at which the programs publish new latched lines."""
 AWAY = 1.0
-"""Seconds for which a killed roscore is away."""
+"""Seconds until a killed roscore is restarted."""
 FORGET_SECONDS = 30.0
-"""Fast DDS gives a dead participant up after 20 s, unless its own profile says otherwise."""
+"""Fast DDS removes a dead participant after 20 s, unless the participant's profile sets another time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,9 +26,9 @@ class Loss:
 
     Attributes:
         key: short name.
-        name: for people.
-        limit: seconds that it may take to recover; what the issue says, or what the parts that notice it take.
-        happen: break and mend; tells what it took.
+        name: name for display.
+        limit: seconds allowed for the recovery: the project's limit, or the detection times of the parts.
+        happen: causes the loss and its repair, and returns the outcome.
     """
 
     key: str
@@ -38,7 +38,7 @@ class Loss:
 
 
 def roscore(field: Field, *, simulated: bool = False) -> Outcome:
-    """Kill roscore and start it again; ROS 1 programs, which never register again by themselves, are started anew."""
+    """Restart roscore, and the ROS 1 programs, which never register again by themselves."""
     if simulated and not field.clock:
         field.master("setParam", "/use_sim_time", True)
         field.command("ros1", "clock", "ticking", start=1000.0)
@@ -54,31 +54,31 @@ def roscore(field: Field, *, simulated: bool = False) -> Outcome:
     if field.clock:
         field.master("setParam", "/use_sim_time", True)
     field.start_programs("ros1", JOINER)
-    if field.clock:  # a simulation that starts again begins at zero: time goes back
+    if field.clock:  # a restarted simulation begins at zero, so time goes back
         field.command("ros1", "clock", "ticking", start=0.0)
     outcome = watch.until_steady(time.monotonic())
     watch.check_state(outcome)
     outcome.left += left_behind(field)
     if field.clock and field.master("getParam", "/use_sim_time") is not True:
-        outcome.left.append("/use_sim_time is not what was set")
+        outcome.left.append("/use_sim_time has changed")
     if field.master("getParam", "/robot/name") != "r2":
-        outcome.left.append("/robot/name is not what was set")
+        outcome.left.append("/robot/name has changed")
     return outcome
 
 
 def simulated_roscore(field: Field) -> Outcome:
-    """The same with ``/use_sim_time`` and a clock that begins anew."""
+    """Restart roscore with ``/use_sim_time`` and a clock that restarts."""
     outcome = roscore(field, simulated=True)
     for listener in ("ros2", "hub"):
         last = field.sounds(time.monotonic() - 1.0).get((listener, "/clock"), [(0.0, 1000.0, 0.0)])[-1][1]
         if last >= 1000.0:
-            outcome.left.append(f"{listener} hears the old time {last:g}")
+            outcome.left.append(f"{listener} receives the old time {last:g}")
     field.command("ros1", "clock", "ticking", start=1000.0)
     return outcome
 
 
 def program(field: Field, side: str, *, forget: bool = True) -> Outcome:
-    """Kill a program of a side and start it again; then kill it for good, until it is forgotten (if that is asked)."""
+    """Restart a program of a side; then kill it, and wait until it is removed (if ``forget``)."""
     name = EXTRAS[side]
     field.start_programs(name)
     watch = _settled(field)
@@ -97,7 +97,7 @@ def program(field: Field, side: str, *, forget: bool = True) -> Outcome:
 
 
 def worker_killed(field: Field, worker: str) -> Outcome:
-    """SIGKILL a worker; the daemon starts it again."""
+    """Send SIGKILL to a worker, which the daemon restarts."""
     field.until_old(worker)
     watch = _settled(field)
     process = field.worker(worker)
@@ -108,7 +108,7 @@ def worker_killed(field: Field, worker: str) -> Outcome:
 
 
 def worker_stopped(field: Field, *workers: str, seconds: float) -> Outcome:
-    """SIGSTOP workers for a while: shortly, and they go on; for long, and they are replaced."""
+    """Send SIGSTOP to workers for a time: after a short one they continue, after a long one they are replaced."""
     for worker in workers:
         field.until_old(worker)
     watch = _settled(field)
@@ -134,7 +134,7 @@ def worker_stopped(field: Field, *workers: str, seconds: float) -> Outcome:
 
 
 def daemon(field: Field, *workers: str) -> Outcome:
-    """SIGKILL the daemon, and workers with it, and start it again at once."""
+    """Send SIGKILL to the daemon and to workers, and restart the daemon at once."""
     watch = _settled(field)
     processes = [field.worker(name) for name in workers]
     for process in processes:
@@ -147,23 +147,23 @@ def daemon(field: Field, *workers: str) -> Outcome:
 
 
 def _settled(field: Field) -> Watch:
-    """Start watching once everything flows."""
+    """Start watching once all messages flow."""
     first = Watch(field).until_steady(time.monotonic())
     if not first.recovered:
-        msg = f"nothing can be lost before everything flows: {first}\n{field.words()}"
+        msg = f"not all messages flow before the loss: {first}\n{field.words()}"
         raise RuntimeError(msg)
     return Watch(field)
 
 
 def _speak(field: Field, *programs: str) -> None:
-    """A moment after the loss, programs say new latched lines."""
+    """Let programs publish new latched lines a moment after the loss."""
     time.sleep(PAUSE)
     field.say_state(*programs)
 
 
 def _after(field: Field, watch: Watch, returned: float, replaced: tuple[str, int] | None = None) -> Outcome:
     if replaced is not None:
-        field.until(lambda: _replaced(field, *replaced), f"{replaced[0]} is started again")
+        field.until(lambda: _replaced(field, *replaced), f"{replaced[0]} is restarted")
     outcome = watch.until_steady(returned)
     watch.check_state(outcome)
     outcome.left += left_behind(field)

@@ -1,4 +1,4 @@
-"""All processes of one run: roscore, the daemon, and programs of each side that talk to each other through it."""
+"""All processes of one run: roscore, the daemon, and programs of each side that communicate through it."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from bridge.daemon.query import ask_daemon
 
 WORKERS = ("router", "ros1", "ros2")
 ANCHORS = ("ros1", "ros2", "hub")
-"""Programs that live through most losses, by the side that they are on."""
+"""Programs that survive most losses, by side."""
 EXTRAS = {"ros1": "ros1_extra", "ros2": "ros2_extra"}
 """Programs that are killed."""
 JOINER = "ros1_joiner"
-"""Joins ``/state`` late on ROS 1, again and again; on the other sides the anchors do."""
+"""Joins ``/state`` late on ROS 1, repeatedly; on the other sides the anchors do."""
 
 Flow = tuple[str, str]
-"""Listening program and topic."""
+"""Subscribing program, and topic."""
 
 
 class Field(Processes):
-    """Starts everything; `close` ends it.
+    """Starts all processes; `close` stops them.
 
     Args:
-        patient: kill a worker again only once its death brings no longer pause than the first one did.
+        patient: kill a worker again only once its restart is not delayed because of earlier ones.
 
     Attributes:
-        states: the newest latched line of each program that publishes.
+        states: the newest latched line of each publishing program.
         clock: whether the ROS 1 anchor publishes ``/clock``.
     """
 
@@ -57,7 +57,7 @@ class Field(Processes):
     # -- starting ------------------------------------------------------------------------------------------------------
 
     def start_programs(self, *names: str) -> None:
-        """Start programs; returns when they are on their networks and have said their latched line."""
+        """Start programs, and wait until they have joined their networks and published their latched line."""
         for name in names:
             hub = self.place.config.hub
             more = [hub.listen, str(hub.domain)] if name == "hub" else ["silent"] if name == JOINER else []
@@ -69,29 +69,29 @@ class Field(Processes):
             if name == JOINER:
                 continue
             others = [*(n for n in (*ANCHORS, *EXTRAS.values()) if _side(n) != _side(name)), "clock"]
-            self.command(name, "hear", "hearing", sources=others if name in ANCHORS else [])
+            self.command(name, "listen", "listening", sources=others if name in ANCHORS else [])
             self.say_state(name)
 
-    # -- talking -------------------------------------------------------------------------------------------------------
+    # -- messages ------------------------------------------------------------------------------------------------------
 
     def say_state(self, *names: str) -> None:
-        """Have programs publish new latched lines."""
+        """Let programs publish new latched lines."""
         self._number += 1
         for name in names:
             self.states[name] = f"{name} {self._number}"
             self.command(name, "state", "stated", number=self._number)
 
     def sounds(self, since: float) -> dict[Flow, list[tuple[float, float, float]]]:
-        """What each anchor heard since a moment: arrival, time of sending, number."""
+        """Return each anchor's received messages since a moment: arrival, time of sending, number."""
         result = {}
         for name in ANCHORS:
             if name in self._children:
-                for topic, sounds in self.command(name, "heard", "sounds", since=since)["sounds"].items():
+                for topic, sounds in self.command(name, "received", "sounds", since=since)["sounds"].items():
                     result[name, topic] = [(s[0], s[1], s[2]) for s in sounds]
         return result
 
     def flows(self) -> list[Flow]:
-        """What must be heard all the time."""
+        """Return the flows that must never be interrupted."""
         talking = [n for n in (*ANCHORS, *EXTRAS.values()) if n in self._children]
         flows = [
             (listener, f"/{talker}/{kind}")
@@ -103,7 +103,7 @@ class Field(Processes):
         return flows + ([("ros2", "/clock"), ("hub", "/clock")] if self.clock else [])
 
     def master(self, method: str, *params: Any) -> Any:
-        """Call the ROS master; the value of its answer, None where it fails."""
+        """Call the ROS master; return the value of its answer, None if the call fails."""
         with contextlib.suppress(OSError, xmlrpc.client.Error), xmlrpc.client.ServerProxy(self.place.master) as proxy:
             code, _, value = getattr(proxy, method)("/field", *params)
             return value if code == 1 else None
@@ -112,26 +112,26 @@ class Field(Processes):
     # -- the daemon ----------------------------------------------------------------------------------------------------
 
     def document(self) -> dict[str, Any]:
-        """What the daemon says of itself."""
+        """Return the daemon's status document."""
         return ask_daemon(self.place.config) or {"workers": [], "uptime": 0.0, "pid": 0}
 
     def worker(self, name: str) -> psutil.Process:
-        """A worker's process."""
+        """Return a worker's process."""
         pid = next((w["pid"] for w in self.document()["workers"] if w["worker"] == name), 0)
         if not pid:
-            msg = f"the daemon has no worker {name}"
+            msg = f"unknown worker {name}"
             raise RuntimeError(msg)
         return psutil.Process(pid)
 
     def until_old(self, name: str) -> None:
-        """Wait until a worker has lived so long that its death brings no longer pause than the first, where patient."""
+        """If patient, wait until a worker has run so long that its restart will not be delayed."""
         born = self.worker(name).create_time()
         restarted = any(w["worker"] == name and w["restarts"] for w in self.document()["workers"])
         if restarted and self._patient:
             time.sleep(max(0.0, born + GOOD_LIFE + 1 - time.time()))
 
     def kill_daemon(self) -> None:
-        """SIGKILL the daemon alone."""
+        """Send SIGKILL to the daemon, but not to its workers."""
         os.kill(int(self.document()["pid"]), signal.SIGKILL)
         self.stop("daemon")
 
@@ -142,7 +142,7 @@ class Field(Processes):
     # -- killing -------------------------------------------------------------------------------------------------------
 
     def kill(self, *names: str) -> None:
-        """SIGKILL roscore or programs, with all that they started."""
+        """Send SIGKILL to roscore or programs, and to all their children."""
         for name in names:
             for process in _tree(self._children[name].pid):
                 with contextlib.suppress(psutil.Error):
@@ -150,12 +150,12 @@ class Field(Processes):
             self.stop(name)
 
     def stop(self, name: str) -> None:
-        """As the base says; its latched line goes with it."""
+        # the program's latched line goes with it
         self.states.pop(name, None)
         super().stop(name)
 
     def shared_memory(self) -> tuple[int, int]:
-        """Files in shared memory that a process of this run uses or used: how many are there, and their bytes."""
+        """Return number and bytes of the files in shared memory that processes of this run use or used."""
         sizes = []
         for file in self.remember_memory():
             with contextlib.suppress(OSError):
@@ -163,7 +163,7 @@ class Field(Processes):
         return len(sizes), sum(sizes)
 
     def close(self) -> None:
-        """End all processes."""
+        """Stop all processes."""
         with contextlib.suppress(RuntimeError, psutil.Error):
             for name in WORKERS:
                 self.worker(name).resume()

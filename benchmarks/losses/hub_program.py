@@ -42,7 +42,7 @@ class HubProgram(Program):
     def publish(self, kind: str, sent: float, number: int) -> None:
         if kind == "large":
             self._publishers[kind].put(_string(MEGABYTE))
-        elif kind != "clock":  # ROS 1's alone here
+        elif kind != "clock":  # only ROS 1 has a clock here
             more = 3 if kind == "cmd_vel" else 0
             self._publishers[kind].put(CDR + struct.pack(f"<{3 + more}d", sent, number, *[0.0] * (1 + more)))
 

@@ -1,4 +1,4 @@
-"""What killed processes leave in shared memory: after one kill, and after many."""
+"""Files that killed processes leave in shared memory: after one kill, and after many."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from benchmarks.losses.outcome import Watch
 from benchmarks.rows import Row
 
 SETTLE = 6.0
-"""Seconds that a worker lives before it is killed: Fast DDS files that are younger may be in the making, and are
-left to the next start."""
+"""Seconds that a worker runs before it is killed: younger Fast DDS files may still be in creation, and are left to the
+next start."""
 
 
 def _steady(field: Field) -> None:
@@ -30,7 +30,7 @@ def _kill_workers(field: Field) -> None:
         now = {w["worker"]: w["pid"] for w in field.document()["workers"]}
         return all(now.get(name) not in (None, 0, pid) for name, pid in pids.items())
 
-    field.until(replaced, "they are started again")
+    field.until(replaced, "they are restarted")
 
 
 def _kill_all(field: Field) -> None:
@@ -44,9 +44,9 @@ WAYS: dict[str, Callable[[Field], None]] = {"the workers": _kill_workers, "the d
 
 
 def litter(field: Field, kills: int, ways: Sequence[str] = tuple(WAYS)) -> list[Row]:
-    """Kill the workers, and then the whole daemon, again and again while megabytes cross, and count what stays.
+    """Kill the workers, and then the whole daemon, repeatedly while megabytes are bridged, and count the leftovers.
 
-    The rows' peers are what stays after the first kill.
+    The rows' peers are the leftovers after the first kill.
     """
     for name in ANCHORS:
         field.command(name, "large", "enlarged", on=True)

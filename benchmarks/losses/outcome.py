@@ -1,4 +1,4 @@
-"""What one loss cost, from what the programs heard."""
+"""The cost of one loss, from the messages that the programs received."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from benchmarks.losses.field import ANCHORS, JOINER, Field, Flow
 
 GAP = 0.5
-"""Seconds of silence of a stream of 50 Hz that count as an interruption: busy machines make shorter ones."""
+"""Seconds of silence of a 50 Hz stream that count as an interruption; busy machines cause shorter ones."""
 QUIET = 1.5
 """Seconds without an interruption after which a flow counts as steady."""
 STALE = 0.75
-"""Seconds after which a command should not come out any more: its time-out of 0.5 s, and the way."""
+"""Seconds after which a command must no longer be delivered: its time-out of 0.5 s, and the transport."""
 STATE_SECONDS = 10.0
 
 Sound = tuple[float, float, float]
@@ -23,18 +23,18 @@ Sound = tuple[float, float, float]
 
 @dataclass(slots=True)
 class Outcome:
-    """What one loss cost.
+    """The cost of one loss.
 
     Attributes:
-        recovered: everything flows again.
-        seconds: until it did, from the moment at which it could.
-        slowest: the flow that took longest.
+        recovered: whether all messages flow again.
+        seconds: time until then, from the moment at which they could.
+        slowest: the flow that recovered last.
         gap: longest silence of any flow.
-        stale: commands that came out too late.
-        late_flows: where they did.
-        twice: stream messages that came twice.
-        missing: latched lines that an old or a new listener does not have.
-        left: what is stale on the networks: dead nodes' registrations, lines of the dead.
+        stale: commands that were delivered too late.
+        late_flows: flows with stale commands.
+        twice: stream messages that arrived twice.
+        missing: latched lines that an old or a new subscriber does not have.
+        left: leftovers on the networks: registrations and latched lines of dead nodes.
     """
 
     recovered: bool = True
@@ -49,11 +49,11 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether nothing at all went wrong."""
+        """Whether nothing went wrong."""
         return self.recovered and not (self.stale or self.twice or self.missing or self.left)
 
     def __str__(self) -> str:
-        """One line."""
+        """Return one line."""
         text = f"{self.seconds:6.2f} s, longest silence {self.gap:6.2f} s {self.slowest}"
         if not self.recovered:
             text = f"NOT RECOVERED: {self.slowest}"
@@ -65,18 +65,18 @@ class Outcome:
 
 
 class Watch:
-    """Watches a field from one moment on, before anything is broken."""
+    """Watches a field from a moment before the loss."""
 
     def __init__(self, a_field: Field) -> None:
         self._field = a_field
         self.since = time.monotonic()
 
     def until_steady(self, returned: float, seconds: float = 40.0) -> Outcome:
-        """Wait until all flows are steady again, and tell what it took.
+        """Wait until all flows are steady again, and return the outcome.
 
         Args:
-            returned: the moment from which on all could flow again.
-            seconds: how long to wait.
+            returned: the moment from which on all messages could flow again.
+            seconds: time-out.
         """
         end = time.monotonic() + seconds
         while True:
@@ -87,7 +87,7 @@ class Watch:
             if not bad and now > returned + QUIET:
                 break
             if now > end:
-                names = ", ".join(f"{listener} hears no {topic}" for listener, topic in bad)
+                names = ", ".join(f"{listener} receives no {topic}" for listener, topic in bad)
                 return Outcome(recovered=False, seconds=now - returned, slowest=names)
             time.sleep(0.1)
         outcome = Outcome()
@@ -101,20 +101,20 @@ class Watch:
         for before, after in itertools.pairwise(arrivals):
             outcome.gap = max(outcome.gap, after - before)
             if after - before > GAP and after - returned > outcome.seconds:
-                outcome.seconds, outcome.slowest = after - returned, f"({flow[0]} hears {flow[1]})"
-        if arrivals and arrivals[0] - returned > outcome.seconds:  # its first message ever came late
-            outcome.seconds, outcome.slowest = arrivals[0] - returned, f"({flow[0]} hears {flow[1]})"
+                outcome.seconds, outcome.slowest = after - returned, f"({flow[0]} receives {flow[1]})"
+        if arrivals and arrivals[0] - returned > outcome.seconds:  # its very first message arrived late
+            outcome.seconds, outcome.slowest = arrivals[0] - returned, f"({flow[0]} receives {flow[1]})"
         if flow[1].endswith("/cmd_vel"):
             late = [arrival - sent for arrival, sent, _ in sounds if arrival - sent > STALE]
             outcome.stale += len(late)
             if late:
-                outcome.late_flows.append(f"{flow[0]} hears {flow[1]} up to {max(late):.1f} s late")
+                outcome.late_flows.append(f"{flow[0]} receives {flow[1]} up to {max(late):.1f} s late")
         if flow[1].endswith("/stream"):
             counts = Counter((sent, number) for _, sent, number in sounds)
             outcome.twice += sum(n - 1 for n in counts.values())
 
     def check_state(self, outcome: Outcome, seconds: float = STATE_SECONDS) -> None:
-        """Whether old and new listeners of each side have the newest latched line of each program, and no other's."""
+        """Check that old and new subscribers of each side have exactly the newest latched line of each program."""
         end = time.monotonic() + seconds
         while True:
             missing, left = self._compare()
@@ -139,14 +139,14 @@ class Watch:
             lingering = {line for line, until in self._field.lingering.items() if time.monotonic() < until}
             count = len(expected | lingering)
             got = self._field.command(name, "late", "joined", count=count, seconds=2.0)["lines"]
-            missing += [f"{line} at a newcomer on {name}" for line in sorted(expected - set(got))]
-            left += [f"{line} at a newcomer on {name}" for line in sorted(set(got) - expected - lingering)]
-            left += [f"{line} {n} times at a newcomer on {name}" for line, n in Counter(got).items() if n > 1]
+            missing += [f"{line} at a late joiner on {name}" for line in sorted(expected - set(got))]
+            left += [f"{line} at a late joiner on {name}" for line in sorted(set(got) - expected - lingering)]
+            left += [f"{line} {n} times at a late joiner on {name}" for line, n in Counter(got).items() if n > 1]
         return missing, left
 
 
 def _is_steady(sounds: Sequence[Sound], now: float) -> bool:
-    """Whether there was no interruption lately."""
+    """Return whether there was no recent interruption."""
     late = [s[0] for s in sounds if s[0] > now - QUIET]
     times = [now - QUIET, *late, now]
     return len(late) > 1 and all(b - a < GAP for a, b in itertools.pairwise(times))

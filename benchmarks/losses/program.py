@@ -1,16 +1,16 @@
-"""What the programs on each side share: they publish all the time, listen to each other, and obey JSON lines.
+"""Base of the programs on each side, which publish continuously and subscribe to each other, controlled by JSON lines.
 
-Every program has a name and publishes ``/<name>/stream`` (a number each 20 ms), ``/<name>/cmd_vel`` (every second
-beat) and one latched line on ``/state``, which all programs share. Times are CLOCK_MONOTONIC, which all processes of a
+Every program has a name and publishes ``/<name>/stream`` (a number every 20 ms), ``/<name>/cmd_vel`` (every second
+time) and one latched line on ``/state``, which all programs share. Times are CLOCK_MONOTONIC, which all processes of a
 machine share. Standard library only.
 
 Commands (``do``), each answered by an event:
 
-- ``hear`` sources -> hearing;
+- ``listen`` sources -> listening;
 - ``state`` number -> stated; ``states`` -> states: the newest line of each program;
-- ``late`` count, seconds -> joined: the lines that a new subscription got;
-- ``heard`` since -> sounds: by topic, arrival, time of sending, number;
-- ``large`` on -> enlarged: also a megabyte five times a second;
+- ``late`` count, seconds -> joined: the lines that a new subscription received;
+- ``received`` since -> sounds: by topic, arrival, time of sending, number;
+- ``large`` on -> enlarged: also a megabyte five times per second;
 - ``clock`` start -> ticking: also ``/clock``, from this second on;
 - ``nodes`` -> nodes: their names.
 """
@@ -30,7 +30,7 @@ from benchmarks.latency.end import reply
 
 PERIOD = 0.02
 KEPT = 20_000
-"""Sounds of one topic that are remembered: more than three minutes of a stream."""
+"""Number of stored messages per topic: more than three minutes of a stream."""
 MEGABYTE = "x" * 1_000_000
 _LARGE_EVERY = 10
 
@@ -39,11 +39,11 @@ _READ: dict[str, Callable[[Any], tuple[float, float]]] = {
     "cmd_vel": lambda m: (m.linear.x, m.linear.y),
     "large": lambda _m: (0.0, 0.0),
 }
-"""The time of sending and the number in a message of each kind."""
+"""Reads the time of sending and the number from a message of each kind."""
 
 
 class Program(ABC):
-    """One program of one middleware."""
+    """A program on one middleware."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -55,7 +55,7 @@ class Program(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Make the publishers and the subscription of ``/state``."""
+        """Create the publishers and the subscription to ``/state``."""
 
     @abstractmethod
     def publish(self, kind: str, sent: float, number: int) -> None:
@@ -67,32 +67,32 @@ class Program(ABC):
 
     @abstractmethod
     def listen(self, source: str) -> None:
-        """Listen to another program's stream and commands; to the clock where that is the name."""
+        """Subscribe to another program's stream and commands, or to the clock."""
 
     @abstractmethod
     def late(self, take: Callable[[str], None]) -> Callable[[], None]:
-        """Subscribe to ``/state`` as a newcomer; returns what ends it."""
+        """Subscribe to ``/state`` as a late joiner; return a function that unsubscribes."""
 
     @abstractmethod
     def nodes(self) -> list[str]:
-        """Names of all nodes on the network."""
+        """Return the names of all nodes on the network."""
 
     @abstractmethod
     def close(self) -> None:
         """Leave the network."""
 
     def run(self, *, silent: bool) -> None:
-        """Publish (unless silent) and obey until the input ends."""
+        """Publish (unless silent), and execute commands until the input ends."""
         if not silent:
             self.open()
             threading.Thread(target=self._beat, name="beat", daemon=True).start()
         reply("ready")
         commands: dict[str, Callable[..., None]] = {
-            "hear": self._hear,
+            "listen": self._listen_to,
             "state": self._state,
-            "states": self._tell_states,
+            "states": self._report_states,
             "late": self._late,
-            "heard": self._heard,
+            "received": self._report_received,
             "large": self._set_large,
             "clock": self._set_clock,
             "nodes": lambda: reply("nodes", names=self.nodes()),
@@ -106,19 +106,19 @@ class Program(ABC):
             self.close()
 
     def sound(self, topic: str, sent: float, number: float) -> None:
-        """A message came."""
+        """Record a received message."""
         sounds = self._sounds.get(topic)
         if sounds is None:
             sounds = self._sounds.setdefault(topic, deque(maxlen=KEPT))
         sounds.append((time.monotonic(), sent, number))
 
     def hearer(self, source: str, kind: str) -> Callable[[Any], None]:
-        """What takes another program's messages of a kind."""
+        """Return a callback for another program's messages of a kind."""
         topic, read = f"/{source}/{kind}", _READ[kind]
         return lambda message: self.sound(topic, *read(message))
 
     def stated(self, line: str) -> None:
-        """A latched line came."""
+        """Record a received latched line."""
         self._states[line.partition(" ")[0]] = line
 
     def _beat(self) -> None:
@@ -136,16 +136,16 @@ class Program(ABC):
             due = max(due + PERIOD, time.monotonic() - 0.1)
             time.sleep(max(0.0, due - time.monotonic()))
 
-    def _hear(self, sources: list[str]) -> None:
+    def _listen_to(self, sources: list[str]) -> None:
         for source in sources:
             self.listen(source)
-        reply("hearing")
+        reply("listening")
 
     def _state(self, number: int) -> None:
         self.publish_state(f"{self.name} {number}")
         reply("stated")
 
-    def _tell_states(self) -> None:
+    def _report_states(self) -> None:
         reply("states", lines=dict(self._states))
 
     def _late(self, count: int, seconds: float) -> None:
@@ -163,7 +163,7 @@ class Program(ABC):
         end()
         reply("joined", lines=sorted(lines))
 
-    def _heard(self, since: float) -> None:
+    def _report_received(self, since: float) -> None:
         sounds: dict[str, Any] = {
             t: [s for s in list(received) if s[0] >= since] for t, received in self._sounds.items()
         }

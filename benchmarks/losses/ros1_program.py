@@ -1,4 +1,4 @@
-"""A ROS 1 program: stock rospy. Usage: ``python -m benchmarks.losses.ros1_program NAME [silent]``."""
+"""A ROS 1 program: standard rospy. Usage: ``python -m benchmarks.losses.ros1_program NAME [silent]``."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Ros1Program(Program):
             rospy.Subscriber(f"/{source}/{kind}", type_, self.hearer(source, kind), **more)
 
     def late(self, take: Callable[[str], None]) -> Callable[[], None]:
-        """As the base says; in a program that has no subscription of it yet, which rospy would share."""
+        # only in programs without a subscription to it, which rospy would share
         subscriber = rospy.Subscriber("/state", String, lambda m: take(m.data))
         return lambda: subscriber.unregister()
 

@@ -1,4 +1,4 @@
-"""A ROS 2 program: stock rclpy. Usage: ``python -m benchmarks.losses.ros2_program NAME``."""
+"""A ROS 2 program: standard rclpy. Usage: ``python -m benchmarks.losses.ros2_program NAME``."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Ros2Program(Program):
 
     def publish(self, kind: str, sent: float, number: int) -> None:
         if kind == "clock":
-            return  # ROS 1's alone here
+            return  # only ROS 1 has a clock here
         point = Vector3(x=sent, y=float(number))
         large = kind == "large"
         message = String(data=MEGABYTE) if large else Twist(linear=point) if kind == "cmd_vel" else point
@@ -52,12 +52,12 @@ class Ros2Program(Program):
 
     def listen(self, source: str) -> None:
         if source == "clock":
-            self._node.create_subscription(Clock, "/clock", self._hear_clock, DEPTH)
+            self._node.create_subscription(Clock, "/clock", self._on_clock, DEPTH)
             return
         for kind, type_ in KINDS.items():
             self._node.create_subscription(type_, f"/{source}/{kind}", self.hearer(source, kind), DEPTH)
 
-    def _hear_clock(self, message: Any) -> None:
+    def _on_clock(self, message: Any) -> None:
         self.sound("/clock", message.clock.sec + message.clock.nanosec / 1e9, 0.0)
 
     def late(self, take: Callable[[str], None]) -> Callable[[], None]:
@@ -71,7 +71,7 @@ class Ros2Program(Program):
     def close(self) -> None:
         self._executor.shutdown(2.0)
         self._spinner.join(2.0)
-        self._node.destroy_node()  # else the others take it for alive until its lease is over
+        self._node.destroy_node()  # otherwise the others consider it alive until its lease expires
         rclpy.shutdown()
 
     def _spin(self) -> None:

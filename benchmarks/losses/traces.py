@@ -1,4 +1,4 @@
-"""What the dead left on the networks, and did not take along."""
+"""Leftovers of dead processes on the networks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _OURS = "midspan"
 
 
 def left_behind(field: Field) -> list[str]:
-    """What is stale on the ROS master, on the hub and on DDS after a moment's patience."""
+    """Return leftovers on the ROS master, the hub and DDS, after a short wait."""
     return [
         *_patiently(lambda: _on_master(field)),
         *_patiently(lambda: _twice(field, "hub", ("midspan_ros1", "midspan_ros2"))),
@@ -33,10 +33,10 @@ def _patiently(look: Callable[[], list[str]]) -> list[str]:
 
 
 def _on_master(field: Field) -> list[str]:
-    """Registrations and presence of Midspan nodes that do not live, or do not have what is registered."""
+    """Return registrations of dead Midspan nodes, and registrations that live nodes do not have."""
     state = field.master("getSystemState")
     if state is None:
-        return ["the master does not answer"]
+        return ["the master does not reply"]
     pid = field.worker("ros1").pid
     registered: dict[str, list[set[str]]] = {}
     for kind, listed in enumerate(state[:2]):
@@ -55,7 +55,7 @@ def _on_master(field: Field) -> list[str]:
     entries = field.master("getParam", PRESENCE) or {}
     stale += [f"{PRESENCE}/{key} of process {e['pid']}" for key, e in entries.items() if e.get("pid") != pid]
     if not registered or not entries:
-        stale.append("no registration of the living node")
+        stale.append("no registration of the live node")
     return [f"{thing} on the master" for thing in stale]
 
 

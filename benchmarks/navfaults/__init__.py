@@ -1,1 +1,1 @@
-"""Faults of a robot that drives to a place, one after the other."""
+"""Faults during a robot's drive to a place."""

@@ -1,4 +1,4 @@
-"""The faults, and what should come of each."""
+"""The faults, and the expected outcome of each."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ class Fault:
 
     Attributes:
         key: its name.
-        make: has it happen, and ends it when the context is left.
-        lasts: seconds of it.
-        limit: seconds until the wheels should stand; infinite where the robot is to drive on.
-        says: what the reason that the client hears contains.
-        ends: how the goal should end; None: that depends.
-        code: the result's error_code; None: any.
-        tries: whether the robot may try for a moment meanwhile whether it is over.
+        make: causes the fault, and ends it when the context is left.
+        lasts: duration, seconds.
+        limit: seconds until the wheels should stand; infinite if the robot should continue.
+        says: text that the client's status reason must contain.
+        ends: expected final state of the goal; None: any.
+        code: expected error_code of the result; None: any.
+        tries: whether the robot may move briefly meanwhile to test whether the fault is over.
         again: whether the goal is sent again after it.
-        where: makes the deployment that it happens to.
+        where: creates the deployment.
     """
 
     key: str
@@ -54,18 +54,18 @@ class Fault:
     where: Callable[[Path], Chain] = Chain
 
     def happen(self, chain: Chain, place: str) -> Outcome:
-        """Drive to a place, have it happen on the way, and see what comes of it."""
+        """Drive to a place, cause the fault meanwhile, and return the outcome."""
         outcome = Outcome(self.key)
         try:
             self._happen(chain, place, outcome)
         except AssertionError as err:
-            outcome.wrong = outcome.wrong or str(err) or "it did not come to its end"
+            outcome.wrong = outcome.wrong or str(err) or "the case was not completed"
         return outcome
 
     def _happen(self, chain: Chain, place: str, outcome: Outcome) -> None:
         goal = chain.goto(place)
         chain.until_moving()
-        chain.until(lambda: _driven(chain, goal) > 0.5, "it is on the way")
+        chain.until(lambda: _driven(chain, goal) > 0.5, "the robot has driven 0.5 m")
         truth = chain.truth
         assert truth is not None
         x, y, began = truth.x, truth.y, time.monotonic()
@@ -79,7 +79,7 @@ class Fault:
             outcome.distance = math.dist((x, y), (now.x, now.y))
             time.sleep(max(0.0, began + self.lasts - time.monotonic()))
             if math.isfinite(self.limit) and not self.tries and not (chain.truth and chain.truth.still):
-                outcome.wrong = outcome.wrong or "it drove again before the fault was over"
+                outcome.wrong = outcome.wrong or "the robot drove again before the fault was over"
         over = time.monotonic()
         if self.ends is GoalState.SUCCEEDED and math.isfinite(self.limit):
             with contextlib.suppress(AssertionError):
@@ -101,7 +101,7 @@ class Fault:
         if self.code is not None and goal.code != self.code:
             outcome.wrong = outcome.wrong or f"the goal ended with the code {goal.code}, not {self.code}"
         if self.says and not reasons and self.says not in goal.reason:
-            outcome.wrong = outcome.wrong or f"the client did not hear '{self.says}'"
+            outcome.wrong = outcome.wrong or f"the client did not receive '{self.says}'"
 
 
 def _driven(chain: Chain, goal: SentGoal) -> float:
@@ -112,7 +112,7 @@ def _driven(chain: Chain, goal: SentGoal) -> float:
 
 
 def _still(chain: Chain, seconds: float) -> float:
-    """Seconds until the wheels stand for a while."""
+    """Return the seconds until the wheels stand for a while."""
     began = time.monotonic()
     while True:
         chain.until_still(max(0.1, began + seconds - time.monotonic()))
@@ -125,7 +125,7 @@ def _still(chain: Chain, seconds: float) -> float:
             raise AssertionError(f"the wheels do not stand within {seconds:g} s")
 
 
-# what happens
+# -- the faults
 
 
 def _sensor(name: str) -> Make:
@@ -172,7 +172,7 @@ def _frozen(worker: str) -> Make:
 
 
 def _without(module: str) -> Make:
-    """A module that is switched off by the configuration, and on again."""
+    """Return a fault that disables a module by the configuration, and enables it again."""
 
     @contextmanager
     def make(chain: Chain) -> Iterator[None]:

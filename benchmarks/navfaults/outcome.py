@@ -1,4 +1,4 @@
-"""What a fault led to."""
+"""The outcome of a fault."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from dataclasses import dataclass
 
 @dataclass
 class Outcome:
-    """What happened, and what the client heard.
+    """What happened, and the status that the client received.
 
     Attributes:
-        key: the fault's.
-        still: seconds from the fault until the wheels stood; infinite where they did not.
-        distance: meters that the robot went meanwhile.
-        reported: what the client heard of it: state and reason.
-        onward: seconds from the end of the fault until the robot drove on; infinite where it was not to, or did not.
-        anew: seconds from asking for the goal anew until the robot drove; infinite where nobody did, or it did not.
-        end: how the client's goal ended, and its reason.
-        wrong: what was not as it should be.
+        key: the fault's key.
+        still: seconds from the fault until the wheels stood; infinite if they did not.
+        distance: meters that the robot moved meanwhile.
+        reported: state and reason that the client received.
+        onward: seconds from the end of the fault until the robot continued; infinite if it did not.
+        anew: seconds from sending the goal again until the robot drove; infinite if it was not sent, or it did not.
+        end: final state of the client's goal, and its reason.
+        wrong: the deviation from the expected outcome.
     """
 
     key: str
@@ -39,11 +39,11 @@ class Outcome:
         if self.reported:
             parts.append(f"client: {self.reported}")
         if math.isfinite(self.onward):
-            parts.append(f"went on {self.onward:.2f} s after the end of the fault")
+            parts.append(f"continued {self.onward:.2f} s after the end of the fault")
         if self.end:
             parts.append(f"goal: {self.end}")
         if math.isfinite(self.anew):
-            parts.append(f"asked anew, it drove after {self.anew:.2f} s")
+            parts.append(f"goal sent again, drove after {self.anew:.2f} s")
         if self.wrong:
             parts.append(f"WRONG: {self.wrong}")
         return "; ".join(parts)

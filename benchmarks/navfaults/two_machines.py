@@ -1,4 +1,4 @@
-"""The deployment on two machines: network namespaces of their own, joined by TLS over a link that can be cut."""
+"""The deployment on two machines: two network namespaces, joined by TLS over a link that can be cut."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _SEEKS = "robot_path_planner"
 
 
 class TwoMachines(Chain):
-    """A robot, and an operator's computer on which who asks for goals sits; what the robot does is seen on the robot.
+    """A robot, and an operator's computer with the client; the true pose is observed on the robot.
 
-    Programs of this process reach both hubs by a socket in the file system, which no link is needed for.
+    This process connects to both hubs by sockets in the file system, which do not depend on the link.
 
     Args:
-        folder: for its files.
-        split: whether planner and gateway are the operator's too, and only RobotGoto and the base the robot's.
+        folder: folder of its files.
+        split: whether planner and gateway run on the operator's computer, and only RobotGoto and the base on the robot.
     """
 
     def __init__(self, folder: Path, *, split: bool = False) -> None:
@@ -61,11 +61,11 @@ class TwoMachines(Chain):
 
     @property
     def far_file(self) -> Path:
-        """The operator's configuration."""
+        """Path of the operator's configuration."""
         return self.folder / "operator.yaml"
 
     def start(self) -> None:
-        """Start both daemons, who asks at the operator's, and who watches at the robot's."""
+        """Start both daemons, the client at the operator's, and the observer at the robot's."""
         for name in ("robot1", "operator1"):
             self.operator.run(*MIDSPAN, "keys", "make", name, "--folder", self.folder / "keys")
         self.write()
@@ -74,10 +74,10 @@ class TwoMachines(Chain):
         self.client = self.join("client", self._socket("operator1"))
         self.listen(self.client, self.join("watcher", self._socket("robot1")))
         if self._split:
-            self.until(lambda: self.status(_SEEKS).get("map"), "the map has come over the link", 40)
+            self.until(lambda: self.status(_SEEKS).get("map"), "the map has arrived over the link", 40)
 
     def output(self) -> str:
-        """The last of both logs."""
+        """Return the end of both logs."""
         return super().output() + (f"--- operator\n{self._far.output()[-8000:]}" if self._far else "")
 
     def _socket(self, name: str) -> str:

@@ -1,4 +1,4 @@
-"""The programs on ROS 1: a planner's stand-in that tells when its action server is registered, and a bare client.
+"""The ROS 1 programs: a planner's stand-in that reports when its action server is registered, and a bare client.
 
 Runs on the system's Python. Usage: ``python -m benchmarks.returned.ros1 planner PROGRAM`` or ``... ros1 waiter``.
 """
@@ -16,7 +16,7 @@ _start = actionlib.ActionServer.start
 
 
 def _start_and_report(server: Any) -> None:
-    _start(server)  # it returns with all five topics at the master
+    _start(server)  # it returns once all five topics are registered at the master
     report("registered")
 
 
@@ -27,7 +27,7 @@ def _plan(program: str) -> None:
 
 
 def _wait() -> None:
-    """The floor: a client of the planner's own side."""
+    """Measure the floor: a client on the planner's own side."""
     import rospy
     from move_base_msgs.msg import MoveBaseAction
 

@@ -1,4 +1,4 @@
-"""The programs on ROS 2: a planner's stand-in that tells when its action server is there, and a bare client.
+"""The ROS 2 programs: a planner's stand-in that reports when its action server exists, and a bare client.
 
 Usage: ``python -m benchmarks.returned.ros2 planner PROGRAM`` or ``... ros2 waiter``.
 """
@@ -29,7 +29,7 @@ def _plan(program: str) -> None:
 
 
 def _wait() -> None:
-    """The floor: a client of the planner's own side."""
+    """Measure the floor: a client on the planner's own side."""
     from nav2_msgs.action import NavigateToPose
 
     rclpy.init()

@@ -1,4 +1,4 @@
-"""How the programs report what happened when. Standard library only."""
+"""Reports events with their time. Standard library only."""
 
 import json
 import sys
@@ -7,6 +7,6 @@ from typing import Any
 
 
 def report(event: str, **values: Any) -> None:
-    """Write one line: an event, and the machine's monotonic time in seconds."""
+    """Write a line with an event, and the machine's monotonic time in seconds."""
     sys.stdout.write(json.dumps({"event": event, "at": time.monotonic(), **values}) + "\n")
     sys.stdout.flush()

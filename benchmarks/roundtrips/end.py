@@ -1,4 +1,4 @@
-"""What the programs share: they obey JSON lines, and measure round trips. Standard library only.
+"""Base of the programs, which measure round trips and are controlled by JSON lines. Standard library only.
 
 Under a prefix (``/there``) a server has four names: ``call`` (a small service), ``map`` (GetMap of 1 MB), ``go`` (an
 action whose goals succeed at once) and ``hold`` (one whose goals end when they are cancelled).
@@ -21,40 +21,40 @@ CASES = ("call", "map", "go", "hold")
 
 
 class End(ABC):
-    """A program that serves and one that calls, for one middleware. Each call returns the nanoseconds it took."""
+    """A program that serves or calls, for one middleware; each call returns its duration in nanoseconds."""
 
     @abstractmethod
     def serve(self, prefix: str) -> None:
-        """Serve all four."""
+        """Serve all four names."""
 
     @abstractmethod
     def wait_for(self, prefix: str) -> None:
-        """Make the clients, and wait until there are servers."""
+        """Create the clients, and wait for the servers."""
 
     @abstractmethod
     def call(self, prefix: str) -> int:
-        """A small call."""
+        """Make a small call."""
 
     @abstractmethod
     def get_map(self, prefix: str) -> int:
-        """A call with a large reply."""
+        """Make a call with a large reply."""
 
     @abstractmethod
     def run_goal(self, prefix: str) -> int:
-        """A goal, to its result."""
+        """Measure from sending a goal to its result."""
 
     @abstractmethod
     def cancel_goal(self, prefix: str) -> int:
-        """From the request to cancel a goal to its end."""
+        """Measure from the request to cancel a goal to its end."""
 
     @abstractmethod
     def close(self) -> None:
         """Leave the network."""
 
     def run(self) -> None:
-        """Obey until the input ends."""
+        """Execute commands until the input ends."""
         gc.collect()
-        gc.disable()  # pauses of these programs are not what is measured
+        gc.disable()  # pauses of these programs must not count
         reply("ready")
         cases: dict[str, Callable[[str], int]] = {
             "call": self.call,

@@ -1,4 +1,4 @@
-"""An end on ROS 1: stock rospy and actionlib; persistent connections to services."""
+"""A ROS 1 end: standard rospy and actionlib, with persistent connections to services."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Ros1End(End):
         reply = self._services[f"{prefix}/map"]()
         took = time.perf_counter_ns() - began
         if len(reply.map.data) != MAP_SIDE * MAP_SIDE:
-            raise RuntimeError("the map is not whole")
+            raise RuntimeError("the map is incomplete")
         return took
 
     def run_goal(self, prefix: str) -> int:
@@ -96,10 +96,10 @@ class _Goal:
             self._changed.notify_all()
 
     def wait(self, state: int) -> None:
-        """Until it is in a state."""
+        """Wait until the goal is in a state."""
         with self._changed:
             if not self._changed.wait_for(lambda: self._state == state, SECONDS):
-                raise RuntimeError("the goal does not get there")
+                raise RuntimeError("the goal does not reach the state")
 
 
 def _succeed(goal: Any) -> None:
@@ -116,7 +116,7 @@ def _cancel(goal: Any) -> None:
 
 
 def _nothing(_goal: Any) -> None:
-    """There is nothing to cancel."""
+    """Do nothing, since there is nothing to cancel."""
 
 
 if __name__ == "__main__":

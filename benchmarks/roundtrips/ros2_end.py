@@ -1,4 +1,4 @@
-"""An end on ROS 2: stock rclpy; each client and server has a node and an executor of its own, which is the quickest."""
+"""A ROS 2 end: standard rclpy, with a node and an executor for each client and server, which is the fastest."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool
 from benchmarks.roundtrips.end import MAP_SIDE, End
 
 SECONDS = 30.0
-_action: Any = action  # rclpy's types say nothing of actions
+_action: Any = action  # rclpy's types do not cover actions
 _task: Any = task
 
 
@@ -57,7 +57,7 @@ class Ros2End(End):
 
     def _cancel(self, goal: Any) -> Any:
         self._held.setdefault(bytes(goal.goal_id.uuid), _task.Future()).set_result(None)
-        self._executors["hold"].wake()  # who awaits a future is not woken by its result
+        self._executors["hold"].wake()  # setting a future's result does not wake the executor
         return _action.CancelResponse.ACCEPT
 
     def wait_for(self, prefix: str) -> None:
@@ -84,7 +84,7 @@ class Ros2End(End):
         reply = self._until(path, self._ends[path].call_async(GetMap.Request()))
         took = time.perf_counter_ns() - began
         if len(reply.map.data) != MAP_SIDE * MAP_SIDE:
-            raise RuntimeError("the map is not whole")
+            raise RuntimeError("the map is incomplete")
         return took
 
     def run_goal(self, prefix: str) -> int:
@@ -106,7 +106,7 @@ class Ros2End(End):
         return time.perf_counter_ns() - began
 
     def close(self) -> None:
-        """Leave at once."""
+        """Exit at once, without closing the middleware."""
         os._exit(0)
 
     def _until(self, path: str, future: Any) -> Any:

@@ -1,7 +1,7 @@
-"""An end on zenoh: queries with an attachment as large as rmw_zenoh's, between peers with a direct link.
+"""A zenoh end: queries with an attachment as large as rmw_zenoh's, between peers with a direct link.
 
-An action is its queries: the goal and its result, one after the other; the result of a held goal is answered when a
-third query cancels it. Usage: ``python -m benchmarks.roundtrips.zenoh_end ROUTER``.
+An action consists of queries: for the goal and then for its result; the result of a held goal is sent when a third
+query cancels it. Usage: ``python -m benchmarks.roundtrips.zenoh_end ROUTER``.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class ZenohEnd(End):
         _answerer(SMALL)(self._asking.pop())
 
     def wait_for(self, prefix: str) -> None:
-        """As the base says; also for the direct link."""
+        # also waits for the direct link
         end = time.monotonic() + SECONDS
         while not self._session.info.peers_zid() and time.monotonic() < end:
             time.sleep(0.02)
@@ -116,7 +116,7 @@ class _PendingReply:
         self.ended = threading.Event()
 
     def replied(self, reply: Any) -> None:
-        """A reply came."""
+        """Record a reply."""
         if reply.ok is not None:
             self.replies.append(reply.ok.payload.to_bytes())
             self.ended.set()

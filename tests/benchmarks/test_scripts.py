@@ -28,7 +28,7 @@ def test_flood_measures_with_and_without_the_stream(tmp_path: Path) -> None:
     file = tmp_path / "rows.json"
     flood.main(["--way", "ros1", "--turns", "1", "--seconds", "0.5", "--json", str(file)])
     rows = {row["case"]: row for row in json.loads(file.read_text())}
-    assert rows["/tf beside 100 MB/s, ROS 1 to ROS 2, p99, to without"]["peer"] > 0
+    assert rows["/tf with 100 MB/s, ROS 1 to ROS 2, p99, to without"]["peer"] > 0
     assert rows["the stream, ROS 1 to ROS 2, arrived of sent"]["ours"] > 0
 
 
@@ -39,7 +39,7 @@ def test_record_is_compared_with_a_plain_subscriber(tmp_path: Path) -> None:
     rows = {row["case"]: row for row in json.loads(file.read_text())}
     assert rows["messages lost"]["ours"] == 0
     assert rows["processor, none, against bare"]["ours"] > 0
-    assert rows["latency p50 of small ones, against nobody"]["peer"] > 0
+    assert rows["latency p50 of small ones, against no recorder"]["peer"] > 0
 
 
 @pytest.mark.thorough

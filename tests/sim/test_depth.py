@@ -45,7 +45,7 @@ def test_noise_grows_with_the_square_of_the_depth() -> None:
     for depth in (1.0, 2.0, 4.0):
         wall = np.add(WALL, (depth - 2.0, 0, 0, 0, 0, 0, 0, 0))
         seen = depth_camera.picture(7, BasePose(0.0, 0.0, 0.0), wall, NONE)
-        middle = seen[:240]  # above the horizon there is no floor before the wall
+        middle = seen[:240]  # the upper half, above the floor
         expected = depth**2 * 0.08 / (depth_camera.lens[0] * 0.05)
         assert middle.mean() == pytest.approx(depth, abs=4 * expected / math.sqrt(middle.size))
         assert middle.std() == pytest.approx(expected, rel=0.02)
