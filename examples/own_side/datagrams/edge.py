@@ -145,7 +145,9 @@ class DatagramEdge(Edge):
     def sightings(self) -> Sequence[Sighting]:
         programs = [] if self._node is None else list(self._node.programs.values())
         return [
-            Sighting(p.id, bytes.fromhex(p.record) or None, p.heard) for p in programs if p.by not in ("", self._name)
+            Sighting(p.id, bytes.fromhex(p.record) or None, p.last_seen)
+            for p in programs
+            if p.by not in ("", self._name)
         ]
 
     @override
@@ -175,7 +177,7 @@ class _LocalEndpoint:
         self._node.publish(self._end, payload, source)
 
     def forget(self, source: str) -> None:
-        self._node.forget(self._end, source)
+        self._node.drop(self._end, source)
 
     def close(self) -> None:
         self._node.close_end(self._end)

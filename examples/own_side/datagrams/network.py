@@ -38,9 +38,9 @@ class End:
     type: str
     latched: bool
     take: Callable[[bytes, str], None] | None = None
-    kept: dict[str, tuple[int, bytes]] = field(default_factory=dict)
+    retained: dict[str, tuple[int, bytes]] = field(default_factory=dict)
     """Latched publishers: number and datagram of the last message of each source."""
-    heard: dict[tuple[str, str], int] = field(default_factory=dict)
+    received: dict[tuple[str, str], int] = field(default_factory=dict)
     """Subscriptions: the last number received from each latched publisher and source."""
     numbers: list[int] = field(default_factory=list)
     """Latched publishers: numbers of the retained messages, as announced."""
@@ -52,7 +52,7 @@ class Program:
 
     id: str
     address: tuple[str, int]
-    heard: float
+    last_seen: float
     node: str = ""
     by: str = ""
     record: str = ""
@@ -131,21 +131,22 @@ class Node:
                 msg = f"a message of {len(message)} bytes on {end.topic}: a datagram holds at most {LARGEST}"
                 raise ValueError(msg)
             if end.latched:
-                end.kept[source] = number, data
-                end.numbers = [number for number, _ in end.kept.values()]
+                end.retained[source] = number, data
+                end.numbers = [number for number, _ in end.retained.values()]
             self._send(data)
 
-    def forget(self, end: End, source: str) -> None:
+    def drop(self, end: End, source: str) -> None:
         """Drop the retained message of a source."""
         with self._lock:
-            end.kept.pop(source, None)
-            end.numbers = [number for number, _ in end.kept.values()]
+            end.retained.pop(source, None)
+            end.numbers = [number for number, _ in end.retained.values()]
 
     def hello(self) -> None:
         """Announce this program with its publishers and subscriptions."""
         with self._lock:
             ends = {
-                e.id: [e.kind, e.topic, e.type, e.latched, [n for n, _ in e.kept.values()]] for e in self._ends.values()
+                e.id: [e.kind, e.topic, e.type, e.latched, [n for n, _ in e.retained.values()]]
+                for e in self._ends.values()
             }
             message = {"hello": self.id, "node": self.name, "by": self.by, "record": self.record, "ends": ends}
             self._send(json.dumps(message).encode())
@@ -169,7 +170,7 @@ class Node:
         while not self._closed:
             self.hello()
             time.sleep(BEAT)
-            silent = [p.id for p in list(self.programs.values()) if time.monotonic() - p.heard > SILENT]
+            silent = [p.id for p in list(self.programs.values()) if time.monotonic() - p.last_seen > SILENT]
             for dead in silent:
                 self._on_exit(dead)
 
@@ -195,7 +196,7 @@ class Node:
     def _again(self, ends: list[str], address: tuple[str, int]) -> None:
         with self._lock:
             for end in (self._ends[id_] for id_ in ends if id_ in self._ends):
-                for _, data in end.kept.values():
+                for _, data in end.retained.values():
                     self._send(data, address)
 
     def _on_exit(self, program: str) -> None:
@@ -203,7 +204,9 @@ class Node:
             return
         with self._lock:
             for end in self._ends.values():
-                end.heard = {of: number for of, number in end.heard.items() if not of[0].startswith(f"{program}.")}
+                end.received = {
+                    of: number for of, number in end.received.items() if not of[0].startswith(f"{program}.")
+                }
         self._changed()
 
     def _message(self, datagram: dict[str, Any]) -> None:
@@ -218,8 +221,8 @@ class Node:
         if "number" not in datagram:
             return True
         of, number = (str(datagram["from"]), str(datagram["source"])), int(datagram["number"])
-        new = number > end.heard.get(of, 0)
-        end.heard[of] = max(number, end.heard.get(of, 0))
+        new = number > end.received.get(of, 0)
+        end.received[of] = max(number, end.received.get(of, 0))
         return new
 
     def _hello(self, datagram: dict[str, Any], address: tuple[str, int]) -> None:
@@ -245,7 +248,7 @@ class Node:
                 for pub in program.ends.values()
                 for sub in latched
                 if sub.topic == pub.topic and pub.numbers
-                if set(pub.numbers) - {number for (of, _), number in sub.heard.items() if of == pub.id}
+                if set(pub.numbers) - {number for (of, _), number in sub.received.items() if of == pub.id}
             ]
             if incomplete:
                 self._send(json.dumps({"again": incomplete}).encode(), program.address)
