@@ -9,11 +9,11 @@ from typing import TypeVar
 T = TypeVar("T")
 
 _LONG, _PATIENCE = 10.0, 60.0
-"""Seconds from which a wait only detects hangs and may be extended, because a busy machine is slow."""
+"""Waits of at least 10 s only detect hangs, and are extended to a minute, because a busy machine is slow."""
 
 
 def until(condition: Callable[[], T], what: str, seconds: float = 40.0, every: float = 0.02) -> T:
-    """Return the condition's first true value; fail with ``what`` after ``seconds``, which are extended if long."""
+    """Return the condition's first true value; fail with ``what`` after ``seconds``, or a minute from 10 s on."""
     seconds = max(seconds, _PATIENCE) if seconds >= _LONG else seconds
     end = time.monotonic() + seconds
     while True:
