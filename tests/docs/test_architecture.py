@@ -17,8 +17,8 @@ from scripts import house
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
 WORDS = sorted(set(re.findall(r"`([^`\s<>]+)`", PAGE)))
-PATHS = [word for word in WORDS if "/" in word and not word.startswith("/")]
-NAMES = [word for word in WORDS if re.fullmatch(r"[A-Z]\w*(\.\w+)?", word)]
+PATHS = [name for name in WORDS if "/" in name and not name.startswith("/")]
+NAMES = [name for name in WORDS if re.fullmatch(r"[A-Z]\w*(\.\w+)?", name)]
 NUMBERED = re.findall(r"^\| *\d+ *\|.*", PAGE, re.MULTILINE)
 ROWS = re.findall(r"^\| *\d+ *\| `([\w/]+\.py)` \| `([\w.]+)` \|", PAGE, re.MULTILINE)
 """File and method of each row in the tables that describe a path."""

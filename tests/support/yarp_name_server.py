@@ -41,7 +41,7 @@ class RealNameServer:
         self.ports: dict[str, tuple[str, int, str]] = {}
         self.properties: dict[tuple[str, str], list[Any]] = {}
         self._lock = threading.Lock()
-        self.forget()
+        self.clear()
         outer = self
 
         class Handler(socketserver.StreamRequestHandler):
@@ -78,7 +78,7 @@ class RealNameServer:
         if self._master is not None:
             self._master("close")()
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         """Clear all registrations, as a restart does."""
         with self._lock:
             self.ports.clear()

@@ -45,7 +45,7 @@ def test_open_ports_do_not_block_the_numbers_of_new_programs(
     try:
         for port in ours:
             port.open()
-        server.forget()
+        server.clear()
         for i in range(5):
             native_open(native, f"/at_once/{i}")  # before ours are registered again
         until(where(names, *ours), "ours are registered again")
@@ -63,7 +63,7 @@ def test_a_name_gets_its_number_again(server: RealNameServer) -> None:
     port = PortCore("/ours", naming=names)
     first = port.open().port
     port.close()
-    server.forget()
+    server.clear()
     assert port.open().port == first
     port.close()
     with socket.socket() as other:
