@@ -1,9 +1,9 @@
-"""The kernels: Python files that Cython compiles at set-up, and whether what is compiled fits what lies here.
+"""The kernels: Python files that Cython compiles at set-up, and the check for missing and stale builds.
 
-A kernel is ordinary Python with C types in its annotations (Cython's pure Python mode), so that it also runs where it
-is not compiled: some hundred times slower, which is enough to convert messages and not enough to drive. A build writes
-the digest of each kernel into `RECORD`; by it a stale build is told. This file needs the standard library alone, since
-set-up runs it before anything is installed.
+A kernel is ordinary Python with C types in its annotations (Cython's pure Python mode), so it also runs uncompiled:
+about a hundred times slower, which is enough to convert messages and not enough to drive. A build writes the digest of
+each kernel into `RECORD`, which reveals a stale build. This file needs only the standard library, since set-up runs it
+before anything is installed.
 """
 
 from __future__ import annotations
@@ -40,26 +40,26 @@ KERNELS = (
     "sim.depth_kernel",
     "sim.laser_kernel",
 )
-"""Modules that are compiled, each from its own ``.py``."""
+"""The modules that are compiled, each from its own ``.py``."""
 
 SHARED = "bridge.shared_kernel_code"
-"""Module of what Cython gives every kernel, so that it is compiled once."""
+"""Module of the code that all kernels share, so that it is compiled once."""
 
 C_MODULES: tuple[str, ...] = ("bridge.adapters.ros2.service_callbacks",)
-"""Modules that are written in C, each beside what uses it; without a compiler they are not there."""
+"""Modules in C, each next to its user; missing without a compiler."""
 
 FLAGS = ("/O2",) if sys.platform == "win32" else ("-O3", "-g0", "-ffp-contract=off")
-"""For the C compiler: no ``-march=native``, since wheels go to other machines, and the same numbers on all of them."""
+"""For the C compiler; without ``-march=native``, so that wheels run, and compute the same, on all machines."""
 
 SHARED_FLAGS = ("/O1",) if sys.platform == "win32" else ("-O1", "-g0")
 
 RECORD = "kernels.json"
-"""Beside this file: digest of each module as it was built."""
+"""The file with the digest of each built module, next to this file."""
 
 _CHECKOUT = (ROOT / "setup.py").is_file()
 
 REBUILD = "run 'make setup'" if _CHECKOUT else "pip install --force-reinstall --no-deps --no-binary midspan midspan"
-"""What compiles them anew."""
+"""How to compile them again."""
 
 CURE = f"install a C compiler and Python's headers (Debian: apt install g++ python3-dev), then {REBUILD}"
 
@@ -73,32 +73,32 @@ class KernelState:
 
     @property
     def ok(self) -> bool:
-        """Whether each is compiled, of the sources that lie here."""
+        """Whether all are compiled from the present sources."""
         return not self.missing and not self.stale
 
     def __str__(self) -> str:
         parts = [
             f"{len(names)} of {len(KERNELS) + len(C_MODULES) + 1} kernels {are}: {', '.join(names)}"
-            for names, are in ((self.missing, "not compiled"), (self.stale, "compiled of other sources"))
+            for names, are in ((self.missing, "not compiled"), (self.stale, "compiled from other sources"))
             if names
         ]
         return "; ".join(parts) or "all kernels are compiled"
 
 
 def source(module: str) -> Path:
-    """The file that a module is compiled from."""
+    """Return the source file of a module."""
     return ROOT / (module.replace(".", "/") + (".c" if module in C_MODULES else ".py"))
 
 
 def built(module: str) -> Path | None:
-    """Its compiled file, None where there is none."""
+    """Return the compiled file of a module, None if it is missing."""
     stem = ROOT / module.replace(".", "/")
     files = (stem.with_name(stem.name + suffix) for suffix in importlib.machinery.EXTENSION_SUFFIXES)
     return next((file for file in files if file.is_file()), None)
 
 
 def digest(module: str, compiler: str) -> str:
-    """Digest of what a module's build depends on: its source, Cython's version and the flags."""
+    """Return the digest of everything that a module's build depends on: source, Cython's version and flags."""
     content = hashlib.sha256(repr((compiler, FLAGS, SHARED_FLAGS)).encode())
     if module != SHARED:
         content.update(source(module).read_bytes())
@@ -106,16 +106,16 @@ def digest(module: str, compiler: str) -> str:
 
 
 def record() -> Mapping[str, str]:
-    """What was built: the digest of each module, and Cython's version under ``cython``."""
+    """Read the record of the build: the digest of each module, and Cython's version under ``cython``."""
     try:
-        found = json.loads((ROOT / "bridge" / RECORD).read_text(encoding="utf-8"))
+        digests = json.loads((ROOT / "bridge" / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return digests if isinstance(digests, dict) else {}
 
 
 def compiler_version() -> str:
-    """Version of the Cython that is installed, "" where none is."""
+    """Return the version of the installed Cython, "" without one."""
     try:
         return importlib.metadata.version("cython")
     except importlib.metadata.PackageNotFoundError:
@@ -123,7 +123,7 @@ def compiler_version() -> str:
 
 
 def state() -> KernelState:
-    """How the kernels are, as the Cython that is installed would build them; in a wheel, as the one that built."""
+    """Compare the kernels with the present sources and the installed Cython; in a wheel, the Cython that built it."""
     known = record()
     compiler = (compiler_version() if _CHECKOUT else "") or known.get("cython", "")
     modules = (*KERNELS, *C_MODULES, SHARED)
@@ -133,6 +133,6 @@ def state() -> KernelState:
 
 
 if __name__ == "__main__":
-    _found = state()
-    print(_found if sys.argv[1:] != ["count"] else len(_found.missing) + len(_found.stale))
-    sys.exit(not _found.ok)
+    _state = state()
+    print(_state if sys.argv[1:] != ["count"] else len(_state.missing) + len(_state.stale))
+    sys.exit(not _state.ok)

@@ -1,7 +1,7 @@
-"""Who works is not hung: telling one that computes, or comes further, from one that stands still.
+"""Detection of hung processes and threads: one that computes or progresses is not hung.
 
-What a process is busy with (`working`) goes to the daemon with its heartbeats, and the steps of a thread are judged by
-the processor time that they use. Imports next to nothing: it runs before anything heavy is imported.
+A process reports its current step (`working`) to the daemon with its heartbeats; the steps of a thread are judged by
+the processor time that they use. This module imports very little, as it runs before anything heavy is imported.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
 SHARE = 0.01
-"""Of a core. Who has used less of it since its last move stands still: a wait that polls each 10 ms uses 0.3 %, and one
-that computes gets more even beside fifty others on its core."""
+"""Share of a core. Whatever has used less since its last progress stands still: a wait that polls every 10 ms uses
+0.3 %, and a computation gets more even if it shares its core with fifty others."""
 
 ENDLESS = 10.0
-"""Times the limit of standing still: who uses so much processor time in one step is in a loop without an end. No honest
-step comes near it: plans over the largest maps and the slowest imports take seconds."""
+"""Multiple of the limit without progress. A step that uses more processor time is in an endless loop: even plans over
+the largest maps and the slowest imports take only seconds."""
 
 BUSY_SECONDS = 0.5
-"""What takes no longer is not told of."""
+"""Steps shorter than this are not reported."""
 
 
 class ThreadClock:
-    """The processor time of the thread that makes it, for any thread to read; the system keeps it, none is spent."""
+    """The processor time of the thread that creates it, readable from any thread."""
 
     def __init__(self) -> None:
         own = getattr(time, "pthread_getcpuclockid", None)
@@ -33,7 +33,7 @@ class ThreadClock:
         self._seconds = 0.0
 
     def seconds(self) -> float:
-        """Processor time so far; of the whole process where the system tells of no thread's (macOS, Windows)."""
+        """Return the processor time so far; of the whole process on systems without thread clocks (macOS, Windows)."""
         if self._id is None:
             return time.process_time()
         with suppress(OSError):  # the thread has ended
@@ -42,7 +42,7 @@ class ThreadClock:
 
 
 class Movement:
-    """Whether something moves: comes to another step, uses processor time, or reads from a disk."""
+    """Detects progress: another step, used processor time, or reads from a disk."""
 
     def __init__(self, now: float) -> None:
         self.moved = now
@@ -51,29 +51,29 @@ class Movement:
         self._read = 0
 
     def move(self, now: float) -> None:
-        """It moves, whatever it is at."""
+        """Record progress, independent of the step."""
         self.moved, self.step, self._first = now, None, self._used
 
-    def look(self, now: float, step: object, used: float, read: int = 0) -> None:
-        """Take a look: another ``step`` is a move; ``used`` is processor seconds, ``read`` what was read from disks."""
+    def update(self, now: float, step: object, used: float, read: int = 0) -> None:
+        """Update: another ``step`` is progress; ``used`` is processor seconds, ``read`` the blocks read from disks."""
         if step != self.step:
             self.moved, self.step, self._first, self._used, self._read = now, step, used, used, read
         elif used - self._used > SHARE * self.still(now) or read > self._read:
             self.moved, self._used, self._read = now, used, read
 
     def still(self, now: float) -> float:
-        """Seconds since its last move."""
+        """Return the seconds since the last progress."""
         return now - self.moved
 
     def computed(self) -> float:
-        """Processor time seen in the step that it is at."""
+        """Return the processor time of the current step, in seconds."""
         return self._used - self._first
 
 
 class StepWatch:
-    """Judges the steps of one thread from another one; a step may stand still for ``limit`` seconds.
+    """Judges the steps of one thread from another one; a step may make no progress for ``limit`` seconds.
 
-    ``clock`` is the judged thread's, None before it called `begin`; until then a long step hangs.
+    ``clock`` is that of the judged thread, None until it calls `begin`; until then any long step counts as hung.
     """
 
     def __init__(self, limit: float, clock: ThreadClock | None = None) -> None:
@@ -82,33 +82,33 @@ class StepWatch:
         self._movement = Movement(0.0)
 
     def begin(self) -> None:
-        """The calling thread is the one to judge."""
+        """Judge the calling thread."""
         self.clock = ThreadClock()
 
-    def judge(self, who: str, since: float | None) -> str:
-        """Judge the step that began at ``since`` (monotonic, None between steps); call it again and again.
+    def judge(self, name: str, since: float | None) -> str:
+        """Judge the step that began at ``since`` (monotonic, None between steps); call it repeatedly.
 
-        Returns words for a step that computes for longer than the limit, else "". Raises `TimeoutError` where it
-        stands still, or computes without end.
+        Returns a text for a step that computes for longer than the limit, else "". Raises `TimeoutError` if the step
+        makes no progress, or computes endlessly.
         """
         if since is None:
             return ""
         now, movement, clock = time.monotonic(), self._movement, self.clock
         lasted = now - since
-        movement.look(now, since, clock.seconds() if clock is not None else 0.0)
+        movement.update(now, since, clock.seconds() if clock is not None else 0.0)
         if lasted <= self._limit:
             return ""
         if movement.still(now) > self._limit or clock is None:
-            msg = f"{who} hangs: it has been in one step for {lasted:.1f} s and computes nothing"
+            msg = f"{name} hangs: it has been in one step for {lasted:.1f} s and computes nothing"
             raise TimeoutError(msg)
         if movement.computed() > ENDLESS * self._limit:
-            msg = f"{who} is in a loop without an end: one step has computed for {movement.computed():.0f} s"
+            msg = f"{name} is in an endless loop: one step has computed for {movement.computed():.0f} s"
             raise TimeoutError(msg)
         return f"computes for {lasted:.0f} s"
 
 
 class Busy(NamedTuple):
-    """What a process is busy with: words, processor seconds spent on it, and blocks read from disks so far."""
+    """The current step of a process: text, processor seconds spent on it, and blocks read from disks so far."""
 
     text: str
     used: float
@@ -116,7 +116,7 @@ class Busy(NamedTuple):
 
 
 class Progress:
-    """What this process's main thread is busy with; `working` is the one there is."""
+    """The current step of this process's main thread; `working` is the only instance."""
 
     def __init__(self) -> None:
         self._text = ""
@@ -125,22 +125,22 @@ class Progress:
         self._waited: tuple[float, ThreadClock | None] = (0.0, None)
 
     def begin(self, text: str) -> None:
-        """The calling thread is the one that works, and this is what it is at from now on."""
+        """Begin a step on the calling thread, which becomes the working thread."""
         self._main = ThreadClock()
         self._since, self._text = time.monotonic(), text
 
     def end(self) -> None:
-        """It waits for something to do."""
+        """End the step: the thread is idle."""
         self._text = ""
 
     def at(self, text: str) -> None:
-        """It comes to another part of what it is busy with."""
+        """Change the text of the current step, if any."""
         if self._text:
             self._text = text
 
     @contextmanager
     def busy(self, text: str) -> Iterator[None]:
-        """The calling thread is busy meanwhile."""
+        """Report a step of the calling thread during the context."""
         self.begin(text)
         try:
             yield
@@ -149,7 +149,7 @@ class Progress:
 
     @contextmanager
     def waiting_for(self, clock: ThreadClock) -> Iterator[None]:
-        """Another thread works for it meanwhile."""
+        """Count the processor time of another thread during the context."""
         spent, _ = self._waited
         self._waited = (spent - clock.seconds(), clock)
         try:
@@ -158,7 +158,7 @@ class Progress:
             self._waited = (self._waited[0] + clock.seconds(), None)
 
     def now(self) -> Busy | None:
-        """What it is busy with; None where that is nothing, or only just begun."""
+        """Return the current step; None if idle, or if it has just begun."""
         text, main = self._text, self._main
         if not text or main is None or time.monotonic() - self._since < BUSY_SECONDS:
             return None
@@ -175,4 +175,4 @@ def _read() -> int:
 
 
 working = Progress()
-"""Of this process."""
+"""The progress of this process."""

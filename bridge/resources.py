@@ -1,4 +1,4 @@
-"""What this process may still use: file descriptors, space in the state folder, and memory given back to the system."""
+"""Limits of this process: file descriptors, space in the state folder, and memory returned to the system."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from pathlib import Path
 logger = logging.getLogger("midspan.daemon")
 
 FULL = 0.8
-"""Share of the descriptors in use from which it is told."""
+"""A larger share of used descriptors is reported."""
 
 RAISE = "raise the limit of open files: LimitNOFILE= in the systemd unit, or 'ulimit -n 65536' before midspan run"
-"""The cure."""
+"""The cure for a shortage of file descriptors."""
 
 OUT = frozenset({errno.EMFILE, errno.ENFILE})
-"""What the system says when no descriptor is left, for this process or for the machine."""
+"""Errors of the system when no descriptor is left, for this process or for the machine."""
 
 
 LEAST_ROOM = 1 << 20
-"""Bytes; what Midspan keeps is far less, and what shares the disk with it fills it by more."""
+"""Free bytes below which a disk counts as full; Midspan's state is far smaller."""
 
 _CURE = "make it writable, or set 'state' in the configuration to a folder that is"
 
 
 def warnings(folder: Path) -> list[str]:
-    """What is short, each with its cure."""
+    """Return the current shortages, each with its cure."""
     return [text for text in (descriptors(), folder_trouble(folder)) if text]
 
 
 def has_descriptor() -> bool:
-    """Whether this process can open one more file."""
+    """Return whether this process can open one more file."""
     try:
         os.close(os.open(os.devnull, os.O_RDONLY))
     except OSError as err:
@@ -43,7 +43,7 @@ def has_descriptor() -> bool:
 
 
 def folder_trouble(folder: Path) -> str:
-    """Why nothing can be written into the state folder, with what helps; "" where all is well."""
+    """Return why the state folder is not writable, with the cure; "" if it is."""
     if sys.platform == "win32":
         return ""
     try:
@@ -55,19 +55,19 @@ def folder_trouble(folder: Path) -> str:
         return f"the state folder {folder}: {why}; {_CURE}"
     free = room.f_bavail * room.f_frsize
     if room.f_blocks and free < LEAST_ROOM:
-        return f"the state folder {folder} has {free // 1024} kB of room left; make room on that disk"
+        return f"the state folder {folder} has {free // 1024} kB left; free space on that disk"
     return ""
 
 
 def descriptors() -> str:
-    """How many descriptors are in use where that is nearly all, with what helps; "" where there is room."""
+    """Return a warning if nearly all descriptors are in use, with the cure; "" otherwise."""
     if sys.platform == "win32":
         return ""
     import resource
 
     soft, _hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     try:
-        # Linux tells the number since 6.2, elsewhere they are counted: thousands, and no path is wanted
+        # Linux reports the number since 6.2; elsewhere the (many) entries are counted, without building paths
         used = Path("/dev/fd").stat().st_size if sys.platform == "linux" else 0
         used = used or len(os.listdir("/dev/fd"))  # noqa: PTH208
     except OSError as err:
@@ -80,12 +80,12 @@ def descriptors() -> str:
 
 
 WANTED_FILES = 1 << 16
-"""More than enough: rospy takes about two descriptors for a subscribed topic. Some programs loop over all possible
-descriptors, so an "infinite" hard limit is not taken over as it is."""
+"""More than enough: rospy needs about two descriptors for a subscribed topic. An "infinite" hard limit is not used,
+since some programs loop over all possible descriptors."""
 
 
 def raise_open_files() -> int:
-    """Raise the soft limit of open files to the hard one, at most `WANTED_FILES`; what is in force, 0 unknown."""
+    """Raise the soft limit of open files to the hard one, at most to `WANTED_FILES`; return it, 0 if unknown."""
     if sys.platform == "win32":
         return 0
     import resource
@@ -103,29 +103,29 @@ def raise_open_files() -> int:
 
 
 LARGE = 4 * 1024 * 1024
-"""Bytes of a message from which it is worth while."""
+"""Size in bytes from which a message counts as large."""
 
 _IDLE_SECONDS = 10.0
-"""Longer than ports keep the memory of a message for the next (`yarp_compat.ports.port`)."""
+"""Longer than YARP ports keep a message's buffer for the next message (`yarp_compat.ports.port`)."""
 
 
 class LargeMessages:
-    """Gives memory back to the system when no large message passed for a while; from any thread.
+    """Returns memory to the system after a while without large messages. Thread-safe.
 
-    glibc keeps what was freed for the next one, in a bridge worker more of it (`bridge.adapters.memory`): after one of
-    181 MB a worker that heard it had 217 MB, of which it used 35.
+    glibc keeps freed memory for reuse, more of it in a bridge worker (`bridge.adapters.memory`): after it received a
+    message of 181 MB, a worker had 217 MB, of which it used 35.
     """
 
     def __init__(self) -> None:
         self._last: float | None = None
 
     def passed(self, size: int) -> None:
-        """A message of so many bytes passed."""
+        """Record a message of this size in bytes."""
         if size >= LARGE:
             self._last = time.monotonic()
 
-    def look(self) -> bool:
-        """Give back what is free, where it is time for that; whether it was. It takes 10 ms where there is much."""
+    def trim(self) -> bool:
+        """Return free memory to the system if that is due; return whether it was. Takes 10 ms if much is free."""
         last = self._last
         if last is None or time.monotonic() - last < _IDLE_SECONDS:
             return False
@@ -137,4 +137,4 @@ class LargeMessages:
 
 
 LARGE_MESSAGES = LargeMessages()
-"""The process's own."""
+"""The instance of this process."""

@@ -1,7 +1,7 @@
-"""Files that come with Midspan and are no Python: configurations, units, the demo's programs.
+"""Files that ship with Midspan, other than its Python packages: configurations, units, the demo's programs.
 
-A checkout has them in its folders. A wheel puts them below ``share/midspan`` of where it is installed: a virtual
-environment, the user's or the system's place. The list that the installer keeps tells where
+A checkout has them in its folders. A wheel puts them below ``share/midspan`` of its prefix: a virtual environment, the
+user's or the system's. The installer's list of files has their paths
 (https://packaging.python.org/en/latest/specifications/recording-installed-packages/).
 """
 
@@ -17,7 +17,7 @@ _MARK = "configs/default.yaml"
 
 @functools.cache
 def shipped_folder() -> Path:
-    """The folder that has ``configs``, ``examples`` and ``packaging``; raises `RuntimeError` where nothing has."""
+    """Return the folder with ``configs``, ``examples`` and ``packaging``; raises `RuntimeError` without one."""
     if (CHECKOUT / _MARK).is_file():
         return CHECKOUT
     try:

@@ -1,6 +1,6 @@
-"""The sides that Midspan joins, each told by one `Side`; whatever lists sides reads them here.
+"""The sides that Midspan joins, each described by one `Side`.
 
-A side of one's own is a package with a `Side` in it, named by an entry point of the group ``midspan.sides`` or by
+To add a side, write a package with a `Side`, and name it in an entry point of the group ``midspan.sides`` or in
 ``$MIDSPAN_SIDES`` (``package.module:NAME,...``); see docs/develop/add_a_side.md.
 """
 
@@ -23,24 +23,24 @@ Private = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Side:
-    """A side: what the daemon, the configuration, the routing, the command line and the doctor know of it.
+    """Description of a side for the daemon, the configuration, the routing, the command line and the doctor.
 
-    What is written ``package.module:name`` is imported where it is used, so that no process loads another side's code.
+    Names like ``package.module:name`` are imported only when used, so that no process loads another side's code.
 
     Attributes:
-        name: of its worker, its section in the configuration, and ``Edge.side``.
-        label: what people call it.
-        edges: ``package.module:name`` of what makes its edge, called with the configuration, the registry of types and
-            the state folder; where it has `networks`, of what makes a dictionary of edges by name.
+        name: name of its worker, of its section in the configuration, and ``Edge.side``.
+        label: its name for people.
+        edges: ``package.module:name`` of the factory of its edge, called with the configuration, the registry of types
+            and the state folder; with `networks` it returns a dictionary of edges by name.
         section: ``package.module:name`` of its section's model; "" for the sides whose section `Config` has.
-        environment: module with ``available(config)``, ``worker_environment(config, environ)`` and, where switching it
-            on depends on more than its key ``enabled``, ``enabled(config)``; "" where it needs nothing.
-        loading: what its worker does while the edge is imported, for people.
-        private_topics: topics that never cross, since they mean something on their side alone.
+        environment: module with ``available(config)``, ``worker_environment(config, environ)`` and, if more than its
+            key ``enabled`` decides whether it is enabled, ``enabled(config)``; "" if it needs nothing.
+        loading: the worker's step while it imports the edge, for people.
+        private_topics: topics that never cross, since they have a meaning only on their side.
         private_services: the same, by the services' ROS 2 types.
-        node_parameters: whether its nodes have parameters of their own, as ROS 2's do.
+        node_parameters: whether each of its nodes has its own parameters, as in ROS 2.
         checks: ``package.module:name`` of the doctor's checks.
-        networks: the networks that it joins, where these are several of different kinds.
+        networks: the networks that it joins, if it joins several of different kinds.
     """
 
     name: str
@@ -139,20 +139,20 @@ BUILT_IN = (
 
 
 def imported(place: str) -> Any:
-    """What ``package.module:name`` names."""
+    """Import the object named by ``package.module:name``."""
     module, _, name = place.partition(":")
     return getattr(importlib.import_module(module), name)
 
 
 @functools.cache
 def own_sides() -> tuple[Side, ...]:
-    """The sides that do not come with Midspan.
+    """Return the sides that do not ship with Midspan.
 
-    Raises `RuntimeError`: one cannot be imported, is no `Side`, or has the name of another one.
+    Raises `RuntimeError` if one cannot be imported, is not a `Side`, or has the name of another one.
     """
     places = [point.value for point in entry_points(group=GROUP)]
     places += [place.strip() for place in os.environ.get(VARIABLE, "").split(",") if place.strip()]
-    found: dict[str, Side] = {}
+    sides: dict[str, Side] = {}
     for place in dict.fromkeys(places):
         try:
             side = imported(place)
@@ -160,29 +160,29 @@ def own_sides() -> tuple[Side, ...]:
             msg = f"the side {place} cannot be imported: {err}"
             raise RuntimeError(msg) from err
         if not isinstance(side, Side) or not side.section or not side.edges:
-            msg = f"the side {place} is no bridge.sides.Side with 'section' and 'edges'"
+            msg = f"the side {place} is not a bridge.sides.Side with 'section' and 'edges'"
             raise RuntimeError(msg)
-        if side.name in found or side.name in {each.name for each in BUILT_IN}:
+        if side.name in sides or side.name in {built_in.name for built_in in BUILT_IN}:
             msg = f"the side {place}: there is already a side named {side.name}"
             raise RuntimeError(msg)
-        found[side.name] = side
-    return tuple(found.values())
+        sides[side.name] = side
+    return tuple(sides.values())
 
 
 def all_sides() -> tuple[Side, ...]:
-    """All sides, in the order in which their workers start."""
+    """Return all sides, in the order in which their workers start."""
     return (*BUILT_IN, *own_sides())
 
 
 @functools.cache
 def all_networks() -> dict[str, Side]:
-    """All names that an edge or a rule may give a side, the networks of a side with several after all sides."""
+    """Return the sides by all names that an edge or a rule may use; the networks of sides come last."""
     sides = all_sides()
     inner: Iterator[Side] = (network for side in sides for network in side.networks)
     return {side.name: side for side in (*sides, *inner)}
 
 
 def label(name: str) -> str:
-    """What people call a side, "" where the name is no side's."""
+    """Return a side's name for people, "" for an unknown name."""
     side = all_networks().get(name)
     return "" if side is None else side.label

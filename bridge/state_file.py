@@ -65,7 +65,7 @@ def _stored_name(folder: Path) -> str:
 def with_state(config: Config, environ: Mapping[str, str] = os.environ) -> Config:
     """Return the configuration with its state folder and its name filled in; creates the folder, for its owner only.
 
-    Raises `RuntimeError`: the folder cannot be made or written to.
+    Raises `RuntimeError` if the folder cannot be created or written to.
     """
     config = named(config, environ)
     folder = state_folder(config, environ).absolute()
@@ -73,11 +73,11 @@ def with_state(config: Config, environ: Mapping[str, str] = os.environ) -> Confi
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not os.access(folder, os.W_OK | os.X_OK):
             raise PermissionError(13, "not writable for this user")
-        # without users' numbers, as on Windows, the folder has the rights of the one that it lies in
+        # without user ids, as on Windows, the folder inherits the rights of its parent
         if hasattr(os, "geteuid") and folder.stat().st_uid == os.geteuid():
             folder.chmod(0o700)
     except OSError as err:
-        msg = f"state folder {folder}: {err.strerror}; set 'state' in the configuration to a folder that can be used"
+        msg = f"state folder {folder}: {err.strerror}; set 'state' in the configuration to a writable folder"
         raise RuntimeError(msg) from err
     if "name" not in config.model_fields_set:
         keep(folder / _NAME_FILE, f"{config.name}\n", "the daemon's name will change if the machine's does")
@@ -102,7 +102,7 @@ def worker_output(config: Config, worker: str) -> Path:
 def control_socket(config: Config, worker: str) -> Path:
     """Return the control socket of a worker that outlives its daemon.
 
-    Raises `RuntimeError`: the path is longer than a socket's can be.
+    Raises `RuntimeError` if the path is too long for a socket.
     """
     return _socket_in_state(config, f"{config.name}.{worker}.sock")
 
@@ -136,18 +136,18 @@ _log = logging.getLogger(__name__)
 
 
 def keep(file: Path, text: str, loss: str) -> bool:
-    """Write a file in the state folder, whole or not at all; return whether it was written.
+    """Write a file in the state folder atomically; return whether it was written.
 
     ``loss`` is the consequence of a failure, for the log.
     """
-    making = file.with_name(f".{file.name}.{os.getpid()}")
+    temporary = file.with_name(f".{file.name}.{os.getpid()}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        making.write_text(text, encoding="utf-8")
-        making.replace(file)
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(file)
     except OSError as err:
         _log.warning("cannot write %s: %s; %s", file, err.strerror, loss)
         with contextlib.suppress(OSError):
-            making.unlink()
+            temporary.unlink()
         return False
     return True

@@ -1,4 +1,4 @@
-"""The interface of a worker to the daemon that starts and watches it."""
+"""The interface of a worker to the daemon that starts and monitors it."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from bridge.config.model import Config
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """State of a worker: ``waiting`` if its network is away, ``standby`` if another daemon is active there."""
+    """State of a worker: ``waiting`` if its network is missing, ``standby`` if another daemon is active there."""
 
     state: Literal["running", "waiting", "standby"]
     text: str
 
 
 class WorkerFailedError(RuntimeError):
-    """A worker cannot go on; the text is the reason. Its process ends, and is started again."""
+    """A worker cannot continue; the text is the reason. Its process exits and is restarted."""
 
 
 def costs(process: psutil.Process) -> dict[str, Any]:
     """Return processor (share of a core since the last call) and memory (bytes) for a status document.
 
-    Empty if no file descriptor is free to read them: the rest of the document is important then.
+    Empty if no file descriptor is free to read them; the rest of the document is then still reported.
     """
     try:
         return {"cpu": round(process.cpu_percent() / 100, 4), "rss": process.memory_info().rss}
@@ -37,16 +37,16 @@ def costs(process: psutil.Process) -> dict[str, Any]:
 class Worker(ABC):
     """One process's job: a side's adapter, the router, the modules or the simulator.
 
-    The process's main loop calls these, never two at once.
+    The process's main loop calls these methods, one at a time.
     """
 
     @abstractmethod
     def start(self, config: Config) -> None:
-        """Start, and return soon.
+        """Start without waiting for the network.
 
         Raises:
             RuntimeError: it can never work here; the text is a plain reason.
-            HubError: it cannot join the hub now; its process ends, and is started again.
+            HubError: it cannot join the hub now; its process exits and is restarted.
         """
 
     @abstractmethod
@@ -58,11 +58,11 @@ class Worker(ABC):
         """Return the worker's state, from its main loop.
 
         Raises:
-            TimeoutError: that loop does not answer in time.
-            WorkerFailedError: the worker cannot go on; its process ends, and is started again.
+            TimeoutError: that loop does not respond in time.
+            WorkerFailedError: the worker cannot continue; its process exits and is restarted.
         """
 
-    def hears_diagnostics(self) -> bool:
+    def diagnostics_wanted(self) -> bool:
         """Whether ``/diagnostics`` has a subscriber, so that one process of the daemon publishes it.
 
         False for a worker that does not see the hub's graph, or publishes by itself.

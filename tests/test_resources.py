@@ -11,10 +11,10 @@ def test_memory_is_given_back_once_large_messages_stop(monkeypatch: pytest.Monke
     watched = resources.LargeMessages()
     watched.passed(1000)
     monkeypatch.setattr(resources, "_IDLE_SECONDS", 0.0)
-    assert not watched.look(), "small messages leave nothing to give back"
+    assert not watched.trim(), "small messages leave nothing to give back"
     watched.passed(50_000_000)
     monkeypatch.setattr(resources, "_IDLE_SECONDS", 1000.0)
-    assert not watched.look(), "the next one may come soon"
+    assert not watched.trim(), "the next one may come soon"
     monkeypatch.setattr(resources, "_IDLE_SECONDS", 0.0)
-    assert watched.look()
-    assert not watched.look(), "once is enough"
+    assert watched.trim()
+    assert not watched.trim(), "once is enough"

@@ -119,9 +119,9 @@ class BridgeWorker(Worker):
         best = min(reports.values(), key=lambda health: health.state != "running")
         return Health(best.state, "; ".join(f"{name}: {health.text}" for name, health in reports.items()))
 
-    def hears_diagnostics(self) -> bool:
+    def diagnostics_wanted(self) -> bool:
         """Return whether `/diagnostics` has a subscriber; all bridges see the same hub."""
-        return bool(self.bridges) and self.bridges[0].hears_diagnostics()
+        return bool(self.bridges) and self.bridges[0].diagnostics_wanted()
 
     def stop(self) -> None:
         """Close all endpoints and sessions, once the goals of the gateway have ended."""
@@ -233,10 +233,10 @@ class NetworkBridge:
         opening.check_pool()
         summary = engine.summary()
         self._diagnostics.publish()
-        text = summary.text or engine.edge.away or f"{self.name} is unavailable"
+        text = summary.text or engine.edge.away or f"waiting for {engine.edge.awaited}"
         return Health(summary.state, f"{text}; it {computes}" if computes else text)
 
-    def hears_diagnostics(self) -> bool:
+    def diagnostics_wanted(self) -> bool:
         """Return whether `/diagnostics` has a subscriber on the hub or on any side."""
         return heard(self._hub.graph)
 

@@ -1,1 +1,1 @@
-"""The supervisor: it starts the workers of the sides and modules, watches them, and restarts them."""
+"""The supervisor: starts, monitors and restarts the workers of the sides and modules."""

@@ -1,7 +1,7 @@
-"""The first moment of a supervised worker's process: it tells what it is at before it imports anything heavy.
+"""The start of a supervised worker's process: it reports its current step before it imports anything heavy.
 
-Its own thread reports twice a second, for as long as the main thread is busy with one thing: it starts, takes up a new
-configuration, or has not said for a while how it is. Imports next to nothing, for that reason.
+While the main thread is busy (starting, applying a new configuration, or late with its health), a separate thread
+reports twice a second. This module imports very little so that the reports start early.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from collections.abc import Callable
 
 from bridge.progress import BUSY_SECONDS, Busy, working
 
-TELL_STACKS: signal.Signals | None = getattr(signal, "SIGUSR1", None)
+DUMP_STACKS: signal.Signals | None = getattr(signal, "SIGUSR1", None)
 
 
-def tell_stacks_on_signal() -> None:
-    """Answer the signal. It works without Python's lock, so also where that lock is what all threads wait for."""
-    if TELL_STACKS is not None:
-        faulthandler.register(TELL_STACKS, all_threads=True)
+def dump_stacks_on_signal() -> None:
+    """Dump the stacks of all threads on the signal. It needs no GIL, so it works even if all threads wait for it."""
+    if DUMP_STACKS is not None:
+        faulthandler.register(DUMP_STACKS, all_threads=True)
 
 
-FIRST_WORDS = "loading Python's libraries"
+FIRST_STEP = "loading Python's libraries"
 _CLOSE_SECONDS = 1.0
 
 
 def busy_line(busy: Busy) -> bytes:
-    """The report's line in the protocol (`bridge.daemon.protocol`, which is heavy)."""
+    """Encode a report of the protocol without `bridge.daemon.protocol`, which imports much."""
     return json.dumps({"busy": busy.text, "used": busy.used, "read": busy.read}).encode() + b"\n"
 
 
 class Heart:
-    """Where the reports go, and the thread that sends them.
+    """The thread that sends the reports of the current step.
 
-    Takes the standard output for itself: whatever else in this process writes there reaches stderr, and programs that
-    the worker starts do not inherit it.
+    It reserves the standard output for reports: other output of this process goes to stderr, and programs that the
+    worker starts do not inherit the pipe.
     """
 
     def __init__(self) -> None:
@@ -48,13 +48,13 @@ class Heart:
         sys.stdout = sys.stderr
         self._lock = threading.Lock()
         self._send: Callable[[Busy], None] = lambda busy: self.write(busy_line(busy))
-        self._send(Busy(FIRST_WORDS, 0.0, 0))
+        self._send(Busy(FIRST_STEP, 0.0, 0))
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="heart", daemon=True)
         self._thread.start()
 
     def write(self, line: bytes) -> None:
-        """Write one line to the daemon; one that is gone is noticed elsewhere."""
+        """Write one line to the daemon. Errors are ignored: the reading thread detects a daemon that has exited."""
         with self._lock:
             try:
                 while line:
@@ -63,11 +63,11 @@ class Heart:
                 return
 
     def send_to(self, send: Callable[[Busy], None]) -> None:
-        """Send the reports there from now on."""
+        """Send all further reports with this function."""
         self._send = send
 
     def close(self) -> None:
-        """End the thread: Python 3.11 may crash as it ends where a daemon thread wakes meanwhile."""
+        """Stop the thread: Python 3.11 may crash on exit if a daemon thread runs at that time."""
         self._over.set()
         self._thread.join(_CLOSE_SECONDS)
 
@@ -80,7 +80,7 @@ class Heart:
 
 @functools.cache
 def begin() -> Heart:
-    """Begin to tell the daemon on the standard output; the process's one `Heart`. Call from the main thread."""
-    tell_stacks_on_signal()
-    working.begin(FIRST_WORDS)
+    """Start to report on the standard output; return the process's only `Heart`. Call from the main thread."""
+    dump_stacks_on_signal()
+    working.begin(FIRST_STEP)
     return Heart()

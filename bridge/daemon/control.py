@@ -1,4 +1,4 @@
-"""A worker's end of the line to the daemon: pipes, or the control socket of a worker that outlives the daemon."""
+"""A worker's end of its channel to the daemon: pipes, or the control socket of a worker that outlives the daemon."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _READ_SIZE = 1 << 16
 _SEND_SECONDS = 0.5
 
 LAST_SECONDS = 4.0
-"""A worker whose daemon is gone and whose stop hangs is ended after this."""
+"""Limit in seconds for the stop of a worker whose daemon has exited."""
 
 
 class Hangup:
-    """Command from SIGHUP: load the configuration again."""
+    """Command from SIGHUP: reload the configuration."""
 
 
 Commands = queue.SimpleQueue[protocol.Command | Hangup]
@@ -35,8 +35,8 @@ Commands = queue.SimpleQueue[protocol.Command | Hangup]
 class DaemonPipe:
     """Reads commands from the standard input and writes reports to the standard output.
 
-    Takes both descriptors for itself, the output by `begin`: programs that the worker starts do not inherit the
-    daemon's pipes.
+    It replaces both descriptors (`begin` replaces the output), so that programs started by the worker do not inherit
+    the daemon's pipes.
     """
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class DaemonPipe:
         self._waiting: list[bytes] = []
 
     def first_config(self) -> protocol.NewConfig | None:
-        """The configuration to start with; None where the daemon went, or told to stop, before it sent one."""
+        """Wait for the first configuration; return None if the daemon exits or sends another command first."""
         working.at("reading the configuration")
         while True:
             if self._waiting:
@@ -61,7 +61,7 @@ class DaemonPipe:
             self._waiting = self._lines.feed(data)
 
     def read_to(self, commands: Commands, *, stop_at_end: bool) -> None:
-        """Put what comes into the queue, from a thread; the end of the stream stops unless told otherwise."""
+        """Queue the daemon's commands, on a thread; with ``stop_at_end`` the end of the stream is a stop command."""
         threading.Thread(target=self._read, args=(commands, stop_at_end), name="daemon-pipe", daemon=True).start()
 
     def _read(self, commands: Commands, stop_at_end: bool) -> None:
@@ -76,54 +76,54 @@ class DaemonPipe:
                 break
             self._waiting = self._lines.feed(data)
         if stop_at_end:
-            commands.put(protocol.Stop("the daemon is gone"))
+            commands.put(protocol.Stop("the daemon has exited"))
             end_process_after(LAST_SECONDS)
 
     def report(self, report: protocol.Report) -> None:
-        """Write one report; a daemon that is gone is noticed by the reading thread."""
+        """Write one report. Errors are ignored: the reading thread detects a daemon that has exited."""
         self.heart.write(protocol.encode_report(report))
 
 
 def end_process_after(seconds: float) -> None:
-    """End this process hard if it is still there by then: its daemon is gone, nobody else would."""
+    """Exit this process unconditionally after a delay: its daemon, which would kill it, has exited."""
     timer = threading.Timer(seconds, os._exit, args=(1,))
     timer.daemon = True
     timer.start()
 
 
 class ControlServer:
-    """Listens on a Unix socket for one daemon at a time; a newer one replaces the older.
+    """Listens on a Unix socket for one daemon at a time; a new connection replaces the previous one.
 
-    The caller holds the worker's lock. ``obey`` takes each command, on a thread of this server. Raises `RuntimeError`
-    where the socket cannot be made.
+    The caller holds the worker's lock. ``on_command`` is called with each command, on a thread of this server.
+    Raises `RuntimeError` if the socket cannot be created.
     """
 
-    def __init__(self, path: Path, owner: protocol.Owner, obey: Callable[[protocol.Command], None]) -> None:
+    def __init__(self, path: Path, owner: protocol.Owner, on_command: Callable[[protocol.Command], None]) -> None:
         self._path = path
         self._hello = protocol.Hello(os.getpid(), owner)
-        self._obey = obey
+        self._on_command = on_command
         self._lock = threading.Lock()
         self._client: socket.socket | None = None
         self._closed = False
         self._server = socket.socket(socket.AF_UNIX)
         try:
-            path.unlink(missing_ok=True)  # a dead predecessor's
+            path.unlink(missing_ok=True)  # left by a dead predecessor
             self._server.bind(str(path))
             path.chmod(0o600)
         except OSError as err:
             self._server.close()
             cure = "make the state folder writable, or set 'state' to one that is"
-            raise RuntimeError(f"cannot make {path}: {err.strerror}; {cure}") from None
+            raise RuntimeError(f"cannot create {path}: {err.strerror}; {cure}") from None
         self._server.listen(4)
         self._thread = threading.Thread(target=self._accept, name="control", daemon=True)
         self._thread.start()
 
     def report(self, report: protocol.Report) -> None:
-        """Send to the daemon that is connected, if one is."""
+        """Send a report to the connected daemon, if any."""
         self._send(protocol.encode_report(report))
 
     def relay(self, level: int, text: str) -> bool:
-        """Send a log line; False where no daemon is connected."""
+        """Send a log line; return False if no daemon is connected."""
         return self._send(protocol.encode_report(protocol.LogLine(level, text)))
 
     def _send(self, data: bytes) -> bool:
@@ -178,7 +178,7 @@ class ControlServer:
                 break
             for line in lines.feed(data):
                 try:
-                    self._obey(protocol.decode_command(line))
+                    self._on_command(protocol.decode_command(line))
                 except protocol.ProtocolError as err:
                     logger.error("the daemon sent %s", err)  # noqa: TRY400
         with self._lock:

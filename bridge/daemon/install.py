@@ -79,8 +79,8 @@ class Installation:
             new.write_text(file.text)
             new.chmod(file.mode)
             new.replace(path)
-        what = "written" if old is None else "replaced"
-        return f"{'would be ' if self._dry_run else ''}{what:9}  {path}"
+        action = "written" if old is None else "replaced"
+        return f"{'would be ' if self._dry_run else ''}{action:9}  {path}"
 
     def _warnings(self) -> list[str]:
         folder = _closed_folder(Path(sys.executable).absolute().parent)
@@ -106,7 +106,7 @@ class Installation:
                 path.unlink()
             lines.append(f"{'would be ' if self._dry_run else ''}removed    {path}")
         if not lines:
-            return [f"nothing of Midspan is installed below {self._root}"]
+            return [f"Midspan's services are not installed below {self._root}"]
         return [
             *lines,
             "",

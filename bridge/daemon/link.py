@@ -1,4 +1,4 @@
-"""The daemon's line to one worker's process: pipes, or the control socket of a worker that outlives the daemon."""
+"""The daemon's channel to one worker process: pipes, or the control socket of a worker that outlives the daemon."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LONGEST_LOG_LINE = 8 << 10
 
 @dataclass(frozen=True, slots=True)
 class Exit:
-    """How a worker's process ended: `subprocess.Popen.returncode`, None where it was no child of this daemon."""
+    """The end of a worker's process: `subprocess.Popen.returncode`, None if it is not a child of this daemon."""
 
     code: int | None
 
@@ -48,17 +48,22 @@ class Exit:
 
 
 class LinkListener(Protocol):
-    """What a link tells; called from the daemon's loop."""
+    """Callbacks of a link, on the daemon's loop."""
 
     def on_report(self, report: protocol.Report) -> None:
-        """The worker said something."""
+        """Handle a report of the worker."""
 
-    def on_gone(self, ended: Exit) -> None:
-        """The worker's process has ended, and the link is closed."""
+    def on_exit(self, ended: Exit) -> None:
+        """Handle the exit of the worker's process; the link is closed by now."""
 
 
 class WorkerLink(ABC):
-    """One worker's process, as the daemon sees it: its id (0 while unknown), and who started and so stops it."""
+    """The daemon's connection to one worker process.
+
+    Attributes:
+        pid: process id, 0 while unknown.
+        owner: who started the process, and will stop it.
+    """
 
     def __init__(self, loop: SelectorLoop, listener: LinkListener) -> None:
         self.pid = 0
@@ -69,23 +74,23 @@ class WorkerLink(ABC):
 
     @abstractmethod
     def poll(self) -> None:
-        """Look whether the process has ended; called often."""
+        """Check for the exit of the process; called often."""
 
     def kill(self, number: signal.Signals) -> None:
-        """Send a signal; SIGKILL reaches also what the worker started."""
+        """Send a signal; SIGKILL also goes to the worker's own child processes."""
         if self.pid:
             kill_group(self.pid, number)
 
     @abstractmethod
     def detach(self) -> None:
-        """Close the link and let the process be."""
+        """Close the link and leave the process running."""
 
     @abstractmethod
     def _writer(self) -> int:
-        """Descriptor that commands are written to, -1 where there is none (yet)."""
+        """Descriptor that commands are written to, -1 before the connection."""
 
     def send(self, command: protocol.Command) -> None:
-        """Send a command; never blocks, what does not fit now is sent when it does."""
+        """Send a command without blocking: data that the pipe cannot hold is sent later."""
         waiting = bool(self._outgoing)
         self._outgoing += protocol.encode_command(command)
         if not waiting:
@@ -102,7 +107,7 @@ class WorkerLink(ABC):
         except BlockingIOError:
             self._loop.on_writable(writer, self._flush)
         except OSError:
-            self._outgoing = b""  # its end is seen by `poll`
+            self._outgoing = b""  # `poll` detects the exit
 
     def _report(self, line: bytes) -> None:
         try:
@@ -113,19 +118,19 @@ class WorkerLink(ABC):
         if isinstance(report, protocol.Unknown):
             logger.debug("worker %d sent a report of another version: %s", self.pid, ", ".join(report.keys))
         else:
-            self._take(report)
+            self._on_report(report)
 
-    def _take(self, report: protocol.Report) -> None:
+    def _on_report(self, report: protocol.Report) -> None:
         self._listener.on_report(report)
 
-    def _tell(self, lines: Iterable[bytes]) -> None:
-        """Hand on what the worker wrote to stderr."""
+    def _log_lines(self, lines: Iterable[bytes]) -> None:
+        """Report the worker's lines on stderr as log lines."""
         for line in lines:
             self._listener.on_report(protocol.LogLine(*log.split_priority(line.decode(errors="replace"))))
 
 
 def read_some(file: int) -> bytes | None:
-    """What can be read now: None where nothing is there yet, empty at the end."""
+    """Read without blocking: return None if there is no data yet, b"" at the end."""
     try:
         return os.read(file, READ_SIZE)
     except BlockingIOError:
@@ -135,7 +140,7 @@ def read_some(file: int) -> bytes | None:
 
 
 def kill_group(pid: int, number: signal.Signals) -> None:
-    """Signal a process that leads a group; SIGKILL goes to the whole group."""
+    """Send a signal to the leader of a process group; SIGKILL goes to the whole group."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         if number is signal.SIGKILL:
             os.killpg(pid, number)
@@ -144,7 +149,7 @@ def kill_group(pid: int, number: signal.Signals) -> None:
 
 
 class PipeLink(WorkerLink):
-    """A child whose pipes are the protocol: it stops when this daemon ends, however it does."""
+    """A child connected by pipes: it stops when this daemon exits, even if the daemon is killed."""
 
     def __init__(
         self, loop: SelectorLoop, listener: LinkListener, kind: WorkerKind, env: Mapping[str, str], lock: Lock
@@ -157,7 +162,7 @@ class PipeLink(WorkerLink):
             stderr=subprocess.PIPE,
             env=dict(env),
             bufsize=0,
-            start_new_session=True,  # a Ctrl-C in the daemon's terminal is the daemon's to handle
+            start_new_session=True,  # only the daemon handles a Ctrl-C in its terminal
             pass_fds=(lock.fileno(),),
         )
         self.pid = self._process.pid
@@ -189,35 +194,35 @@ class PipeLink(WorkerLink):
         data = read_some(self._stderr)
         if data == b"":
             self._loop.on_readable(self._stderr, None)
-        self._tell(self._log.feed(data) if data else self._log.end() if data == b"" else [])
+        self._log_lines(self._log.feed(data) if data else self._log.end() if data == b"" else [])
 
     def poll(self) -> None:
-        """Look whether the process has ended; then end what it left behind, and read its last words."""
-        # Not reaped yet, so that its number still names its group.
+        """Check for the exit of the process; then kill the rest of its group, and read its last output."""
+        # Not reaped yet, so that its id still names its group.
         if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
             return
         kill_group(self.pid, signal.SIGKILL)
         code = self._process.wait()
         self._read_reports()
         self._read_log()
-        self._tell(self._log.end())
+        self._log_lines(self._log.end())
         self.detach()
-        self._listener.on_gone(Exit(code))
+        self._listener.on_exit(Exit(code))
 
     def detach(self) -> None:
         """Close the pipes."""
         for file in (self._stdin, self._stdout, self._stderr):
-            self._loop.forget(file)
+            self._loop.unwatch(file)
         for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
             assert pipe is not None
             pipe.close()
 
 
-_LAST_WORDS = 4096
+_LAST_OUTPUT = 4096
 
 
 class OutlivingLink(WorkerLink):
-    """A worker with a control socket, started by this daemon, by an earlier one, or by a service of its own."""
+    """A worker with a control socket, started by this daemon, by an earlier one, or by a separate service."""
 
     def __init__(self, loop: SelectorLoop, listener: LinkListener, kind: WorkerKind, config: Config) -> None:
         super().__init__(loop, listener)
@@ -229,7 +234,7 @@ class OutlivingLink(WorkerLink):
         self._connected = False
 
     def adopt(self) -> bool:
-        """Connect to a worker that is already there; False where none is."""
+        """Connect to a running worker; return False if there is none."""
         sock = _connect(self._path)
         if sock is None:
             return False
@@ -241,7 +246,7 @@ class OutlivingLink(WorkerLink):
         return True
 
     def spawn(self, kind: WorkerKind, config: Config, env: Mapping[str, str], lock: Lock) -> None:
-        """Start one; `poll` connects to it as soon as its socket is there."""
+        """Start a worker; `poll` connects to it as soon as its socket exists."""
         with self._open_output() as output, _unnamed_file() as first:
             first.write(protocol.encode_command(protocol.NewConfig(config)))
             first.seek(0)
@@ -261,18 +266,18 @@ class OutlivingLink(WorkerLink):
         self._loop.on_readable(self._process.stdout.fileno(), self._read_start)
 
     def _open_output(self) -> IO[bytes]:
-        """Where its stderr goes: to nobody where the state folder takes no file."""
+        """Open the file for its stderr, /dev/null if the state folder is not writable."""
         try:
             return self._output.open("wb")
         except OSError as err:
-            logger.warning("cannot write %s: %s; the worker's last words will not be told", self._output, err.strerror)
+            logger.warning("cannot write %s: %s; the worker's last output will be lost", self._output, err.strerror)
             return Path(os.devnull).open("wb")
 
     def _writer(self) -> int:
         return self._socket.fileno() if self._socket is not None else -1
 
     def _read_start(self) -> None:
-        """What it is at, before its socket is there."""
+        """Read the reports of its start, before its socket exists."""
         assert self._process is not None
         assert self._process.stdout is not None
         data = read_some(self._process.stdout.fileno())
@@ -283,7 +288,7 @@ class OutlivingLink(WorkerLink):
 
     def _close_start(self) -> None:
         if self._process is not None and self._process.stdout is not None and not self._process.stdout.closed:
-            self._loop.forget(self._process.stdout.fileno())
+            self._loop.unwatch(self._process.stdout.fileno())
             self._process.stdout.close()
             self._lines = protocol.Lines()
 
@@ -298,42 +303,42 @@ class OutlivingLink(WorkerLink):
         for line in self._lines.feed(data):
             self._report(line)
 
-    def _take(self, report: protocol.Report) -> None:
+    def _on_report(self, report: protocol.Report) -> None:
         if isinstance(report, protocol.Hello):
             self.pid, self.owner = report.pid, report.owner
-        super()._take(report)
+        super()._on_report(report)
 
     def poll(self) -> None:
-        """Look whether the process has ended; connect where that is not done yet."""
+        """Check for the exit of the process; connect if not connected yet."""
         if self._process is not None:
             code = self._process.poll()
             if code is not None:
-                self._tell_last_words()
+                self._log_last_output()
                 self.detach()
-                self._listener.on_gone(Exit(code))
+                self._listener.on_exit(Exit(code))
                 return
         if self._socket is None and not self.adopt() and self._connected and self._process is None:
-            self._listener.on_gone(Exit(None))
+            self._listener.on_exit(Exit(None))
 
-    def _tell_last_words(self) -> None:
+    def _log_last_output(self) -> None:
         with contextlib.suppress(OSError), self._output.open("rb") as output:
-            output.seek(max(0, output.seek(0, os.SEEK_END) - _LAST_WORDS))
-            self._tell(output.read().splitlines())
+            output.seek(max(0, output.seek(0, os.SEEK_END) - _LAST_OUTPUT))
+            self._log_lines(output.read().splitlines())
 
     def _disconnect(self) -> None:
         if self._socket is not None:
-            self._loop.forget(self._socket.fileno())
+            self._loop.unwatch(self._socket.fileno())
             self._socket.close()
             self._socket = None
 
     def detach(self) -> None:
-        """Close the connection; the worker goes on."""
+        """Close the connection; the worker continues."""
         self._close_start()
         self._disconnect()
 
 
 def _unnamed_file() -> IO[bytes]:
-    """A file for a child to read; in memory where the system has such, whatever the disks are like."""
+    """Open a temporary file for a child to read; on Linux in memory, so that a full disk does not matter."""
     return os.fdopen(os.memfd_create("midspan"), "w+b") if sys.platform == "linux" else tempfile.TemporaryFile()
 
 

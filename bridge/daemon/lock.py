@@ -1,7 +1,6 @@
-"""Locks in the state folder: one daemon of a name, one process for each of its workers.
+"""Locks in the state folder: one daemon for each name, one process for each of its workers.
 
-An flock(2) lives as long as a process that holds its open file: it ends with a killed process, however it died, and is
-handed to a child by inheritance.
+An flock(2) lasts as long as any process has its file open: it ends even with a killed process, and a child inherits it.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ logger = logging.getLogger("midspan.daemon")
 
 @dataclass(frozen=True, slots=True)
 class Holder:
-    """The process that holds a lock, as the lock's file names it; ``space`` is that of its process id."""
+    """The process that holds a lock, read from the lock's file; ``space`` is its process id namespace."""
 
     pid: int
     machine: str
@@ -40,7 +39,7 @@ class Holder:
 
 
 class Lock:
-    """An exclusive lock on a file; take it with `try_lock`, give it back with `close` (or by ending)."""
+    """An exclusive lock on a file; acquire it with `try_lock`, release it with `close` (or by exiting)."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -49,7 +48,7 @@ class Lock:
         except OSError as err:
             if err.errno not in {errno.EROFS, errno.ENOSPC, errno.EACCES, errno.EDQUOT}:
                 raise
-            # an existing file is enough, as a lock needs no writing
+            # an existing file is enough, as a lock needs no write access
             self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
 
     def try_lock(self) -> bool:
@@ -68,7 +67,7 @@ class Lock:
             os.ftruncate(self._file, 0)
             os.pwrite(self._file, text.encode(), 0)
         except OSError as err:
-            logger.warning("cannot write into %s who holds it: %s", self.path, err.strerror)
+            logger.warning("cannot write the holder into %s: %s", self.path, err.strerror)
 
     def holder(self) -> Holder | None:
         """Return the holder; None if the file does not name one."""
@@ -80,11 +79,11 @@ class Lock:
             return None
 
     def fileno(self) -> int:
-        """The descriptor, for a child to inherit."""
+        """Return the descriptor, which a child may inherit."""
         return self._file
 
     def close(self) -> None:
-        """Close this process's descriptor; the lock goes on while a child has one."""
+        """Close this process's descriptor; the lock lasts while a child has one."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1

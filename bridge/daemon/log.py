@@ -1,6 +1,6 @@
-"""Logging of the daemon and its workers: to stderr, one line a record, journald's priorities where journald reads.
+"""Logging of the daemon and its workers: to stderr, with journald's priorities if journald reads it.
 
-A supervised worker writes ``<priority>text``; the daemon reads that, puts the worker's name before it and logs it.
+A supervised worker writes ``<priority>text``; the daemon prepends the worker's name and logs the line.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _PRIORITY = re.compile(r"<([0-7])>")
 
 
 class Style(Enum):
-    """How a line looks."""
+    """The format of a line."""
 
     TERMINAL = "terminal"
     JOURNAL = "journal"
@@ -32,41 +32,40 @@ class Style(Enum):
 
 
 def style_for(environ: Mapping[str, str] = os.environ) -> Style:
-    """What is written to: journald sets ``JOURNAL_STREAM`` for those whose output it reads."""
+    """Return the style for stderr: journald sets ``JOURNAL_STREAM`` for the processes whose output it reads."""
     return Style.JOURNAL if environ.get("JOURNAL_STREAM") else Style.TERMINAL
 
 
 class LineFormatter(logging.Formatter):
-    """Formats a record as lines that each carry the priority or the time and level."""
+    """Formats a record as lines that each start with the priority, or with the time and level."""
 
     def __init__(self, style: Style, name: str) -> None:
         super().__init__(datefmt="%H:%M:%S")
-        self._look = style
-        self._who = name
+        self._style = style
+        self._name = name
 
     def format(self, record: logging.LogRecord) -> str:
-        """The record's lines."""
+        """Return the record's lines."""
         text = record.getMessage()
         if record.exc_info:
             text += "\n" + self.formatException(record.exc_info)
-        who = getattr(record, "worker", self._who)
-        before = self._before(record)
-        name = "" if self._look is Style.SUPERVISED else f"{who}: "
-        return "\n".join(f"{before}{name}{line}" for line in text.split("\n"))
+        name = "" if self._style is Style.SUPERVISED else f"{getattr(record, 'worker', self._name)}: "
+        prefix = self._prefix(record)
+        return "\n".join(f"{prefix}{name}{line}" for line in text.split("\n"))
 
-    def _before(self, record: logging.LogRecord) -> str:
-        if self._look is not Style.TERMINAL:
+    def _prefix(self, record: logging.LogRecord) -> str:
+        if self._style is not Style.TERMINAL:
             return f"<{priority(record.levelno)}>"
         return f"{self.formatTime(record, self.datefmt)}.{int(record.msecs):03d} {record.levelname.lower():7} "
 
 
 def priority(level: int) -> int:
-    """Priority of a logging level, as syslog numbers them."""
+    """Return syslog's priority for a logging level."""
     return next((number for least, number in _PRIORITIES.items() if level >= least), 7)
 
 
 def split_priority(line: str) -> tuple[int, str]:
-    """Level and text of a worker's line; a line without priority (a library wrote it) counts as a warning."""
+    """Return level and text of a worker's line; a line without priority (from a library) counts as a warning."""
     match = _PRIORITY.match(line)
     if match is None:
         return logging.WARNING, line
@@ -76,7 +75,7 @@ def split_priority(line: str) -> tuple[int, str]:
 
 
 class RelayHandler(logging.Handler):
-    """Keeps the last lines, and hands each on where somebody listens: the log of a worker that outlives its daemon."""
+    """Queues log lines until a daemon is connected: the log of a worker that outlives its daemon."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -85,11 +84,11 @@ class RelayHandler(logging.Handler):
         self._sink: Callable[[int, str], bool] = lambda _level, _text: False
 
     def relay_to(self, sink: Callable[[int, str], bool]) -> None:
-        """Hand lines to ``sink``, which returns whether anybody took it."""
+        """Send lines with ``sink``, which returns whether it delivered the line."""
         self._sink = sink
 
     def flush(self) -> None:
-        """Hand on what nobody has taken yet."""
+        """Send the queued lines."""
         self.acquire()
         try:
             while self._lines and self._sink(*self._lines[0]):
@@ -98,7 +97,7 @@ class RelayHandler(logging.Handler):
             self.release()
 
     def close(self) -> None:
-        """The process ends: what nobody took goes to stderr, which the daemon reads as last words."""
+        """Write undelivered lines to stderr, which the daemon reads after the exit of the process."""
         self.flush()
         self.acquire()
         try:
@@ -110,7 +109,7 @@ class RelayHandler(logging.Handler):
         super().close()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep the record's lines and hand them on."""
+        """Queue the record's lines and send them."""
         for line in self.format(record).split("\n"):
             self._lines.append(split_priority(line))
         self.flush()
@@ -130,5 +129,5 @@ def setup(config: Config, name: str, style: Style, handler: logging.Handler | No
 
 
 def set_level(config: Config) -> None:
-    """Take up the configured level."""
+    """Apply the configured level."""
     logging.getLogger().setLevel(LEVELS[config.log.level])

@@ -1,4 +1,4 @@
-"""The daemon's newest log lines, its own and its workers', on a Unix socket in its state folder."""
+"""The newest log lines of the daemon and its workers, on a Unix socket in the state folder."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from bridge.daemon.loop import SelectorLoop
 from bridge.daemon.query import QueryServer, ask_socket
 
 OWN = "daemon"
-"""The name under which the daemon's own lines are kept."""
+"""The ``worker`` of the daemon's own lines."""
 
 _LEVELS = ((logging.ERROR, "error"), (logging.WARNING, "warning"), (logging.INFO, "info"))
-_MOST_ASKING = 8
-_QUESTION = 100
+_MAX_CLIENTS = 8
+_REQUEST_SIZE = 100
 _LONGEST = 8 << 10
 
 
 class KeptLines(logging.Handler):
-    """Keeps the newest lines, each with a number of its own: at most so many, and so many bytes of text."""
+    """Stores the newest lines with consecutive numbers, up to a number of lines and of bytes."""
 
     def __init__(self, most: int = 2000, most_bytes: int = 512 << 10) -> None:
         super().__init__()
@@ -36,7 +36,7 @@ class KeptLines(logging.Handler):
         self._n = 0
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep a record's lines."""
+        """Store a record's lines."""
         text = record.getMessage()
         if record.exc_info:
             text += "\n" + logging.Formatter().formatException(record.exc_info)
@@ -51,60 +51,60 @@ class KeptLines(logging.Handler):
             self._bytes -= len(self._lines.popleft()["text"])
 
     def after(self, n: int, most_bytes: int = 64 << 10) -> dict[str, Any]:
-        """``last`` (number of the newest line) and ``lines`` behind line ``n``: the oldest of them that fit."""
+        """Return ``last``, the number of the newest line, and ``lines``: those after line ``n``, as many as fit."""
         self.acquire()
         try:
             last, kept = self._n, [line for line in self._lines if line["n"] > n]
         finally:
             self.release()
-        room, found = most_bytes, list[dict[str, Any]]()
+        room, lines = most_bytes, list[dict[str, Any]]()
         for line in kept:
             room -= len(json.dumps(line)) + 2
-            if room < 0 and found:
+            if room < 0 and lines:
                 break
-            found.append(line)
-        return {"last": last, "lines": found}
+            lines.append(line)
+        return {"last": last, "lines": lines}
 
 
 class LogServer(QueryServer):
-    """Answers each connection that names a line's number with what came after it, and closes it."""
+    """Responds to a line's number with the lines after it, then closes the connection."""
 
     def __init__(self, loop: SelectorLoop, path: Path, kept: KeptLines) -> None:
         self._kept = kept
-        self._asking: deque[socket.socket] = deque()
+        self._clients: deque[socket.socket] = deque()
         super().__init__(loop, path, dict)
 
     def _accepted(self, client: socket.socket) -> None:
         client.setblocking(False)
-        while len(self._asking) >= _MOST_ASKING:
-            self._leave(self._asking[0])  # it connected, and asks nothing
-        self._asking.append(client)
-        self._loop.on_readable(client.fileno(), partial(self._tell, client))
+        while len(self._clients) >= _MAX_CLIENTS:
+            self._close(self._clients[0])  # connected long ago, without a request
+        self._clients.append(client)
+        self._loop.on_readable(client.fileno(), partial(self._respond, client))
 
-    def _tell(self, client: socket.socket) -> None:
+    def _respond(self, client: socket.socket) -> None:
         with contextlib.suppress(OSError, ValueError):
-            after = int(client.recv(_QUESTION))
+            after = int(client.recv(_REQUEST_SIZE))
             client.sendall(json.dumps(self._kept.after(after)).encode())  # far smaller than a socket's buffer
-        self._leave(client)
+        self._close(client)
 
-    def _leave(self, client: socket.socket) -> None:
-        self._asking.remove(client)
-        self._loop.forget(client.fileno())
+    def _close(self, client: socket.socket) -> None:
+        self._clients.remove(client)
+        self._loop.unwatch(client.fileno())
         client.close()
 
     def close(self) -> None:
         """Stop listening and remove the socket."""
-        while self._asking:
-            self._leave(self._asking[0])
+        while self._clients:
+            self._close(self._clients[0])
         super().close()
 
 
 def ask_log(config: Config, after: int, seconds: float = 1.0) -> dict[str, Any] | None:
-    """The newest log lines of this configuration's daemon, None where none runs.
+    """Return the newest log lines of this configuration's daemon, None if it is not running.
 
     Returns:
-        ``last``, the number of the newest line, which is less than ``after`` where the daemon began anew; ``lines``
-        behind the line ``after``, the oldest first, as many as fit: ``n``, ``time`` (s since 1970), ``level``
+        ``last``: the number of the newest line, less than ``after`` if the daemon was restarted. ``lines``: those
+        after the line ``after``, oldest first, as many as fit, each with ``n``, ``time`` (s since 1970), ``level``
         (``error``, ``warning``, ``info``, ``debug``), ``worker`` (`OWN`: the daemon itself) and ``text``.
     """
     return ask_socket(config, state_file.log_socket, b"%d\n" % after, seconds)

@@ -1,4 +1,4 @@
-"""The supervisor's event loop: file descriptors, a wake-up for signal handlers, and nothing else."""
+"""The supervisor's event loop: file descriptors, and a wake-up for signal handlers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Callback = Callable[[], None]
 
 
 class SelectorLoop:
-    """Calls back when descriptors are ready. Not thread safe but for `wake`, which a signal handler may call too."""
+    """Calls back when descriptors are ready. Only `wake` is thread-safe, and safe in signal handlers."""
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()
@@ -23,15 +23,15 @@ class SelectorLoop:
         self.on_readable(self._wake_read.fileno(), self._woken)
 
     def on_readable(self, file: int, callback: Callback | None) -> None:
-        """Call back whenever the descriptor can be read; None ends it."""
+        """Call back whenever the descriptor is readable; None ends the callbacks."""
         self._set(self._readers, file, callback)
 
     def on_writable(self, file: int, callback: Callback | None) -> None:
-        """Call back whenever the descriptor can be written; None ends it."""
+        """Call back whenever the descriptor is writable; None ends the callbacks."""
         self._set(self._writers, file, callback)
 
-    def forget(self, file: int) -> None:
-        """End all callbacks of a descriptor that is about to be closed."""
+    def unwatch(self, file: int) -> None:
+        """End all callbacks of a descriptor, before it is closed."""
         self.on_readable(file, None)
         self.on_writable(file, None)
 
@@ -50,12 +50,12 @@ class SelectorLoop:
             self._selector.unregister(file)
 
     def wake(self) -> None:
-        """Let a running `step` return."""
+        """Make a running `step` return."""
         with contextlib.suppress(BlockingIOError):
             self._wake_write.send(b"w")
 
     def step(self, seconds: float) -> None:
-        """Wait at most so long, and call back what is ready."""
+        """Wait at most this many seconds for ready descriptors, and call back."""
         ready = [
             (callbacks, key.fd, callbacks[key.fd])
             for key, events in self._selector.select(seconds)
@@ -72,7 +72,7 @@ class SelectorLoop:
                 pass
 
     def close(self) -> None:
-        """Give the descriptors back."""
+        """Close the loop's descriptors."""
         self._selector.close()
         self._wake_read.close()
         self._wake_write.close()

@@ -1,4 +1,4 @@
-"""Word to systemd: ready, reloading, stopping, status and watchdog (sd_notify(3)). Silent without systemd."""
+"""Notifications to systemd: ready, reloading, stopping, status and watchdog (sd_notify(3)). No-op without systemd."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from collections.abc import Mapping
 
 STATUS_LENGTH = 900
 ENVIRONMENT = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
-"""What systemd sets for one process, and that process must not hand on to its children."""
+"""Variables that systemd sets for one process, which its children must not inherit."""
 
 
 class Notifier:
-    """Sends datagrams to ``$NOTIFY_SOCKET``; never blocks, never fails."""
+    """Sends datagrams to ``$NOTIFY_SOCKET``; never blocks, ignores errors."""
 
     def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
         self._socket: socket.socket | None = None
@@ -33,30 +33,30 @@ class Notifier:
                 self._socket = sock
 
     def ready(self) -> None:
-        """Started, or done with reloading."""
+        """Report that the start or a reload is complete."""
         self._send("READY=1")
 
     def reloading(self) -> None:
-        """A reload begins; `ready` ends it."""
+        """Report the begin of a reload; `ready` reports its end."""
         self._send(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self) -> None:
-        """The end begins."""
+        """Report that the service is stopping."""
         self._send("STOPPING=1")
 
     def main_process(self, pid: int) -> None:
-        """Another process of the service is its main one from now on."""
+        """Report the service's new main process."""
         self._send(f"MAINPID={pid}")
 
     def status(self, text: str) -> None:
-        """The one line that ``systemctl status`` shows; sent only when it changed."""
+        """Set the line that ``systemctl status`` shows; sent only if it changed."""
         line = " ".join(text.split())[:STATUS_LENGTH]
         if line != self._status:
             self._status = line
             self._send(f"STATUS={line}")
 
     def feed_watchdog(self) -> None:
-        """To be called from the very loop that must not hang; feeds at half the interval that systemd asks for."""
+        """Feed the watchdog at half of systemd's interval; called by the loop that must not hang."""
         now = time.monotonic()
         if self._interval and now - self._fed >= self._interval * 0.9:
             self._fed = now
@@ -64,11 +64,11 @@ class Notifier:
 
     @property
     def watchdog_interval(self) -> float:
-        """Seconds between feeds, 0 where no watchdog is asked for."""
+        """Seconds between feeds, 0 without a watchdog."""
         return self._interval
 
     def close(self) -> None:
-        """Give the socket back."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None

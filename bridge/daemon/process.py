@@ -1,7 +1,7 @@
 """A worker's process: its main loop, with the daemon's pipes, a control socket, systemd, or none of them.
 
-The main loop starts the worker, polls its health, passes commands to it, and stops it. Commands come from a queue that
-signals, the daemon's pipe and the control socket fill; reports go to a function. So the same loop serves a supervised
+The main loop starts the worker, polls its health, passes commands to it, and stops it. Signals, the daemon's pipe and
+the control socket put commands into one queue; reports go to a function. The same loop therefore serves a supervised
 worker, one that outlives its daemon, and one without a daemon.
 """
 
@@ -21,7 +21,7 @@ from bridge import resources, state_file
 from bridge.adapters.memory import few_heaps
 from bridge.config.model import Config
 from bridge.daemon import log, protocol
-from bridge.daemon.begin import tell_stacks_on_signal
+from bridge.daemon.begin import dump_stacks_on_signal
 from bridge.daemon.control import Commands, ControlServer, DaemonPipe, Hangup
 from bridge.daemon.notify import Notifier
 from bridge.daemon.succession import Successor, succeed
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("midspan.worker")
 
-_LOOK_EACH = 4
+_CHECK_INTERVAL = 4
 """Heartbeats between checks of the free file descriptors."""
 
 
@@ -50,17 +50,17 @@ class RunEnd(Enum):
 
 
 class Companion(Protocol):
-    """A companion of the worker in its process; see `bridge.metrics.on_demand`."""
+    """An additional task in the worker's process; see `bridge.metrics.on_demand`."""
 
-    def look(self, config: Config) -> None:
-        """Called at each heartbeat; returns at once."""
+    def on_heartbeat(self, config: Config) -> None:
+        """Run at each heartbeat; must not block."""
 
     def close(self) -> None:
-        """Called before the worker stops."""
+        """Stop, before the worker stops."""
 
 
 class Child:
-    """One worker in this process.
+    """The main loop of one worker.
 
     ``report`` must not block for long; ``load`` loads the configuration upon SIGHUP, None if the daemon sends it;
     with ``end_for_restart`` the run ends if a reload needs a restart. ``companion`` is called at each heartbeat.
@@ -77,13 +77,13 @@ class Child:
         self._end_for_restart = end_for_restart
         self._config = Config()
         self._beats = 0
-        self._said: Health | None = None
+        self._last_health: Health | None = None
         self._answering = True
         self._short = False
         self._companion = companion
 
     def run(self, config: Config) -> RunEnd:
-        """Run until stopped, or until the worker fails with a plain reason; raises what else the worker raises."""
+        """Run until stopped, or until the worker fails with a plain reason; other exceptions propagate."""
         self._config = config
         try:
             return self._run()
@@ -100,7 +100,7 @@ class Child:
             logger.error("cannot work here: %s", err)  # noqa: TRY400  a plain reason, not a fault of the program
             self._report(protocol.Failed(str(err)))
             return RunEnd.CANNOT_WORK
-        except HubError as err:  # such as a client's router that is off
+        except HubError as err:  # for example, the router of a client is off
             return self._failed(str(err))
         due = time.monotonic()
         while True:
@@ -115,12 +115,12 @@ class Child:
                 command = self._commands.get(timeout=wait)
             except queue.Empty:
                 continue
-            outcome = self._obey(command)
+            outcome = self._on_command(command)
             if outcome is not None:
                 return outcome
 
     def _failed(self, reason: str) -> RunEnd:
-        """End for a reason that may not last: a new process starts the worker again."""
+        """End for a reason that may be temporary: the daemon starts a new process."""
         logger.error("%s", reason)
         self._report(protocol.Failed(reason))
         return RunEnd.FAILED
@@ -132,29 +132,29 @@ class Child:
                 health = self._worker.health()
         except TimeoutError as err:
             if self._answering:
-                logger.error("the worker's loop does not answer: %s", err)  # noqa: TRY400
+                logger.error("the worker's loop does not respond: %s", err)  # noqa: TRY400
             self._answering = False
             return protocol.BEAT_INTERVAL
         self._answering = True
         self._beats += 1
-        if self._beats % _LOOK_EACH == 0:
-            self._look_at_descriptors()
-        LARGE_MESSAGES.look()
+        if self._beats % _CHECK_INTERVAL == 0:
+            self._check_descriptors()
+        LARGE_MESSAGES.trim()
         if self._companion is not None:
-            self._companion.look(self._config)
+            self._companion.on_heartbeat(self._config)
         self._report(protocol.Beat(self._beats, health))
-        before, self._said = self._said, health
+        before, self._last_health = self._last_health, health
         quiet = health == before and health.state == "running"
         return protocol.QUIET_INTERVAL if quiet else protocol.BEAT_INTERVAL
 
-    def _look_at_descriptors(self) -> None:
-        """Log when they run short, and when they no longer do: a router without descriptors answers no query."""
+    def _check_descriptors(self) -> None:
+        """Log the begin and end of a shortage: a router without free descriptors cannot respond to queries."""
         short = resources.descriptors()
         if bool(short) != self._short:
             self._short = bool(short)
-            logger.warning("%s", short or "there are file descriptors again")
+            logger.warning("%s", short or "file descriptors are available again")
 
-    def _obey(self, command: protocol.Command | Hangup) -> RunEnd | None:
+    def _on_command(self, command: protocol.Command | Hangup) -> RunEnd | None:
         match command:
             case protocol.Stop(why):
                 logger.info("stopping: %s", why)
@@ -172,7 +172,7 @@ class Child:
         try:
             config = self._load()
         except ConfigError as err:
-            logger.error("the configuration is not taken up, the running one is kept:\n%s", err)  # noqa: TRY400
+            logger.error("the new configuration is rejected, the running one is kept:\n%s", err)  # noqa: TRY400
             self._report(protocol.Reloaded())
             return None
         return self._reload(config)
@@ -194,9 +194,9 @@ class Child:
 
 
 def install_signals(commands: Commands) -> None:
-    """SIGTERM and SIGINT stop, SIGHUP loads again. Call from the main thread."""
-    for each in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(each, lambda number, _frame: commands.put(protocol.Stop(signal.Signals(number).name)))
+    """Queue a stop on SIGTERM and SIGINT, a reload on SIGHUP. Call from the main thread."""
+    for stop in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(stop, lambda number, _frame: commands.put(protocol.Stop(signal.Signals(number).name)))
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, lambda _number, _frame: commands.put(Hangup()))
 
@@ -204,7 +204,7 @@ def install_signals(commands: Commands) -> None:
 class Process:
     """The process of one worker; with a control socket (``control``) it outlives its daemon.
 
-    ``companion`` makes the companion of a worker, given its name.
+    ``companion`` creates the companion of a worker with a given name.
     """
 
     def __init__(self, kind: WorkerKind, companion: Callable[[Worker, str], Companion], *, control: bool) -> None:
@@ -214,7 +214,7 @@ class Process:
         few_heaps()
         self._commands = Commands()
         install_signals(self._commands)
-        tell_stacks_on_signal()
+        dump_stacks_on_signal()
 
     def run_supervised(self) -> int:
         """Run under the daemon; return the exit code."""
@@ -232,7 +232,7 @@ class Process:
         try:
             server = self._open_control(config, "daemon", self._commands.put)
         except RuntimeError as err:
-            logger.error("cannot work here: %s", err)  # noqa: TRY400  the daemon reads it as last words
+            logger.error("cannot work here: %s", err)  # noqa: TRY400  the daemon reads it from stderr
             return protocol.EXIT_CANNOT_WORK
         relay.relay_to(server.relay)
         pipe.heart.send_to(server.report)
@@ -248,20 +248,20 @@ class Process:
         notifier = Notifier()
         if self._control and self._kind.enabled(config) is False:
             logger.info("%s is switched off by the configuration", self._kind.name)
-            notifier.ready()  # ended as it should; to systemd an end before this is a failure
+            notifier.ready()  # to systemd an exit before this is a failure
             return 0
         successor = Successor()
-        self._kind.create()  # its code, before a predecessor ends
+        self._kind.create()  # imports its code before the predecessor exits
         lock = succeed(lambda: self._lock(config))
-        server = self._open_control(config, "service", self._obey_as_service) if self._control else None
+        server = self._open_control(config, "service", self._on_service_command) if self._control else None
         ready = False
 
-        def report(said: protocol.Report) -> None:
+        def report(report: protocol.Report) -> None:
             nonlocal ready
             if server is not None:
-                server.report(said)
-            if isinstance(said, protocol.Beat):
-                notifier.status(said.health.text)
+                server.report(report)
+            if isinstance(report, protocol.Beat):
+                notifier.status(report.health.text)
                 notifier.feed_watchdog()
                 if not ready:
                     notifier.ready()
@@ -280,8 +280,8 @@ class Process:
             if lock is not None:
                 lock.close()
 
-    def _obey_as_service(self, command: protocol.Command) -> None:
-        """A service has its own file: a daemon's new configuration means to load that again."""
+    def _on_service_command(self, command: protocol.Command) -> None:
+        """Handle a daemon's command; for a new configuration, a service reloads its own file."""
         self._commands.put(Hangup() if isinstance(command, protocol.NewConfig) else command)
 
     def _run(
@@ -303,12 +303,12 @@ class Process:
         return {RunEnd.CANNOT_WORK: protocol.EXIT_CANNOT_WORK, RunEnd.FAILED: 1}.get(outcome, 0)
 
     def _open_control(
-        self, config: Config, owner: protocol.Owner, obey: Callable[[protocol.Command], None]
+        self, config: Config, owner: protocol.Owner, on_command: Callable[[protocol.Command], None]
     ) -> ControlServer:
-        return ControlServer(state_file.control_socket(config, self._kind.name), owner, obey)
+        return ControlServer(state_file.control_socket(config, self._kind.name), owner, on_command)
 
     def _lock(self, config: Config) -> Lock | None:
-        """Lock the worker, which has one process, with and without a daemon of the same name."""
+        """Lock the worker: it has at most one process, with or without a daemon of the same name."""
         if sys.platform == "win32":
             return None
 
@@ -320,6 +320,6 @@ class Process:
             return lock
         holder = lock.holder()
         lock.close()
-        who = f"as process {holder.pid} of {holder.machine}" if holder else "in another process"
-        what = f"the worker {self._kind.name} of '{config.name}' already runs {who}"
-        raise RuntimeError(f"{what}; stop it, or give this one another 'name' or 'state'")
+        process = f"as process {holder.pid} of {holder.machine}" if holder else "in another process"
+        fault = f"the worker {self._kind.name} of '{config.name}' already runs {process}"
+        raise RuntimeError(f"{fault}; stop it, or give this one another 'name' or 'state'")

@@ -1,4 +1,4 @@
-"""What the daemon and a worker's process say to each other: JSON, one object a line.
+"""The protocol between the daemon and a worker's process: JSON, one object per line.
 
 Commands (daemon to worker)::
 
@@ -7,19 +7,19 @@ Commands (daemon to worker)::
 
 Reports (worker to daemon)::
 
-    {"busy": "importing rclpy", "used": 1.2, "read": 8}  each half second, from a thread of its own, while the main loop
-                                                         is busy with one thing, from the process's first moment:
+    {"busy": "importing rclpy", "used": 1.2, "read": 8}  every half second while the main loop is busy with one step,
+                                                         also during the start, from a separate thread: the step,
                                                          processor time in seconds, blocks read from disks
-    {"hello": {"pid": 1, "owner": "daemon"}}             first, where the worker has a control socket
-    {"beat": 1, "state": "running", "text": "2 routes"}  each half second, from the worker's main loop; each second
-                                                         while it runs and has nothing new to say
-    {"reloaded": true}                                   done with the new configuration
-    {"restart": "why"}                                   it was not: only a restart of the worker can
-    {"failed": "why"}                                    the worker can never work here; its process ends
+    {"hello": {"pid": 1, "owner": "daemon"}}             first, if the worker has a control socket
+    {"beat": 1, "state": "running", "text": "2 routes"}  every half second, from the worker's main loop; every second
+                                                         while it is running and its text does not change
+    {"reloaded": true}                                   the new configuration is applied
+    {"restart": "why"}                                   the new configuration needs a restart of the worker
+    {"failed": "why"}                                    the worker failed for this reason; its process ends
     {"log": [30, "text"]}                                a log line of a worker that has a control socket
 
-A report that is not known here is left out: a worker that outlives its daemon may be of another version.
-The end of the daemon's stream is a stop command too, but for a worker with a control socket, which outlives the daemon.
+Unknown reports are ignored: a worker that outlives its daemon may have another version.
+The end of the daemon's stream is also a stop command, except for a worker with a control socket, which outlives it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from bridge.worker import Health
 MAX_LINE = 4 << 20
 BEAT_INTERVAL = 0.5
 QUIET_INTERVAL = 1.0
-"""After a heartbeat that said, as the one before, that it runs, in the same words."""
+"""Interval after a heartbeat that is "running" with the same text as the previous one."""
 
 EXIT_CANNOT_WORK = 78
 """Exit code of a worker that can never work here (EX_CONFIG of sysexits.h)."""
@@ -48,29 +48,29 @@ Owner = Literal["daemon", "service"]
 
 
 class ProtocolError(ValueError):
-    """A line is not what the protocol allows."""
+    """A line violates the protocol."""
 
 
 class Unknown(NamedTuple):
-    """Report: one of another version of the protocol."""
+    """Report of another version of the protocol."""
 
     keys: tuple[str, ...]
 
 
 class NewConfig(NamedTuple):
-    """Command: start with, or change to, this configuration."""
+    """Command: start with this configuration, or change to it."""
 
     config: Config
 
 
 class Stop(NamedTuple):
-    """Command: stop, unregister everything and end."""
+    """Command: unregister everything and exit."""
 
-    why: str = "told to"
+    why: str = "requested"
 
 
 class Hello(NamedTuple):
-    """Report: who the worker behind a control socket is."""
+    """Report: the process and the owner of a worker with a control socket."""
 
     pid: int
     owner: Owner
@@ -85,7 +85,7 @@ class Beat(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Reloaded:
-    """Report: the new configuration is taken up (or was refused, by a service with a file of its own)."""
+    """Report: the new configuration is applied (or rejected, by a service with its own file)."""
 
 
 class Restart(NamedTuple):
@@ -95,7 +95,7 @@ class Restart(NamedTuple):
 
 
 class Failed(NamedTuple):
-    """Report: the worker can never work here."""
+    """Report: the worker failed for a reason."""
 
     why: str
 
@@ -114,12 +114,12 @@ Report = Hello | Busy | Beat | Reloaded | Restart | Failed | LogLine
 
 
 def config_json(config: Config) -> dict[str, Any]:
-    """A configuration as plain data that `Config` reads back."""
+    """Return a configuration as plain data that `Config` can validate."""
     return config.model_dump(mode="json", by_alias=True)
 
 
 def encode_command(command: Command) -> bytes:
-    """One line for a command."""
+    """Encode a command as one line."""
     match command:
         case NewConfig(config):
             return _line({"config": config_json(config)})
@@ -128,20 +128,20 @@ def encode_command(command: Command) -> bytes:
 
 
 def decode_command(line: bytes) -> Command:
-    """A command from its line; raises `ProtocolError`."""
+    """Decode a command from its line; raises `ProtocolError`."""
     data = _object(line)
     if data.get("stop") is True:
-        return Stop("told to by the daemon")
+        return Stop("requested by the daemon")
     if "config" in data:
         try:
             return NewConfig(Config.model_validate(data["config"]))
         except ValidationError as err:
-            raise ProtocolError(f"a configuration that is not valid: {err}") from err
-    raise ProtocolError(f"no command: {line[:200]!r}")
+            raise ProtocolError(f"an invalid configuration: {err}") from err
+    raise ProtocolError(f"not a command: {line[:200]!r}")
 
 
 def encode_report(report: Report) -> bytes:
-    """One line for a report."""
+    """Encode a report as one line."""
     match report:
         case Busy():
             return busy_line(report)
@@ -160,7 +160,7 @@ def encode_report(report: Report) -> bytes:
 
 
 def decode_report(line: bytes) -> Report | Unknown:
-    """A report from its line; raises `ProtocolError`."""
+    """Decode a report from its line; raises `ProtocolError`."""
     data = _object(line)
     match data:
         case {"beat": int(number), "state": ("running" | "waiting" | "standby") as state, "text": str(text)}:
@@ -179,7 +179,7 @@ def decode_report(line: bytes) -> Report | Unknown:
             return Busy(text, used, read)
     if data and data.keys().isdisjoint(_REPORTS):
         return Unknown(tuple(data))
-    raise ProtocolError(f"no report: {line[:200]!r}")
+    raise ProtocolError(f"not a report: {line[:200]!r}")
 
 
 def _line(data: dict[str, Any]) -> bytes:
@@ -197,7 +197,7 @@ def _object(line: bytes) -> dict[str, Any]:
 
 
 class Lines:
-    """Cuts a stream of bytes into lines; one longer than the limit is cut off there, its rest is skipped."""
+    """Splits a stream of bytes into lines; a line longer than the limit is truncated."""
 
     def __init__(self, limit: int = MAX_LINE) -> None:
         self._limit = limit
@@ -205,7 +205,7 @@ class Lines:
         self._skipping = False
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The lines that are whole now, without their ends."""
+        """Add received bytes; return the complete lines without their line ends."""
         *whole, rest = (self._rest + data).split(b"\n")
         lines: list[bytes] = []
         for line in whole:
@@ -219,6 +219,6 @@ class Lines:
         return lines
 
     def end(self) -> list[bytes]:
-        """What is left when the stream has ended."""
+        """Return the incomplete last line after the end of the stream."""
         rest, self._rest = self._rest, b""
         return [rest] if rest else []

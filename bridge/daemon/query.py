@@ -37,7 +37,7 @@ class Phase(Enum):
 
 logger = logging.getLogger("midspan.daemon")
 
-_MAX_ANSWER = 1 << 20
+_MAX_RESPONSE = 1 << 20
 
 
 class QueryServer:
@@ -58,9 +58,9 @@ class QueryServer:
             return
         self._server.listen(8)
         self._server.setblocking(False)
-        loop.on_readable(self._server.fileno(), self._answer)
+        loop.on_readable(self._server.fileno(), self._accept)
 
-    def _answer(self) -> None:
+    def _accept(self) -> None:
         try:
             client, _ = self._server.accept()
         except OSError as err:
@@ -75,7 +75,7 @@ class QueryServer:
             client.sendall(json.dumps(self._document()).encode())
 
     def _turn_away(self) -> None:
-        """Accept and close a connection with the spare descriptor: left waiting, it would wake the loop forever."""
+        """Accept and close a connection with the spare descriptor: if it stayed pending, the loop would spin."""
         os.close(self._spare)
         with contextlib.suppress(OSError):
             self._server.accept()[0].close()
@@ -83,7 +83,7 @@ class QueryServer:
 
     def close(self) -> None:
         """Stop listening and remove the socket."""
-        self._loop.forget(self._server.fileno())
+        self._loop.unwatch(self._server.fileno())
         self._server.close()
         os.close(self._spare)
         with contextlib.suppress(OSError):
@@ -104,25 +104,23 @@ def ask_daemon(config: Config, seconds: float = 1.0) -> dict[str, Any] | None:
     return ask_socket(config, state_file.daemon_socket, b"", seconds)
 
 
-def ask_socket(
-    config: Config, path: Callable[[Config], Path], question: bytes, seconds: float
-) -> dict[str, Any] | None:
+def ask_socket(config: Config, path: Callable[[Config], Path], request: bytes, seconds: float) -> dict[str, Any] | None:
     """Return the response on one of the daemon's sockets, None without a valid one."""
     config = config.model_copy(update={"state": state_folder(config).absolute()})
-    answer = b""
+    response = b""
     if not hasattr(socket, "AF_UNIX"):  # on Windows, which has no daemon
         return None
     with socket.socket(socket.AF_UNIX) as sock:
         sock.settimeout(seconds)
         try:
             sock.connect(str(path(config)))
-            if question:  # even an empty send fails if the server has already responded and closed
-                sock.sendall(question)
+            if request:  # even an empty send fails if the server has already responded and closed
+                sock.sendall(request)
             while data := sock.recv(1 << 16):
-                answer += data
-                if len(answer) > _MAX_ANSWER:
+                response += data
+                if len(response) > _MAX_RESPONSE:
                     return None
-            document = json.loads(answer)
+            document = json.loads(response)
         except (OSError, ValueError, RuntimeError):
             return None
     return document if isinstance(document, dict) else None

@@ -15,7 +15,7 @@ from bridge import state_file
 from bridge.concurrency import Backoff
 from bridge.config.model import Config
 from bridge.daemon import protocol
-from bridge.daemon.begin import TELL_STACKS
+from bridge.daemon.begin import DUMP_STACKS
 from bridge.daemon.link import Exit, OutlivingLink, PipeLink, WorkerLink, kill_group
 from bridge.daemon.lock import Lock
 from bridge.daemon.loop import SelectorLoop
@@ -30,7 +30,7 @@ _STACK_SECONDS = 0.3
 """Seconds for a hung worker to log the stacks of its threads before SIGKILL."""
 
 _DOUBLED = 2
-"""How often the limit for a start without progress is doubled."""
+"""Maximum number of times that the limit for a start without progress is doubled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +38,13 @@ class Timing:
     """Limits in seconds.
 
     Attributes:
-        heartbeat: a worker that neither sends a heartbeat nor computes for longer is killed and restarted.
+        heartbeat: a worker that neither sends a heartbeat nor computes for this time is killed and restarted.
         start: longest time without progress while starting; it doubles after each such failure, up to a limit.
-        patience: a starting worker without progress for longer no longer delays the start of others.
+        patience: a starting worker without progress for this time no longer delays the start of others.
         stop: from the stop request until SIGKILL.
         retry: pause before a worker that cannot work here is started again.
-        look: interval of polling for a worker that a separate service runs.
-        end: interval of polling for the exit of an earlier daemon's worker.
+        service_poll: interval of polling for a worker that a separate service runs.
+        exit_poll: interval of polling for the exit of an earlier daemon's worker.
     """
 
     heartbeat: float = 5.0
@@ -52,8 +52,8 @@ class Timing:
     patience: float = 3.0
     stop: float = 2.8
     retry: float = 30.0
-    look: float = 0.2
-    end: float = 0.05
+    service_poll: float = 0.2
+    exit_poll: float = 0.05
 
 
 class Slot:
@@ -86,7 +86,7 @@ class Slot:
         self._failure = ""
         self._started = 0.0
         self._movement = Movement(0.0)
-        self._stood_still = 0
+        self._stalled_starts = 0
         self._due = 0.0
         self._blocked_since = 0.0
         self._waited_for = ""
@@ -142,7 +142,7 @@ class Slot:
         missing = self.kind.missing(config) if enabled == "auto" else ""
         if enabled is False or missing:
             if self.link is not None:
-                self.stop(missing or "switched off")
+                self.stop(missing or "disabled by the configuration")
             else:
                 self._enter_idle()
             return
@@ -161,7 +161,7 @@ class Slot:
         except RuntimeError:
             same = False  # the restart logs the reason
         if not same:
-            self._restart("its environment changes")
+            self._restart("its environment has changed")
             return
         self.reloading = True
         self.link.send(protocol.NewConfig(config))
@@ -188,14 +188,14 @@ class Slot:
             if (self.kind.outlives or self._standing) and self._adopt(self._config):
                 return
             if self._standing:
-                self._wait("waits for its service", self._timing.look)
+                self._wait("waiting for its service", self._timing.service_poll)
                 return
             lock = Lock(state_file.worker_lock(self._config, self.name))
             try:
                 if not lock.try_lock():
                     self._wait_for(lock)
                 elif first := self._first():
-                    self._enter(Phase.QUEUED, f"{first} comes up first")
+                    self._enter(Phase.QUEUED, f"waiting for {first} to start")
                 else:
                     self._blocked_since, self._waited_for = 0.0, ""
                     self._spawn(self._config, lock)
@@ -231,20 +231,21 @@ class Slot:
         now = time.monotonic()
         holder = lock.holder()
         self._blocked_since = self._blocked_since or now
-        state = f"waits for the end of process {holder.pid} of {holder.machine}" if holder else "waits for its lock"
-        pause = self._timing.end
+        process = f"process {holder.pid} of {holder.machine}" if holder else ""
+        state = f"waiting for {process} to exit" if holder else "waiting for its lock"
+        pause = self._timing.exit_poll
         if holder is not None and holder.owner == "service":
-            state, pause = f"is run by process {holder.pid}, not by this daemon", self._timing.look
+            state, pause = f"run by process {holder.pid}, not by this daemon", self._timing.service_poll
         elif holder is not None and holder.is_here and now - self._blocked_since > self._timing.stop:
             if _is_worker(holder.pid, self.name):
-                logger.warning("%s: process %d of an earlier daemon does not end; killed", self.name, holder.pid)
+                logger.warning("%s: process %d of an earlier daemon does not exit; killing it", self.name, holder.pid)
                 kill_group(holder.pid, signal.SIGKILL)
             self._blocked_since = now
         self._wait(state, pause)
 
     def _wait(self, text: str, seconds: float) -> None:
         if text != self._waited_for:
-            logger.info("%s %s", self.name, text)
+            logger.info("%s: %s", self.name, text)
         self._waited_for = text
         self._enter(Phase.PAUSED, text)
         self._due = time.monotonic() + seconds
@@ -260,7 +261,7 @@ class Slot:
         """Handle a report of the worker."""
         match report:
             case Busy(text, used, read):
-                self._movement.look(time.monotonic(), text, used, read)
+                self._movement.update(time.monotonic(), text, used, read)
                 if self.phase is Phase.STARTING:
                     self.text = text
             case protocol.Beat(_, health):
@@ -282,16 +283,14 @@ class Slot:
 
     def _on_health(self, health: Health) -> None:
         """Handle a heartbeat; the worker is up once its health is "running"."""
-        if health.state == "running" and not self._up:
-            self._up = True
-            logger.info("%s is up (%s)", self.name, health.text)
-        elif self.phase is Phase.STARTING:
-            state = "stands by" if health.state == "standby" else "waits"
-            logger.info("%s has started and %s: %s", self.name, state, health.text)
-        self._stood_still = 0
-        self._enter(Phase.UP, health.text if health.state == "running" else f"{health.state}, {health.text}")
+        named = health.text.startswith(health.state)  # "waiting for ..."
+        if (health.state == "running" and not self._up) or self.phase is Phase.STARTING:
+            self._up = health.state == "running"
+            logger.info("%s: %s", self.name, health.text if named else f"{health.state} ({health.text})")
+        self._stalled_starts = 0
+        self._enter(Phase.UP, health.text if named or health.state == "running" else f"{health.state}: {health.text}")
 
-    def on_gone(self, ended: Exit) -> None:
+    def on_exit(self, ended: Exit) -> None:
         """Handle the exit of the worker's process."""
         self._standing = self.is_service
         self.link = None
@@ -308,14 +307,14 @@ class Slot:
             self.restarts += 1
             pause = self._backoff.pause(now - self.since if self.phase is Phase.UP else 0.0)
             why = self.ended = self._failure or str(ended)
-            logger.error("%s %s after %.1f s; restarted in %g s", self.name, why, now - self._started, pause)
+            logger.error("%s %s after %.1f s; restarting in %g s", self.name, why, now - self._started, pause)
             self._enter(Phase.PAUSED, why)
             self._due = now + pause
 
     # -- time ----------------------------------------------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Do what is due; called several times a second."""
+        """Check limits, and start what is due; called several times a second."""
         if self.link is not None:
             self.link.poll()
         now = time.monotonic()
@@ -334,31 +333,29 @@ class Slot:
         """Longest time without progress in the current phase, in seconds."""
         if self.phase is Phase.UP:
             return self._timing.heartbeat
-        return self._timing.start * (1 << min(self._stood_still, _DOUBLED))
+        return self._timing.start * (1 << min(self._stalled_starts, _DOUBLED))
 
     def _check_progress(self, now: float) -> None:
-        """Kill a hung worker, but not one that only computes for long."""
+        """Kill a hung worker, but not one that computes for a long time."""
         if self._killed:
             return
         limit, still, computed = self._limit, self._movement.still(now), self._movement.computed()
         if computed > ENDLESS * limit:
-            self._kill(f"is in a loop without an end: {self._movement.step} has computed for {computed:.0f} s")
+            self._kill(f"is in an endless loop: {self._movement.step} has computed for {computed:.0f} s")
         elif still > limit + _STACK_SECONDS:
             self._kill(self._silence(limit))
         elif still > limit and not self._asked:
             self._asked = True
             handles_signal = self.phase is Phase.UP or self.text  # before its first report the signal would kill it
-            if handles_signal and self.link is not None and self.link.pid and TELL_STACKS is not None:
-                self.link.kill(TELL_STACKS)
+            if handles_signal and self.link is not None and self.link.pid and DUMP_STACKS is not None:
+                self.link.kill(DUMP_STACKS)
 
     def _silence(self, limit: float) -> str:
         if self.phase is Phase.UP:
             return f"sent no heartbeat for {limit:g} s"
-        self._stood_still += 1
-        return (
-            f"stood still for {limit:g} s at its start ({self.text or 'without a word'}); the next one may for"
-            f" {self._limit:g} s"
-        )
+        self._stalled_starts += 1
+        step = self.text or "no report"
+        return f"made no progress for {limit:g} s while starting ({step}); the next limit is {self._limit:g} s"
 
     @property
     def due(self) -> float:
@@ -374,11 +371,11 @@ class Slot:
             return
         self._killed = True
         self._failure = why
-        logger.error("%s %s: process %d is killed", self.name, why, self.link.pid)
+        logger.error("%s %s; killing process %d", self.name, why, self.link.pid)
         self.kill()
 
     def kill(self) -> None:
-        """SIGKILL, at once."""
+        """Send SIGKILL."""
         if self.link is None:
             return
         if self.link.pid:
@@ -386,13 +383,13 @@ class Slot:
         else:
             # adopted, but its process id is unknown: the lock names it once this connection is closed
             self.link.detach()
-            self.on_gone(Exit(None))
+            self.on_exit(Exit(None))
 
     # -- stopping ------------------------------------------------------------------------------------------------------
 
     def _restart(self, why: str) -> None:
         if self.is_service and self.link is not None:  # it restarts by itself and is then adopted again
-            logger.info("%s starts again: %s", self.name, why)
+            logger.info("%s restarts: %s", self.name, why)
             self._enter(Phase.STOPPING, why)
             self._due = time.monotonic() + self._timing.stop
         else:
@@ -406,14 +403,14 @@ class Slot:
             self._enter(Phase.OFF)
             return
         if self.phase is not Phase.STOPPING:
-            logger.info("%s is stopped: %s", self.name, why)
+            logger.info("stopping %s: %s", self.name, why)
             self._killed = False
             self._enter(Phase.STOPPING, why)
             self.link.send(protocol.Stop())
             self.link.kill(signal.SIGTERM)
         self._due = time.monotonic() + (self._timing.stop if seconds is None else seconds)
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """Disconnect from a worker that continues without this daemon."""
         if self.link is not None:
             self.link.detach()

@@ -1,9 +1,9 @@
-"""A service's worker that hands over to a new process of itself: its code is another by now, after an upgrade.
+"""Handover of a service's worker to a new process with new code, after an upgrade.
 
-Upon SIGUSR2 it starts its own command line anew. The new process loads everything that it will run, only then ends the
-old one, and goes on as soon as that has given back the lock. So what is missing meanwhile is missing for the time that
-it takes to open it, not for a start of Python: zenoh's sessions try again after 1 s, and then after 2 s and 4 s.
-A new process that cannot load changes nothing. To systemd the old one says who the main process is (sd_notify(3)).
+On SIGUSR2 the worker starts its own command line again. The new process first loads all of its code, then stops the
+old one, and continues as soon as that releases the lock. The interruption is thus as short as opening the endpoints,
+without a start of Python: zenoh's sessions reconnect after 1 s, then after 2 s and 4 s. If the new process cannot
+load, the old one continues. The old process reports the new main process to systemd (sd_notify(3)).
 """
 
 from __future__ import annotations
@@ -20,47 +20,47 @@ from typing import TypeVar
 HAND_OVER: signal.Signals | None = getattr(signal, "SIGUSR2", None)
 _PREDECESSOR = "MIDSPAN_PREDECESSOR"
 _APART = "import os, sys; os.fork() or os.execv(sys.argv[1], sys.argv[1:])"
-"""systemd waits at a stop for a main process that is its own child alone, and kills any other at once (version 252)."""
+"""On a stop, systemd waits only for a main process that is its own child, and kills any other at once (version 252)."""
 
 _SECONDS = 10.0
-_LOOK = 0.01
+_POLL_SECONDS = 0.01
 T = TypeVar("T")
 
 
 class Successor:
-    """The new process, in the old one; there is none before the signal."""
+    """The new process, seen from the old one; it starts upon the signal."""
 
     def __init__(self) -> None:
-        self._told: int | None = None
+        self._loaded_pipe: int | None = None
         self._pid = 0
         if HAND_OVER is not None:
             signal.signal(HAND_OVER, lambda _number, _frame: self._start())
 
     @property
     def pid(self) -> int:
-        """The process that is about to take over, 0 where there is none (any more)."""
+        """The process that is about to take over, 0 if there is none."""
         return 0 if self._loads() or not _lives(self._pid) else self._pid
 
     def _loads(self) -> bool:
-        """Whether one has begun, and has not said yet that it has loaded."""
-        if self._told is None:
+        """Whether a new process has started, and has not reported yet that it has loaded."""
+        if self._loaded_pipe is None:
             return False
         with contextlib.suppress(BlockingIOError):
-            said = os.read(self._told, 16)
-            os.close(self._told)
-            self._told, self._pid = None, int(said or b"0")
-        return self._told is not None
+            pid = os.read(self._loaded_pipe, 16)
+            os.close(self._loaded_pipe)
+            self._loaded_pipe, self._pid = None, int(pid or b"0")
+        return self._loaded_pipe is not None
 
     def _start(self) -> None:
         if self._loads() or _lives(self._pid):
             return
-        self._told, told = os.pipe()
-        os.set_blocking(self._told, False)
-        environ = {**os.environ, _PREDECESSOR: f"{os.getpid()}:{told}"}
-        environ.pop("WATCHDOG_PID", None)  # systemd's watchdog is for the one that takes over, too
+        self._loaded_pipe, report_pipe = os.pipe()
+        os.set_blocking(self._loaded_pipe, False)
+        environ = {**os.environ, _PREDECESSOR: f"{os.getpid()}:{report_pipe}"}
+        environ.pop("WATCHDOG_PID", None)  # systemd's watchdog is also for the new process
         command = [sys.executable, "-ISc", _APART, sys.executable, *sys.orig_argv[1:]]
-        subprocess.run(command, env=environ, pass_fds=[told], check=False)
-        os.close(told)
+        subprocess.run(command, env=environ, pass_fds=[report_pipe], check=False)
+        os.close(report_pipe)
 
 
 def _lives(pid: int) -> bool:
@@ -71,22 +71,22 @@ def _lives(pid: int) -> bool:
     return pid > 0
 
 
-def succeed(take: Callable[[], T]) -> T:
-    """End the process that started this one to hand over, if any, and take what it gives back.
+def succeed(acquire: Callable[[], T]) -> T:
+    """Stop the process that started this one for a handover, if any, and acquire what it releases.
 
-    ``take`` raises `RuntimeError` while another process holds it, as this does where that lasts for 10 s.
+    ``acquire`` raises `RuntimeError` while another process holds the resource; this function does so after 10 s.
     """
-    predecessor, _, told = os.environ.pop(_PREDECESSOR, "").partition(":")
+    predecessor, _, report_pipe = os.environ.pop(_PREDECESSOR, "").partition(":")
     if not predecessor:
-        return take()
-    os.write(int(told), b"%d" % os.getpid())
-    os.close(int(told))
+        return acquire()
+    os.write(int(report_pipe), b"%d" % os.getpid())
+    os.close(int(report_pipe))
     os.kill(int(predecessor), signal.SIGTERM)
     end = time.monotonic() + _SECONDS
     while True:
         try:
-            return take()
+            return acquire()
         except RuntimeError:
             if time.monotonic() > end:
                 raise
-        time.sleep(_LOOK)
+        time.sleep(_POLL_SECONDS)

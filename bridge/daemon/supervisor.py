@@ -27,8 +27,8 @@ from bridge.state_file import state_folder
 logger = logging.getLogger("midspan.daemon")
 
 STEP = 0.25
-STOOD_STILL = 1.0
-"""A longer step means that this process or the machine was suspended; workers are not blamed for that time."""
+SUSPENDED_AFTER = 1.0
+"""A longer step means that this process or the machine was suspended; workers are not penalized for that time."""
 READY_AFTER = 10.0
 """The daemon reports ready after this time at the latest: a side without its network must not fail the service."""
 STOP_SECONDS = 4.8
@@ -43,7 +43,7 @@ def usable_cores() -> int:
 
 
 class Supervisor:
-    """The daemon's one thread.
+    """The daemon's only thread.
 
     Without a file it searches for one at each load. It adopts the ``standing`` workers, which separate services run.
     At most ``cores`` workers start at once, by default as many as this process may use.
@@ -107,8 +107,8 @@ class Supervisor:
         try:
             logger.info("%s: limit of open files %d", self._config.name, raise_open_files())
             if self._machine_name != self._config.name:
-                why = "this daemon keeps the name of its first start, under which its state is stored"
-                logger.warning("%s: the machine's name is %s now; %s", self._config.name, self._machine_name, why)
+                reason = "this daemon keeps the name of its first start, under which its state is stored"
+                logger.warning("%s: the machine's name is %s now; %s", self._config.name, self._machine_name, reason)
             self._begin(self._config)
             while not self._stops:
                 self._step()
@@ -155,11 +155,11 @@ class Supervisor:
         due = min(slot.due for slot in self.slots) - time.monotonic()
         self.loop.step(max(0.0, min(STEP, due, interval / 2 if interval else STEP)))
         now = time.monotonic()
-        stood_still = now - self._stepped
+        step = now - self._stepped
         self._stepped = now
         for slot in self.slots:
-            if stood_still > STOOD_STILL:
-                slot.forgive(stood_still)
+            if step > SUSPENDED_AFTER:
+                slot.forgive(step)
             slot.tick()
         self._notify.feed_watchdog()
         if not self._announced and (now > self._ready_at or all(slot.settled for slot in self.slots)):
@@ -180,7 +180,7 @@ class Supervisor:
         trouble = folder_trouble(state_folder(self._config))
         if trouble != self._trouble:
             self._trouble = trouble
-            logger.warning("%s", trouble or "the state folder can be written again")
+            logger.warning("%s", trouble or "the state folder is writable again")
 
     def status(self) -> str:
         """Return the state of all workers in one line."""
@@ -188,9 +188,10 @@ class Supervisor:
         for slot in self.slots:
             if slot.phase is Phase.OFF:
                 continue
-            text = f"{slot.name} {slot.phase.value}"
-            if slot.text:
-                text += f": {slot.text}"
+            if slot.phase is Phase.UP and slot.text.startswith(("waiting", "standby")):
+                text = f"{slot.name} {slot.text}"
+            else:
+                text = f"{slot.name} {slot.phase.value}" + (f": {slot.text}" if slot.text else "")
             if slot.phase is Phase.STARTING:
                 text += f" ({time.monotonic() - slot.since:.0f} s)"
             if slot.restarts:
@@ -234,12 +235,12 @@ class Supervisor:
         try:
             config = self._checked_again()
         except (ConfigError, RuntimeError) as err:
-            logger.error("the configuration is not taken up, the running one is kept:\n%s", err)  # noqa: TRY400
+            logger.error("the new configuration is rejected, the running one is kept:\n%s", err)  # noqa: TRY400
             first, *more = str(err).splitlines()
             self._refused = f"{first} (and {len(more)} more)" if more else first
             self._announced = False
             return
-        logger.info("configuration loaded again")
+        logger.info("configuration reloaded")
         self._refused = ""
         log.set_level(config)
         self._config = config
@@ -265,7 +266,7 @@ class Supervisor:
         begun = time.monotonic()
         for slot in self.slots:
             if slot.is_service:
-                slot.let_go()
+                slot.release()
         bridges = [slot for slot in self.slots if not slot.kind.outlives]
         last = [slot for slot in self.slots if slot.kind.outlives]
         for group, until, left in ((bridges, 3.3, 2.8), (last, STOP_SECONDS, 1.0)):
@@ -289,7 +290,7 @@ class Supervisor:
         self._notify.feed_watchdog()
 
     def _kill_the_rest(self) -> None:
-        """Kill the remaining workers again: an earlier SIGKILL may not have been sent if this process was suspended."""
+        """Kill the remaining workers: an earlier SIGKILL may not have been sent if this process was suspended."""
         remaining = [slot for slot in self.slots if not slot.idle]
         for slot in remaining:
             slot.kill()
@@ -298,5 +299,5 @@ class Supervisor:
             self._step_slots(remaining)
         for slot in remaining:
             if not slot.idle:
-                logger.error("%s: process %d does not end, even when killed", slot.name, slot.pid)
-                slot.let_go()
+                logger.error("%s: process %d does not exit, even after SIGKILL", slot.name, slot.pid)
+                slot.release()

@@ -1,4 +1,4 @@
-"""The daemons' systemd units: which one runs a configuration, and which are in use on this machine."""
+"""The daemons' systemd units: the unit of a configuration, and the units in use on this machine."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def unit_of(file: Path | str | None) -> str:
 def start_hint(unit: str) -> str:
     """Return the commands that start the daemon of a unit and show its log."""
     command = f"systemctl start {unit}"
-    how = f"'midspan run' (or '{command}')" if unit == _MAIN else f"'{command}'"
-    return f"start the daemon: {how}; 'journalctl -u {unit}' shows why it ended"
+    start = f"'midspan run' (or '{command}')" if unit == _MAIN else f"'{command}'"
+    return f"start the daemon: {start}; 'journalctl -u {unit}' shows why it exited"
 
 
 def units_in_use(root: Path = Path("/")) -> dict[str, Path]:

@@ -30,10 +30,12 @@ VARIABLE = "MIDSPAN_WORKERS"
 class WorkerKind:
     """One kind of worker.
 
-    Its own process imports ``factory`` (``module:Class``). Changes outside ``sections`` of the configuration do not
-    touch it. ``environment`` is a module with ``available(config)`` and ``worker_environment(config, environ)``. One
-    without imports what it ``needs``, which pip's ``extra`` brings. A worker that ``outlives`` continues when the
-    daemon dies, and the next daemon adopts it.
+    Attributes:
+        factory: ``module:Class``, imported in the worker's own process.
+        sections: the worker is reloaded only if one of these sections of the configuration changes.
+        environment: a module with ``available(config)`` and ``worker_environment(config, environ)``.
+        needs: without ``environment``, the packages that must be importable; pip's ``extra`` installs them.
+        outlives: the worker continues if the daemon dies, and the next daemon adopts it.
     """
 
     name: str
@@ -46,7 +48,7 @@ class WorkerKind:
     outlives: bool = False
 
     def create(self) -> Worker:
-        """Import and make the worker, in the process that runs it."""
+        """Import and create the worker, in the process that runs it."""
         module, _, name = self.factory.partition(":")
         worker: Worker = getattr(importlib.import_module(module), name)(*self.arguments)
         return worker
@@ -80,11 +82,11 @@ class WorkerKind:
         return _importable(env)
 
     def config_part(self, config: Config) -> dict[str, Any]:
-        """The part of the configuration that it uses, for comparison."""
+        """Return the part of the configuration that it uses, for comparison."""
         part = {name: getattr(config, name) for name in sorted({"name", "state", "hub", "log", *self.sections})}
         if self.name in ("web", "metrics") and config.web.guarded:  # both show the certificate of hub.open
-            door = config.hub.open
-            part["keys"] = (door.keys, door.ca, door.certificate, door.key)
+            listener = config.hub.open
+            part["keys"] = (listener.keys, listener.ca, listener.certificate, listener.key)
         if self.name != "router":
             return {**part, "hub": config.hub.indoors}
         # its access rules depend on the rules for commands
@@ -144,18 +146,18 @@ WORKERS = (
 
 
 def worker_kinds(environ: Mapping[str, str] = os.environ) -> dict[str, WorkerKind]:
-    """All workers by name, in the order in which they start."""
+    """Return all workers by name, in the order in which they start."""
     kinds = {kind.name: kind for kind in WORKERS}
     for entry in filter(None, environ.get(VARIABLE, "").split(",")):
         name, _, factory = entry.partition("=")
         if name not in kinds or ":" not in factory:
-            raise RuntimeError(f"${VARIABLE}: {entry!r} is not NAME=module:Class with a NAME of {', '.join(kinds)}")
+            raise RuntimeError(f"${VARIABLE}: {entry!r} is not NAME=module:Class; NAME is one of {', '.join(kinds)}")
         kinds[name] = replace(kinds[name], factory=factory, arguments=(), environment="", needs=())
     return kinds
 
 
 def child_command(worker: str, *options: str) -> list[str]:
-    """Return the command of a worker's process. ``-P``: nothing is imported from the working directory."""
+    """Return the command of a worker's process. ``-P`` avoids imports from the working directory."""
     return [sys.executable, "-P", "-m", "bridge.cli.main", "worker", worker, *options]
 
 

@@ -69,7 +69,7 @@ class FoxgloveWorker(Worker):
         self._live.check()
         return Health("running", self._live.text())
 
-    def hears_diagnostics(self) -> bool:
+    def diagnostics_wanted(self) -> bool:
         """See `Worker`."""
         return self._live is not None and heard(self._live.host.node.hub.graph)
 

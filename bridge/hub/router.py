@@ -188,8 +188,9 @@ class RouterWorker(Worker):
             raise TimeoutError(f"the router does not answer within {_ANSWER_SECONDS:g} s")
         if self._namesakes is not None:
             self._namesakes.check()
-        sessions = f"{len(session.info.transports())} sessions at {self._config.hub.listen}"
-        return Health("running", f"{sessions}{self._door_text()}")
+        count = len(session.info.transports())
+        sessions = "1 session" if count == 1 else f"{count} sessions"
+        return Health("running", f"{sessions} at {self._config.hub.listen}{self._door_text()}")
 
     def stop(self) -> None:
         """Close the router; its peers keep their direct links."""

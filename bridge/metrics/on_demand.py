@@ -20,11 +20,11 @@ class DiagnosticsOnDemand:
         self._thread: threading.Thread | None = None
         self._config: Config | None = None
 
-    def look(self, config: Config) -> None:
+    def on_heartbeat(self, config: Config) -> None:
         """Start if there are subscribers, restart if the configuration has changed; called repeatedly by one thread."""
         if self._thread is not None and (config is not self._config or not self._thread.is_alive()):
             self.close()
-        if self._thread is None and config.metrics.diagnostics and self._worker.hears_diagnostics():
+        if self._thread is None and config.metrics.diagnostics and self._worker.diagnostics_wanted():
             self._config = config
             self._closing.clear()
             self._thread = threading.Thread(target=self._run, args=(config,), name="midspan-diagnostics", daemon=True)
@@ -40,4 +40,4 @@ class DiagnosticsOnDemand:
     def _run(self, config: Config) -> None:
         from bridge.metrics.diagnostics import publish_while
 
-        publish_while(self._worker.hears_diagnostics, self._closing, config, self._name)
+        publish_while(self._worker.diagnostics_wanted, self._closing, config, self._name)

@@ -62,7 +62,7 @@ class Shared:
                 self._session = HubSession.open(hub_settings(self._config, node, worker), shared=True)
             return Hub.on(self._session, node, worker)
 
-    def hears_diagnostics(self) -> bool:
+    def diagnostics_wanted(self) -> bool:
         """Return whether `/diagnostics` has subscribers, once a module has joined the hub."""
         session = self._session
         return session is not None and heard(session.graph)

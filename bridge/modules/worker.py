@@ -262,9 +262,9 @@ class ModulesWorker(Worker):
         best = min(reports.values(), key=lambda health: health.state != "running")
         return Health(best.state, ", ".join(_describe(name, health) for name, health in reports.items()))
 
-    def hears_diagnostics(self) -> bool:
+    def diagnostics_wanted(self) -> bool:
         """See `Worker`."""
-        return self._shared is not None and self._shared.hears_diagnostics()
+        return self._shared is not None and self._shared.diagnostics_wanted()
 
     def stop(self) -> None:
         """Stop all modules."""
@@ -295,5 +295,5 @@ class ModulesWorker(Worker):
 
 
 def _describe(name: str, health: Health) -> str:
-    text = " ".join(filter(None, ("" if health.state == "running" else health.state, health.text)))
-    return f"{name}: {text}" if text else name
+    named = health.state == "running" or health.text.startswith(health.state)
+    return ": ".join(filter(None, (name if named else f"{name} {health.state}", health.text)))

@@ -175,15 +175,18 @@ class Edge(ABC):
     outlives_network: ClassVar[bool] = False
     """Whether endpoints go on under their ids if the network's identity changes, as connections that need no master."""
 
+    awaited: ClassVar[str] = "its network"
+    """What the edge waits for while the network is unavailable; shown to people."""
+
     away: str = ""
-    """Why the network is away, if the edge knows a reason; shown to people."""
+    """Why the network is unavailable, if the edge knows a reason; shown to people."""
 
     clock: RunClock = SYSTEM
     """What stamps are made by; the worker gives it before `start`."""
 
     @abstractmethod
     def start(self, listener: EdgeListener) -> None:
-        """Begin joining the network; returns at once, also while the network is away (it is then joined later)."""
+        """Begin to join the network; returns at once, also if the network is unavailable (it is then joined later)."""
 
     @abstractmethod
     def stop(self) -> None:
@@ -191,7 +194,7 @@ class Edge(ABC):
 
     @abstractmethod
     def network(self) -> str | None:
-        """Identity of the network now joined, None while it is away."""
+        """Return the identity of the joined network, None while it is unavailable."""
 
     @abstractmethod
     def is_own_network(self, origin: Origin) -> bool:

@@ -211,9 +211,9 @@ class Election:
         others, waiting = self._living(now, sightings)
         joined = [o for o in others if self._joined(o, hub, now)]
         if not settled:
-            waiting = "it is not known yet who else of Midspan is on this network"
+            waiting = "discovering other Midspan daemons on this network"
         elif not waiting and not hub.settled and len(joined) < len(others):
-            waiting = "it is not known yet whether our hub is that of the others on this network"
+            waiting = "checking whether the other Midspan daemons on this network share this hub"
         self._elect_role(joined, others, wall_ns, ready=not waiting)
         members = frozenset({self._me, *(o.id for o in others)})
         carriers = self._elect_networks(hub.networks, members, others, wall_ns)

@@ -73,7 +73,7 @@ class Summary:
 
     @property
     def text(self) -> str:
-        """Details of the state for people; "" while the network is away."""
+        """Details of the state for people; "" while the network is unavailable."""
         if self.standing_by:
             return f"{self.standing_by} is active on this network"
         if self.network is None or self.waiting:
@@ -245,9 +245,9 @@ class Engine:
             self._members.pop(member)()
 
     def _change_network(self, network: str | None) -> None:
-        _log.info("%s network: %s", self.edge.side, network or "away")
+        _log.info("%s network: %s", self.edge.side, network or "unavailable")
         if network is None or not self.edge.outlives_network:
-            self._services_to_hub.close(f"the {self.edge.side} network of the server is away")
+            self._services_to_hub.close(f"the {self.edge.side} network of the server is unavailable")
             self._topics_to_hub.close()
         self._network = network
         self.hub.set_origin(Origin(self.edge.side, network, self._daemon) if network is not None else None)

@@ -83,7 +83,7 @@ class MetricsWorker(Worker):
             self._hub = hub
         return Health("running", "; ".join(filter(None, (f"{self.server.address}metrics", self._link.trouble))))
 
-    def hears_diagnostics(self) -> bool:
+    def diagnostics_wanted(self) -> bool:
         """See `Worker`."""
         return self._hub is not None and heard(self._hub.graph)
 

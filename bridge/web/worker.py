@@ -81,7 +81,7 @@ class WebWorker(Worker):
         pages = console.server.pages
         return Health("running", console.server.address + (f", {pages} open" if pages else ""))
 
-    def hears_diagnostics(self) -> bool:
+    def diagnostics_wanted(self) -> bool:
         """See `Worker`."""
         return self._console is not None and heard(self._console.host.node.hub.graph)
 

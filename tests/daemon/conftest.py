@@ -12,7 +12,7 @@ from tests.daemon.daemon import Daemon
 
 @pytest.fixture
 def daemon(tmp_path: Path) -> Iterator[Daemon]:
-    """A daemon with fake workers in a folder of its own."""
-    made = Daemon(tmp_path)
-    yield made
-    made.close()
+    """A daemon with fake workers in its own folder."""
+    daemon = Daemon(tmp_path)
+    yield daemon
+    daemon.close()

@@ -19,7 +19,7 @@ FAKES = ",".join(f"{name}=tests.daemon.fakes:{name.capitalize()}" for name in ("
 
 
 class Daemon:
-    """Starts daemons in one folder and sees what becomes of their workers."""
+    """Starts daemons in one folder, and reads the events of their workers."""
 
     def __init__(self, folder: Path, config: str = "") -> None:
         self.folder = folder
@@ -39,7 +39,7 @@ class Daemon:
         self.file.write_text(f"name: test\nstate: state\n{config}")
 
     def order(self, worker: str, *orders: str) -> None:
-        """What a worker is to do from now on."""
+        """Set the behavior of a worker from now on."""
         file = self.folder / f"{worker}.do"
         new = file.with_suffix(".new")
         new.write_text(" ".join(orders))
@@ -50,7 +50,7 @@ class Daemon:
         return self.midspan("run", "--config", str(self.file), *options, env=env)
 
     def quick(self, cores: int, **limits: float) -> Process:
-        """Start a daemon with other limits (`bridge.daemon.slot.Timing`), as on a machine with so many cores."""
+        """Start a daemon with other limits (`bridge.daemon.slot.Timing`), as on a machine with this number of cores."""
         options = [f"{name}={seconds}" for name, seconds in limits.items()]
         command = [sys.executable, "-m", "tests.daemon.quick", str(self.file), str(cores), *options]
         process = Process(command, self.env, imports=DAEMON)
@@ -65,30 +65,30 @@ class Daemon:
         return process
 
     def events(self, worker: str, kind: str = "") -> list[list[str]]:
-        """What was done to a worker so far, each event split into words."""
+        """Return a worker's events so far, each split into words."""
         file = self.folder / f"{worker}.events"
         lines = file.read_text().splitlines() if file.exists() else []
         return [line.split() for line in lines if line.startswith(kind)]
 
     def pids(self, worker: str) -> list[int]:
-        """Process ids of all starts of a worker so far."""
+        """Return the process ids of all starts of a worker so far."""
         return [int(words[1]) for words in self.events(worker, "start")]
 
     def wait_started(self, worker: str, count: int = 1, seconds: float = 40.0) -> int:
-        """Process id of a worker's start number ``count``."""
+        """Return the process id of a worker's start number ``count``."""
         until(lambda: len(self.pids(worker)) >= count, f"start {count} of {worker}", seconds)
         return self.pids(worker)[count - 1]
 
     def wait_ready(self, process: Process) -> None:
-        """Wait until the daemon says that it is ready."""
+        """Wait until the daemon logs that it is ready."""
         until(lambda: "ready: " in process.output(), "ready")
 
     def expect_output(self, process: Process, text: str, seconds: float = 40.0) -> None:
-        """Wait for a text in what a process writes."""
+        """Wait for a text in a process's output."""
         until(lambda: text in process.output(), f"{text!r} in:\n{process.output()}", seconds)
 
     def close(self) -> None:
-        """End all daemons, and all workers that a test left."""
+        """Stop all daemons, and kill all workers that a test left running."""
         for process in self.processes:
             process.signal(signal.SIGCONT)
             process.stop()
@@ -99,13 +99,13 @@ class Daemon:
 
 
 def alive(pid: int) -> bool:
-    """Whether a process runs (a zombie does not)."""
+    """Return whether a process runs (a zombie does not)."""
     try:
         return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:
         return False
 
 
-def gone(pid: int) -> Callable[[], bool]:
-    """Condition: the process is gone."""
+def exited(pid: int) -> Callable[[], bool]:
+    """Return the condition that the process has exited."""
     return lambda: not alive(pid)

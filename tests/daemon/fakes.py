@@ -1,7 +1,7 @@
-"""Workers that write down what is done to them, and misbehave when a file tells them to.
+"""Workers that record their events, and misbehave as a file orders.
 
-They run in real processes of the real daemon, put there by ``$MIDSPAN_WORKERS``. Files in ``$FAKE_FOLDER``:
-``<worker>.events`` is written, one event a line; ``<worker>.do`` is read before each start and heartbeat.
+They run in real processes of the real daemon, configured by ``$MIDSPAN_WORKERS``. Files in ``$FAKE_FOLDER``:
+``<worker>.events`` is written, one event per line; ``<worker>.do`` is read before each start and heartbeat.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def _compute() -> None:
 
 
 def _heaps() -> int:
-    """How many heaps glibc has after twelve threads have allocated at once."""
+    """Return how many heaps glibc has after twelve threads have allocated at once."""
     libc = ctypes.CDLL(None)
     libc.open_memstream.restype = ctypes.c_void_p
     together = threading.Barrier(12)
@@ -110,7 +110,7 @@ class Fake(Worker):
             self._computes()
         if "unanswered" in orders:
             self._note("unanswered")
-            msg = "the engine does not answer"
+            msg = "the engine does not respond"
             raise TimeoutError(msg)
         return Health("waiting" if "wait" in orders else "running", f"{self.name} fine")
 
@@ -118,7 +118,7 @@ class Fake(Worker):
         self._note("computes")
         while "compute" in self._orders():
             _compute()
-        self._note("told")
+        self._note("computed")
 
     def stop(self) -> None:
         self._note(f"stop {os.getpid()}")
@@ -127,18 +127,18 @@ class Fake(Worker):
 
 
 class Router(Fake):
-    """In the router's place."""
+    """Replaces the router."""
 
     name = "router"
 
 
 class Ros1(Fake):
-    """In the ros1 worker's place."""
+    """Replaces the ros1 worker."""
 
     name = "ros1"
 
 
 class Ros2(Fake):
-    """In the ros2 worker's place."""
+    """Replaces the ros2 worker."""
 
     name = "ros2"

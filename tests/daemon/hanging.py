@@ -1,7 +1,7 @@
-"""A daemon whose loop hangs as soon as it gets SIGUSR1, while another thread of its process goes on.
+"""A daemon whose loop hangs as soon as it gets SIGUSR1, while another thread of its process continues.
 
-Usage: ``python -m tests.daemon.hanging CONFIG TICKS HANGS``; the other thread goes on writing to TICKS, and the file
-HANGS is there once the loop hangs.
+Usage: ``python -m tests.daemon.hanging CONFIG TICKS HANGS``; the other thread keeps writing to TICKS, and the file
+HANGS exists once the loop hangs.
 """
 
 from __future__ import annotations

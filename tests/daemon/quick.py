@@ -1,4 +1,4 @@
-"""A daemon with limits of its own, so that a test need not wait for the real ones.
+"""A daemon with short limits, so that a test need not wait for the real ones.
 
 Usage: ``python -m tests.daemon.quick CONFIG CORES NAME=SECONDS...``; the names are those of `Timing`.
 """

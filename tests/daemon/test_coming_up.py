@@ -25,7 +25,7 @@ MANY = 8
 
 
 def worker_status(daemon: Daemon, name: str) -> dict[str, Any]:
-    """Return the daemon's status of a worker, empty if the daemon does not answer."""
+    """Return the daemon's status of a worker, empty if the daemon does not respond."""
     status = ask_daemon(Config(name="test", state=daemon.folder / "state"))
     return {} if status is None else next(worker for worker in status["workers"] if worker["worker"] == name)
 
@@ -34,7 +34,7 @@ def test_a_worker_that_computes_during_start_up_is_not_killed(daemon: Daemon) ->
     daemon.order("ros1", "compute-at-start")
     process = daemon.quick(MANY, start=1.5)
     until(lambda: worker_status(daemon, "ros1").get("text") == "computing on purpose", "it computes")
-    started = daemon.pids("ros1")  # on a busy machine an earlier one may wait for 1.5 s before it computes
+    started = daemon.pids("ros1")  # on a busy machine an earlier process may wait for 1.5 s before it computes
     begun = time.monotonic()
     until(lambda: time.monotonic() > begun + 3, "it computes for longer than the start limit")
     until(lambda: worker_status(daemon, "ros1").get("phase") == "starting", "it is still starting")
@@ -42,30 +42,30 @@ def test_a_worker_that_computes_during_start_up_is_not_killed(daemon: Daemon) ->
     assert status.popen.wait(40) == 1, "the fake workers have no hub"
     assert "ros1     starting computing on purpose (" in status.output()
     daemon.order("ros1")
-    daemon.expect_output(process, "ros1 is up")
+    daemon.expect_output(process, "ros1: running")
     assert daemon.pids("ros1") == started
 
 
 def test_a_worker_that_hangs_during_start_up_is_killed_and_the_next_gets_more_time(daemon: Daemon) -> None:
     daemon.order("ros1", "hang-at-start")
     process = daemon.quick(MANY, start=1.0)
-    daemon.expect_output(process, "ros1 stood still for 1 s at its start (starting); the next one may for 2 s")
+    daemon.expect_output(process, "ros1 made no progress for 1 s while starting (starting); the next limit is 2 s")
     assert "fakes.py" in process.output()  # the stack shows the file in which it hangs
-    daemon.expect_output(process, "ros1 stood still for 2 s at its start (starting); the next one may for 4 s")
+    daemon.expect_output(process, "ros1 made no progress for 2 s while starting (starting); the next limit is 4 s")
     daemon.order("ros1")
-    daemon.expect_output(process, "ros1 is up")
+    daemon.expect_output(process, "ros1: running")
 
 
 def test_a_worker_that_computes_instead_of_reporting_is_not_killed(daemon: Daemon) -> None:
     process = daemon.quick(MANY, heartbeat=2.0)
     first = daemon.wait_started("ros1")
-    daemon.expect_output(process, "ros1 is up")
+    daemon.expect_output(process, "ros1: running")
     daemon.order("ros1", "compute")
     until(lambda: daemon.events("ros1", "computes"), "it starts to compute")
     begun = time.monotonic()
     until(lambda: time.monotonic() > begun + 4, "it computes for longer than the heartbeat limit")
     daemon.order("ros1")
-    until(lambda: daemon.events("ros1", "told"), f"it reports its state:\n{process.output()}")
+    until(lambda: daemon.events("ros1", "computed"), f"it reports its state:\n{process.output()}")
     assert daemon.pids("ros1") == [first], process.output()
 
 
@@ -90,7 +90,7 @@ def test_a_worker_in_an_endless_loop_is_killed(seconds: float, phase: Phase, cap
         slot.on_report(Busy("reporting its state", used, 0))
         slot.tick()
     assert slot.phase is phase
-    assert ("ros1 is in a loop without an end: reporting its state has computed for 501 s" in caplog.text) is (
+    assert ("ros1 is in an endless loop: reporting its state has computed for 501 s" in caplog.text) is (
         phase is Phase.PAUSED
     )
     loop.close()
@@ -99,31 +99,31 @@ def test_a_worker_in_an_endless_loop_is_killed(seconds: float, phase: Phase, cap
 def test_a_single_core_starts_workers_one_after_the_other(daemon: Daemon) -> None:
     daemon.order("ros1", "compute-at-start")
     process = daemon.quick(1)
-    until(lambda: worker_status(daemon, "ros2").get("text") == "ros1 comes up first", "the second waits for its turn")
+    until(lambda: worker_status(daemon, "ros2").get("text") == "waiting for ros1 to start", "the second one is queued")
     assert worker_status(daemon, "ros2")["phase"] == "queued"
     assert not daemon.pids("ros2")
-    assert "router is up" in process.output().partition("ros1 started")[0]
+    assert "router: running" in process.output().partition("ros1 started")[0]
     daemon.order("ros1")
-    daemon.expect_output(process, "ros2 is up")
-    assert "ros1 is up" in process.output().partition("ros2 started")[0]
+    daemon.expect_output(process, "ros2: running")
+    assert "ros1: running" in process.output().partition("ros2 started")[0]
 
 
-def test_a_restarted_worker_waits_for_its_turn_too(daemon: Daemon) -> None:
+def test_a_restarted_worker_is_queued_too(daemon: Daemon) -> None:
     process = daemon.quick(1)
     daemon.expect_output(process, "ready: ")
     daemon.order("ros2", "compute-at-start")
     os.kill(daemon.wait_started("ros2"), signal.SIGKILL)
     daemon.wait_started("ros2", 2)
     os.kill(daemon.wait_started("ros1"), signal.SIGKILL)
-    until(lambda: worker_status(daemon, "ros1").get("text") == "ros2 comes up first", "it waits for its turn")
+    until(lambda: worker_status(daemon, "ros1").get("text") == "waiting for ros2 to start", "it is queued")
     daemon.order("ros2")
     assert alive(daemon.wait_started("ros1", 2))
 
 
-def test_a_hanging_worker_does_not_keep_others_waiting(daemon: Daemon) -> None:
+def test_a_hanging_worker_does_not_delay_the_others(daemon: Daemon) -> None:
     daemon.order("ros1", "hang-at-start")
     process = daemon.quick(1, patience=0.5)
-    daemon.expect_output(process, "ros2 is up")
+    daemon.expect_output(process, "ros2: running")
     assert worker_status(daemon, "ros1")["phase"] == "starting"
 
 
@@ -136,19 +136,19 @@ def test_several_cores_start_several_workers_at_once(daemon: Daemon) -> None:
     assert {worker_status(daemon, worker)["phase"] for worker in ("ros1", "ros2")} == {"starting"}
 
 
-def test_only_a_running_worker_is_reported_as_up(daemon: Daemon) -> None:
+def test_only_a_running_worker_is_reported_as_running(daemon: Daemon) -> None:
     daemon.order("ros1", "wait")
     process = daemon.start()
-    daemon.expect_output(process, "ros1 has started and waits: ros1 fine")
+    daemon.expect_output(process, "ros1: waiting (ros1 fine)")
     daemon.wait_ready(process)
-    assert "ros1 is up" not in process.output()
+    assert "ros1: running" not in process.output()
     daemon.order("ros1")
-    daemon.expect_output(process, "ros1 is up (ros1 fine)")
-    assert process.output().count("ros1 has started") == 1
+    daemon.expect_output(process, "ros1: running (ros1 fine)")
+    assert process.output().count("ros1: waiting") == 1
 
 
 class _Slow:
-    """A slot whose process is killed in time and disappears shortly after the last check of its group."""
+    """A slot whose process is killed in time, and exits shortly after the last check of its group."""
 
     name, pid, is_service, phase = "slow", 1, False, Phase.STOPPING
 
@@ -166,11 +166,11 @@ class _Slow:
     def tick(self) -> None:
         self.idle = self._clock[0] > 3.4
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         raise AssertionError
 
 
-def test_a_process_that_ends_late_is_not_reported_as_surviving_its_kill(
+def test_a_process_that_exits_late_is_not_reported_as_surviving_sigkill(
     daemon: Daemon, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     clock = [0.0]
@@ -183,5 +183,5 @@ def test_a_process_that_ends_late_is_not_reported_as_surviving_its_kill(
     monkeypatch.setattr(supervisor, "slots", [_Slow(clock)])
     monkeypatch.setattr(supervisor.loop, "step", step)
     supervisor._end()
-    assert "even when killed" not in caplog.text
+    assert "even after SIGKILL" not in caplog.text
     supervisor.loop.close()

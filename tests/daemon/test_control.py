@@ -13,10 +13,10 @@ from bridge.worker import Health
 
 def test_hello_comes_before_all_other_reports(tmp_path: Path) -> None:
     server = ControlServer(tmp_path / "socket", "daemon", lambda _: None)
-    over = threading.Event()
+    closing = threading.Event()
 
     def beat() -> None:
-        while not over.is_set():
+        while not closing.is_set():
             server.report(Beat(1, Health("running", "x")))
 
     beating = threading.Thread(target=beat)
@@ -28,6 +28,6 @@ def test_hello_comes_before_all_other_reports(tmp_path: Path) -> None:
                 daemon.connect(str(tmp_path / "socket"))
                 assert b"hello" in daemon.recv(4096).split(b"\n")[0]
     finally:
-        over.set()
+        closing.set()
         beating.join()
         server.close()

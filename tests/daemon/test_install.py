@@ -25,9 +25,9 @@ def units(root: Path) -> list[str]:
 
 def test_installs_units_configuration_and_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["install", "--root", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
-    assert "systemctl enable --now midspan-router midspan" in said
-    assert "systemd-sysusers" in said
+    printed = capsys.readouterr().out
+    assert "systemctl enable --now midspan-router midspan" in printed
+    assert "systemd-sysusers" in printed
     for text in units(tmp_path):
         assert "@MIDSPAN@" not in text
         command = re.search(r"^ExecStart=(.+)", text, re.MULTILINE)
@@ -38,7 +38,7 @@ def test_installs_units_configuration_and_user(tmp_path: Path, capsys: pytest.Ca
     assert "u midspan " in (tmp_path / "etc/sysusers.d/midspan.conf").read_text()
 
 
-def test_own_files_are_kept_and_the_rest_brought_up_to_date(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_own_files_are_kept_and_the_rest_is_updated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["install", "--root", str(tmp_path)])
     own = tmp_path / "etc/midspan/midspan.yaml"
     own.write_text("name: mine\n")
@@ -46,11 +46,11 @@ def test_own_files_are_kept_and_the_rest_brought_up_to_date(tmp_path: Path, caps
     unit.write_text("old")
     capsys.readouterr()
     main(["install", "--root", str(tmp_path)])
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     assert own.read_text() == "name: mine\n"
-    assert f"kept       {own}" in said
-    assert re.search(rf"replaced +{unit}", said)
-    assert f"unchanged  {tmp_path / UNIT_FOLDER / 'midspan-router.service'}" in said
+    assert f"kept       {own}" in printed
+    assert re.search(rf"replaced +{unit}", printed)
+    assert f"unchanged  {tmp_path / UNIT_FOLDER / 'midspan-router.service'}" in printed
     main(["install", "--root", str(tmp_path), "--uninstall"])
     assert own.exists()
     assert not unit.exists()
@@ -62,7 +62,7 @@ def test_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "would be written" in capsys.readouterr().out
     assert list(tmp_path.iterdir()) == []
     assert main(["install", "--root", str(tmp_path), "--uninstall"]) == 0
-    assert "nothing of Midspan is installed" in capsys.readouterr().out
+    assert "services are not installed below" in capsys.readouterr().out
 
 
 def test_another_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -77,7 +77,7 @@ TEMPLATES = {"midspan@.service": "midspan.service", "midspan-router@.service": "
 
 
 def test_an_instance_runs_the_configuration_of_its_name(tmp_path: Path) -> None:
-    """Template and main unit differ in these lines only, so that neither is forgotten in a change."""
+    """Template and main unit differ only in these lines, so that a change to only one of them fails."""
     main(["install", "--root", str(tmp_path)])
     folder = tmp_path / UNIT_FOLDER
     for template, single in TEMPLATES.items():
@@ -113,7 +113,7 @@ def test_the_services_name_all_four_sides(tmp_path: Path) -> None:
 
 
 def test_systemd_accepts_instances(tmp_path: Path) -> None:
-    """`systemd-analyze verify` of a name loads the unit as `systemctl start` does, with the instance in its place."""
+    """`systemd-analyze verify` of a name loads the unit as `systemctl start` does, with the instance inserted."""
     main(["install", "--root", str(tmp_path)])
     for instance in ("robot2", "robot-3", "my_bridge_domain2"):
         for template in TEMPLATES:
@@ -137,7 +137,7 @@ def test_uninstall_names_the_instances_to_disable(tmp_path: Path, capsys: pytest
     assert not list((tmp_path / UNIT_FOLDER).glob("midspan*@*"))
 
 
-def test_units_keep_what_the_middlewares_need(tmp_path: Path) -> None:
+def test_the_units_permit_what_the_middlewares_need(tmp_path: Path) -> None:
     main(["install", "--root", str(tmp_path)])
     for text in units(tmp_path):
         lines = text.splitlines()
@@ -156,7 +156,7 @@ def test_units_keep_what_the_middlewares_need(tmp_path: Path) -> None:
 def systemd_analyze() -> str:
     program = shutil.which("systemd-analyze")
     if program is None:
-        assert not os.environ.get("CI"), "in CI systemd-analyze must be there: apt install systemd"
+        assert not os.environ.get("CI"), "CI needs systemd-analyze: apt install systemd"
         pytest.skip("systemd-analyze is not installed (apt install systemd)")
     return program
 
@@ -194,7 +194,7 @@ def test_security_score(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
             print(f"\nsystemd-analyze security {name}: {level[2]} {level[3]}")
 
 
-def test_services_user_can_be_made(tmp_path: Path) -> None:
+def test_the_user_of_the_services_can_be_created(tmp_path: Path) -> None:
     program = shutil.which("systemd-sysusers")
     if program is None:
         pytest.skip("systemd-sysusers is not installed (apt install systemd)")
@@ -203,8 +203,8 @@ def test_services_user_can_be_made(tmp_path: Path) -> None:
     assert re.search(r"^midspan:x:\d+:\d+:[^:]*:/var/lib/midspan:", (tmp_path / "etc/passwd").read_text(), re.MULTILINE)
 
 
-def test_what_the_units_forbid_is_forbidden_in_the_demo_s_tests() -> None:
-    """They run all workers sealed so (tests/demo/test_demo.py); here is shown that this refuses what it should."""
+def test_the_seal_of_the_demo_s_tests_forbids_what_the_units_forbid() -> None:
+    """The demo's tests seal all workers (tests/demo/test_demo.py); this shows that the seal has an effect."""
     program = (
         "import mmap; from tests.support.sealed import seal\n"
         "if not seal(): raise SystemExit(2)\n"

@@ -1,4 +1,4 @@
-"""What the daemon tells of its log."""
+"""Queries of the daemon's log."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from tests.daemon.daemon import Daemon
 from tests.support.wait import until
 
 
-def said(kept: KeptLines, text: str, level: int = logging.INFO, **more: object) -> None:
+def log(kept: KeptLines, text: str, level: int = logging.INFO, **more: object) -> None:
     record = logging.LogRecord("midspan", level, "", 0, text, None, None)
     record.__dict__.update(more)
     kept.handle(record)
 
 
-def test_lines_are_numbered_and_told_behind_a_number() -> None:
+def test_a_query_returns_the_lines_after_a_number() -> None:
     kept = KeptLines()
-    said(kept, "one")
-    said(kept, "two\nthree", logging.ERROR, worker="ros1")
-    found = kept.after(1)
-    assert found["last"] == 3
-    assert [(line["n"], line["level"], line["worker"], line["text"]) for line in found["lines"]] == [
+    log(kept, "one")
+    log(kept, "two\nthree", logging.ERROR, worker="ros1")
+    document = kept.after(1)
+    assert document["last"] == 3
+    assert [(line["n"], line["level"], line["worker"], line["text"]) for line in document["lines"]] == [
         (2, "error", "ros1", "two"),
         (3, "error", "ros1", "three"),
     ]
@@ -41,69 +41,69 @@ def test_lines_are_numbered_and_told_behind_a_number() -> None:
 def test_lines_are_bounded() -> None:
     kept = KeptLines(most=10, most_bytes=1000)
     for number in range(50):
-        said(kept, str(number))
+        log(kept, str(number))
     assert [line["text"] for line in kept.after(0)["lines"]] == [str(number) for number in range(40, 50)]
     for _ in range(20):
-        said(kept, "x" * 300)
+        log(kept, "x" * 300)
     assert len(kept.after(0)["lines"]) == 3
-    said(kept, "y" * 100_000)
+    log(kept, "y" * 100_000)
     assert len(kept.after(0)["lines"][-1]["text"]) < 10_000
 
 
-def test_an_answer_is_bounded_and_loses_nothing() -> None:
-    kept, found = KeptLines(), list[str]()
+def test_bounded_responses_together_have_all_lines() -> None:
+    kept, received = KeptLines(), list[str]()
     for number in range(300):
-        said(kept, f"{number} {'x' * 1000}")
+        log(kept, f"{number} {'x' * 1000}")
     n = 0
     while lines := kept.after(n, 10_000)["lines"]:
         assert len(lines) < 12
-        found += [line["text"].split()[0] for line in lines]
+        received += [line["text"].split()[0] for line in lines]
         n = lines[-1]["n"]
-    assert found == [str(number) for number in range(300)]
+    assert received == [str(number) for number in range(300)]
 
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[tuple[Config, KeptLines]]:
-    loop, kept, over = SelectorLoop(), KeptLines(), threading.Event()
+    loop, kept, closing = SelectorLoop(), KeptLines(), threading.Event()
     server = LogServer(loop, tmp_path / "test.log.sock", kept)
 
-    def turn() -> None:
-        while not over.is_set():
+    def run() -> None:
+        while not closing.is_set():
             loop.step(0.2)
 
-    thread = threading.Thread(target=turn)
+    thread = threading.Thread(target=run)
     thread.start()
     yield Config(name="test", state=tmp_path), kept
-    over.set()
+    closing.set()
     loop.wake()
     thread.join()
     server.close()
     loop.close()
 
 
-def test_who_asks_nothing_or_nonsense_hinders_nobody(served: tuple[Config, KeptLines]) -> None:
+def test_silent_and_invalid_clients_do_not_block_others(served: tuple[Config, KeptLines]) -> None:
     config, kept = served
-    said(kept, "x" * 8000)
+    log(kept, "x" * 8000)
     for _ in range(30):
-        said(kept, "y" * 3000)
+        log(kept, "y" * 3000)
     with contextlib.ExitStack() as stack:
         for number in range(20):
             silent = stack.enter_context(socket.socket(socket.AF_UNIX))
             silent.connect(str(config.state) + "/test.log.sock")
             if number % 2:
-                silent.sendall(b"tell me all\n")
-        found = until(lambda: ask_log(config, 0, 10.0), "an answer, once there is room to wait for one")
-        assert found is not None
-        assert found["last"] == 31
-        assert found["lines"][0]["text"] == "x" * 8000
+                silent.sendall(b"everything\n")
+        document = until(lambda: ask_log(config, 0, 10.0), "a response, once a connection is free")
+        assert document is not None
+        assert document["last"] == 31
+        assert document["lines"][0]["text"] == "x" * 8000
 
 
-def test_nobody_answers() -> None:
+def test_without_a_daemon_there_is_no_response() -> None:
     assert ask_log(Config(name="nobody", state=Path("/nowhere")), 0) is None
 
 
 @pytest.mark.thorough
-def test_the_daemon_tells_its_workers_lines_too(daemon: Daemon) -> None:
+def test_the_log_of_a_daemon_can_be_queried(daemon: Daemon) -> None:
     config = Config(name="test", state=daemon.folder / "state")
     daemon.order("ros1", "never")
     process = daemon.start()

@@ -1,4 +1,4 @@
-"""What the daemon tells systemd, on a real datagram socket."""
+"""The daemon's notifications to systemd, on a real datagram socket."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ class Systemd:
 
 @pytest.fixture
 def systemd(tmp_path: Path) -> Iterator[Systemd]:
-    made = Systemd(tmp_path / "notify", 1.0)
-    yield made
-    made.close()
+    systemd = Systemd(tmp_path / "notify", 1.0)
+    yield systemd
+    systemd.close()
 
 
 def test_ready_status_and_stopping(daemon: Daemon, systemd: Systemd) -> None:
@@ -63,15 +63,15 @@ def test_ready_status_and_stopping(daemon: Daemon, systemd: Systemd) -> None:
     systemd.expect("STOPPING=1")
 
 
-def test_ready_comes_also_where_a_side_does_not_work(daemon: Daemon, systemd: Systemd) -> None:
+def test_the_daemon_is_ready_even_if_a_side_does_not_work(daemon: Daemon, systemd: Systemd) -> None:
     daemon.order("ros1", "never")
     daemon.order("ros2", "wait")
     daemon.start(env=systemd.env)
     systemd.expect("READY=1")
-    systemd.expect("ros1 cannot work: there is no such robot | ros2 running: waiting, ros2 fine")
+    systemd.expect("ros1 cannot work: there is no such robot | ros2 waiting: ros2 fine")
 
 
-def test_status_follows(daemon: Daemon, systemd: Systemd) -> None:
+def test_status_reports_restarts_and_refused_reloads(daemon: Daemon, systemd: Systemd) -> None:
     process = daemon.start(env=systemd.env)
     systemd.expect("READY=1")
     os.kill(daemon.wait_started("ros1"), signal.SIGKILL)
@@ -89,21 +89,21 @@ def test_reload_is_announced(daemon: Daemon, systemd: Systemd) -> None:
     until(lambda: systemd.count("READY=1") == 2, "ready again")
 
 
-def test_watchdog_is_fed_and_starves_with_the_daemon(daemon: Daemon, systemd: Systemd) -> None:
+def test_watchdog_is_fed_unless_the_daemon_is_stopped(daemon: Daemon, systemd: Systemd) -> None:
     process = daemon.start(env=systemd.env)
     systemd.expect("READY=1")
     fed = systemd.count("WATCHDOG=1")
     until(lambda: systemd.count("WATCHDOG=1") >= fed + 3, "fed")
     process.signal(signal.SIGSTOP)
-    until(lambda: is_stopped(process.pid), "it stands still")
+    until(lambda: is_stopped(process.pid), "it is stopped")
     fed = systemd.count("WATCHDOG=1")
-    time.sleep(1.5)  # longer than the watchdog's interval: the very case
+    time.sleep(1.5)  # longer than the watchdog's interval
     assert systemd.count("WATCHDOG=1") == fed
     process.signal(signal.SIGCONT)
     until(lambda: systemd.count("WATCHDOG=1") > fed, "fed again")
 
 
-def test_watchdog_starves_when_the_loop_alone_hangs(daemon: Daemon, systemd: Systemd) -> None:
+def test_watchdog_is_not_fed_if_only_the_loop_hangs(daemon: Daemon, systemd: Systemd) -> None:
     ticks, hangs = daemon.folder / "ticks", daemon.folder / "hangs"
     command = [sys.executable, "-m", "tests.daemon.hanging", str(daemon.file), str(ticks), str(hangs)]
     process = Process(command, {**daemon.env, **systemd.env})
@@ -114,13 +114,13 @@ def test_watchdog_starves_when_the_loop_alone_hangs(daemon: Daemon, systemd: Sys
     process.signal(signal.SIGUSR1)
     until(hangs.exists, "it hangs")
     fed, ticked = systemd.count("WATCHDOG=1"), ticks.stat().st_size
-    time.sleep(1.5)  # longer than the watchdog's interval: the very case
+    time.sleep(1.5)  # longer than the watchdog's interval
     assert systemd.count("WATCHDOG=1") == fed
     assert ticks.stat().st_size > ticked
     process.signal(signal.SIGKILL)
 
 
-def test_workers_do_not_inherit_what_is_the_daemons(daemon: Daemon, systemd: Systemd) -> None:
+def test_workers_do_not_inherit_the_daemons_systemd_variables(daemon: Daemon, systemd: Systemd) -> None:
     daemon.start(env=systemd.env)
     systemd.expect("READY=1")
     for worker in ("router", "ros1", "ros2"):

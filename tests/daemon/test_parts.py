@@ -61,7 +61,7 @@ def test_reports_survive_the_wire(report: Report) -> None:
     assert decode_report(line) == report
 
 
-def test_a_report_of_another_version_is_none_that_is_wrong() -> None:
+def test_a_report_of_another_version_is_unknown_but_not_an_error() -> None:
     assert decode_report(b'{"novel": 1, "more": {}}') == Unknown(("novel", "more"))
 
 
@@ -96,7 +96,7 @@ def test_anything_else_is_a_protocol_error(line: bytes) -> None:
 
 
 @given(st.lists(st.binary(max_size=8)), st.integers(1, 5))
-def test_lines_are_the_same_however_the_stream_is_cut(parts: list[bytes], limit: int) -> None:
+def test_lines_do_not_depend_on_how_the_stream_is_split(parts: list[bytes], limit: int) -> None:
     stream = b"".join(parts) + b"\n"
     whole = Lines(limit).feed(stream)
     lines = Lines(limit)
@@ -106,7 +106,7 @@ def test_lines_are_the_same_however_the_stream_is_cut(parts: list[bytes], limit:
     assert lines.end() == []
 
 
-def test_pauses_double_to_a_limit_and_begin_again_after_a_good_life() -> None:
+def test_pauses_double_up_to_a_limit_and_reset_after_a_long_run() -> None:
     backoff = Backoff()
     assert [backoff.pause(1.0) for _ in range(8)] == [0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 10.0, 10.0]
     assert backoff.pause(29.0) == 10.0
@@ -121,7 +121,7 @@ def test_pauses_double_to_a_limit_and_begin_again_after_a_good_life() -> None:
     [
         ("<3>bad", logging.ERROR, "bad"),
         ("<4>odd", logging.WARNING, "odd"),
-        ("<6>told", logging.INFO, "told"),
+        ("<6>note", logging.INFO, "note"),
         ("<7>detail", logging.DEBUG, "detail"),
         ("a library's", logging.WARNING, "a library's"),
         ("<9>what", logging.WARNING, "<9>what"),
@@ -139,28 +139,28 @@ def test_every_line_of_a_record_carries_priority_and_name() -> None:
     assert log.LineFormatter(log.Style.JOURNAL, "midspan").format(record) == "<3>ros1: one\n<3>ros1: two"
 
 
-def test_relayed_lines_wait_bounded_until_somebody_takes_them(capsys: pytest.CaptureFixture[str]) -> None:
+def test_relayed_lines_are_queued_until_they_are_delivered(capsys: pytest.CaptureFixture[str]) -> None:
     handler = log.RelayHandler()
     for number in range(log.KEPT_LINES + 5):
         handler.handle(logging.LogRecord("x", logging.INFO, "", 0, f"line {number}", None, None))
-    taken: list[str] = []
+    received: list[str] = []
 
-    def take(level: int, text: str) -> bool:
+    def deliver(level: int, text: str) -> bool:
         assert level == logging.INFO
-        taken.append(text)
-        return len(taken) < 3
+        received.append(text)
+        return len(received) < 3
 
-    handler.relay_to(take)
+    handler.relay_to(deliver)
     handler.flush()
-    assert taken == ["line 5", "line 6", "line 7"]
+    assert received == ["line 5", "line 6", "line 7"]
     handler.relay_to(lambda _level, _text: False)
     handler.close()
-    last_words = capsys.readouterr().err.splitlines()
-    assert last_words[0] == "<6>line 7"  # it was refused, so it is still pending
-    assert last_words[-1] == f"<6>line {log.KEPT_LINES + 4}"
+    written = capsys.readouterr().err.splitlines()
+    assert written[0] == "<6>line 7"  # it was not delivered, so it is still pending
+    assert written[-1] == f"<6>line {log.KEPT_LINES + 4}"
 
 
-def test_lock_lives_with_whoever_has_its_descriptor(tmp_path: Path) -> None:
+def test_a_lock_lasts_while_any_process_has_its_descriptor(tmp_path: Path) -> None:
     path = tmp_path / "lock"
     first, second = Lock(path), Lock(path)
     assert first.try_lock()
@@ -169,15 +169,15 @@ def test_lock_lives_with_whoever_has_its_descriptor(tmp_path: Path) -> None:
     holder = second.holder()
     assert holder is not None
     assert (holder.pid, holder.owner, holder.is_here) == (os.getpid(), "service", True)
-    handed_on = os.dup(first.fileno())
+    inherited = os.dup(first.fileno())
     first.close()
     assert not second.try_lock()
-    os.close(handed_on)
+    os.close(inherited)
     assert second.try_lock()
     second.close()
 
 
-def test_a_lock_is_of_this_machine_after_a_rename(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lock_belongs_to_this_machine_even_after_a_rename(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lock = Lock(tmp_path / "lock")
     monkeypatch.setattr("socket.gethostname", lambda: "robot1")
     lock.write(1, "daemon")
@@ -192,7 +192,7 @@ def test_a_lock_is_of_this_machine_after_a_rename(tmp_path: Path, monkeypatch: p
 
 
 @pytest.mark.parametrize("text", ["", "{}", "nonsense", '{"pid": "x", "machine": 1, "owner": 2}', "[1]"])
-def test_holder_of_a_file_with_something_else_in_it(tmp_path: Path, text: str) -> None:
+def test_a_lock_file_with_other_content_has_no_holder(tmp_path: Path, text: str) -> None:
     path = tmp_path / "lock"
     path.write_text(text)
     lock = Lock(path)
@@ -200,7 +200,7 @@ def test_holder_of_a_file_with_something_else_in_it(tmp_path: Path, text: str) -
     lock.close()
 
 
-def test_loop_calls_nothing_that_an_earlier_callback_ended() -> None:
+def test_the_loop_skips_callbacks_that_an_earlier_one_removed() -> None:
     loop = SelectorLoop()
     pipes = [os.pipe() for _ in range(2)]
     called: list[int] = []
@@ -208,7 +208,7 @@ def test_loop_calls_nothing_that_an_earlier_callback_ended() -> None:
     def ready(own: int) -> None:
         called.append(own)
         for reader, _ in pipes:
-            loop.forget(reader)
+            loop.unwatch(reader)
 
     for reader, writer in pipes:
         loop.on_readable(reader, lambda reader=reader: ready(reader))  # type: ignore[misc]
@@ -280,11 +280,11 @@ def test_table_of_workers() -> None:
     assert (kinds["ros1"].factory, kinds["ros1"].arguments, kinds["ros1"].environment) == ("a.b:C", (), "")
     assert worker_kinds({VARIABLE: "web=a.b:C"})["web"].needs == ()
     assert kinds["ros2"].factory == "bridge.adapters.worker:BridgeWorker"
-    with pytest.raises(RuntimeError, match="is not NAME=module:Class with a NAME of router, ros1, ros2"):
+    with pytest.raises(RuntimeError, match="is not NAME=module:Class; NAME is one of router, ros1, ros2"):
         worker_kinds({VARIABLE: "ros3=a:B"})
 
 
-def test_a_worker_says_what_it_lacks_and_the_extra_that_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_names_missing_packages_and_the_extra_that_installs_them(monkeypatch: pytest.MonkeyPatch) -> None:
     kinds = worker_kinds({})
     assert [kind.missing(Config()) for kind in (kinds["router"], kinds["web"], kinds["foxglove"])] == ["", "", ""]
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name != "uvicorn" else name)
@@ -293,14 +293,14 @@ def test_a_worker_says_what_it_lacks_and_the_extra_that_brings_it(monkeypatch: p
     assert kinds["foxglove"].missing(Config()) == "foxglove cannot be imported; pip install 'midspan[foxglove]'"
 
 
-def test_workers_environment_is_not_the_daemons() -> None:
+def test_workers_do_not_get_the_daemons_systemd_variables() -> None:
     environ = {"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "1", "JOURNAL_STREAM": "1:2", "PATH": "/bin"}
     env = worker_kinds({})["router"].child_environment(Config(), environ)
     assert env["PATH"] == "/bin"
     assert not {"NOTIFY_SOCKET", "WATCHDOG_USEC", "JOURNAL_STREAM"} & set(env)
 
 
-def test_a_console_that_shows_the_doors_certificate_starts_again_with_another() -> None:
+def test_a_guarded_console_restarts_if_the_listeners_certificate_changes() -> None:
     kind = worker_kinds()["web"]
     token = {"anna": {"sha256": "0" * 64}}
     guarded, plain = ({"web": {"tokens": tokens}} for tokens in (token, {}))

@@ -1,4 +1,4 @@
-"""Who moves and who stands still, by figures."""
+"""Detection of progress by processor time and disk reads."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ def at_a_step(now: float, share: float, reads: bool) -> tuple[str, float, int]:
     ("share", "reads", "moves"),
     [
         (1.0, False, True),
-        (0.02, False, True),  # beside fifty others on its core
+        (0.02, False, True),  # shares its core with fifty others
         (0.003, False, False),  # a wait that polls
         (0.0, False, False),
         (0.0, True, True),  # a slow disk
     ],
 )
-def test_who_computes_or_reads_moves(share: float, reads: bool, moves: bool) -> None:
+def test_computing_and_reading_are_progress(share: float, reads: bool, moves: bool) -> None:
     movement = Movement(0.0)
     for half in range(1, 241):
-        movement.look(half / 2, *at_a_step(half / 2, share, reads))
+        movement.update(half / 2, *at_a_step(half / 2, share, reads))
     assert movement.still(120.0) == (0.0 if moves else 119.5)
 
 
@@ -35,14 +35,14 @@ def heartbeat(movement: Movement) -> None:
 
 
 def another_step(movement: Movement) -> None:
-    movement.look(50.0, "another", 7.0)
+    movement.update(50.0, "another", 7.0)
 
 
 @pytest.mark.parametrize("moves", [heartbeat, another_step])
-def test_a_heartbeat_and_another_step_are_moves_and_begin_anew(moves: Callable[[Movement], None]) -> None:
+def test_a_heartbeat_and_another_step_are_progress(moves: Callable[[Movement], None]) -> None:
     movement = Movement(0.0)
-    movement.look(1.0, "one", 2.0)
-    movement.look(2.0, "one", 7.0)
+    movement.update(1.0, "one", 2.0)
+    movement.update(2.0, "one", 7.0)
     assert movement.computed() == 5.0
     moves(movement)
     assert movement.still(51.0) == 1.0

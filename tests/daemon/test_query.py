@@ -1,4 +1,4 @@
-"""What the daemon tells of itself on its socket."""
+"""The daemon's status on its socket."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from tests.support.wait import until
 pytestmark = pytest.mark.thorough
 
 
-def test_daemon_tells_also_of_workers_that_do_not_run(daemon: Daemon) -> None:
+def test_the_daemon_also_reports_workers_that_do_not_run(daemon: Daemon) -> None:
     config = Config(name="test", state=daemon.folder / "state")
     assert ask_daemon(config) is None
     daemon.order("ros1", "never")
     daemon.configure("ros2: {enabled: false}\n")
     process = daemon.start()
     daemon.wait_ready(process)
-    said = ask_daemon(config)
-    assert said is not None
-    assert (said["daemon"], said["pid"], said["refused"]) == ("test", process.pid, "")
-    assert said["config"] == str(daemon.file)
-    workers = {worker["worker"]: worker for worker in said["workers"]}
+    status = ask_daemon(config)
+    assert status is not None
+    assert (status["daemon"], status["pid"], status["refused"]) == ("test", process.pid, "")
+    assert status["config"] == str(daemon.file)
+    workers = {worker["worker"]: worker for worker in status["workers"]}
     assert workers["router"]["phase"] == "running"
     assert workers["router"]["pid"] == daemon.wait_started("router")
     assert (workers["ros1"]["phase"], workers["ros1"]["text"]) == ("cannot work", "there is no such robot")
     assert workers["ros2"]["phase"] == "off"
-    assert "ros1 cannot work: there is no such robot" in said["status"]
+    assert "ros1 cannot work: there is no such robot" in status["status"]
 
 
-def test_refused_reload_and_restarts_are_told(daemon: Daemon) -> None:
+def test_refused_reload_and_restarts_are_reported(daemon: Daemon) -> None:
     config = Config(name="test", state=daemon.folder / "state")
     process = daemon.start()
     daemon.wait_ready(process)
@@ -48,30 +48,30 @@ def test_refused_reload_and_restarts_are_told(daemon: Daemon) -> None:
     daemon.configure("hubb: 1\n")
     process.signal(signal.SIGHUP)
     until(lambda: (ask_daemon(config) or {}).get("refused"), "refused")
-    said = ask_daemon(config)
-    assert said is not None
-    assert "unknown key 'hubb'" in said["refused"]
-    assert [w["restarts"] for w in said["workers"] if w["worker"] == "ros1"] == [1]
+    status = ask_daemon(config)
+    assert status is not None
+    assert "unknown key 'hubb'" in status["refused"]
+    assert [w["restarts"] for w in status["workers"] if w["worker"] == "ros1"] == [1]
     process.signal(signal.SIGTERM)
     assert process.popen.wait(40) == 0
     assert not (daemon.folder / "state" / "test.daemon.sock").exists()
 
 
-def test_answer_of_something_else_is_none(tmp_path: Path) -> None:
+def test_a_file_instead_of_a_socket_yields_none(tmp_path: Path) -> None:
     (tmp_path / "test.daemon.sock").write_text("no socket")
     assert ask_daemon(Config(name="test", state=tmp_path)) is None
     assert ask_daemon(Config(name="x" * 60, state=tmp_path / ("y" * 90))) is None
 
 
-def test_without_descriptors_a_question_is_turned_away_and_the_loop_rests(tmp_path: Path) -> None:
+def test_without_descriptors_a_client_is_disconnected_and_the_loop_does_not_spin(tmp_path: Path) -> None:
     loop = SelectorLoop()
     server = QueryServer(loop, tmp_path / "sock", dict)
-    with contextlib.closing(loop), contextlib.closing(server), socket.socket(socket.AF_UNIX) as asking:
-        asking.settimeout(5.0)
-        asking.connect(str(tmp_path / "sock"))
+    with contextlib.closing(loop), contextlib.closing(server), socket.socket(socket.AF_UNIX) as client:
+        client.settimeout(5.0)
+        client.connect(str(tmp_path / "sock"))
         with no_descriptors():
             loop.step(5.0)
-            assert asking.recv(100) == b"", "closed without an answer; left waiting it would wake the loop for ever"
+            assert client.recv(100) == b"", "closed without a response; a pending connection would make the loop spin"
         with socket.socket(socket.AF_UNIX) as again:
             again.settimeout(5.0)
             again.connect(str(tmp_path / "sock"))
@@ -79,7 +79,7 @@ def test_without_descriptors_a_question_is_turned_away_and_the_loop_rests(tmp_pa
             assert again.recv(100) == b"{}"
 
 
-def test_daemon_tells_why_nothing_can_be_kept(daemon: Daemon) -> None:
+def test_the_daemon_reports_why_the_state_folder_is_unusable(daemon: Daemon) -> None:
     config = Config(name="test", state=daemon.folder / "state")
     process = daemon.start()
     daemon.wait_ready(process)
@@ -88,7 +88,7 @@ def test_daemon_tells_why_nothing_can_be_kept(daemon: Daemon) -> None:
         process, f"the state folder {config.state}: No such file or directory; make it writable, or set"
     )
     (daemon.folder / "elsewhere").rename(daemon.folder / "state")
-    daemon.expect_output(process, "the state folder can be written again")
-    said = ask_daemon(config)
-    assert said is not None
-    assert "state folder" not in said["status"]
+    daemon.expect_output(process, "the state folder is writable again")
+    status = ask_daemon(config)
+    assert status is not None
+    assert "state folder" not in status["status"]

@@ -30,7 +30,7 @@ def test_only_workers_that_use_the_change_reload(daemon: Daemon) -> None:
     assert [len(daemon.pids(worker)) for worker in WORKERS] == [1, 1, 1]
 
 
-def test_change_of_one_side_leaves_the_other_alone(daemon: Daemon) -> None:
+def test_a_change_of_one_side_does_not_reload_the_other(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)
     reload(daemon, process, "ros1: {poll: 1}\n")
@@ -39,7 +39,7 @@ def test_change_of_one_side_leaves_the_other_alone(daemon: Daemon) -> None:
     assert daemon.events("ros2", "reload") == []
 
 
-def test_unchanged_file_touches_no_worker(daemon: Daemon) -> None:
+def test_an_unchanged_file_reloads_no_worker(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)
     process.signal(signal.SIGHUP)
@@ -47,7 +47,7 @@ def test_unchanged_file_touches_no_worker(daemon: Daemon) -> None:
     assert [daemon.events(worker, "reload") for worker in WORKERS] == [[], [], []]
 
 
-def test_worker_that_needs_a_restart_is_restarted_alone(daemon: Daemon) -> None:
+def test_only_the_worker_that_needs_a_restart_is_restarted(daemon: Daemon) -> None:
     daemon.order("ros1", "refuse-reload")
     process = daemon.start()
     daemon.wait_ready(process)
@@ -103,16 +103,16 @@ def test_sides_are_switched_off_and_on(daemon: Daemon) -> None:
     assert alive(daemon.wait_started("ros1", 2))
 
 
-def test_worker_that_gave_up_is_tried_again_at_a_reload(daemon: Daemon) -> None:
+def test_a_reload_starts_a_worker_that_could_not_work(daemon: Daemon) -> None:
     daemon.order("ros1", "never")
     process = daemon.start()
     daemon.wait_ready(process)
     daemon.order("ros1")
     reload(daemon, process, "ros1: {poll: 1}\n")
-    daemon.expect_output(process, "ros1 is up")
+    daemon.expect_output(process, "ros1: running")
 
 
-def test_worker_that_died_meanwhile_gets_the_new_configuration(daemon: Daemon) -> None:
+def test_a_restarting_worker_gets_the_new_configuration(daemon: Daemon) -> None:
     daemon.order("ros1", "crash")
     process = daemon.start()
     daemon.wait_started("ros1", 2)

@@ -1,4 +1,4 @@
-"""The daemon and its workers as real processes: start, watch, restart, adopt, stop."""
+"""The daemon and its workers as real processes: start, monitor, restart, adopt, stop."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import time
 import psutil
 import pytest
 
-from tests.daemon.daemon import Daemon, alive, gone
+from tests.daemon.daemon import Daemon, alive, exited
 from tests.support.wait import until
 
 WORKERS = ("router", "ros1", "ros2")
 HEARTBEAT = 2.0
-"""Seconds that stand for the 5 of a daemon's own, where a test waits for their end."""
+"""The limit for heartbeats in tests, in seconds; a daemon's own is 5 s."""
 
 
 def test_starts_all_workers_and_stops_them_in_order(daemon: Daemon) -> None:
@@ -27,7 +27,7 @@ def test_starts_all_workers_and_stops_them_in_order(daemon: Daemon) -> None:
     assert not any(alive(pid) for pid in pids)
     output = process.output()
     for worker in ("ros1", "ros2"):
-        assert f"{worker} ended with exit code 0" in output.partition("router is stopped")[0], output
+        assert f"{worker} ended with exit code 0" in output.partition("stopping router")[0], output
     assert [len(daemon.events(worker, "stop")) for worker in WORKERS] == [1, 1, 1]
 
 
@@ -37,15 +37,15 @@ def test_crashed_worker_is_restarted_with_growing_pauses(daemon: Daemon) -> None
     process = daemon.start()
     daemon.wait_started("ros1", 4, 30)
     output = process.output()
-    pauses = [output.index(f"restarted in {pause} s") for pause in ("0.2", "0.4", "0.8")]
+    pauses = [output.index(f"restarting in {pause} s") for pause in ("0.2", "0.4", "0.8")]
     assert pauses == sorted(pauses)
     assert "ValueError: broken on purpose" in output
     assert len(daemon.pids("ros2")) == 1
     daemon.order("ros1")
-    until(lambda: "ros1 is up" in process.output(), "ros1 is up again")
+    until(lambda: "ros1: running" in process.output(), "ros1 is running again")
 
 
-def test_killed_worker_is_replaced_and_the_others_left_alone(daemon: Daemon) -> None:
+def test_only_the_killed_worker_is_restarted(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)
     os.kill(daemon.wait_started("ros2"), signal.SIGKILL)
@@ -54,14 +54,14 @@ def test_killed_worker_is_replaced_and_the_others_left_alone(daemon: Daemon) -> 
     assert len(daemon.pids("ros1")) == len(daemon.pids("router")) == 1
 
 
-def test_what_a_dead_worker_started_is_ended(daemon: Daemon) -> None:
+def test_the_children_of_a_dead_worker_are_killed(daemon: Daemon) -> None:
     daemon.order("ros1", "child")
     process = daemon.start()
     daemon.wait_ready(process)
     child = int(daemon.events("ros1", "child")[0][1])
     assert alive(child)
     os.kill(daemon.wait_started("ros1"), signal.SIGKILL)
-    until(gone(child), "the worker's own child is gone")
+    until(exited(child), "the worker's own child is killed")
 
 
 @pytest.mark.parametrize("worker", ["ros1", "router"])
@@ -116,20 +116,20 @@ def test_second_signal_stops_at_once(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)
     process.signal(signal.SIGINT)
-    daemon.expect_output(process, "ros1 is stopped")
+    daemon.expect_output(process, "stopping ros1")
     process.signal(signal.SIGINT)
     assert process.popen.wait(40) == 0
     assert "did not stop in time" not in process.output()
     assert not alive(daemon.wait_started("ros1"))
 
 
-def test_workers_end_with_a_killed_daemon_and_the_next_one_adopts_the_router(daemon: Daemon) -> None:
+def test_workers_exit_with_a_killed_daemon_and_the_next_one_adopts_the_router(daemon: Daemon) -> None:
     first = daemon.start()
     daemon.wait_ready(first)
     router, ros1, ros2 = (daemon.wait_started(worker) for worker in WORKERS)
     first.popen.kill()
-    until(gone(ros1), "ros1 ends with its daemon")
-    until(gone(ros2), "ros2 ends with its daemon")
+    until(exited(ros1), "ros1 exits with its daemon")
+    until(exited(ros2), "ros2 exits with its daemon")
     assert alive(router)
     second = daemon.start()
     daemon.wait_ready(second)
@@ -137,7 +137,7 @@ def test_workers_end_with_a_killed_daemon_and_the_next_one_adopts_the_router(dae
     assert len(daemon.pids("ros1")) == len(daemon.pids("ros2")) == 2
     second.signal(signal.SIGTERM)
     assert second.popen.wait(40) == 0
-    until(gone(router), "a router that a daemon started stops with the clean stop of its heir")
+    until(exited(router), "a clean stop of the next daemon also stops the adopted router")
 
 
 def test_adopted_router_that_dies_is_replaced(daemon: Daemon) -> None:
@@ -153,7 +153,7 @@ def test_adopted_router_that_dies_is_replaced(daemon: Daemon) -> None:
 
 
 @pytest.mark.thorough
-def test_worker_of_a_killed_daemon_that_hangs_is_ended_by_the_next(daemon: Daemon) -> None:
+def test_the_next_daemon_kills_a_hanging_worker_of_a_killed_daemon(daemon: Daemon) -> None:
     first = daemon.start()
     daemon.wait_ready(first)
     ros1 = daemon.wait_started("ros1")
@@ -163,14 +163,14 @@ def test_worker_of_a_killed_daemon_that_hangs_is_ended_by_the_next(daemon: Daemo
     second = daemon.start()
     assert alive(daemon.wait_started("ros1", 2))
     assert not alive(ros1)
-    assert f"process {ros1} of an earlier daemon does not end" in second.output()
+    assert f"process {ros1} of an earlier daemon does not exit" in second.output()
 
 
-def test_daemon_that_stood_still_does_not_blame_its_workers(daemon: Daemon) -> None:
+def test_a_suspended_daemon_does_not_restart_its_workers(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)
     process.signal(signal.SIGSTOP)
-    time.sleep(6)  # longer than the heartbeat's limit: the very case
+    time.sleep(6)  # longer than the heartbeat's limit
     process.signal(signal.SIGCONT)
     daemon.configure("routing: {default: deny}\n")
     process.signal(signal.SIGHUP)
@@ -206,7 +206,7 @@ def test_journal_gets_priorities(daemon: Daemon) -> None:
     assert any(line.startswith("<3>ros1: cannot work here") for line in lines)
 
 
-def test_state_folder_is_for_its_owner_alone(daemon: Daemon) -> None:
+def test_only_the_owner_can_read_the_state_folder(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)
     assert (daemon.folder / "state").stat().st_mode & 0o777 == 0o700

@@ -28,7 +28,7 @@ def test_the_unit_of_a_configuration() -> None:
     for file in (None, "/etc/midspan/midspan.yaml", "robot2.yaml", "/home/a/robot2.yaml", "/etc/midspan/keys/a.yaml"):
         assert unit_of(file) == "midspan"
     assert start_hint("midspan@robot2") == (
-        "start the daemon: 'systemctl start midspan@robot2'; 'journalctl -u midspan@robot2' shows why it ended"
+        "start the daemon: 'systemctl start midspan@robot2'; 'journalctl -u midspan@robot2' shows why it exited"
     )
 
 
@@ -177,10 +177,10 @@ def test_the_command_line_finds_the_state_of_a_service(
     config = load(service.file)
     assert daemon_state(config).life is Life.UNKNOWN
     service.start()
-    state = until(lambda: (found := daemon_state(config)).life is Life.RUNNING and found, "the daemon is found", 40)
+    state = until(lambda: (state := daemon_state(config)).life is Life.RUNNING and state, "the daemon is running", 40)
     assert service.daemon is not None
     assert state.pid == service.daemon.pid
-    until(lambda: main(["status", "-c", str(service.file)]) == 0, "the router answers", 40)
+    until(lambda: main(["status", "-c", str(service.file)]) == 0, "the router responds", 40)
     service.daemon.popen.kill()
     service.daemon.popen.wait(20)
     instance = Path("/etc/midspan/robot2.yaml")
@@ -191,7 +191,7 @@ def test_the_command_line_finds_the_state_of_a_service(
 
 
 def test_two_daemons_share_the_state_folder_and_the_hub(tmp_path: Path) -> None:
-    """As two instances of the template units do: one router serves both, the other one stands by."""
+    """As two instances of the template units do: one router serves both, the other one is on standby."""
     robots = [RobotDaemon(tmp_path / name, navigation={}, modules={}, state=None) for name in folders(tmp_path)]
     try:
         for robot, name in zip(robots, ("one", "two"), strict=True):
@@ -220,7 +220,7 @@ def both(robot: RobotDaemon) -> bool:
     return {"one", "two"} <= set(lines) and sum("store    running" in line for line in lines) == 2
 
 
-def test_the_state_folder_of_services_is_not_asked_with_a_state_of_ones_own(
+def test_a_configured_state_folder_replaces_that_of_the_services(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[Path | None] = []
@@ -246,7 +246,7 @@ topics:
 
 
 def test_the_files_of_an_imported_domain_bridge_are_instances(system: System, tmp_path: Path) -> None:
-    """As docs/start/migrating.md shows it: two domains, two daemons, one unit."""
+    """As in docs/start/migrating.md: two domains, two daemons, one unit."""
     (tmp_path / "bridge_config.yaml").write_text(BRIDGE)
     assert main(["import", "domain_bridge", str(tmp_path / "bridge_config.yaml"), "-o", f"{tmp_path}/etc/midspan"]) == 0
     names = ["my_bridge_domain2", "my_bridge_domain3"]
@@ -258,7 +258,7 @@ def test_the_files_of_an_imported_domain_bridge_are_instances(system: System, tm
     ]
 
 
-def test_the_configuration_that_the_docs_show_is_good(tmp_path: Path) -> None:
+def test_the_configuration_in_the_docs_is_valid(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs/operate/service.md").read_text()
     (text,) = re.findall(r"<<'END'\n(.*?)^END$", page, re.MULTILINE | re.DOTALL)
     (tmp_path / "robot2.yaml").write_text(text)

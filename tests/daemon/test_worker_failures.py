@@ -63,6 +63,6 @@ FAULTS = [(ValueError("a fault"), True), (ValueError("a fault"), False), (Recurs
 
 
 @pytest.mark.parametrize(("error", "at_start"), FAULTS)
-def test_a_fault_of_the_program_keeps_its_traceback(error: Exception, at_start: bool) -> None:
+def test_a_programming_error_keeps_its_traceback(error: Exception, at_start: bool) -> None:
     with pytest.raises(type(error)):
         run(FailingWorker(error, at_start=at_start), [])

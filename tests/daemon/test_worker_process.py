@@ -1,4 +1,4 @@
-"""``midspan worker``: under pipes, alone, and as a service of its own that daemons come and go by."""
+"""``midspan worker``: with pipes, without a daemon, and as a separate service that outlives daemons."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from bridge.daemon.control import Commands
 from bridge.daemon.protocol import NewConfig, Report, Stop, encode_command
 from bridge.daemon.workers import supervised_command
 from bridge.worker import Health, Worker
-from tests.daemon.daemon import Daemon, alive, gone
+from tests.daemon.daemon import Daemon, alive, exited
 from tests.support.wait import until
 
 pytestmark = pytest.mark.thorough
 
 
 class Supervised:
-    """``midspan worker ros1 --supervised`` with the test in the daemon's place."""
+    """``midspan worker ros1 --supervised``, with the test as its daemon."""
 
     def __init__(self, daemon: Daemon) -> None:
         self.popen = subprocess.Popen(
@@ -47,17 +47,17 @@ class Supervised:
         self.popen.stdin.flush()
 
     def read(self) -> dict[str, Any]:
-        """Its next report, but for what it is busy with."""
-        while "busy" in (said := self.read_any()):
+        """Return its next report, except those of its current step."""
+        while "busy" in (report := self.read_any()):
             pass
-        return said
+        return report
 
     def read_any(self) -> dict[str, Any]:
         assert self.popen.stdout is not None
         line = self.popen.stdout.readline()
-        assert line, "the worker ended"
-        said: dict[str, Any] = json.loads(line)
-        return said
+        assert line, "the worker exited"
+        report: dict[str, Any] = json.loads(line)
+        return report
 
     def end_of_input(self) -> None:
         assert self.popen.stdin is not None
@@ -73,16 +73,16 @@ class Supervised:
 
 @pytest.fixture
 def supervised(daemon: Daemon) -> Iterator[Supervised]:
-    made = Supervised(daemon)
-    yield made
-    made.close()
+    worker = Supervised(daemon)
+    yield worker
+    worker.close()
 
 
 def config(daemon: Daemon, **changes: Any) -> bytes:
     return encode_command(NewConfig(Config(name="test", state=daemon.folder, **changes)))
 
 
-def test_beats_and_stops_when_told_to(daemon: Daemon, supervised: Supervised) -> None:
+def test_a_worker_sends_heartbeats_until_the_stop_command(daemon: Daemon, supervised: Supervised) -> None:
     daemon.order("ros1", "print")
     supervised.send(config(daemon))
     assert supervised.read() == {"beat": 1, "state": "running", "text": "ros1 fine"}
@@ -104,7 +104,7 @@ def test_threads_share_two_heaps(daemon: Daemon, supervised: Supervised, alone: 
     assert daemon.events("ros1", "heaps") == [["heaps", "2"]]
 
 
-def test_tells_what_it_is_at_from_its_first_moment(daemon: Daemon, supervised: Supervised) -> None:
+def test_a_worker_reports_its_steps_from_the_start(daemon: Daemon, supervised: Supervised) -> None:
     assert supervised.read_any() == {"busy": "loading Python's libraries", "used": 0.0, "read": 0}
     daemon.order("ros1", "compute-at-start")
     supervised.send(config(daemon))
@@ -115,8 +115,8 @@ def test_tells_what_it_is_at_from_its_first_moment(daemon: Daemon, supervised: S
     assert supervised.read()["beat"] == 1
 
 
-def test_the_thread_that_tells_ends_before_python_does() -> None:
-    """Python 3.11 crashes now and then where a daemon thread wakes while it ends (seen once: signal 11)."""
+def test_the_heartbeat_thread_ends_before_python_does() -> None:
+    """Python 3.11 sometimes crashes on exit if a daemon thread runs at that time (seen once: signal 11)."""
     code = """
 import os, threading
 from bridge.daemon.begin import begin
@@ -142,7 +142,7 @@ def test_end_of_input_before_any_configuration(supervised: Supervised) -> None:
     assert supervised.popen.wait(40) == 0
 
 
-def test_end_of_input_ends_even_a_hanging_worker(daemon: Daemon, supervised: Supervised) -> None:
+def test_end_of_input_stops_even_a_hanging_worker(daemon: Daemon, supervised: Supervised) -> None:
     supervised.send(config(daemon))
     supervised.read()
     daemon.order("ros1", "hang")
@@ -151,15 +151,15 @@ def test_end_of_input_ends_even_a_hanging_worker(daemon: Daemon, supervised: Sup
     assert supervised.popen.wait(15) == 1
 
 
-def test_reload_and_what_it_answers(daemon: Daemon, supervised: Supervised) -> None:
+def test_a_worker_reports_whether_a_reload_needs_a_restart(daemon: Daemon, supervised: Supervised) -> None:
     supervised.send(config(daemon))
     supervised.read()
     supervised.send(config(daemon, routing={"default": "deny"}))
-    until(lambda: "reloaded" in supervised.read(), "taken up")
+    until(lambda: "reloaded" in supervised.read(), "applied")
     assert daemon.events("ros1", "reload") == [["reload", "deny"]]
     daemon.order("ros1", "refuse-reload")
     supervised.send(config(daemon))
-    until(lambda: "restart" in supervised.read(), "asks for a restart")
+    until(lambda: "restart" in supervised.read(), "needs a restart")
 
 
 @pytest.mark.parametrize(
@@ -180,12 +180,12 @@ def test_exit_codes(daemon: Daemon, supervised: Supervised, order: str, code: in
     supervised.send(config(daemon))
     assert supervised.popen.wait(40) == code
     assert supervised.popen.stdout is not None
-    said = supervised.popen.stdout.read()
-    assert (b'{"failed":"there is no such robot"}' in said) == (order == "never")
+    reports = supervised.popen.stdout.read()
+    assert (b'{"failed":"there is no such robot"}' in reports) == (order == "never")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_alone_until_a_signal(daemon: Daemon, number: signal.Signals) -> None:
+def test_a_worker_without_a_daemon_runs_until_a_signal(daemon: Daemon, number: signal.Signals) -> None:
     process = daemon.midspan("worker", "ros1", "--config", str(daemon.file))
     daemon.wait_started("ros1")
     process.signal(number)
@@ -193,7 +193,7 @@ def test_alone_until_a_signal(daemon: Daemon, number: signal.Signals) -> None:
     assert len(daemon.events("ros1", "stop")) == 1
 
 
-def test_alone_reloads_and_starts_again_where_it_must(daemon: Daemon) -> None:
+def test_a_worker_without_a_daemon_reloads_and_restarts_if_needed(daemon: Daemon) -> None:
     process = daemon.midspan("worker", "ros1", "--config", str(daemon.file))
     pid = daemon.wait_started("ros1")
     daemon.configure("routing: {default: allowed}\n")
@@ -209,7 +209,7 @@ def test_alone_reloads_and_starts_again_where_it_must(daemon: Daemon) -> None:
     assert len(daemon.events("ros1", "stop")) == 1
 
 
-def test_alone_refuses_to_run_twice(daemon: Daemon) -> None:
+def test_a_second_process_of_a_worker_is_refused(daemon: Daemon) -> None:
     daemon.midspan("worker", "ros1", "--config", str(daemon.file))
     pid = daemon.wait_started("ros1")
     second = daemon.midspan("worker", "ros1", "--config", str(daemon.file))
@@ -217,7 +217,7 @@ def test_alone_refuses_to_run_twice(daemon: Daemon) -> None:
     assert f"already runs as process {pid}" in second.output()
 
 
-def test_router_service_survives_daemons_and_is_left_running(daemon: Daemon) -> None:
+def test_a_router_service_outlives_daemons_and_their_stop(daemon: Daemon) -> None:
     service = daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
     router = daemon.wait_started("router")
     for count in (1, 2):
@@ -234,8 +234,8 @@ def test_router_service_survives_daemons_and_is_left_running(daemon: Daemon) -> 
     assert not (daemon.folder / "state" / "test.router.sock").exists()
 
 
-def test_service_hands_over_to_a_new_process_of_itself(daemon: Daemon) -> None:
-    """As systemd sees it: the main process is another, the service goes on."""
+def test_a_service_hands_over_to_its_new_process(daemon: Daemon) -> None:
+    """For systemd the main process changes while the service continues."""
     path = daemon.folder / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(path))
@@ -244,23 +244,23 @@ def test_service_hands_over_to_a_new_process_of_itself(daemon: Daemon) -> None:
         service = daemon.midspan(*arguments, env={"NOTIFY_SOCKET": str(path), "WATCHDOG_PID": "1"})
         daemon.wait_started("router")
         service.signal(signal.SIGUSR2)
-        said: list[str] = []
-        while not said or not said[-1].startswith("MAINPID="):
-            said.append(systemd.recv(4096).decode())
-        new = int(said[-1].removeprefix("MAINPID="))
-        assert psutil.Process(new).ppid() != service.pid, "systemd waits for the end of its own children alone"
-        assert "STOPPING=1" not in said
+        messages: list[str] = []
+        while not messages or not messages[-1].startswith("MAINPID="):
+            messages.append(systemd.recv(4096).decode())
+        new = int(messages[-1].removeprefix("MAINPID="))
+        assert psutil.Process(new).ppid() != service.pid, "systemd waits only for its own children to exit"
+        assert "STOPPING=1" not in messages
         assert service.popen.wait(20) == 0
-        while "READY=1" not in said:
-            said.append(systemd.recv(4096).decode())
+        while "READY=1" not in messages:
+            messages.append(systemd.recv(4096).decode())
         assert alive(new)
         os.kill(new, signal.SIGTERM)
-        while "STOPPING=1" not in said:
-            said.append(systemd.recv(4096).decode())
-        until(gone(new), "the new one ends like the old")
+        while "STOPPING=1" not in messages:
+            messages.append(systemd.recv(4096).decode())
+        until(exited(new), "the new process exits like the old one")
 
 
-def test_a_service_that_cannot_be_started_anew_goes_on(daemon: Daemon) -> None:
+def test_a_service_continues_if_its_new_process_cannot_start(daemon: Daemon) -> None:
     service = daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
     daemon.wait_started("router")
     good = daemon.file.read_text()
@@ -272,27 +272,27 @@ def test_a_service_that_cannot_be_started_anew_goes_on(daemon: Daemon) -> None:
     assert service.stop() == 0
 
 
-def test_daemon_waits_for_a_service_that_comes_later(daemon: Daemon) -> None:
+def test_the_daemon_waits_for_a_service_that_starts_later(daemon: Daemon) -> None:
     process = daemon.start("--adopt", "router")
-    daemon.expect_output(process, "router waits for its service")
+    daemon.expect_output(process, "router: waiting for its service")
     daemon.wait_started("ros1")
     service = daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
     daemon.wait_ready(process)
     service.signal(signal.SIGKILL)
     daemon.expect_output(process, "router ended after")
     daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
-    until(lambda: process.output().count("router is up") == 2, "found again")
+    until(lambda: process.output().count("router: running") == 2, "adopted again")
     assert len(daemon.pids("router")) == 2
 
 
-def test_service_takes_up_the_daemons_configuration(daemon: Daemon) -> None:
+def test_a_service_applies_the_daemons_configuration(daemon: Daemon) -> None:
     daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
     daemon.wait_started("router")
     process = daemon.start()
     daemon.wait_ready(process)
     daemon.configure("hub: {domain: 3}\n")
     process.signal(signal.SIGHUP)
-    until(lambda: daemon.events("router", "reload"), "told")
+    until(lambda: daemon.events("router", "reload"), "reloaded")
     assert len(daemon.pids("router")) == 1
 
 
@@ -305,8 +305,8 @@ def test_service_restarts_itself_for_a_configuration_that_needs_it(daemon: Daemo
     daemon.configure("hub: {domain: 3}\n")
     process.signal(signal.SIGHUP)
     assert daemon.wait_started("router", 2) == router
-    until(lambda: process.output().count("router is up") == 2, "found again")
-    assert "restarted in" not in process.output()
+    until(lambda: process.output().count("router: running") == 2, "adopted again")
+    assert "restarting in" not in process.output()
 
 
 def test_daemon_with_another_file_does_not_change_a_service(daemon: Daemon) -> None:
@@ -321,7 +321,7 @@ def test_daemon_with_another_file_does_not_change_a_service(daemon: Daemon) -> N
     assert daemon.events("router", "reload") == []
 
 
-def test_service_that_is_switched_off_ends_without_failing(daemon: Daemon) -> None:
+def test_a_disabled_service_exits_without_failing(daemon: Daemon) -> None:
     daemon.configure("hub: {router: false}\n")
     process = daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
     assert process.popen.wait(40) == 0
@@ -339,28 +339,28 @@ def test_service_of_a_side_is_not_killed_by_a_daemon_of_the_same_name(daemon: Da
     daemon.midspan("worker", "ros1", "--config", str(daemon.file))
     pid = daemon.wait_started("ros1")
     process = daemon.start()
-    daemon.expect_output(process, f"ros1 is run by process {pid}, not by this daemon")
+    daemon.expect_output(process, f"ros1: run by process {pid}, not by this daemon")
     daemon.wait_started("ros2")
     assert alive(pid)
     assert daemon.pids("ros1") == [pid]
 
 
-def test_router_keeps_its_log_for_the_next_daemon(daemon: Daemon) -> None:
+def test_the_router_stores_its_log_for_the_next_daemon(daemon: Daemon) -> None:
     first = daemon.start()
     daemon.wait_ready(first)
     router = daemon.wait_started("router")
     first.popen.kill()
     first.popen.wait()
     daemon.order("router", "unanswered")
-    until(lambda: daemon.events("router", "unanswered"), "something to tell while no daemon is there")
+    until(lambda: daemon.events("router", "unanswered"), "a log line while no daemon runs")
     second = daemon.start()
-    daemon.expect_output(second, "router: the worker's loop does not answer: the engine does not answer")
+    daemon.expect_output(second, "router: the worker's loop does not respond: the engine does not respond")
     daemon.order("router")
     daemon.wait_ready(second)
     assert daemon.pids("router")[0] == router
 
 
-def test_crash_of_the_router_at_its_start_is_told(daemon: Daemon) -> None:
+def test_a_crash_of_the_router_while_starting_is_logged(daemon: Daemon) -> None:
     daemon.env["MIDSPAN_WORKERS"] = "router=tests.daemon.fakes:Nothing"
     daemon.configure("ros1: {enabled: false}\nros2: {enabled: false}\n")
     process = daemon.start()
@@ -383,11 +383,11 @@ def test_state_folder_too_long_for_a_socket(daemon: Daemon) -> None:
     assert "too long for a socket's name; set 'state' in the configuration to a shorter folder" in process.output()
 
 
-class Telling(Worker):
-    """Runs, and says what the test wants."""
+class Reporting(Worker):
+    """Reports the given texts."""
 
-    def __init__(self, words: list[str]) -> None:
-        self._words = words
+    def __init__(self, texts: list[str]) -> None:
+        self._texts = texts
 
     def start(self, config: Config) -> None:
         """Nothing to start."""
@@ -396,23 +396,23 @@ class Telling(Worker):
         return True
 
     def health(self) -> Health:
-        return Health("running", self._words.pop(0))
+        return Health("running", self._texts.pop(0))
 
     def stop(self) -> None:
         """Nothing to stop."""
 
 
-def test_heartbeats_are_rarer_where_there_is_nothing_new_to_say(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_heartbeats_are_rarer_if_the_text_does_not_change(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(protocol, "QUIET_INTERVAL", 4.0)
     commands, at = Commands(), list[float]()
-    words = ["one", "two", "two", "three"]
+    texts = ["one", "two", "two", "three"]
 
     def report(_: Report) -> None:
         at.append(time.monotonic())
-        if not words:
+        if not texts:
             commands.put(Stop())
 
-    process.Child(Telling(words), commands, report).run(Config())
+    process.Child(Reporting(texts), commands, report).run(Config())
     first, second, third = (later - earlier for earlier, later in itertools.pairwise(at))
     assert max(first, second) < 4.0, "something new"
     assert third >= 4.0, "the same again"

@@ -123,7 +123,7 @@ def test_a_worker_that_cannot_work_or_dies_again_and_again_has_failed(told: dict
     told["workers"][1] = worker("ros2", Phase.PAUSED, "died", restarts=3)
     assert looked()[0].failed is not None
     told["workers"][1] = worker("ros2", Phase.FAILED, "no rclpy for this Python")
-    found = looked("12:00:01 ros1 is up\n12:00:02 ros2 cannot work: no rclpy for this Python")[0]
+    found = looked("12:00:01 ros1: running\n12:00:02 ros2 cannot work: no rclpy for this Python")[0]
     assert found.failed == PartState("ros2", "cannot work", "no rclpy for this Python", os.getpid())
     words = found.why_failed(found.failed)
     assert "ros2: cannot work, no rclpy for this Python" in words
@@ -135,11 +135,11 @@ def test_a_worker_that_cannot_work_or_dies_again_and_again_has_failed(told: dict
 def test_who_does_not_come_is_named_with_its_last_words_and_what_to_try(told: dict[str, Any]) -> None:
     told["workers"] = [
         worker("ros1", Phase.UP, "3 routes"),
-        worker("modules", Phase.UP, "waiting, robot_goto: no scan"),
+        worker("modules", Phase.UP, "waiting: robot_goto: no scan"),
     ]
     words = looked("modules: a warning of its own")[0].why_still("the robot")
     assert "nothing has moved for 60 s, and the robot is not there" in words
-    assert "modules: running, waiting, robot_goto: no scan" in words
+    assert "modules: running, waiting: robot_goto: no scan" in words
     assert "a warning of its own" in words
     assert "ros1" not in words
     assert "What to try" in words

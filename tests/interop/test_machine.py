@@ -119,17 +119,17 @@ def test_a_hundred_broken_configurations(running: Deployment) -> None:
     for number in range(1, BROKEN + 1):
         running.file.write_text(broken(number, good))
         running.hang_up()
-        until(lambda n=number: daemon.output().count("is not taken up") == n, f"refusal {number} in the log", 20)
+        until(lambda n=number: daemon.output().count("is rejected") == n, f"refusal {number} in the log", 20)
         if number % 20 == 0:
             flow.check()
-    refusals = daemon.output().split("is not taken up, the running one is kept:")[1:]
+    refusals = daemon.output().split("is rejected, the running one is kept:")[1:]
     assert len(refusals) == BROKEN
     for refusal in refusals:
         assert f"{running.file}:" in refusal.splitlines()[1], refusal[:300]
     flow.check()
     running.file.write_text(good + "log: {level: info}\n" + yaml.safe_dump({"routing": {"rules": [{"topic": "/x"}]}}))
     running.hang_up()
-    until(lambda: "configuration loaded again" in daemon.output(), "the daemon loads a valid file", 20)
+    until(lambda: "configuration reloaded" in daemon.output(), "the daemon loads a valid file", 20)
     flow.check()
     assert pids(running) == processes
 
@@ -193,7 +193,7 @@ def test_a_full_disk_from_the_start(deployment: Deployment) -> None:
         assert log.read_text() == ""
         litter.unlink()
         deployment.hang_up()
-        until(lambda: "configuration loaded again" in log.read_text(), "the log continues", 20)
+        until(lambda: "configuration reloaded" in log.read_text(), "the log continues", 20)
         flow.check()
         assert deployment.stop_daemon() == 0
 
@@ -226,7 +226,7 @@ def test_a_disk_that_fills_up_and_turns_read_only(deployment: Deployment) -> Non
         kill_each_worker(deployment, flow)
         flow.check()
         deployment.hang_up()
-        until(lambda: "configuration loaded again" in daemon.output(), "the daemon loads a valid file", 20)
+        until(lambda: "configuration reloaded" in daemon.output(), "the daemon loads a valid file", 20)
         subprocess.run(["mount", "-o", "remount,bind,rw", str(disk)], check=True)
         until(lambda: "the state folder can be written again" in daemon.output(), "the log reports the recovery", 20)
         flow.check()

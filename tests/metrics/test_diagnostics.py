@@ -131,7 +131,7 @@ class Side(Worker):
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
 
-    def hears_diagnostics(self) -> bool:
+    def diagnostics_wanted(self) -> bool:
         return heard(self._hub.graph)
 
     def start(self, config: Config) -> None:
@@ -170,7 +170,7 @@ class PublishingSide:
 
     def is_announced(self) -> bool:
         """Poll as at a heartbeat, and return whether the topic is on the hub."""
-        self.publishing.look(self.config)
+        self.publishing.on_heartbeat(self.config)
         return bool(self.far.hub.graph.publishers(TOPIC))
 
     def close(self) -> None:

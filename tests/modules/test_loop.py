@@ -138,7 +138,7 @@ def test_a_step_without_an_end_is_told(loop: EventLoop, monkeypatch: pytest.Monk
     done = threading.Event()
     loop.post(lambda: compute(done))
     try:
-        until(lambda: "a loop is in a loop without an end" in hung(loop), "it is told")
+        until(lambda: "a loop is in an endless loop" in hung(loop), "it is told")
     finally:
         done.set()
 

@@ -119,7 +119,7 @@ def test_a_failing_health_check_does_not_affect_other_modules(
     for _ in range(2):
         health = place.worker.health()
     assert health.state == "running"
-    assert "echo: waiting health check failed: IndexError" in health.text
+    assert "echo waiting: health check failed: IndexError" in health.text
     assert "other: heard 0" in health.text
     assert "IndexError" in place.answer("echo")["text"]
     assert caplog.text.count("echo: health check failed") == 1
@@ -196,7 +196,7 @@ def test_a_module_that_cannot_start_affects_no_other_and_is_started_again(place:
     place.hears("a", subscription, "a")
     health = place.worker.health()
     assert health.state == "running"
-    assert "refuses: waiting start refused by its options" in health.text
+    assert "refuses waiting: start refused by its options" in health.text
     assert place.worker.reload(place.config(*bad[:2], echo("refuses"), echo()))
     until(lambda: "start refused" not in place.worker.health().text, "the module has started")
 

@@ -68,7 +68,7 @@ def test_a_store_without_any_module(place: Place) -> None:
 def test_a_store_that_is_off_or_taken_is_told(place: Place) -> None:
     place.worker.start(place.config(OWN, store={"enabled": False}))
     health = place.worker.health()
-    assert (health.state, health.text) == ("waiting", "keeper: waiting the store is switched off (store.enabled)")
+    assert (health.state, health.text) == ("waiting", "keeper waiting: the store is switched off (store.enabled)")
     place.worker.stop()
     config = place.config(store={"enabled": True})
     holder = Shared(config)

@@ -56,6 +56,7 @@ class Ros1Edge(SideEdge):
     """Joins one ROS 1 graph. Like rospy, it can exist only once per process; it cannot be restarted."""
 
     side: ClassVar[str] = "ros1"
+    awaited: ClassVar[str] = "the ROS master"
     services: ClassVar[bool] = True
     outlives_network: ClassVar[bool] = True
 

@@ -55,6 +55,7 @@ class YarpEdge(SideEdge):
     """The adapter of a YARP network."""
 
     side: ClassVar[str] = "yarp"
+    awaited: ClassVar[str] = "the name server"
     services: ClassVar[bool] = True
 
     def __init__(self, config: Config, registry: Registry, state: Path) -> None:

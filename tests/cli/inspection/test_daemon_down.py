@@ -271,7 +271,7 @@ def test_status_beside_a_router_of_another_project(tmp_path: Path) -> None:
             robot.until_phase("router", "running")
             done = robot("status")
             assert (done.returncode, done.stderr) == (0, "")
-            assert "router   running  standby, a zenoh router that is not Midspan's" in " ".join(
+            assert "router   running  standby: a zenoh router that is not Midspan's" in " ".join(
                 done.stdout.splitlines()
             )
             done = robot("top", "--once")

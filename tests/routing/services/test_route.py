@@ -197,7 +197,7 @@ def test_the_end_of_the_network_ends_its_calls(place: Place) -> None:
     serving.requests(1)
     place.network.restart(None)
     assert call.result()["error"] in (
-        "the fake network of the server is away",
+        "the fake network of the server is unavailable",
         "the server of /do left before it answered",
     )
     serving.release()
