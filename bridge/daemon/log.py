@@ -41,7 +41,7 @@ class LineFormatter(logging.Formatter):
 
     def __init__(self, style: Style, name: str) -> None:
         super().__init__(datefmt="%H:%M:%S")
-        self._style = style
+        self._line_style = style
         self._name = name
 
     def format(self, record: logging.LogRecord) -> str:
@@ -49,12 +49,12 @@ class LineFormatter(logging.Formatter):
         text = record.getMessage()
         if record.exc_info:
             text += "\n" + self.formatException(record.exc_info)
-        name = "" if self._style is Style.SUPERVISED else f"{getattr(record, 'worker', self._name)}: "
+        name = "" if self._line_style is Style.SUPERVISED else f"{getattr(record, 'worker', self._name)}: "
         prefix = self._prefix(record)
         return "\n".join(f"{prefix}{name}{line}" for line in text.split("\n"))
 
     def _prefix(self, record: logging.LogRecord) -> str:
-        if self._style is not Style.TERMINAL:
+        if self._line_style is not Style.TERMINAL:
             return f"<{priority(record.levelno)}>"
         return f"{self.formatTime(record, self.datefmt)}.{int(record.msecs):03d} {record.levelname.lower():7} "
 
