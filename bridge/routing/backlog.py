@@ -1,4 +1,4 @@
-"""Messages that wait until it is known whether their publishers may pass."""
+"""Messages that are held until their publishers are known."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Message = TypeVar("Message")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Waiting(Generic[Message]):
-    """A message that waits; ``since``: when it came (monotonic seconds)."""
+    """A held message; ``since``: time of its arrival (monotonic seconds)."""
 
     source: Hashable
     message: Message
@@ -23,9 +23,10 @@ class Waiting(Generic[Message]):
 
 
 class Backlog(Generic[Message]):
-    """A bounded line of waiting messages, in order of their coming; the oldest make room. For any thread.
+    """A bounded queue of held messages, in order of arrival; it drops the oldest ones. Thread-safe.
 
-    ``most`` messages wait, and ``room`` bytes but for the newest message; ``dropped`` is called for each that goes.
+    It holds at most ``most`` messages, and ``room`` bytes (without the newest message); ``dropped`` is called for each
+    dropped message.
     """
 
     def __init__(self, most: int, room: int, dropped: Callable[[], None]) -> None:
@@ -38,11 +39,11 @@ class Backlog(Generic[Message]):
         return len(self._line)
 
     def add(self, source: Hashable, message: Message, size: int) -> None:
-        """Have a message of so many bytes wait."""
+        """Append a message of ``size`` bytes."""
         self.put_back(Waiting(source, message, size, time.monotonic()))
 
     def put_back(self, waiting: Waiting[Message]) -> None:
-        """Have a message wait that waited before, behind all others."""
+        """Append a message that was held before."""
         with self._lock:
             self._line.append(waiting)
             self._bytes += waiting.size
@@ -51,7 +52,7 @@ class Backlog(Generic[Message]):
                 self._dropped()
 
     def keep(self, source: Hashable, message: Message, size: int, depth: int) -> int:
-        """The same where only the newest ``depth`` of a publisher wait; how many older ones of it went."""
+        """Append; hold only the newest ``depth`` messages of the publisher, and return how many were dropped."""
         with self._lock:
             older = [waiting for waiting in self._line if waiting.source == source]
             over = older[: max(len(older) - depth + 1, 0)]
@@ -61,13 +62,13 @@ class Backlog(Generic[Message]):
         self.add(source, message, size)
         return len(over)
 
-    def take(self, wanted: Callable[[Waiting[Message]], bool]) -> list[Waiting[Message]]:
-        """Take out those that are wanted, in their order."""
+    def pop_matching(self, wanted: Callable[[Waiting[Message]], bool]) -> list[Waiting[Message]]:
+        """Remove and return the wanted messages, in their order."""
         if not self._line:
             return []
         with self._lock:
             taken = [waiting for waiting in self._line if wanted(waiting)]
-            gone = set(taken)
-            self._line = deque(waiting for waiting in self._line if waiting not in gone)
+            removed = set(taken)
+            self._line = deque(waiting for waiting in self._line if waiting not in removed)
             self._bytes -= sum(waiting.size for waiting in taken)
         return taken

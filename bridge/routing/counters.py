@@ -22,10 +22,10 @@ _PAUSE = 60.0
 LATENCY_BOUNDS = tuple(
     int(seconds * 1e9) for seconds in (0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5)
 )
-"""Upper bounds of the histogram's buckets but the last, which has none; nanoseconds."""
+"""Upper bounds in ns of the histogram's buckets; the last bucket has none."""
 
 CARRY_BOUNDS = (2e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 2.5e-2, 5e-2, 0.1, 0.25, 1.0)
-"""The same for the time that the bridge itself takes, in seconds."""
+"""The same for the time within the bridge, in seconds."""
 
 
 class Counters:
@@ -90,9 +90,9 @@ class Counters:
                 self.failed(where())
 
     def failed(self, error: str) -> bool:
-        """Remember an error; whether it is worth a log line now: a new one, or the same after a pause of a minute.
+        """Store an error; return whether to log it now: a new one, or the same after a minute without it.
 
-        Errors that differ in numbers only are the same. Different ones are worth a line each second.
+        Errors that differ only in numbers are the same. Different errors are logged at most once per second.
         """
         now, text = time.monotonic(), _NUMBER.sub("0", error)
         new = text != self._logged or now - self._failed_at > _PAUSE
@@ -116,10 +116,10 @@ class Counters:
         return self._rate
 
     def as_dict(self) -> dict[str, Any]:
-        """The counters as they stand in the status document.
+        """Return the counters for the status document.
 
-        ``latency_ms`` is of the last messages. ``latency`` is of all: how many in each bucket of `LATENCY_BOUNDS`, and
-        the sum; ``carry`` is the same of the bridge's own time with what goes to the hub, in those of `CARRY_BOUNDS`.
+        ``latency_ms`` covers the last messages; ``latency`` all of them: the count in each bucket of `LATENCY_BOUNDS`
+        and the sum. ``carry`` is the same for the time within the bridge to the hub, in buckets of `CARRY_BOUNDS`.
         """
         late = sorted(self._latencies.copy())
         quantiles = {}

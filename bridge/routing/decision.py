@@ -16,7 +16,7 @@ from bridge.routing.rules import RoutePolicy
 
 Converts = TypeVar("Converts", Conversion, ServiceConversion)
 
-OWN_NETWORK = "it comes from this very network"
+OWN_NETWORK = "it comes from this network"
 
 
 class RouteKey(NamedTuple):
@@ -29,7 +29,7 @@ class RouteKey(NamedTuple):
 
 @dataclass(slots=True)
 class RouteDecision:
-    """The decision on one topic or service (``of``); refused: rules allow it, but it cannot cross."""
+    """The decision on one topic or service (``of``); ``refused``: rules allow it, but it cannot cross."""
 
     direction: str
     topic: str
@@ -46,13 +46,13 @@ class RouteDecision:
 
     @classmethod
     def not_native(cls, endpoint: Endpoint) -> Self:
-        """Decide on a side's endpoint that a Midspan made, or whose maker is not known yet."""
+        """Decide on a side's endpoint that a Midspan created, or whose origin is not known yet."""
         if endpoint.made_by is MadeBy.MIDSPAN:
-            why = f"{endpoint.node or endpoint.id} was made by a Midspan and is never routed again"
+            reason = f"{endpoint.node or endpoint.id} was created by a Midspan and is never routed again"
         else:
-            why = f"it is not known yet who made {endpoint.node or endpoint.id}"
+            reason = f"the origin of {endpoint.node or endpoint.id} is not known yet"
         of = "service" if endpoint.kind in (Kind.SERVER, Kind.CLIENT) else "topic"
-        return cls.unrouted("in", endpoint.topic, endpoint.type, why, of)
+        return cls.unrouted("in", endpoint.topic, endpoint.type, reason, of)
 
     @classmethod
     def unrouted(
@@ -64,15 +64,15 @@ class RouteDecision:
 
     @classmethod
     def resting(cls, direction: str, topic: str, type_name: str, why: str, of: str = "topic") -> Self:
-        """Decide on a topic or service that another daemon carries instead, or whose carrier is not agreed yet."""
+        """Decide on a topic or service that another daemon carries, or whose carrier is not elected yet."""
         policy = RoutePolicy(allowed=False, why=why, name=topic)
         return cls(direction, topic, topic, type_name, policy, rests=True, of=of)
 
     @classmethod
     def carried_by(cls, daemon: str, topic: str, type_name: str, of: str = "topic") -> Self:
-        """Decide on a hub topic or service that another daemon puts on the side's network; "" while not agreed."""
-        why = f"standing by: {daemon} puts it on this network" if daemon else "not agreed yet who puts it here"
-        return cls.resting("out", topic, type_name, why, of)
+        """Decide on a hub topic or service that ``daemon`` carries to the side's network, "" before the election."""
+        reason = f"on standby: {daemon} carries it to this network" if daemon else "the carrier is not elected yet"
+        return cls.resting("out", topic, type_name, reason, of)
 
     @classmethod
     def one_ended(cls, topic: str, type_name: str, why: str, of: str = "topic") -> Self:

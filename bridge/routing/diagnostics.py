@@ -1,6 +1,6 @@
-"""The routes' counters as ``/diagnostics`` on the side, for the tools that robots have already (rqt_robot_monitor).
+"""The routes' counters as ``/diagnostics`` on the side, for the usual tools (rqt_robot_monitor).
 
-How the daemon's parts are is told on the hub by one of its processes (`bridge.metrics.diagnostics`), and crosses.
+One process of the daemon publishes the state of its parts on the hub (`bridge.metrics.diagnostics`), which crosses.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _HEADER = struct.Struct("<III")  # sequence number, seconds, nanoseconds
 _COUNT, _LEVEL = struct.Struct("<I"), struct.Struct("<B")
 _OF_CALLS = ("type", "calls", "replies", "errors", "abandoned", "pending")
 ROUTES_AT_ONCE = 100
-"""Routes told of in one message; more take turns, so that telling of a thousand delays no message that crosses."""
+"""Routes in one message. With more routes, messages alternate, so that a thousand routes do not delay traffic."""
 
 
 class Diagnostics:
-    """Publishes a status of the worker and of each route while heard, `ROUTES_AT_ONCE` a second in turns.
+    """Publishes the status of the worker and its routes while subscribed to, `ROUTES_AT_ONCE` routes per second.
 
-    Without ``counters`` it only asks for those of the daemon's parts while its side hears them.
+    Without ``counters`` it only requests the status of the daemon's parts while the side has subscribers.
     """
 
     def __init__(self, edge: Edge, registry: Registry, engine: Engine, hardware_id: str, *, counters: bool) -> None:
@@ -51,7 +51,7 @@ class Diagnostics:
         self._to_hub = to_hub
 
     def publish(self) -> None:
-        """Publish when it is time and the side is there."""
+        """Publish if it is due and the side is available."""
         now = time.monotonic()
         if now < self._due or self._edge.network() is None:
             return
@@ -59,9 +59,9 @@ class Diagnostics:
         try:
             if self._publisher is None and self._counters:
                 self._publisher = self._edge.advertise(TOPIC, self._type, Qos(depth=10))
-            heard = self._edge.is_heard(TOPIC)
-            self._ask_for_all(heard=heard)
-            if not heard or self._publisher is None:
+            wanted = self._edge.has_subscribers(TOPIC)
+            self._ask_for_all(heard=wanted)
+            if not wanted or self._publisher is None:
                 return
             cdr = self._to_hub(self._array())
             self._publisher.send(cdr if self._convert is None else self._convert(cdr), "diagnostics")
@@ -77,7 +77,7 @@ class Diagnostics:
             self._publisher = None
 
     def _ask_for_all(self, *, heard: bool) -> None:
-        """Have the daemon's other parts tell of themselves while the side hears it; see `bridge.hub.diagnostics`."""
+        """Request the status of the daemon's other parts if the side has subscribers; see `bridge.hub.diagnostics`."""
         if heard and self._asked is None:
             self._asked = self._engine.hub.subscription(HEARD, TYPE, self._hash, Qos(), lambda _sample: None)
         elif not heard and self._asked is not None:
@@ -85,9 +85,9 @@ class Diagnostics:
             self._asked = None
 
     def _array(self) -> bytes:
-        """The message in ROS 1's form, which has no padding and can be put together from parts.
+        """Encode the message in ROS 1's format, which has no padding, so that its parts can be concatenated.
 
-        The way over `bridge.messages.json` takes five times as long, a third of a percent of a core for 100 routes.
+        `bridge.messages.json` would take five times as long, 0.3 % of a core for 100 routes.
         """
         routes = [route.status() for route in self._whose_turn()]
         summary = self._engine.summary()
@@ -111,7 +111,7 @@ class Diagnostics:
         of = _OF_CALLS if route["kind"] == "service" else ("type", "priority", "way", "messages")
         values = {name: route[name] for name in of}
         values |= {"bytes": route["bytes"], "rate": route["rate"], "age": route["age"], **drops}
-        values |= {f"messages ({way})": n for way, n in route.get("ways", {}).items()}
+        values |= {f"messages ({transport})": n for transport, n in route.get("ways", {}).items()}
         return self._status(f"{route['topic']} {arrow}", level, route["error"] or route["state"], values)
 
     def _status(self, name: str, level: int, message: str, values: dict[str, Any]) -> bytes:

@@ -1,9 +1,8 @@
 """Threads that carry messages from the hub to a side, the most urgent class first.
 
-A large message, and one that comes while its route still publishes, is appended to the route's queue by zenoh's
-receiving thread, which wakes a dispatcher: publishing may take milliseconds for an image. A small message is published
-by the receiving thread itself: no edge waits for a peer in it, and the hand-over to a sleeping thread would cost 40 of
-the 230 us that the whole way takes (benchmarks/topic_latency.py).
+zenoh's receiving thread queues large messages, and messages that arrive while their route is publishing, and wakes a
+dispatcher: publishing an image may take milliseconds. It publishes small messages itself: no edge waits for a peer, and
+the hand-over to a sleeping thread would cost 40 us of a total latency of 230 us (benchmarks/topic_latency.py).
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ from bridge.routing.limits import Priority
 _log = logging.getLogger(__name__)
 _ORDER = (Priority.COMMAND, Priority.STATE, Priority.STREAM)
 _STUCK_SECONDS = 4.0
-"""Work that stands still for longer hangs."""
+"""A call without progress for longer hangs."""
 
 
 class Dispatcher:
-    """One thread and a queue of work for each class; a piece of work is a call that handles one message of a route."""
+    """One thread with a queue of calls for each class; each call handles one message of a route."""
 
     def __init__(self, name: str) -> None:
         self._classes: dict[Priority, deque[Callable[[], None]]] = {p: deque() for p in _ORDER}
@@ -40,12 +39,12 @@ class Dispatcher:
         self._thread.start()
 
     def submit(self, priority: Priority, work: Callable[[], None]) -> None:
-        """Do a piece of work in its class's turn. The queues are bounded by the queues of their routes."""
+        """Queue a call in its class. The queues are bounded by the queues of their routes."""
         self._classes[priority].append(work)
         self._wake.put(True)
 
     def here(self, work: Callable[..., None], *about: Any) -> None:
-        """Do a piece of work at once, on the caller's thread; ``about`` is what it is called with."""
+        """Make a call at once, on the calling thread, with the arguments ``about``."""
         me = threading.get_ident()
         self._busy[me] = time.monotonic()
         try:
@@ -55,20 +54,20 @@ class Dispatcher:
         finally:
             del self._busy[me]
 
-    def alive(self, who: str) -> str:
-        """A text about work on its own thread that computes for long, else ""; for one thread.
+    def alive(self, name: str) -> str:
+        """Return a text if a call on the dispatcher's thread computes for a long time, else "". Not thread-safe.
 
-        Raises `TimeoutError` where a piece of work hangs, or one on a caller's thread takes too long.
+        Raises `TimeoutError` if a call hangs, or takes too long on another thread.
         """
         now, busy = time.monotonic(), self._busy.copy()
-        own = busy.pop(self._thread.ident or 0, None)
+        own_since = busy.pop(self._thread.ident or 0, None)
         stuck = max((now - since for since in busy.values()), default=0.0)
         if stuck > _STUCK_SECONDS:
-            raise TimeoutError(f"{who} has been stuck for {stuck:.1f} s")
-        return self._step.judge(who, own)
+            raise TimeoutError(f"{name} has been stuck for {stuck:.1f} s")
+        return self._step.judge(name, own_since)
 
     def stop(self) -> None:
-        """End the thread after the work under way; queued work is dropped."""
+        """End the thread after its current call; queued calls are dropped."""
         self._wake.put(False)
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(2.0)

@@ -1,7 +1,7 @@
-"""What every side's edge offers to the engine that routes between it and the hub.
+"""The interface of every side's edge to the engine, which routes between the edge and the hub.
 
 An edge is small: it lists its side's graph, opens and closes endpoints there, and passes bytes on.
-Rules, conversion, queues, latching, origins and counters are the engine's, written once in ``bridge.routing``.
+Rules, conversion, queues, latching, origins and counters are implemented once, in the engine (``bridge.routing``).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ that published it, ``time_ns`` the source's time stamp on the system clock if th
 
 
 class Kind(Enum):
-    """What an endpoint is."""
+    """The kind of an endpoint."""
 
     PUBLISHER = "publisher"
     SUBSCRIPTION = "subscription"
@@ -40,7 +40,7 @@ class Kind(Enum):
 
 
 class MadeBy(Enum):
-    """Who made an endpoint on the side's network. What is not NATIVE never crosses to the hub."""
+    """Who created an endpoint on the side's network. Only NATIVE endpoints cross to the hub."""
 
     NATIVE = "native"
     MIDSPAN = "midspan"
@@ -48,7 +48,7 @@ class MadeBy(Enum):
 
 
 class Obstacle(NamedTuple):
-    """Why calls of a server, or requests of a client, do not cross, and what helps."""
+    """Why calls to a server, or requests of a client, do not cross; and the cure."""
 
     reason: str
     cure: str
@@ -58,7 +58,7 @@ class Obstacle(NamedTuple):
 class Endpoint:
     """One publisher, subscription, server or client on a side's graph.
 
-    An action is shown as ROS 2 has it, by every edge: the servers ``<action>/_action/send_goal``, ``cancel_goal`` and
+    Every edge represents an action as ROS 2 does: the servers ``<action>/_action/send_goal``, ``cancel_goal`` and
     ``get_result`` and the publishers ``<action>/_action/feedback`` and ``status``.
 
     Attributes:
@@ -104,13 +104,13 @@ class EdgeListener(Protocol):
         """The endpoints, their qualities or the network's identity may have changed."""
 
     def presence_changed(self) -> None:
-        """Another Midspan worker came to this side's network, left it, or announced something."""
+        """Another Midspan worker joined this side's network, left it, or announced something."""
 
     def message_refused(self, topic: str, reason: str, why: str) -> None:
         """A message of this topic of the side was not delivered; ``reason`` is ``bad`` or ``large``."""
 
     def edge_failed(self, reason: str) -> None:
-        """The edge cannot go on by itself; the worker ends and is started again."""
+        """The edge cannot continue; the worker's process exits and is restarted."""
 
 
 class EdgeSubscription(Protocol):
@@ -121,7 +121,7 @@ class EdgeSubscription(Protocol):
         """Messages lost by the side so far; 0 if it does not report them."""
 
     def close(self) -> None:
-        """Stop delivering and give the endpoint back. Safe to call twice."""
+        """Stop delivering and close the endpoint. Safe to call twice."""
 
 
 class EdgePublisher(Protocol):
@@ -129,7 +129,7 @@ class EdgePublisher(Protocol):
 
     @property
     def dropped(self) -> int:
-        """Messages so far that slow subscribers of this topic missed; 0 if the side does not report them."""
+        """Number of messages that slow subscribers of this topic missed so far; 0 if the side does not report them."""
 
     @property
     def heard(self) -> bool:
@@ -139,30 +139,30 @@ class EdgePublisher(Protocol):
         """
 
     def send(self, payload: bytes, source: str) -> None:
-        """Publish bytes that came from the hub publisher ``source``; retained per source when the QoS is latched."""
+        """Publish bytes from the hub publisher ``source``; with a latched QoS they are retained for each source."""
 
     def forget(self, source: str) -> None:
-        """The hub publisher ``source`` is gone: drop what is retained for it."""
+        """Drop the messages retained for the hub publisher ``source``, which has left."""
 
     def close(self) -> None:
-        """Give the endpoint back. Safe to call twice."""
+        """Close the endpoint. Safe to call twice."""
 
 
 class EdgeCaller(Protocol):
-    """What calls the side's servers of one name."""
+    """A service client that the bridge holds on the side."""
 
     def call(self, request: bytes, done: Done) -> Abandon:
         """Begin a call with the side's request bytes; see `bridge.hub.endpoints.calls.Call`. Never blocks."""
 
     def close(self) -> None:
-        """End every call that is under way with an error, and give the endpoint back. Safe to call twice."""
+        """End every pending call with an error, and close the endpoint. Safe to call twice."""
 
 
 class EdgeServer(Protocol):
     """A server that the bridge holds on the side."""
 
     def close(self) -> None:
-        """Abandon every pending call, inform its caller, and give the endpoint back. Safe to call twice."""
+        """Abandon every pending call, inform its client, and close the endpoint. Safe to call twice."""
 
 
 class Edge(ABC):
@@ -170,10 +170,10 @@ class Edge(ABC):
 
     side: ClassVar[str]
     services: ClassVar[bool] = False
-    """Whether services and actions cross; otherwise nothing is said of them."""
+    """Whether services and actions cross; otherwise they are not reported."""
 
     outlives_network: ClassVar[bool] = False
-    """Whether endpoints go on under their ids if the network's identity changes, as connections that need no master."""
+    """Whether endpoints keep their ids if the network's identity changes, as connections that need no master."""
 
     awaited: ClassVar[str] = "its network"
     """What the edge waits for while the network is unavailable; shown to people."""
@@ -182,7 +182,7 @@ class Edge(ABC):
     """Why the network is unavailable, if the edge knows a reason; shown to people."""
 
     clock: RunClock = SYSTEM
-    """What stamps are made by; the worker gives it before `start`."""
+    """The clock of stamps; the worker sets it before `start`."""
 
     @abstractmethod
     def start(self, listener: EdgeListener) -> None:
@@ -190,7 +190,7 @@ class Edge(ABC):
 
     @abstractmethod
     def stop(self) -> None:
-        """Close and unregister everything that the edge made, within two seconds. Safe to call twice."""
+        """Close and unregister everything that the edge created, within two seconds. Safe to call twice."""
 
     @abstractmethod
     def network(self) -> str | None:
@@ -198,23 +198,23 @@ class Edge(ABC):
 
     @abstractmethod
     def is_own_network(self, origin: Origin) -> bool:
-        """Whether a hub session's origin is the very network that this edge is on."""
+        """Return whether a hub session's origin is the network of this edge."""
 
     @abstractmethod
     def endpoints(self) -> Sequence[Endpoint]:
-        """The side's graph as last seen, without the endpoints that this very edge made."""
+        """Return the side's graph as last seen, without the endpoints of this edge."""
 
     @abstractmethod
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """Conversion of an endpoint's type to the hub's; raises `bridge.messages.errors.MessageTypeError`."""
+        """Return the conversion of an endpoint's type to the hub; raises `bridge.messages.errors.MessageTypeError`."""
 
     @abstractmethod
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """Conversion of a hub type to the side's; raises `bridge.messages.errors.MessageTypeError`."""
+        """Return the conversion of a hub type to the side's; raises `bridge.messages.errors.MessageTypeError`."""
 
     @abstractmethod
     def learn(self, type_name: str, definition: str) -> None:
-        """Learn a definition of a ROS 2 type that another worker published on the hub, for a later `from_hub`."""
+        """Store the definition of a ROS 2 type from another worker on the hub, for a later `from_hub`."""
 
     @abstractmethod
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
@@ -225,21 +225,21 @@ class Edge(ABC):
         """Advertise on the side; raises `bridge.messages.errors.MessageTypeError` if the type cannot be used."""
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
-        """Conversion of a server's type; raises `bridge.messages.errors.MessageTypeError`."""
+        """Return the conversion of a server's type; raises `bridge.messages.errors.MessageTypeError`."""
         raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=endpoint.topic))
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
-        """Conversion of a hub service's type; raises `bridge.messages.errors.MessageTypeError`."""
+        """Return the conversion of a hub service's type; raises `bridge.messages.errors.MessageTypeError`."""
         del type_hash
         raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=type_name))
 
     def caller(self, name: str, side_type: SideType) -> EdgeCaller:
-        """What calls the side's server ``name``; raises `bridge.messages.errors.MessageTypeError`."""
+        """Open a client of the side's server ``name``; raises `bridge.messages.errors.MessageTypeError`."""
         del side_type
         raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=name))
 
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
-        """Serve ``name`` on the side; ``call`` gets the side's request bytes and answers with the side's reply bytes.
+        """Serve ``name`` on the side; ``call`` receives request bytes and replies with reply bytes of the side.
 
         ``call`` runs on a thread of the edge and returns at once. A `bridge.hub.endpoints.calls.CallError` reaches the
         client as the side's form of an error. Raises `bridge.messages.errors.MessageTypeError`.
@@ -250,9 +250,9 @@ class Edge(ABC):
     def carry_parameters(
         self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
     ) -> Callable[[], None]:
-        """Do the side's part for the parameters that rules name, until the returned call; most sides have none.
+        """Share the parameters that the rules name, until the returned function is called; most sides have none.
 
-        Called once `start` was; ``active`` returns whether this worker is the one that joins the network to the hub.
+        Called after `start`; ``active`` returns whether this worker is the one that joins the network to the hub.
         """
         del rules, hub, active
         return lambda: None
@@ -260,39 +260,39 @@ class Edge(ABC):
     def announce(self, record: bytes) -> None:  # noqa: B027 - a side without other Midspan workers has nothing to do
         """Send a record to all Midspan workers on this side's network, also later ones; it replaces the last record.
 
-        Called some five times a second by one thread, with up to some kilobytes. It is a heartbeat, too,
-        so every record is sent, even one that equals the last; records are not queued.
+        Called about five times a second by one thread, with up to some kilobytes. It is also a heartbeat, so every
+        record is sent, even one that equals the last; records are not queued.
         """
 
     def sightings(self) -> Sequence[Sighting]:
-        """The other Midspan workers on this very network, whatever daemon, node or hub they belong to.
+        """Return the other Midspan workers on this network, of any daemon, node or hub.
 
-        One that left in good order, or whose death the side reports, disappears at once; one that may be suspended
-        stays, with an old `heard`. Dead predecessors of this daemon are left out.
+        A worker that left cleanly, or whose death the side reports, disappears at once; one that may be suspended
+        stays, with an old `heard`. Dead predecessors of this daemon are omitted.
         """
         return ()
 
-    def settled(self, since: float) -> bool:  # noqa: ARG002 - there is nobody to be seen
-        """Whether who was here at ``since`` (monotonic) is seen; until then, and while away, nothing crosses."""
+    def settled(self, since: float) -> bool:  # noqa: ARG002 - there are no other workers
+        """Return whether all workers present at ``since`` (monotonic) are known; until then nothing crosses."""
         return True
 
-    def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002 - most sides take every topic
-        """Why a hub topic, named as on the side, has no place there by its nature, else ""; it is left out quietly."""
+    def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002 - most sides accept every topic
+        """Return why the side cannot have a hub topic (by its name there), else ""; it is then omitted silently."""
         return ""
 
     def side_name(self, hub_name: str) -> str:
-        """The side's spelling of a hub topic name."""
+        """Return the side's name of a hub topic."""
         return hub_name
 
     def hub_name(self, side_name: str) -> str:
-        """The legal hub topic name for one of the side's."""
+        """Return the valid hub name of a topic of the side."""
         return side_name
 
-    def is_heard(self, topic: str) -> bool:
-        """Whether another node on the side subscribes to a topic."""
+    def has_subscribers(self, topic: str) -> bool:
+        """Return whether another node on the side subscribes to a topic."""
         return any(e.topic == topic and e.kind is Kind.SUBSCRIPTION for e in self.endpoints())
 
-    def went_on(self, seconds: float) -> None:  # noqa: B027  most have nothing to do
+    def resumed(self, seconds: float) -> None:  # noqa: B027  most have nothing to do
         """Handle a resumed process that was suspended for ``seconds``: the network may consider it dead."""
 
     def details(self) -> dict[str, Any]:

@@ -1,18 +1,18 @@
-"""Elects which of several Midspan workers on one network carries what, so that no message crosses twice.
+"""Elects which of several Midspan workers on one network carries which messages, so that none crosses twice.
 
-Each worker tells the others on its own foreign network, since their hubs may not be joined, what it would carry: a
-claim is first wished for, then held. Two claims conflict where both together would bring a message twice:
+Each worker announces its claims to the others on their common foreign network, since their hubs may not be joined. A
+claim is first requested, then held. Two claims conflict if together they would deliver a message twice:
 
-- the role of a hub on this network (take up what its programs publish, put what the hub's own programs publish) is
-  held by one of the workers whose hubs are joined;
-- what comes from another network X onto this one is carried by one of all workers here whose hub has X. Workers of
-  hubs that are not joined share this network without harm; where both hubs have X too, one of them puts it here.
+- Of the workers whose hubs are joined, one holds the role of the hub on this network: it forwards messages of this
+  network's programs to the hub, and messages of the hub's own programs to this network.
+- Of all workers here whose hub has another network X, one forwards messages from X to this network. Workers of hubs
+  that are not joined share this network without conflict, except for networks X that both hubs have.
 
-A claim is held once every other living worker has answered a record that showed the claim (so nobody takes the same
-one unseen), nobody holds a conflicting one, and none of an older date is wished for. Who holds keeps: a worker that
-returns finds the other one holding. While another worker is seen but has told nothing yet, nothing is held.
+A worker holds a claim once every other living worker has acknowledged a record with the claim, none of them holds a
+conflicting one, and none requests an older one. A held claim stays held, even if an older worker returns. While
+another worker is known but has not announced its claims, no claim becomes held.
 
-This is the policy alone: no clock, thread, or network; `bridge.routing.peer_watch` drives it.
+This module is only the policy, without clock, thread or network; `bridge.routing.peer_watch` drives it.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ PERIOD = 0.2
 """Seconds between two records."""
 
 SILENCE = 1.0
-"""Seconds without a record after which a worker counts as gone."""
+"""Seconds without a record after which a worker counts as dead."""
 
 UNKNOWN = 5.0
-"""Seconds for which a worker that never told anything is waited for."""
+"""Longest time in seconds to wait for the first record of a worker."""
 
 CUT = 1.0
-"""Seconds after which a worker that lives here, but left our hub, counts as one of another hub."""
+"""Seconds after which a worker on this network that left our hub counts as a worker of another hub."""
 
-FOREIGN = "another Midspan worker is on this network that is not understood"
-"""Begins the reason for which none is active where one speaks another version."""
+FOREIGN = "another Midspan worker on this network is incompatible"
+"""Prefix of the reason why no worker is active if one has an incompatible version."""
 
 MAX_RECORD = 1 << 18
 _MAX_NAMES = 10_000
@@ -48,8 +48,8 @@ _MAX_NAMES = 10_000
 class Claim:
     """A claim of a worker to carry something.
 
-    ``since`` is the wall clock's nanoseconds at which the worker first wished for it: the oldest of conflicting claims
-    wins, whatever the clocks say. ``held``: the worker carries it. ``first`` numbers the first record that shows it.
+    ``since`` is the time of its first request (wall clock, ns): the oldest of conflicting claims wins, even if the
+    clocks differ. ``held``: the worker carries it. ``first`` is the number of the first record with the claim.
     """
 
     since: int
@@ -62,12 +62,12 @@ class Record:
     """The record that a worker sends to the others on its network.
 
     Attributes:
-        id: of its hub session.
-        acks: newest record's number of each other worker that it heard.
+        id: id of its hub session.
+        acks: number of the newest record received from each other worker.
         sessions: ids of the Midspan sessions on its hub.
-        process: which process of which machine it is; see `bridge.routing.processes`.
-        role: its claim to its hub's role here, None where it leaves.
-        carries: its claims to other networks, each named by the ids of the workers that are on it.
+        process: name of its process; see `bridge.routing.processes`.
+        role: its claim to its hub's role here, None if it is leaving.
+        carries: its claims to other networks; each network is identified by the ids of its workers.
     """
 
     id: str
@@ -80,7 +80,7 @@ class Record:
     carries: Mapping[frozenset[str], Claim]
 
     def encode(self) -> bytes:
-        """The record as JSON."""
+        """Encode the record as JSON."""
         return json.dumps({
             "wire": WIRE, "id": self.id, "daemon": self.daemon, "seq": self.seq, "acks": dict(self.acks),
             "crew": sorted(self.sessions), "process": self.process, "role": self.role and _words(self.role),
@@ -89,7 +89,7 @@ class Record:
 
     @classmethod
     def decode(cls, data: bytes) -> Record | None:
-        """Read a record; None if the bytes are none."""
+        """Decode a record; return None for invalid bytes."""
         try:
             tree = None if cls.foreign(data) or len(data) > MAX_RECORD else json.loads(data)
             match tree:
@@ -107,7 +107,7 @@ class Record:
 
     @staticmethod
     def foreign(data: bytes) -> str:
-        """Why what another worker tells cannot be understood, "" where it is no matter of its version."""
+        """Return why a record has an incompatible version, "" if its version is compatible."""
         try:
             tree = json.loads(data) if len(data) <= MAX_RECORD else None
         except (ValueError, RecursionError):
@@ -116,21 +116,21 @@ class Record:
 
     @property
     def first(self) -> int:
-        """The first record that shows all of its claims."""
+        """Number of the first record with all of its claims."""
         claims = [*self.carries.values(), *([self.role] if self.role else [])]
         return max((c.first for c in claims), default=0)
 
     def same(self, other: Record | None) -> bool:
-        """Whether a record differs from another one in its number and acknowledgements at most."""
+        """Whether a record equals another one except for its number and acknowledgements."""
         return other is not None and replace(self, seq=0, acks={}) == replace(other, seq=0, acks={})
 
 
 @dataclass(frozen=True, slots=True)
 class HubView:
-    """The hub, as the election needs it.
+    """The hub's state, as far as the election needs it.
 
-    ``sessions`` are the ids of its Midspan sessions, ours included; ``networks`` the foreign networks that it has, each
-    by the ids of its workers (`join`); ``settled``: who is on the hub would be seen by now.
+    ``sessions`` are the ids of its Midspan sessions, ours included; ``networks`` its foreign networks, each given by
+    the ids of its workers (`join`); ``settled``: all sessions on the hub are known.
     """
 
     sessions: frozenset[str] = frozenset()
@@ -143,12 +143,12 @@ class Outcome:
     """The state of the election for this worker.
 
     Attributes:
-        term: a number that changes when what it held was lost: routes are then made anew.
+        term: a number that changes when held claims were lost; routes are then created again.
         active: whether it holds its hub's role on this network.
-        carried: ids of the hub sessions whose messages it puts on this network.
-        carriers: the daemon that puts a session's messages here instead, by session.
-        holder: the daemon that holds the role instead, "" where none does.
-        waiting: why nobody is known to hold it yet.
+        carried: ids of the hub sessions whose messages it forwards to this network.
+        carriers: by session, the daemon that forwards its messages here instead.
+        holder: the daemon that holds the role instead, "" if none does.
+        waiting: why no worker is known to hold it yet.
         members: ids of all living workers on this network, this one among them.
     """
 
@@ -162,14 +162,14 @@ class Outcome:
 
     @property
     def standing_by(self) -> str:
-        """The daemons that are active on this network in our stead, "" where we carry anything."""
+        """The daemons that are active on this network instead, "" if this worker carries anything."""
         if not self.active:
             return self.holder
         return "" if self.carried else ", ".join(sorted(set(self.carriers.values())))
 
 
 class Election:
-    """One worker's part in the election on one network; ``gone`` knows that a record's process has ended."""
+    """One worker's part in the election on one network; ``gone`` returns whether a record's process has exited."""
 
     def __init__(
         self, me: str, daemon: str, process: str = "", gone: Callable[[Record], bool] = lambda _: False
@@ -185,9 +185,9 @@ class Election:
         self.outcome = Outcome()
 
     def lapse(self, now: float, *, same_term: bool = False) -> None:
-        """This worker stood still, and others may have taken its claims: wish for them again, with the same dates.
+        """Request all claims again, with their dates: this worker was suspended, and others may hold them now.
 
-        ``same_term``: the term goes on unless another worker is met before the role is held again.
+        ``same_term``: keep the term, unless another worker appears before the role is held again.
         """
         self._lapsed = now
         if self._role is not None and self._role.held:
@@ -203,10 +203,10 @@ class Election:
     def turn(
         self, now: float, wall_ns: int, sightings: Sequence[Sighting], hub: HubView, *, settled: bool
     ) -> tuple[Record, bool]:
-        """Decide by what is seen now; returns the record to send, and whether others wait for it.
+        """Decide by the current sightings; return the record to send, and whether it is urgent.
 
-        ``now`` is of the sightings' monotonic clock, ``wall_ns`` of the wall clock; ``settled``: every worker that is
-        on the network would be seen by now.
+        ``now`` is on the sightings' monotonic clock, ``wall_ns`` on the wall clock; ``settled``: all workers on the
+        network are known.
         """
         others, waiting = self._living(now, sightings)
         joined = [o for o in others if self._joined(o, hub, now)]
@@ -224,19 +224,19 @@ class Election:
         return record, urgent
 
     def sent(self, record: Record) -> None:
-        """The record was sent."""
+        """Store the record as sent."""
         self._last_sent = record
 
     def leave(self) -> Record:
-        """The last record: nothing is held any more."""
+        """Return the last record, which releases all claims."""
         self._seq += 1
         self._role, self._carries = None, {}
         return Record(self._me, self._daemon, self._seq, {}, frozenset(), self._process, None, {})
 
-    # -- who is there --------------------------------------------------------------------------------------------------
+    # -- other workers -------------------------------------------------------------------------------------------------
 
     def _living(self, now: float, sightings: Sequence[Sighting]) -> tuple[list[Record], str]:
-        """The others that live, and why it is not known yet what they carry."""
+        """Return the other living workers, and why their claims are not known yet."""
         waiting = ""
         decoded: dict[str, tuple[bytes, Record | None]] = {}
         living: dict[str, Record] = {}
@@ -244,11 +244,11 @@ class Election:
             record = self._decode(sighting, decoded)
             age = now - max(sighting.heard, self._lapsed)
             if record is None:
-                why = "" if sighting.record is None else Record.foreign(sighting.record)
-                if why and age < SILENCE:
-                    waiting = f"{FOREIGN}, and {why}"
+                reason = "" if sighting.record is None else Record.foreign(sighting.record)
+                if reason and age < SILENCE:
+                    waiting = f"{FOREIGN}, and {reason}"
                 elif age < UNKNOWN and not waiting:
-                    waiting = "another Midspan worker on this network has not told yet what it carries"
+                    waiting = "another Midspan worker on this network has not announced its claims yet"
             elif record.id != self._me and record.role is not None and age < SILENCE and not self._gone(record):
                 living[record.id] = record
         self._decoded = decoded
@@ -264,7 +264,7 @@ class Election:
         return known[1]
 
     def _joined(self, other: Record, hub: HubView, now: float) -> bool:
-        """Whether another one's hub is ours; for a moment also where it has just left it."""
+        """Whether another worker shares our hub, or left it only a moment ago."""
         if other.id in hub.sessions or self._me in other.sessions:
             self._met[other.id] = now
         return now - self._met.get(other.id, float("-inf")) < CUT
@@ -272,7 +272,7 @@ class Election:
     def _acked(self, other: Record) -> int:
         return self._last_sent.acks.get(other.id, 0) if self._last_sent is not None else 0
 
-    # -- who carries what ----------------------------------------------------------------------------------------------
+    # -- claims --------------------------------------------------------------------------------------------------------
 
     def _elect_role(self, joined: Sequence[Record], others: Sequence[Record], wall_ns: int, *, ready: bool) -> None:
         role = self._role or Claim(wall_ns, held=False, first=self._seq + 1)
@@ -284,7 +284,7 @@ class Election:
     def _elect_networks(
         self, networks: Sequence[frozenset[str]], members: frozenset[str], others: Sequence[Record], wall_ns: int
     ) -> dict[str, str]:
-        """Elect for each network that the hub has; who carries the messages of its sessions instead of us."""
+        """Elect for each of the hub's networks; return the worker that carries its sessions' messages instead of us."""
         before, self._carries = self._carries, {}
         carriers: dict[str, str] = {}
         if self._role is None or not self._role.held:
@@ -307,7 +307,7 @@ class Election:
     ) -> Claim:
         better = [c for id_, c in rivals if (c.since, id_) < (claim.since, self._me)]
         if claim.held:
-            # Two of them hold where networks or hubs that were apart have met.
+            # Two workers can hold one claim after separate networks or hubs were joined.
             lost = any(c.held for c in better)
             return Claim(wall_ns, held=False, first=self._seq + 1) if lost else claim
         if not ready or better or any(c.held for _, c in rivals):
@@ -344,16 +344,16 @@ class Election:
 
 
 def join(members: Mapping[str, frozenset[str]]) -> list[frozenset[str]]:
-    """The networks behind a hub's sessions, from the members that each session announces of its network.
+    """Return the networks of a hub's sessions, given the members of its network that each session announces.
 
-    Sessions of one network tell sets that overlap: one of two workers that met knows the other.
+    The sets of two sessions on the same network overlap, as at least one of the two workers knows the other.
     """
-    found: list[frozenset[str]] = []
-    for session, told in members.items():
-        network = told | {session}
-        apart = [other for other in found if not other & network]
-        found = [*apart, network.union(*(other for other in found if other & network))]
-    return found
+    networks: list[frozenset[str]] = []
+    for session, announced in members.items():
+        network = announced | {session}
+        apart = [other for other in networks if not other & network]
+        networks = [*apart, network.union(*(other for other in networks if other & network))]
+    return networks
 
 
 def _words(claim: Claim) -> list[int]:

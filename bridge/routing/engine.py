@@ -52,9 +52,9 @@ _ENDS = {
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """State of an engine; ``network`` is None while away, ``rate`` messages and calls a second over all routes.
+    """State of an engine; ``network`` is None while unavailable, ``rate`` messages and calls per second of all routes.
 
-    ``standing_by`` names the daemons that are active instead, ``waiting`` is why nothing crosses yet; otherwise "".
+    ``standing_by`` names the daemons that are active instead, ``waiting`` is the reason why nothing crosses yet.
     """
 
     network: str | None
@@ -96,7 +96,7 @@ class Engine:
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._lock = threading.Lock()
-        self._stall_detector = StallDetector(edge.went_on)
+        self._stall_detector = StallDetector(edge.resumed)
         self._beat = time.monotonic()
         self._step = StepWatch(_STEP_SECONDS)
         self._decisions: list[RouteDecision] = []
@@ -205,8 +205,8 @@ class Engine:
             self._change_network(network)
         rules, decisions, outcome = self._rules, list[RouteDecision](), self._peers.outcome
         if not outcome.active or outcome.term != self._term:
-            why = f"standing by: {outcome.holder} is active on this network" if outcome.holder else outcome.waiting
-            self._stand_by(decisions, why)
+            reason = f"on standby: {outcome.holder} is active on this network" if outcome.holder else outcome.waiting
+            self._stand_by(decisions, reason)
             self._term = outcome.term
         self._announce_members(outcome.members if outcome.active else frozenset())
         if outcome.active:
@@ -220,13 +220,13 @@ class Engine:
         endpoints = self.edge.endpoints()
         for routes in self._route_sets:
             if self.edge.services or routes.kind == "topic":
-                routes.rest(endpoints, decisions, why)
+                routes.stand_by(endpoints, decisions, why)
 
     def _follow(self, rules: RuleSet, decisions: list[RouteDecision], outcome: Outcome, network: str | None) -> None:
         """Bring the routes in line with both graphs, the rules and the election."""
         endpoints = self.edge.endpoints()
-        self._services_to_hub.leave(endpoints)
-        self._services_to_side.leave()
+        self._services_to_hub.close_departed(endpoints)
+        self._services_to_side.close_departed()
         if network is not None:
             entry = EntryGate(rules, self.edge.side, endpoints)
             self._topics_to_hub.follow(entry, endpoints, decisions)
@@ -299,7 +299,7 @@ class Engine:
         graph = self.hub.graph
         if not graph.refused:
             return []
-        return [f"{graph.refused} liveliness tokens on the hub were left out, the last one: {graph.trouble}"]
+        return [f"{graph.refused} liveliness tokens on the hub were ignored, the last one: {graph.trouble}"]
 
     def _left_out(self) -> list[str]:
         return sorted({
@@ -327,6 +327,6 @@ class Engine:
                 ends[endpoint.kind, endpoint.topic].append(endpoint)
         for (kind, topic_name), endpoints in ends.items():
             of, text = _ENDS[kind]
-            why = text.format(", ".join(sorted({e.node for e in endpoints})))
-            decisions.append(RouteDecision.one_ended(topic_name, endpoints[0].type, why, of).as_dict())
+            reason = text.format(", ".join(sorted({e.node for e in endpoints})))
+            decisions.append(RouteDecision.one_ended(topic_name, endpoints[0].type, reason, of).as_dict())
         return decisions

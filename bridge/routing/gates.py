@@ -1,12 +1,13 @@
-"""The gates between a side and the hub: the rules where something enters or leaves, and the loop guard.
+"""The gates between a side and the hub: the rules at entry and exit, and the loop guard.
 
-No transit: what any Midspan made on a foreign network is never taken up from it again (each edge tells by marks on that
-network), and what came from a network is never put onto it again. While it is unknown who made an endpoint, nothing
-crosses. Of several workers that could bring the same message to a network one does; see `bridge.routing.election`.
+Messages never loop: endpoints that any Midspan created on a foreign network are never routed from it (each edge
+detects them by marks on that network), and messages from a network are never sent back to it. Nothing crosses while
+the origin of an endpoint is unknown. If several workers could carry the same message, one does; see
+`bridge.routing.election`.
 
-The rules see an action whole: by its own name, by its own type, and a new name moves all five of its topics and
-services. Its cancel service and its status topic have the same type in every action, so that the action's type is
-taken from the other three.
+The rules treat an action as a whole, by its own name and type; a new name applies to all five of its topics and
+services. The cancel service and the status topic have the same type in every action, so the action's type is derived
+from the other three.
 """
 
 from __future__ import annotations
@@ -25,22 +26,22 @@ from bridge.routing.rules import RoutePolicy, RuleSet
 
 
 def may_leave(endpoint: HubEndpoint, edge: Edge) -> bool:
-    """Whether a hub publisher's messages may be published on the edge's network."""
+    """Return whether a hub publisher's messages may be published on the edge's network."""
     if endpoint.own or endpoint.pending or endpoint.topic.startswith(TAPS):
         return False
     return endpoint.origin is None or not edge.is_own_network(endpoint.origin)
 
 
 def may_carry(endpoint: HubEndpoint, outcome: Outcome) -> bool:
-    """Whether it is this worker that puts a hub publisher's messages on its network, and not another one there."""
+    """Return whether this worker, rather than another one, carries a hub publisher's messages to its network."""
     return outcome.active and (endpoint.origin is None or endpoint.zid in outcome.carried)
 
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """A topic, service or action that the rules decide on: its name, and its type as ROS 2 spells it, "" while unknown.
+    """A topic, service or action that the rules decide on: its name, and its ROS 2 type, "" while unknown.
 
-    Of a part of an action both are the action's; ``part`` is which: ``send_goal``, ``status`` ...
+    For a part of an action, these are the action's; ``part`` is the part: ``send_goal``, ``status``, ...
     """
 
     kind: Literal["topic", "service", "action"]
@@ -54,7 +55,7 @@ class Subject:
         return bool(self.part) and not self.type_name
 
     def part_name(self, name: str) -> str:
-        """The topic's or service's name where the whole is called ``name``."""
+        """Return the topic's or service's name, given the name of the whole."""
         return part_name(name, self.part) if self.part else name
 
 
@@ -70,19 +71,19 @@ class GraphActions:
                 self._types[action] = type_name.removesuffix(ending)
 
     def subject(self, kind: Literal["topic", "service"], name: str, type_name: str) -> Subject:
-        """The subject that a topic or a service is, or belongs to."""
+        """Return the subject of a topic or service: itself, or its action."""
         action, part = split(name)
         if not part or not (COMMON.get(part) == type_name or type_name.endswith(ENDINGS.get(part, "/"))):
-            return Subject(kind, name, type_name)  # also what is only called like a part of an action
+            return Subject(kind, name, type_name)  # also a topic that only has the name of a part of an action
         return Subject("action", action, self._types.get(action, ""), part)
 
 
 Crosses = Literal["topic", "service"]
-_UNKNOWN = "the other parts of its action are not seen, so its type is not known"
+_UNKNOWN = "the other parts of its action are missing, so its type is unknown"
 
 
 class EntryGate:
-    """From the side into the hub."""
+    """The gate from the side into the hub."""
 
     def __init__(self, rules: RuleSet, side: str, endpoints: Iterable[Endpoint]) -> None:
         self._rules, self._side = rules, side
@@ -90,7 +91,7 @@ class EntryGate:
         self._actions = GraphActions((e.topic, _ros2_name("topic", e.type)) for e in offered)
 
     def decide(self, kind: Crosses, name: str, type_name: str) -> RoutePolicy:
-        """The policy of the rules; ``type_name`` as the side spells it."""
+        """Return the policy of the rules; ``type_name`` as the side spells it."""
         subject = self._actions.subject(kind, name, _ros2_name(kind, type_name))
         if subject.unknown:
             return RoutePolicy(allowed=False, why=_UNKNOWN, name=name, settled=True)
@@ -98,7 +99,7 @@ class EntryGate:
 
 
 class ExitGate:
-    """From the hub to the side; what comes by another daemon than ``daemon`` was let in by that one's rules."""
+    """The gate from the hub to the side; traffic of daemons other than ``daemon`` has passed their rules."""
 
     def __init__(self, rules: RuleSet, side: str, daemon: str, endpoints: Iterable[HubEndpoint]) -> None:
         self._rules, self._side, self._daemon = rules, side, daemon
@@ -106,7 +107,7 @@ class ExitGate:
         self._actions = GraphActions((e.topic, e.type_name) for e in offered)
 
     def decide(self, kind: Crosses, origin: Origin | None, name: str, type_name: str) -> RoutePolicy:
-        """The policy of the rules for what came from ``origin``."""
+        """Return the policy of the rules for traffic from ``origin``."""
         subject = self._actions.subject(kind, name, type_name)
         if subject.unknown:
             return RoutePolicy(allowed=False, why=_UNKNOWN, name=name, settled=True)
@@ -116,7 +117,7 @@ class ExitGate:
 
 
 def _whole(policy: RoutePolicy, subject: Subject) -> RoutePolicy:
-    """The policy for a part of an action: of a rule only the new name applies."""
+    """Return the policy for a part of an action: only the rule's new name applies."""
     if subject.kind == "topic":
         return policy
     name = subject.part_name(policy.name)
@@ -124,7 +125,7 @@ def _whole(policy: RoutePolicy, subject: Subject) -> RoutePolicy:
 
 
 def _ros2_name(kind: Crosses, type_name: str) -> str:
-    """A type's ROS 2 spelling as far as the name alone tells, for the rules' ``type`` globs."""
+    """Return a type's ROS 2 spelling, derived only from its name, for the rules' ``type`` globs."""
     package, _, name = type_name.partition("/")
     middle = "srv" if kind == "service" else "msg"
     return type_name if "/" in name or not name else f"{package}/{middle}/{name}"

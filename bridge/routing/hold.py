@@ -1,8 +1,8 @@
-"""Keeps a planner's velocities from the base while the gateway wants the robot to stand, whatever the planner does.
+"""Blocks a planner's velocities while the gateway wants the robot to stand.
 
-The gateway says so on ``/navigation/hold`` (``std_msgs/Bool``, latched): a stop or a pause that the planner has not
-confirmed. The worker of the planner's side obeys it where the velocities enter the hub, so they reach no other side,
-and no module. A worker that comes up while the gateway is there carries none before it has heard it.
+The gateway publishes true on ``/navigation/hold`` (``std_msgs/Bool``, latched) for a stop or pause that the planner has
+not confirmed. The worker of the planner's side then blocks the velocities at their entry into the hub, so they reach no
+other side and no module. A worker that starts while a gateway runs blocks them until it receives this topic.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED
 
 _DATA = 4
-"""Where the value stands: behind the encapsulation header of CDR."""
+"""Offset of the value, after the encapsulation header of CDR."""
 _MOST = 100
-"""Gateways of which it is remembered what they said."""
+"""Maximum number of gateways whose last value is stored."""
 
 
 def held_topics(section: NavigationSection, side: str) -> frozenset[str]:
-    """The hub's topics of velocities that planners of a side command on."""
+    """Return the hub's velocity topics on which planners of a side publish."""
     return frozenset(section.velocity for planner in section.others.values() if planner.side == side)
 
 
 class Hold:
-    """Follows the holds that gateways ask for; ``topics`` of the hub are held, and may change.
+    """Follows the holds that gateways request for ``topics`` of the hub, which may change.
 
-    ``held``: nothing of those topics may enter the hub now. It is quick enough to be asked for each message.
+    ``held``: messages of those topics may not enter the hub now. Fast enough for a check at each message.
     """
 
     def __init__(self, hub: Hub, topics: Collection[str]) -> None:
@@ -39,9 +39,9 @@ class Hold:
         self._said: dict[bytes, bool] = {}
         self._there: set[bytes] = set()
         self._lock = threading.Lock()
-        self._unwatch = hub.graph.watch(self._look)
+        self._unwatch = hub.graph.watch(self._refresh)
         self._subscription = hub.subscription(HOLD, HOLD_TYPE, "*", LATCHED, self._received)
-        self._look()
+        self._refresh()
 
     def _received(self, sample: HubSample) -> None:
         data = sample.data()
@@ -49,16 +49,16 @@ class Hold:
             self._said[sample.gid] = len(data) <= _DATA or bool(data[_DATA])
             while len(self._said) > _MOST:
                 del self._said[next(iter(self._said))]
-        self._look()
+        self._refresh()
 
-    def _look(self) -> None:
-        """A gateway that has said nothing yet counts as holding; one that has gone does not."""
-        there = {publisher.gid for publisher in self._graph.publishers(HOLD)}
+    def _refresh(self) -> None:
+        """Update ``held``: a gateway without a message yet counts as holding, one that has left does not."""
+        present = {publisher.gid for publisher in self._graph.publishers(HOLD)}
         with self._lock:
-            for gone in self._there - there:  # what a gateway says may come before the graph knows it
-                self._said.pop(gone, None)
-            self._there = there
-            self.held = any(self._said.get(gid, True) for gid in there)
+            for departed in self._there - present:  # what a gateway says may come before the graph knows it
+                self._said.pop(departed, None)
+            self._there = present
+            self.held = any(self._said.get(gid, True) for gid in present)
 
     def close(self) -> None:
         """Stop following the gateways."""

@@ -30,14 +30,14 @@ from bridge.routing.stall import AgeGate
 _log = logging.getLogger(__name__)
 
 PENDING_SECONDS = 2.0
-"""How long a message of a publisher that is not known to the route waits for it."""
+"""Seconds for which a message from an unknown publisher is held."""
 
 UNHEARD = 10.0
-"""Seconds without a subscriber on the side after which a quick stream stays on the hub."""
+"""Seconds without a subscriber on the side after which a fast stream stays on the hub."""
 
 QUICK = 5.0
-"""Messages a second from which a stream counts as quick: a new subscriber misses a moment of it anyway. Rarer
-messages may be events, which a new subscriber must not miss."""
+"""Messages per second from which a stream counts as fast: a new subscriber misses some of them anyway. Rarer messages
+may be events, which a new subscriber must not miss."""
 
 _STATIC = "static transforms"
 
@@ -54,8 +54,8 @@ class HubToSideRoute(TopicRoute):
 
     Each latched hub publisher stays a separate source on the side. Samples of publishers that the engine did not name
     (from this same network, or not yet known) do not pass. ``origin`` is that of the topic's first publisher, None for
-    a native program of the hub. A quick stream without a subscriber on the side stays on the hub. ``pending``:
-    messages that wait until their publisher is known.
+    a native program of the hub. A fast stream without a subscriber on the side stays on the hub. ``pending``: messages
+    that are held until their publisher is known.
     """
 
     direction = "out"
@@ -98,7 +98,7 @@ class HubToSideRoute(TopicRoute):
         """
         followed = (allowed, refused, waiting)
         if followed != self._followed:
-            self._followed = ()  # until all of it is done
+            self._followed = ()  # in case the update fails
             self._follow(allowed, refused, waiting)
             self._followed = followed
         self._follow_listeners(allowed)
@@ -109,10 +109,10 @@ class HubToSideRoute(TopicRoute):
         self, allowed: Sequence[HubEndpoint], refused: Sequence[HubEndpoint], waiting: Sequence[HubEndpoint]
     ) -> None:
         current = {e.gid: e for e in allowed}
-        for gone in [g for g in self._sources if g not in current]:
-            source = self._sources.pop(gone)
+        for departed in [g for g in self._sources if g not in current]:
+            source = self._sources.pop(departed)
             if source.latched and self._latched is not None and self._static is None:
-                self._latched.forget(gone.hex())
+                self._latched.forget(departed.hex())
         for gid, endpoint in current.items():
             if gid not in self._sources:
                 self._sources[gid] = _Source(endpoint, self.latches(endpoint.qos), AgeGate())
@@ -125,19 +125,19 @@ class HubToSideRoute(TopicRoute):
             self._subscribe(combined_qos([e.qos for e in allowed]))
 
     def _follow_listeners(self, allowed: Sequence[HubEndpoint]) -> None:
-        """Leave a quick stream on the hub without subscribers, and subscribe with the first one."""
+        """Keep a fast stream on the hub while it has no subscriber on the side; subscribe with the first one."""
         volatile = self._volatile if self._priority is Priority.STREAM and self._latched is None else None
-        before, heard = self._heard, volatile is None or volatile.heard
-        self._heard = heard
+        before, wanted = self._heard, volatile is None or volatile.heard
+        self._heard = wanted
         seconds, messages = time.monotonic() - self._since, self.counters.messages - self._messages_then
         if before or seconds > UNHEARD:  # a subscriber of the last check may have left just now
             self._since, self._messages_then = time.monotonic(), self.counters.messages
-        if heard and self._unheard:
+        if wanted and self._unheard:
             self._unheard = False
             if allowed:
                 self._subscribe(combined_qos([e.qos for e in allowed]))
         elif (
-            not heard
+            not wanted
             and not before
             and seconds > UNHEARD
             and messages > QUICK * seconds
@@ -163,8 +163,8 @@ class HubToSideRoute(TopicRoute):
             depth = 1 if self._static else max(s.endpoint.qos.depth for s in self._sources.values() if s.latched)
             self._latched = self._advertise_as(Durability.TRANSIENT_LOCAL, depth)
         if self._volatile is None and any(not s.latched for s in self._sources.values()):
-            told = max(s.endpoint.qos.depth for s in self._sources.values() if not s.latched)
-            depth = max(stream_depth(self.conversion.source.definition), told)
+            reported = max(s.endpoint.qos.depth for s in self._sources.values() if not s.latched)
+            depth = max(stream_depth(self.conversion.source.definition), reported)
             self._volatile = self._advertise_as(Durability.VOLATILE, 1 if self._priority is Priority.COMMAND else depth)
 
     def _advertise_as(self, durability: Durability, depth: int) -> EdgePublisher:
@@ -186,7 +186,7 @@ class HubToSideRoute(TopicRoute):
         )
 
     def _refused_by_hub(self, reason: str, why: str) -> None:
-        """A sample without a fitting attachment, or too large; runs on zenoh's receiving thread."""
+        """Count a sample without a valid attachment, or too large; runs on zenoh's receiving thread."""
         self.bad(why, reason)
 
     def received(self, sample: HubSample) -> None:
@@ -237,7 +237,7 @@ class HubToSideRoute(TopicRoute):
         return self._natives.get(sample.zid) if sample.zid else next(iter(self._natives.values()), None)
 
     def handle(self, sample: HubSample) -> None:
-        """Publish a message whose turn it is on the side, or have it wait until its publisher is known."""
+        """Publish a message on the side, or hold it until its publisher is known."""
         source = self._sources.get(sample.gid) or self._source_of(sample)
         if source is not None:
             self._publish(sample, source)
@@ -260,7 +260,7 @@ class HubToSideRoute(TopicRoute):
     def _release_latched(self) -> None:
         if self._lease.over:
             return
-        for waiting in self._waiting_latched.take(lambda w: w.source not in self._waiting):
+        for waiting in self._waiting_latched.pop_matching(lambda w: w.source not in self._waiting):
             source = self._sources.get(waiting.message.gid)
             if source is not None:
                 with self._publishing:
@@ -268,7 +268,7 @@ class HubToSideRoute(TopicRoute):
 
     def _retry_pending(self) -> None:
         before = time.monotonic() - PENDING_SECONDS
-        for pending in self.pending.take(lambda _: True):
+        for pending in self.pending.pop_matching(lambda _: True):
             sample = pending.message
             source = self._source_of(sample)
             endpoint = self._waiting.get(sample.gid)
@@ -311,7 +311,7 @@ class HubToSideRoute(TopicRoute):
             self.bad(str(err))
             return
         self.counters.crossed(len(data))
-        # A message cached for late joiners does not show how long messages take. The system clock may be set meanwhile.
+        # The age of a message cached for late joiners is not a latency. The system clock may be set meanwhile.
         latency = time.time_ns() - sample.source_time_ns
         if time.monotonic() - latency / 1e9 >= self._subscribed:
             self.counters.latency(latency)
@@ -320,8 +320,8 @@ class HubToSideRoute(TopicRoute):
         timeout = self.policy.timeout
         return self._context.stall_detector.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout
 
-    def close(self, why: str = "") -> None:  # noqa: ARG002 - nobody waits for an answer
-        """Give back everything on both networks."""
+    def close(self, why: str = "") -> None:  # noqa: ARG002 - only pending calls need the reason
+        """Close the endpoints on both networks."""
         self._leave_hub()
         for publisher in (self._latched, self._volatile):
             if publisher is not None:
@@ -332,14 +332,14 @@ class HubToSideRoute(TopicRoute):
             self._queued_bytes = 0
 
     def status(self) -> dict[str, Any]:
-        """The route as it stands in the status document."""
-        way, by_lane = ("", ""), self._by_lane_before
+        """Return the route for the status document."""
+        transport, by_lane = ("", ""), self._by_lane_before
         if (subscription := self._subscription) is not None:
             self.counters.missed(self._lost_before + subscription.lost, subscription.losses)
-            way, by_lane = (subscription.way, subscription.why), by_lane + subscription.by_lane
+            transport, by_lane = (subscription.way, subscription.why), by_lane + subscription.by_lane
         publishers = [p for p in (self._latched, self._volatile) if p is not None]
         self.counters.drops["slow"] = max((p.dropped for p in publishers), default=0)
-        row = self.describe(len(self._sources), way, by_lane)
+        row = self.describe(len(self._sources), transport, by_lane)
         return {**row, "state": "unheard"} if self._unheard and row["state"] == "active" else row
 
 
@@ -349,16 +349,16 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
     direction = "out"
     _outcome = Outcome()
 
-    def found(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # noqa: ARG002 - the hub's graph counts
-        """Name and type of each topic of the hub that may leave it to this side."""
+    def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # noqa: ARG002 - the hub's graph counts
+        """Return name and type of each topic of the hub that may leave it to this side."""
         publishers = self._context.hub.graph.publishers()
         return {(e.topic, e.type_name) for e in publishers if may_leave(e, self._context.edge)}
 
     def follow(self, gate: ExitGate, decisions: list[RouteDecision], outcome: Outcome) -> None:
-        """Bring the routes in line with the hub's graph, the rules and the election; one decision for each topic."""
+        """Update the routes for the hub's graph, the rules and the election; append one decision for each topic."""
         self._outcome = outcome
         groups = hub_groups(self._context.hub.graph.publishers())
-        # What is gone makes room first: a side may have one type per topic.
+        # Close ended routes first: a side may have one type per topic.
         self._end([k for k in self._routes if k[0] not in groups], gate)
         live: set[tuple[RouteKey, str]] = set()
         for key, endpoints in groups.items():

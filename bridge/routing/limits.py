@@ -12,13 +12,13 @@ COMMAND_TYPES = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistSt
 """Types that command a velocity."""
 
 COMMAND_NAME = re.compile(r"(^|[/_])(cmd|command)", re.IGNORECASE)
-"""Names of topics that command, as far as a name tells."""
+"""Topic names that imply a velocity command."""
 
 
 class Priority(Enum):
     """The class of a route.
 
-    STATE is kept until delivered; COMMAND is newest only, never latched or delivered late; STREAM drops its oldest.
+    STATE is queued until delivered; COMMAND is newest only, never latched or delivered late; STREAM drops its oldest.
     """
 
     STATE = "state"
@@ -27,21 +27,21 @@ class Priority(Enum):
 
 
 def default_priority(topic: str, type_name: str, *, latched: bool) -> Priority:
-    """The class of a topic that no rule names: velocity commands by type and name, latched topics as state."""
+    """Return the class of a topic without a rule: velocity commands by type and name, latched topics as state."""
     if type_name in COMMAND_TYPES and COMMAND_NAME.search(topic):
         return Priority.COMMAND
     return Priority.STATE if latched else Priority.STREAM
 
 
 _ARREARS = 0.1
-"""Seconds of silence that are made up for: sources jitter, and come in batches where a machine is busy."""
+"""Seconds of silence that are compensated: sources jitter, and send bursts on a busy machine."""
 
 
 class RateLimit:
-    """Lets at most ``rate`` messages a second through; the others are to be dropped.
+    """Passes at most ``rate`` messages per second; the caller drops the others.
 
-    The mean of a source that jitters is met: what a short silence left over is let through afterwards, but never two
-    messages within half a period.
+    A jittering source reaches the mean rate: messages after a short silence pass earlier, but never two within half a
+    period.
     """
 
     __slots__ = ("_due", "_gap", "_least", "_period")
@@ -53,7 +53,7 @@ class RateLimit:
         self._gap = 0.0
 
     def passes(self) -> bool:
-        """Whether a message that arrives now may pass."""
+        """Return whether a message that arrives now may pass."""
         now = time.monotonic()
         if now < self._due or now < self._gap:
             return False
@@ -63,33 +63,33 @@ class RateLimit:
 
 
 QUEUE_DEPTH = {Priority.COMMAND: 1, Priority.STATE: 1000, Priority.STREAM: 1000}
-"""Messages that wait for a side at most, where no rule says otherwise."""
+"""Depth of a route's queue to the side, unless a rule sets it."""
 
 STREAM_DEPTH = 1000
-"""History of the bridge's own endpoints on a stream at least, so that a burst finds room."""
+"""Minimum history depth of the bridge's endpoints on a stream, to absorb bursts."""
 
 BULK_DEPTH = 50
-"""The same for types that carry bytes without end, as images, clouds and maps do."""
+"""The same for types with unbounded byte arrays, such as images, clouds and maps."""
 
 BULK = 64 * 1024
-"""Bytes from which a message is carried by other threads than small ones, so that it delays none of them."""
+"""Size in bytes from which separate threads carry a message, so that it does not delay small ones."""
 
 QUEUE_BYTES = 64 * 1024 * 1024
-"""Bytes that wait in one route's queue at most, but for the newest message."""
+"""Maximum bytes in one route's queue, without the newest message."""
 
 MAX_PENDING = 64
-"""Messages that wait at most for their publisher to be known; the same room of bytes."""
+"""Maximum number of messages held for an unknown publisher; the limit in bytes is the same as that of a queue."""
 
 _BYTES = re.compile(r"^[ \t]*(?:u?int8|byte|char|octet)\[\][ \t]", re.MULTILINE)
 
 
 def stream_depth(definition: str) -> int:
-    """History of the bridge's own endpoints on a stream of a type, given by its full definition."""
+    """Return the history depth of the bridge's endpoints for a stream of a type, given by its full definition."""
     return BULK_DEPTH if _BYTES.search(definition) else STREAM_DEPTH
 
 
 def combined_qos(qualities: list[Qos]) -> Qos:
-    """The QoS of a subscription to several publishers: best effort if any of them is, latched if any is."""
+    """Return the QoS of a subscription to several publishers: best effort if any of them is, latched if any is."""
     best_effort = any(q.reliability is Reliability.BEST_EFFORT for q in qualities)
     latched = [q for q in qualities if q.latched]
     return Qos(
@@ -100,5 +100,5 @@ def combined_qos(qualities: list[Qos]) -> Qos:
 
 
 def qos_text(qos: Qos) -> str:
-    """QoS for people, as ``reliable transient_local 1``."""
+    """Format a QoS for people, as ``reliable transient_local 1``."""
     return f"{qos.reliability.name.lower()} {qos.durability.name.lower()} {qos.depth}"

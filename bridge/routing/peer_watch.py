@@ -48,10 +48,10 @@ ALONE = 1.5
 """The same without other workers on the network: a worker that joins meanwhile waits for longer."""
 
 _ALONE_PERIOD = 0.4
-"""Seconds between two turns if no other worker is known; the first one that joins wakes the thread at once."""
+"""Seconds between two rounds if no other worker is known; the first one that joins wakes the thread at once."""
 
 _TURN_SECONDS = 3.0
-"""Seconds without progress after which a turn hangs."""
+"""Seconds without progress after which a round hangs."""
 
 _PAUSE = 0.02
 _HUB_LINKED = 1.0
@@ -98,7 +98,7 @@ class PeerWatch:
         self._thread.start()
 
     def wake(self) -> None:
-        """Run a turn soon. May be called from any thread."""
+        """Run a round soon. May be called from any thread."""
         self._wake.set()
 
     def stop(self) -> None:
@@ -130,11 +130,11 @@ class PeerWatch:
                 self._stopping.wait(_PAUSE)
 
     def turn(self) -> None:
-        """Read the others' records, announce the own one, and decide; raises `HubError` if the hub is closed."""
+        """Read the others' records, announce this worker's, and decide; raises `HubError` if the hub is closed."""
         now = time.monotonic()
         if self._election.outcome.active and self.lease.over:
             hang = now - self._turned
-            _log.warning("%s: stood still for %.1f s; checking for another active worker", self._edge.side, hang)
+            _log.warning("%s: suspended for %.1f s; checking for another active worker", self._edge.side, hang)
             alone = len(self._outcome.members) == 1
             self._outcome_before_hang = self._outcome if alone else None
             self._election.lapse(now, same_term=alone)
@@ -181,7 +181,7 @@ class PeerWatch:
             self._linked = now
         since = self._started + _HUB_ALONE if self._linked is None else self._linked + self._settling
         members = graph.members()
-        # A worker without a list of the members of its network, such as one of another make, counts as its own network.
+        # A worker that does not list its network's members, such as a foreign one, counts as a network by itself.
         sessions = frozenset(graph.origins())
         silent = sessions - members.keys()
         if silent:
@@ -195,6 +195,6 @@ class PeerWatch:
         if FOREIGN in outcome.waiting and outcome.waiting != self._outcome.waiting:
             _log.warning("%s: nothing crosses here: %s", self._edge.side, outcome.waiting)
         if now and now != before:
-            _log.info("%s: standing by, %s is active on this network", self._edge.side, now)
+            _log.info("%s: on standby, %s is active on this network", self._edge.side, now)
         elif outcome.active and not now and not outcome.waiting and (before or was_waiting or not self._outcome.active):
             _log.info("%s: active on this network", self._edge.side)

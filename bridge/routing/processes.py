@@ -1,4 +1,4 @@
-"""Names of processes, by which another worker on the machine knows at once that one has ended.
+"""Names of processes, by which workers on the same machine detect at once that one has exited.
 
 A process is named by the machine's boot id, the PID namespace, the id and the time of its start, so a name is invalid
 on other machines and in other containers, and a reused id does not match (proc(5)).
@@ -40,7 +40,7 @@ def process_space() -> str:
 def _started(pid: int) -> str:
     """Return the start time of a process in the kernel's ticks, "" if it does not exist or is a zombie."""
     try:
-        words = (_PROC / str(pid) / "stat").read_text(errors="replace").rpartition(")")[2].split()
+        fields = (_PROC / str(pid) / "stat").read_text(errors="replace").rpartition(")")[2].split()
     except OSError:
         return ""
-    return "" if len(words) < 20 or words[0] in "ZX" else words[19]
+    return "" if len(fields) < 20 or fields[0] in "ZX" else fields[19]

@@ -1,13 +1,13 @@
-"""Messages whose contents the bridge itself changes: static transforms, and start poses of a localiser.
+"""Messages whose contents the bridge changes: static transforms, and initial poses of a localizer.
 
-ROS 1 latches one message per publisher and tf2's Python broadcaster keeps none of its earlier ones. So the static
-transforms of a topic are kept here, by child frame, and sent whole as one message. Such a topic is known by its type
-and by being latched.
+ROS 1 latches one message per publisher, and tf2's Python broadcaster does not repeat its earlier transforms. This
+module therefore stores the static transforms of a topic by child frame, and sends all of them in one message. Such a
+topic is recognized by its type and by being latched.
 
-amcl takes a covariance of zeros at its word: its particles all stand on one point, and it never finds out by how much
-it is wrong (real amcl 1.17.3, started so, had a variance of 1e-12). Programs that fill in the pose alone send just
-that, so they get the covariance that rviz sends. Only what leaves the hub is filled in: Midspan's own localiser, which
-listens there, has a setting for such starts.
+With a covariance of zeros, amcl places all particles on one point and cannot correct its error (amcl 1.17.3 then had a
+variance of 1e-12). Programs that only set the pose send such a covariance, so it is replaced by the one that rviz
+sends. This applies only to messages that leave the hub: Midspan's own localizer, which subscribes on the hub, has a
+setting for such initial poses.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MAX_FRAMES = 100_000
 
 
 _ENCAPSULATION = {b"\0\0": ">", b"\0\1": "<"}
-"""CDR's first two bytes, and the order of its numbers in Python's words."""
+"""CDR's first two bytes, and the byte order for Python's `struct`."""
 
 _LITTLE = b"\0\1\0\0"
 
@@ -39,12 +39,12 @@ class StaticTransforms:
         return len(self._by_child)
 
     def merge(self, cdr: bytes) -> bytes:
-        """Merge a TFMessage (CDR) into the whole set, as one. `ValueError`: it is none, or over `MAX_FRAMES` frames."""
+        """Merge a TFMessage (CDR), and return one with all transforms; `ValueError` if invalid or over `MAX_FRAMES`."""
         try:
-            found = _transforms(cdr)
+            transforms = _transforms(cdr)
         except (ValueError, struct.error) as err:
             raise ValueError(f"not a {TF_TYPE}: {err}") from err
-        self._by_child.update((transform.child, transform) for transform in found)
+        self._by_child.update((transform.child, transform) for transform in transforms)
         if len(self._by_child) > MAX_FRAMES:
             raise ValueError(f"more than {MAX_FRAMES} static frames")
         parts = bytearray(struct.pack("<I", len(self._by_child)))
@@ -54,7 +54,7 @@ class StaticTransforms:
 
 
 class _Transform(NamedTuple):
-    """One geometry_msgs/TransformStamped: its stamp (s, ns), its frames with their final zero, its seven numbers."""
+    """One geometry_msgs/TransformStamped: stamp (s, ns), frames with their terminating NUL, seven numbers."""
 
     stamp: tuple[int, int]
     frame: bytes
@@ -69,7 +69,7 @@ class _Transform(NamedTuple):
 
 
 def _transforms(cdr: bytes) -> list[_Transform]:
-    """The transforms of a TFMessage; raises `ValueError` or `struct.error` where the bytes are none."""
+    """Return the transforms of a TFMessage; raises `ValueError` or `struct.error` for invalid bytes."""
     order = _ENCAPSULATION.get(cdr[:2])
     if order is None:
         raise ValueError("its bytes do not begin as CDR does")
@@ -83,32 +83,32 @@ def _transforms(cdr: bytes) -> list[_Transform]:
         at += 4 + length
         if at > len(data):
             raise ValueError("a frame's name is longer than the message")
-        found = bytes(data[at - length : at])
-        if found[-1:] != b"\0":
+        raw = bytes(data[at - length : at])
+        if raw[-1:] != b"\0":
             raise ValueError("a frame's name has no closing NUL")
-        str(found, "utf-8")  # raises UnicodeDecodeError, which is a ValueError
-        return found
+        str(raw, "utf-8")  # raises UnicodeDecodeError, which is a ValueError
+        return raw
 
-    found = []
+    transforms = []
     for _ in range(count):
         at += -at % 4
         seconds, nanoseconds = struct.unpack_from(f"{order}iI", data, at)
         at += 8
         frame, child = text(), text()
         at += -at % 8
-        found.append(_Transform((seconds, nanoseconds), frame, child, struct.unpack_from(f"{order}7d", data, at)))
+        transforms.append(_Transform((seconds, nanoseconds), frame, child, struct.unpack_from(f"{order}7d", data, at)))
         at += 56
-    if len(data) - at > 3:  # what fills up to a multiple of four is no part of it
+    if len(data) - at > 3:  # up to three bytes of padding are allowed
         raise ValueError(f"{len(data) - at} bytes are left over")
-    return found
+    return transforms
 
 
 POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TOPIC = "initialpose"
-"""Last part of the topic's name, as amcl, Nav2 and rviz have it."""
+"""Last part of the topic's name in amcl, Nav2 and rviz."""
 
 SPREAD = (0.5, math.radians(15.0))
-"""Standard deviations in x and y (m) and in yaw (rad), rviz's own (rviz 1.14, initial_pose_tool.cpp)."""
+"""Standard deviations in x and y (m) and in yaw (rad), as in rviz (rviz 1.14, initial_pose_tool.cpp)."""
 
 _ROWS = 36
 _NONE = struct.pack(f"<{_ROWS}d", *[0.0] * _ROWS)
@@ -120,7 +120,7 @@ _AFTER_FRAME = 7 * 8
 
 
 def with_spread(conversion: Conversion, hub_topic: str) -> Conversion:
-    """A conversion from the hub; for starts of a localiser, one that fills in a missing spread."""
+    """Return a conversion from the hub; for initial poses, one that fills in a missing covariance."""
     if conversion.source.name != POSE_TYPE or hub_topic.rpartition("/")[2] != TOPIC:
         return conversion
     then = conversion.convert
@@ -128,15 +128,15 @@ def with_spread(conversion: Conversion, hub_topic: str) -> Conversion:
 
 
 def filled_in(cdr: bytes) -> bytes:
-    """The same message (CDR, little-endian); with `SPREAD` where its covariance is all zeros."""
+    """Return the message (CDR, little-endian), with `SPREAD` if its covariance is all zeros."""
     begin = _covariance(cdr)
     end = begin + len(_NONE)
     return cdr[:begin] + _GIVEN + cdr[end:] if begin and cdr[begin:end] == _NONE else cdr
 
 
 def _covariance(cdr: bytes) -> int:
-    """The offset of the covariance; 0 if the message is too short, which its converter reports."""
+    """Return the offset of the covariance; 0 if the message is too short, which its converter reports."""
     if len(cdr) < 16:
         return 0
-    frame = int.from_bytes(cdr[12:16], "little")  # behind the encapsulation (4) and the stamp (8)
-    return 4 + (12 + frame + 7) // 8 * 8 + _AFTER_FRAME  # aligned from behind the encapsulation
+    frame = int.from_bytes(cdr[12:16], "little")  # after the encapsulation (4) and the stamp (8)
+    return 4 + (12 + frame + 7) // 8 * 8 + _AFTER_FRAME  # aligned relative to the end of the encapsulation

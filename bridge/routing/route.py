@@ -1,4 +1,4 @@
-"""The base of the routes of both directions, what they share, and the set of routes of one direction."""
+"""The base of the routes of both directions, their shared context, and the set of routes of one direction."""
 
 from __future__ import annotations
 
@@ -31,11 +31,15 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class EngineContext:
-    """What the routes of one engine share: the two ends that they join, and common helpers.
+    """The shared context of one engine's routes: the two ends that they join, and common helpers.
 
-    ``lease`` tells whether messages may cross at this moment, ``hold`` which velocities may not enter the hub now;
-    ``types`` exchanges definitions with other workers; ``small`` and ``bulk`` carry messages to the side, urgent ones
-    first; ``wake`` has the engine look again soon; ``registry`` makes the replies that say no.
+    Attributes:
+        lease: whether messages may cross now.
+        hold: the velocities that may not enter the hub now.
+        types: exchanges definitions with other workers.
+        small, bulk: dispatchers of small and large messages to the side.
+        wake: schedules a check of the routes.
+        registry: creates negative replies.
     """
 
     hub: Hub
@@ -53,8 +57,8 @@ class EngineContext:
 class Route:
     """A topic or a service that crosses in one direction.
 
-    ``hub_type`` is the type's ROS 2 name, ``side_type`` its name on the side; ``refused`` says what stands in the way
-    of an endpoint that the route needs, "" where it has them all.
+    ``hub_type`` is the type's ROS 2 name, ``side_type`` its name on the side; ``refused`` is why an endpoint that the
+    route needs is missing, "" if it has them all.
     """
 
     direction = ""
@@ -72,15 +76,15 @@ class Route:
         self._max_payload = context.hub.max_payload
 
     def status(self) -> dict[str, Any]:
-        """The route as it stands in the status document."""
+        """Return the route for the status document."""
         raise NotImplementedError
 
     def close(self, why: str = "") -> None:
-        """Give back everything on both networks; ``why`` is told to those who wait for an answer."""
+        """Close the endpoints on both networks; pending calls fail with the reason ``why``."""
         raise NotImplementedError
 
     def too_large(self, size: int) -> bool:
-        """Whether a message of ``size`` bytes is refused for it."""
+        """Return whether a message of ``size`` bytes is too large, and count it as refused."""
         if size > self._max_payload:
             self.bad(f"message of {size} bytes, limits.message allows {self._max_payload}", "large")
         return size > self._max_payload
@@ -92,7 +96,7 @@ class Route:
             _log.warning("%s %s: message refused: %s", self.direction, self.side_topic, error)
 
     def attempt(self, update: Callable[[], None], decision: RouteDecision) -> None:
-        """Update the route. Its failure is its own: it is reported, and tried again at the next look."""
+        """Update the route; a failure is reported, does not affect other routes, and is retried at the next check."""
         try:
             update()
         except MessageTypeError as err:
@@ -101,7 +105,7 @@ class Route:
             if err.errno in OUT:
                 decision.refuse("this process has no file descriptor left", RAISE)
             else:
-                decision.refuse(f"the system says: {err.strerror or err}", "it is tried again every few seconds")
+                decision.refuse(f"error of the system: {err.strerror or err}", "it is retried every few seconds")
             if decision.reason != self.refused:
                 topic, text, cure = decision.topic, decision.reason, decision.cure
                 _log.warning("%s %s is refused: %s; %s", decision.direction, topic, text, cure)
@@ -112,7 +116,7 @@ class Route:
         self.refused = decision.reason
 
     def row(self, *, active: bool, sources: int) -> dict[str, Any]:
-        """The fields of the status document that topics and services have in common."""
+        """Return the fields of the status document that topics and services have in common."""
         return {
             "kind": self.kind,
             "action": split(self.hub_topic)[0],
@@ -143,25 +147,25 @@ class TopicRoute(Route):
         self._static: StaticTransforms | None = None
 
     def priority_of(self, *, latched: bool) -> Priority:
-        """The route's class: the rule's, else by type and latching."""
+        """Return the route's class: the rule's, else by type and latching."""
         if self.policy.priority:
             return Priority(self.policy.priority)
         return default_priority(self.hub_topic, self.hub_type, latched=latched)
 
     def latches(self, qos: Qos) -> bool:
-        """Whether the messages of a publisher with this QoS are state; a command never is."""
+        """Return whether the messages of a publisher with this QoS are state; a command never is."""
         latched = self.policy.override(qos).latched
         return latched and self.priority_of(latched=latched) is not Priority.COMMAND
 
     def over_rate(self, *, latched: bool) -> bool:
-        """Whether the rule's ``rate`` drops a message that came now. State is exempt, since it may come only once."""
+        """Return whether the rule's ``rate`` drops a message that arrives now. State is exempt: it may not repeat."""
         if self._limit is None or latched or self._limit.passes():
             return False
         self.counters.dropped("rate")
         return True
 
     def crowded_out(self) -> None:
-        """Count a message that another one displaced from a queue."""
+        """Count a message that a newer one displaced from a queue."""
         self.counters.dropped("queue")
 
     @property
@@ -170,15 +174,15 @@ class TopicRoute(Route):
         return self._static is not None
 
     def describe(self, sources: int, way: tuple[str, str], by_lane: int) -> dict[str, Any]:
-        """The route as it stands in the status document; ``way``: how messages cross the hub, and why over zenoh."""
+        """Return the route for the status document; ``way``: the transport on the hub, and the reason for zenoh."""
         row = self.row(active=bool(sources), sources=sources)
-        ways = {"lane": by_lane, "zenoh": max(self.counters.messages - by_lane, 0)}
+        transports = {"lane": by_lane, "zenoh": max(self.counters.messages - by_lane, 0)}
         more = {
             "priority": self._priority.value,
             "qos": qos_text(self._qos),
             "way": way[0],
             "why": way[1],
-            "ways": ways,
+            "ways": transports,
         }
         return row | more
 
@@ -188,7 +192,7 @@ AnyRoute = TypeVar("AnyRoute", bound=Route)
 
 
 class RouteSet(Generic[AnyKey, AnyRoute]):
-    """The routes of one direction and kind. The engine's loop alone changes them; `routes` is for any thread."""
+    """The routes of one direction and kind. Only the engine's loop changes them; `routes` is thread-safe."""
 
     direction: ClassVar[str]
     kind: ClassVar[str] = "topic"
@@ -198,7 +202,7 @@ class RouteSet(Generic[AnyKey, AnyRoute]):
         self._routes: dict[AnyKey, AnyRoute] = {}
 
     def routes(self) -> list[AnyRoute]:
-        """All routes now."""
+        """Return all routes."""
         return list(self._routes.values())
 
     def close(self, why: str = "") -> None:
@@ -206,14 +210,14 @@ class RouteSet(Generic[AnyKey, AnyRoute]):
         for key in list(self._routes):
             self._routes.pop(key).close(why)
 
-    def found(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
-        """Name and type of everything that could have a route; ``endpoints`` is the side's graph."""
+    def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
+        """Return name and type of everything that could have a route; ``endpoints`` is the side's graph."""
         raise NotImplementedError
 
-    def rest(self, endpoints: Sequence[Endpoint], decisions: list[RouteDecision], why: str) -> None:
-        """Have no routes, and decide so of everything that could have one."""
+    def stand_by(self, endpoints: Sequence[Endpoint], decisions: list[RouteDecision], why: str) -> None:
+        """Close all routes, and append a decision on everything that could have one."""
         self.close(f"{why}; call again later")
         decisions += [
             RouteDecision.resting(self.direction, name, type_name, why, self.kind)
-            for name, type_name in sorted(self.found(endpoints))
+            for name, type_name in sorted(self.candidates(endpoints))
         ]

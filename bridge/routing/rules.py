@@ -76,15 +76,15 @@ def _slashed(name: str) -> str:
 def _patterns(side: str, kind: str) -> tuple[tuple[re.Pattern[str], str], ...]:
     network = all_networks().get(side)
     private = () if network is None else network.private_services if kind == "service" else network.private_topics
-    return tuple((re.compile(pattern), why) for pattern, why in private)
+    return tuple((re.compile(pattern), reason) for pattern, reason in private)
 
 
 def why_private(side: str, name: str, type_name: str, kind: str = "topic") -> str:
     """Return why a topic or a service is private to its side, "" if it is not; ``type_name``: its ROS 2 type."""
     if kind == "action":
         return ""
-    word = type_name if kind == "service" else name
-    return next((why for pattern, why in _patterns(side, kind) if pattern.fullmatch(word)), "")
+    text = type_name if kind == "service" else name
+    return next((reason for pattern, reason in _patterns(side, kind) if pattern.fullmatch(text)), "")
 
 
 ENTRY = "zenoh"
@@ -200,12 +200,12 @@ class RuleSet:
 
     def _leave(self, origin: str, side: str, topic: str, type_name: str, kind: Kind, *, elsewhere: bool) -> RoutePolicy:
         matches = list(self._matches(origin, topic, type_name, kind))
-        here = [m for m in matches if m.rule.to == side]
+        matches_here = [m for m in matches if m.rule.to == side]
         general = [m for m in matches if m.rule.to is None]
         native = origin == ENTRY
-        denied = _denied(here + general, topic)
-        if denied or here:
-            return denied or _allowed(here, topic) or self._default(topic, side)
+        denied = _denied(matches_here + general, topic)
+        if denied or matches_here:
+            return denied or _allowed(matches_here, topic) or self._default(topic, side)
         if general:
             policy = _allowed(general, topic) or self._default(topic, side)
             return policy if native else replace(policy, name=topic, rate=None)
@@ -257,8 +257,8 @@ class RuleSet:
     def _private(self, side: str, topic: str, type_name: str, kind: Kind, to: str = ENTRY) -> RoutePolicy | None:
         if self._shares(side, topic, type_name, kind):
             return RoutePolicy(allowed=True, why=_NAMED, name=topic)
-        why = why_private(side, topic, type_name, kind) if self.section.private else ""
-        return self._withhold(topic, f"private to its side: {why}", to) if why else None
+        reason = why_private(side, topic, type_name, kind) if self.section.private else ""
+        return self._withhold(topic, f"private to its side: {reason}", to) if reason else None
 
     def _withhold(self, topic: str, why: str, to: str) -> RoutePolicy:
         more = "" if self.section.default == "deny" else ", or set routing.private: false"
@@ -281,9 +281,9 @@ def _denied(matches: list[_Match], topic: str) -> RoutePolicy | None:
     denying = [m for m in matches if m.rule.deny]
     if not denying:
         return None
-    names, changes = (list(dict.fromkeys(words)) for words in ((m.name for m in denying), map(_change, denying)))
-    why = f"{_listed(names)} {'deny' if len(names) > 1 else 'denies'} it"
-    return RoutePolicy(False, why, topic, f"{_listed(changes)}; a rule that denies overrides all rules that allow")
+    names, changes = (list(dict.fromkeys(texts)) for texts in ((m.name for m in denying), map(_change, denying)))
+    reason = f"{_listed(names)} {'deny' if len(names) > 1 else 'denies'} it"
+    return RoutePolicy(False, reason, topic, f"{_listed(changes)}; a rule that denies overrides all rules that allow")
 
 
 def _change(match: _Match) -> str:

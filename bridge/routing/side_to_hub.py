@@ -31,7 +31,7 @@ from bridge.routing.stall import AgeGate
 _log = logging.getLogger(__name__)
 
 PENDING_SECONDS = 5.0
-"""How long a message of a publisher that is not known to the route waits for it."""
+"""Seconds for which a message from an unknown publisher is held."""
 
 
 @dataclass(slots=True)
@@ -53,9 +53,9 @@ class _Message(NamedTuple):
 class SideToHubRoute(TopicRoute):
     """One topic and type of the side, published on the hub.
 
-    Each latched publisher of the side has a hub publisher of its own, so that its last message goes when it goes; the
-    others share one. Static transforms are merged and kept by one publisher for the life of the route; transforms that
-    are not latched pass beside them as they are. ``pending``: what waits for its publisher, or for the lease.
+    Each latched publisher of the side has its own hub publisher, so that its last message disappears when it leaves;
+    the others share one. Static transforms are merged, and retained by one publisher for the life of the route;
+    transforms that are not latched pass unchanged. ``pending``: messages held for their publisher, or for the lease.
     """
 
     direction = "in"
@@ -64,7 +64,7 @@ class SideToHubRoute(TopicRoute):
         self, key: RouteKey, hub_topic: str, conversion: Conversion, policy: RoutePolicy, context: EngineContext
     ) -> None:
         super().__init__(key, (hub_topic, key.topic), conversion, policy, context)
-        # a session does not hear on the hub what it says itself
+        # a session does not receive its own publications from the hub
         self._tells_time = (hub_topic, self.hub_type) == (CLOCK_TOPIC, CLOCK_TYPE) and context.edge.clock.simulated
         self._sources: dict[str, _Source] = {}
         self._shared: HubPublisher | None = None
@@ -80,14 +80,14 @@ class SideToHubRoute(TopicRoute):
         self._large = BoundedQueue(name, depth, QUEUE_BYTES, self._carry_large, self.crowded_out)
 
     def update(self, endpoints: Sequence[Endpoint]) -> None:
-        """Follow the side's publishers of this topic; called by the engine's loop alone."""
+        """Follow the side's publishers of this topic; called only by the engine's loop."""
         if endpoints == self._followed:
             self._flush_pending()
             return
-        self._followed = None  # until all of it is done
+        self._followed = None  # in case the update fails
         current = {e.id: e for e in endpoints}
-        for gone in [s for s in self._sources if s not in current]:
-            self._remove(gone)
+        for departed in [s for s in self._sources if s not in current]:
+            self._remove(departed)
         for endpoint in endpoints:
             known = self._sources.get(endpoint.id)
             if known is None or known.endpoint.qos != endpoint.qos:
@@ -130,7 +130,7 @@ class SideToHubRoute(TopicRoute):
 
     def _remove(self, source: str) -> None:
         known = self._sources.pop(source)
-        self.pending.take(lambda waiting: waiting.source == source)
+        self.pending.pop_matching(lambda waiting: waiting.source == source)
         if known.publisher is self._static_publisher:
             return
         if known.publisher is not self._shared:
@@ -141,26 +141,26 @@ class SideToHubRoute(TopicRoute):
             self._shared = None
 
     def _subscribe(self) -> None:
-        """Subscribe once, asking for the most; the edge gets from each publisher what that one offers.
+        """Subscribe once with the strongest QoS; the edge adapts it to each publisher.
 
-        Subscribing again when a publisher comes with another QoS would bring the latched messages a second time.
+        Another subscription for a publisher with another QoS would deliver latched messages twice.
         """
         if self._subscription is not None:
             return
         command = self._priority is Priority.COMMAND
-        wish = Qos(
+        wanted = Qos(
             Reliability.RELIABLE,
             Durability.VOLATILE if command else Durability.TRANSIENT_LOCAL,
             depth=1 if command else stream_depth(self.conversion.target.definition),
         )
-        wish = self.policy.override(wish)
-        self._subscription = self._context.edge.subscribe(self.key.topic, self.conversion.source, wish, self.deliver)
+        wanted = self.policy.override(wanted)
+        self._subscription = self._context.edge.subscribe(self.key.topic, self.conversion.source, wanted, self.deliver)
 
     def _flush_pending(self) -> None:
         if self._lease.over:
             return
         before = time.monotonic() - PENDING_SECONDS
-        for waiting in self.pending.take(lambda w: w.source in self._sources or w.since < before):
+        for waiting in self.pending.pop_matching(lambda w: w.source in self._sources or w.since < before):
             if waiting.source in self._sources:
                 payload, time_ns = waiting.message
                 self.deliver(payload, str(waiting.source), time_ns)
@@ -168,12 +168,12 @@ class SideToHubRoute(TopicRoute):
                 self.counters.dropped("unknown")
 
     def deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
-        """Take a message of one of the side's publishers; the edge calls it, on any thread."""
+        """Handle a message of one of the side's publishers; the edge calls it, on any thread."""
         since = time.monotonic()
         known = self._sources.get(source)
         counters = self.counters
         if self._lease.over:
-            if known is not None and known.latched:  # it comes only once, and the route may go on
+            if known is not None and known.latched:  # it arrives only once, and the route may continue
                 depth = min(max(known.endpoint.qos.depth, 1), MAX_PENDING)
                 counters.dropped("standby", self.pending.keep(source, (payload, time_ns), len(payload), depth))
             else:
@@ -183,9 +183,9 @@ class SideToHubRoute(TopicRoute):
             counters.dropped("held")
             return
         if known is None:
-            # On the graph for the edge, not yet for us: the newest waits until the engine comes back with `update`.
+            # The edge's graph has the publisher, ours not yet: hold the newest message until the engine calls `update`.
             if self._priority is Priority.COMMAND:
-                counters.dropped("unknown")  # a command is never kept for later
+                counters.dropped("unknown")  # a command is never held
             else:
                 counters.dropped("unknown", self.pending.keep(source, (payload, time_ns), len(payload), depth=1))
             self._context.wake()
@@ -194,7 +194,7 @@ class SideToHubRoute(TopicRoute):
             counters.dropped("stale")
             return
         if known.latched and len(self.pending):
-            self._flush_pending()  # what it said before goes first
+            self._flush_pending()  # earlier messages first
         if self._limit is not None and self.over_rate(latched=known.latched):
             return
         if self.too_large(len(payload)):
@@ -209,7 +209,7 @@ class SideToHubRoute(TopicRoute):
         if self._sources.get(source) is known:
             self._carry(payload, known, time_ns, since)
         else:
-            self.counters.dropped("unknown")  # gone while it waited
+            self.counters.dropped("unknown")  # the publisher left meanwhile
 
     def _carry(self, payload: bytes, known: _Source, time_ns: int | None, since: float) -> None:
         try:
@@ -235,8 +235,8 @@ class SideToHubRoute(TopicRoute):
             time_ns is not None and known.age.age(time_ns) > timeout
         )
 
-    def close(self, why: str = "") -> None:  # noqa: ARG002 - nobody waits for an answer
-        """Give back everything on both networks."""
+    def close(self, why: str = "") -> None:  # noqa: ARG002 - only pending calls need the reason
+        """Close the endpoints on both networks."""
         if self._subscription is not None:
             self._subscription.close()
             self._subscription = None
@@ -249,16 +249,16 @@ class SideToHubRoute(TopicRoute):
         self._shared = self._static_publisher = None
 
     def status(self) -> dict[str, Any]:
-        """The route as it stands in the status document."""
+        """Return the route for the status document."""
         if self._subscription is not None:
             self.counters.drops["lost"] = self._subscription.lost
         publishers = {s.publisher.gid: s.publisher for s in tuple(self._sources.values())}.values()
-        said = [publisher.way() for publisher in publishers]
-        ways = {way for way, _ in said if way}
-        way = "both" if len(ways) > 1 else next(iter(ways), "")
-        why = next((why for _, why in said if why), "")
+        status = [publisher.way() for publisher in publishers]
+        transports = {transport for transport, _ in status if transport}
+        transport = "both" if len(transports) > 1 else next(iter(transports), "")
+        reason = next((reason for _, reason in status if reason), "")
         by_lane = self._by_lane_before + sum(publisher.by_lane for publisher in publishers)
-        return self.describe(len(self._sources), (way, why), by_lane)
+        return self.describe(len(self._sources), (transport, reason), by_lane)
 
 
 _MAX_TAPS = 100
@@ -274,14 +274,14 @@ class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
         super().__init__(context)
         self._taps: dict[str, float] = {}
 
-    def found(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
-        """Name and type of each topic that is published on the side."""
+    def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
+        """Return name and type of each topic that is published on the side."""
         return {(e.topic, e.type) for e in endpoints if e.kind is Kind.PUBLISHER}
 
     def follow(self, gate: EntryGate, endpoints: Sequence[Endpoint], decisions: list[RouteDecision]) -> None:
-        """Bring the routes in line with the side's graph and the rules; one decision for each topic."""
+        """Update the routes for the side's graph and the rules; append one decision for each topic."""
         wanted = native_groups(endpoints, Kind.PUBLISHER, decisions)
-        # What is gone makes room first: a side may have one type per topic, and the hub one topic per name.
+        # Close ended routes first: a side may have one type per topic, and the hub one topic per name.
         for key in [k for k in self._routes if k not in wanted]:
             route = self._routes[key]
             if route.static and route.policy == gate.decide("topic", key.topic, key.type_name):
@@ -325,9 +325,9 @@ class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
         route.attempt(lambda: route.update(endpoints), decision)
 
     def tap(self, topic: str, seconds: float) -> dict[str, str]:
-        """Show a topic that does not cross on the hub for so many seconds, under a name that no side takes up.
+        """Show a topic that does not cross on the hub for ``seconds``, under a name that no side routes.
 
-        Returns the hub topic, type, hash and zenoh key; {} where the side has no such topic. Ask again to go on.
+        Returns the hub topic, type, hash and zenoh key; {} if the side lacks the topic. Call again to extend it.
         """
         if len(self._taps) > _MAX_TAPS:
             self._taps = {t: until for t, until in self._taps.items() if until > time.monotonic()}

@@ -1,7 +1,7 @@
-"""Is a command still fresh? Commands that waited somewhere are dropped, not delivered late.
+"""The age of commands: old ones are dropped, not delivered late.
 
-Two things age a command: time on the way, seen from source time stamps, and a worker that stood still (stopped by a
-signal, suspended or starved) while messages piled up in its sockets, seen from beats that a `StallDetector` missed.
+A command ages on its path, which source time stamps show, and in the sockets of a worker that stalls (stopped by a
+signal, suspended or starved), which missed beats of a `StallDetector` show.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from collections.abc import Callable
 
 _BEAT = 0.1
 _REST_BEAT = 0.25
-"""Between beats once nobody has asked for a while: waking up costs a process that has nothing to do 50 to 100 us. Less
-than what `StallDetector.stood_still` takes for a standstill, so that what comes first is judged as strictly."""
+"""Seconds between beats while no commands arrive, since each wake-up costs an idle process 50 to 100 us. Shorter than
+what `StallDetector.stood_still` counts as a stall, so that the first command is judged as strictly."""
 
 _REST_SECONDS = 5.0
 _LATE = 0.5
@@ -22,7 +22,7 @@ _STOOD_STILL = 1.0
 
 
 def _now_ns() -> int:
-    """A clock that is never set, and that runs while the machine is suspended where the system has one."""
+    """Return a clock that is never set, and that also runs while the machine is suspended if the system has one."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic_ns()
 
 
@@ -31,13 +31,14 @@ def _now() -> float:
 
 
 class StallDetector:
-    """Notices that this process stood still, on a thread that does nothing else: its work would make it late.
+    """Detects stalls of this process, on a separate thread.
 
-    ``went_on`` is called there with the seconds, of more than one; ``pause`` is the seconds between two beats, now.
+    ``resumed`` is called on that thread after a stall of more than one second, with its seconds; ``pause`` is the
+    current time between two beats, in seconds.
     """
 
-    def __init__(self, went_on: Callable[[float], None] = lambda _: None) -> None:
-        self._went_on = went_on
+    def __init__(self, resumed: Callable[[float], None] = lambda _: None) -> None:
+        self._resumed = resumed
         self._last = _now()
         self._until = 0.0
         self._asked = self._last
@@ -71,14 +72,14 @@ class StallDetector:
         now = _now()
         since = now - self._last
         if since > _LATE:
-            # What piled up while we stood still is still being read from sockets for a moment.
+            # Messages that accumulated during the stall are still being read from sockets.
             self._until = now + _LATE
-        self._last = now  # after that: who asks between the two must not take us for awake all the time
+        self._last = now  # last, so that no concurrent reader misses the stall
         if since > _STOOD_STILL:
-            self._went_on(since)
+            self._resumed(since)
 
     def stood_still(self, timeout: float) -> bool:
-        """Whether a message that arrives now may have waited longer than ``timeout`` seconds in front of us."""
+        """Return whether a message that arrives now may have waited in this process for over ``timeout`` seconds."""
         now = self._asked = _now()
         if self.pause != _BEAT:
             self.pause = _BEAT
@@ -87,19 +88,19 @@ class StallDetector:
 
 
 STEP_NS = 100_000_000
-"""A time stamp that lies farther behind its predecessor is a clock that was set back, and not a message overtaken."""
+"""A larger step back between two time stamps is a clock that was set back, not a reordered message."""
 
 HOLD = 0.5
-"""Seconds in which the quickest message is looked for, and none counts as fresh."""
+"""Seconds to find the smallest delay, in which no message counts as fresh."""
 
 
 class AgeGate:
-    """Age of messages of one source by their time stamps, whatever the offset between the two clocks.
+    """Age of one source's messages by their time stamps, for any offset between the two clocks.
 
-    The least difference between arrival and time stamp that was ever seen stands for the offset plus the shortest way;
-    what exceeds it is time spent waiting. The least difference is forgotten slowly, so that drifting clocks do not
-    make everything look old. Arrival is taken from a clock that nobody sets; where the source's own is set back, the
-    least difference is looked for anew. So it is at the start, for a source whose first message looks old.
+    The smallest difference between arrival and time stamp is the clocks' offset plus the shortest delay; any excess is
+    waiting time. The smallest difference decays slowly, so that drifting clocks do not make all messages look old.
+    Arrival is measured by a clock that is never set. If the source's clock is set back, or at the start the first
+    message looks old, the smallest difference is determined again.
     """
 
     __slots__ = ("_held_until", "_least", "_newest", "_seen")
@@ -110,12 +111,12 @@ class AgeGate:
         self._seen = self._held_until = 0.0
 
     def age(self, source_time_ns: int) -> float:
-        """Seconds that a message waited beyond the quickest; infinite behind a newer one, or while that is sought."""
+        """Return a message's extra delay in seconds; infinite after a newer message, or while the offset is unknown."""
         arrival = _now_ns()
         difference, now = arrival - source_time_ns, arrival / 1e9
         newest, self._newest = self._newest, source_time_ns
         if self._least is None and time.time_ns() - source_time_ns > STEP_NS:
-            # Either its clock is behind, or what piled up before it comes first, as DDS does for a new reader.
+            # Either its clock is behind, or older messages arrive first, as with DDS for a new reader.
             self._held_until = now + HOLD
         if self._least is None or difference < self._least:
             self._least = difference

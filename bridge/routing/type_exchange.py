@@ -21,7 +21,7 @@ _ASK_SECONDS = 2.0
 
 
 class TypeExchange:
-    """The types that this worker put on the hub, and its questions about others'."""
+    """The types that this worker publishes on the hub, and its requests for those of others."""
 
     def __init__(self, hub: Hub, edge: Edge, learned: Callable[[], None]) -> None:
         self._hub, self._edge, self._learned = hub, edge, learned
@@ -31,16 +31,16 @@ class TypeExchange:
         self._pool = WorkerPool(1, f"midspan-{edge.side}-types")
 
     def serve(self) -> Callable[[], None]:
-        """Answer other workers' questions; the returned call ends that."""
+        """Respond to other workers' requests until the returned function is called."""
         return self._hub.serve(VERB, self._answer)
 
     def offer(self, hub_type: SideType) -> None:
-        """A type of a topic that this worker publishes on the hub."""
+        """Offer the type of a topic that this worker publishes on the hub."""
         with self._lock:
             self._offered[hub_type.name] = hub_type
 
     def ask(self, name: str, type_hash: str) -> None:
-        """Ask the other workers for a definition, at most every ten seconds; `Edge.learn` gets it."""
+        """Request a definition from the other workers, at most every ten seconds; pass it to `Edge.learn`."""
         now = time.monotonic()
         if now - self._asked.get((name, type_hash), -_ASK_AGAIN) < _ASK_AGAIN:
             return

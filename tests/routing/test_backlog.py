@@ -16,7 +16,7 @@ class Line:
         self.dropped += 1
 
     def taken(self) -> list[str]:
-        return [waiting.message for waiting in self.backlog.take(lambda _: True)]
+        return [waiting.message for waiting in self.backlog.pop_matching(lambda _: True)]
 
 
 def test_the_oldest_make_room_by_number() -> None:
@@ -47,9 +47,9 @@ def test_only_what_is_wanted_is_taken_and_what_is_put_back_keeps_its_age() -> No
     line = Line(most=100, room=1000)
     for source, message in ("xa", "yb", "xc"):
         line.backlog.add(source, message, 1)
-    (waiting,) = line.backlog.take(lambda w: w.source == "y")
+    (waiting,) = line.backlog.pop_matching(lambda w: w.source == "y")
     assert (waiting.message, len(line.backlog)) == ("b", 2)
     old = Waiting("y", "old", 1, since=0.0)
     line.backlog.put_back(old)
-    assert [w.message for w in line.backlog.take(lambda w: w.since < 1.0)] == ["old"]
+    assert [w.message for w in line.backlog.pop_matching(lambda w: w.since < 1.0)] == ["old"]
     assert line.taken() == ["a", "c"]

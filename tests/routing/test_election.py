@@ -295,7 +295,7 @@ def test_while_it_is_unknown_whether_hubs_are_joined_nothing_crosses() -> None:
         return election.outcome.active, election.outcome.standing_by
 
     assert turn(1.0, HubView(settled=False)) == (False, "")
-    assert "whether our hub" in election.outcome.waiting
+    assert "share this hub" in election.outcome.waiting
     assert turn(2.0, HubView(frozenset("ab"))) == (False, "A")
     assert turn(2.0 + CUT / 2, HubView()) == (False, "A"), "a link may break and come again"
     assert turn(2.0 + CUT, HubView()) == (True, ""), "another hub now, whose programs nobody else serves"

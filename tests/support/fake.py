@@ -110,7 +110,7 @@ class FakeNetwork:
         for reader in readers:
             reader.deliver(payload, writer.endpoint.id, None)
 
-    def is_heard(self, topic: str) -> bool:
+    def has_subscribers(self, topic: str) -> bool:
         with self._lock:
             return any(r.endpoint.topic == topic and r.endpoint.made_by is MadeBy.NATIVE for r in self._readers)
 
@@ -167,7 +167,7 @@ class _Publisher:
 
     @property
     def heard(self) -> bool:
-        return self.network.is_heard(self.writer.endpoint.topic)
+        return self.network.has_subscribers(self.writer.endpoint.topic)
 
     def send(self, payload: bytes, source: str) -> None:
         self.network.write(self.writer, payload, source)

@@ -183,7 +183,7 @@ class Ros1Edge(SideEdge):
         topics = (e for e in self._topics.endpoints(look) if not self._actions.is_part(e.topic, e.type))
         return [*topics, *self._services.endpoints(look), *self._actions.endpoints()]
 
-    def is_heard(self, topic: str) -> bool:
+    def has_subscribers(self, topic: str) -> bool:
         """Return whether another node subscribes to a topic; called every second, so it creates no endpoints."""
         look, node = self._look, self._caller()
         return look is not None and any(s.topic == topic and s.node != node for s in look.subscribers)

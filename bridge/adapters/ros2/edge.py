@@ -206,7 +206,7 @@ class Ros2Edge(SideEdge):
         context = self._context
         return context.graph.snapshot.endpoints if context is not None else ()
 
-    def is_heard(self, topic: str) -> bool:
+    def has_subscribers(self, topic: str) -> bool:
         """Return whether a topic has subscribers; True for hidden topics and before the start."""
         context = self._context
         return context is None or is_hidden(topic) or topic in context.graph.snapshot.subscribed
@@ -225,7 +225,7 @@ class Ros2Edge(SideEdge):
         participant = self._started().participant
         self._check_one_type(topic, side_type.name)
         message_class = self._types.message_class(side_type.name, side_type.type_id)
-        return self._kept(Ros2Publisher(topic, message_class, qos, participant, self._closed, self.is_heard))
+        return self._kept(Ros2Publisher(topic, message_class, qos, participant, self._closed, self.has_subscribers))
 
     def _check_one_type(self, topic: str, type_name: str) -> None:
         """Reject a second type for a topic: a DDS participant has only one, and Fast DDS's error omits the reason."""
@@ -287,7 +287,7 @@ class Ros2Edge(SideEdge):
         with self._lock:
             self._ends.discard(end)
 
-    def went_on(self, seconds: float) -> None:
+    def resumed(self, seconds: float) -> None:
         """Restart after a long suspension: others that dropped this participant never rediscover it."""
         reason = f"suspended for {seconds:.0f} s, ROS 2 nodes may have dropped this participant: restarting"
         if seconds > _FORGOTTEN and self._listener is not None:

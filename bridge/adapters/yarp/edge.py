@@ -220,10 +220,10 @@ class YarpEdge(SideEdge):
         """Return the endpoints of other programs on the network."""
         return self._endpoints.all()
 
-    def is_heard(self, topic: str) -> bool:
+    def has_subscribers(self, topic: str) -> bool:
         """Return whether a topic has subscribers; readers of its port count, though the graph does not list them."""
         output = self._outputs.get(topic)
-        return (output is not None and output.has_readers) or super().is_heard(topic)
+        return (output is not None and output.has_readers) or super().has_subscribers(topic)
 
     # -- types ---------------------------------------------------------------------------------------------------------
 

@@ -1,1 +1,1 @@
-"""Services between one side and the hub; the three services of an action are such too."""
+"""Services between one side and the hub, including the three services of an action."""

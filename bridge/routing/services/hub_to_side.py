@@ -18,12 +18,12 @@ _SERVICE: Final = "service"
 
 
 class HubToSideService(ServiceRoute):
-    """A server of the hub, called from the side. It is offered there while the server can be called."""
+    """A server of the hub, called from the side. It is offered there while the server is available."""
 
     direction = "out"
 
     def open(self) -> None:
-        """Open the missing ends."""
+        """Open the missing endpoints."""
         conversion, context = self.conversion, self._context
         self.request, self.reply = conversion.request_to_hub, conversion.response_to_side
         if self._far is None:
@@ -39,21 +39,21 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
     direction = "out"
     kind = _SERVICE
 
-    def found(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # noqa: ARG002 - the hub's graph counts
-        """Name and type of each service of the hub that may leave it to this side."""
+    def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:  # noqa: ARG002 - the hub's graph counts
+        """Return name and type of each service of the hub that may leave it to this side."""
         servers = self._context.hub.graph.servers()
         return {(e.topic, e.type_name) for e in servers if may_leave(e, self._context.edge)}
 
-    def leave(self) -> None:
+    def close_departed(self) -> None:
         """Close the routes of servers that have left, before an action's topics: its last messages still go out."""
-        there = {(e.topic, e.type_name, e.type_hash) for e in self._context.hub.graph.servers()}
-        for key in [k for k in self._routes if (k.topic, k.type_name, k.type_id) not in there]:
+        present = {(e.topic, e.type_name, e.type_hash) for e in self._context.hub.graph.servers()}
+        for key in [k for k in self._routes if (k.topic, k.type_name, k.type_id) not in present]:
             self._routes.pop(key).close()
 
     def follow(
         self, gate: ExitGate, endpoints: Sequence[Endpoint], decisions: list[RouteDecision], outcome: Outcome
     ) -> None:
-        """Bring the routes in line with both graphs, the rules and the election, after `leave`; one decision each.
+        """Update the routes for both graphs, the rules and the election, after `close_departed`; one decision each.
 
         A name that has a server in ``endpoints``, the side's graph, gets no other server there.
         """
@@ -77,7 +77,7 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
                 self._routes.pop(key).close(f"{key.topic} is no longer bridged")
 
     def _judge(self, key: RouteKey, servers: list[HubEndpoint], gate: ExitGate, outcome: Outcome) -> RouteDecision:
-        """The decision of the loop guard, the election and the rules on one service."""
+        """Return the decision of the loop guard, the election and the rules on one service."""
         edge, name, type_name = self._context.edge, key.topic, key.type_name
         foreign = [e for e in servers if may_leave(e, edge)]
         carried = [e for e in foreign if may_carry(e, outcome)]

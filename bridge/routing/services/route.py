@@ -63,7 +63,7 @@ class BridgedCall:
         if isinstance(result, CallError):
             self.end(result)
         elif not self._route.carry(lambda: self._finish(result), len(result)):
-            self.end(CallError("too many large replies are under way; call again later"))
+            self.end(CallError("too many large replies are pending; call again later"))
 
     def _finish(self, reply: bytes) -> None:
         try:
@@ -84,9 +84,9 @@ class BridgedCall:
         """Cancel the call after its client left; the far server's reply is dropped."""
         if self._end():
             self._route.over(self, None, 0)
-            self.leave()
+            self.cancel()
 
-    def leave(self) -> None:
+    def cancel(self) -> None:
         """Cancel the call on the far network."""
         with self._lock:
             abandon = self._abandon_far
@@ -167,17 +167,17 @@ class ServiceRoute(Route):
             self.counters.crossed(len(request))
             self.counters.pending += 1
             if len(self._calls) >= self._most:
-                trouble = f"{self._most} calls of {self.side_topic} are under way already; call again later"
+                trouble = f"{self._most} calls of {self.side_topic} are already pending; call again later"
             self._calls[call] = None
         if trouble:
             self.counters.dropped("queue")
         elif self._context.lease.over:
-            trouble = f"the bridge to {self._context.edge.side} stood still or stands by; call again later"
+            trouble = f"the bridge to {self._context.edge.side} was suspended or is on standby; call again later"
             self.counters.dropped("standby")
         elif self.too_large(len(request)):
             trouble = f"the request has {len(request)} bytes, limits.message allows {self._max_payload}"
         elif not self.carry(lambda: call.begin(request), len(request)):
-            trouble = "too many large requests are under way; call again later"
+            trouble = "too many large requests are pending; call again later"
             self.counters.dropped("queue")
         if trouble:
             call.end(CallError(trouble))
@@ -236,7 +236,7 @@ class ServiceRoute(Route):
             calls = list(self._calls)
         for call in calls:
             call.end(error)
-            call.leave()
+            call.cancel()
 
     def status(self) -> dict[str, Any]:
         """Return the route for the status document."""

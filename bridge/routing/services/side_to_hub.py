@@ -41,10 +41,10 @@ class SideToHubService(ServiceRoute):
     direction = "in"
     _refusal: Callable[[str], bytes] | None = None
     orphaned: Callable[[bytes], None] | None = None
-    """Called with the request of a call whose caller left before its reply; on a thread of zenoh."""
+    """Called with the request of a call whose client left before its reply; on a thread of zenoh."""
 
     def open(self) -> None:
-        """Open the missing ends."""
+        """Open the missing endpoints."""
         conversion, context = self.conversion, self._context
         self.request, self.reply = conversion.request_to_side, conversion.response_to_hub
         if self._far is None:
@@ -56,7 +56,7 @@ class SideToHubService(ServiceRoute):
             self._near = context.hub.server(self.hub_topic, hub.name, hub.type_id, self.call)
 
     def call(self, request: bytes, done: Done) -> Abandon:
-        """A caller on the hub asks."""
+        """Start a call of a client on the hub."""
         refuse = self._refusal
         if refuse is None:
             return self._call(request, done)
@@ -104,19 +104,19 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
     direction = "in"
     kind = _SERVICE
 
-    def found(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
-        """Name and type of each service that is served on the side."""
+    def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
+        """Return name and type of each service that is served on the side."""
         return {(e.topic, e.type) for e in endpoints if e.kind is Kind.SERVER}
 
-    def leave(self, endpoints: Sequence[Endpoint]) -> None:
+    def close_departed(self, endpoints: Sequence[Endpoint]) -> None:
         """Close the routes of servers that have left, before an action's topics: its last messages still go out."""
         servers = [e for e in endpoints if e.kind is Kind.SERVER and e.made_by is MadeBy.NATIVE]
-        there = {(e.topic, e.type, e.type_id) for e in servers}
-        for key in [k for k in self._routes if (k.topic, k.type_name, k.type_id) not in there]:
+        present = {(e.topic, e.type, e.type_id) for e in servers}
+        for key in [k for k in self._routes if (k.topic, k.type_name, k.type_id) not in present]:
             self._routes.pop(key).close()
 
     def follow(self, gate: EntryGate, endpoints: Sequence[Endpoint], decisions: list[RouteDecision]) -> None:
-        """Bring the routes in line with the side's graph and the rules, after `leave`; one decision each."""
+        """Update the routes for the side's graph and the rules, after `close_departed`; one decision each."""
         wanted = native_groups(endpoints, Kind.SERVER, decisions)
         taken = {route.hub_topic: key for key, route in self._routes.items()}
         for key, servers in wanted.items():
@@ -160,7 +160,7 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
             return f"{holder.topic} is already offered with the type {holder.type_name}"
         open_here = key in self._routes and self._routes[key].offered
         for other in self._context.hub.graph.servers(hub_name):
-            # of two bridges that began in the same moment, the same one gives way for both
+            # of two bridges that start at the same time, both agree on the one that withdraws
             if not other.own and not (open_here and other.origin and self._context.hub.zid < other.zid):
                 return f"{other.node} serves {hub_name} on the hub already"
         return ""
@@ -180,7 +180,7 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
         return route
 
     def _cancel(self, action: str, request: bytes) -> None:
-        """Cancel a planner's goal whose result no one awaits: the gateway left, or is cut off.
+        """Cancel a planner's goal whose result no client awaits: the gateway left, or lost its connection.
 
         No other client has that goal, so no other could stop the robot. Clients of other actions may leave their goals.
         """

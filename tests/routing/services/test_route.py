@@ -98,7 +98,7 @@ def test_too_many_calls_get_an_error_at_once(place: Place, monkeypatch: pytest.M
     client = place.client()
     waiting = [ask(client) for _ in range(3)]
     serving.requests(3)
-    assert ask(client).result()["error"] == "3 calls of /do are under way already; call again later"
+    assert ask(client).result()["error"] == "3 calls of /do are already pending; call again later"
     assert place.counts() == (4, 0, 1, 0, 3)
     assert place.row()["drops"]["queue"] == 1
     serving.release()
@@ -186,7 +186,7 @@ def test_while_another_worker_may_be_active_a_call_is_refused(place: Place) -> N
     client = place.client()
     (route,) = place.engine.routes()
     route._context = replace(route._context, lease=Lease())  # one that was never extended
-    assert ask(client).result()["error"] == "the bridge to fake stood still or stands by; call again later"
+    assert ask(client).result()["error"] == "the bridge to fake was suspended or is on standby; call again later"
     assert serving.requests(1, 0) == []
     assert place.row()["drops"]["standby"] == 1
 
