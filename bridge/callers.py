@@ -1,11 +1,11 @@
-"""Who calls the YARP RPC ports of a process, kept in a file: when the process was killed, they are connected again.
+"""Clients of the YARP RPC ports of a process, stored in a file and reconnected after the process was killed.
 
-A YARP client connects once. When the process that it calls dies, its calls fail from then on, although the port comes
-back: no client of YARP's connects again by itself (a name server does that, for what was connected with ``--persist``).
-So a port of ours that comes back asks its callers to connect to it, by the command that ``yarp connect`` sends.
+A YARP client connects once. If the process that it calls dies, its calls fail from then on, even if the port returns:
+YARP's clients do not reconnect by themselves (the name server restores only connections made with ``--persist``). A
+port of Midspan that returns therefore asks its clients to connect again, with the command that ``yarp connect`` sends.
 
-That was chosen over a port held by a process that lives on: no call takes a hop more, and the death of that process
-too, of the daemon, or an update of Midspan, cuts nobody off for good.
+The alternative, a port in a separate long-lived process, would add a hop to each call, and clients would still be cut
+off by a crash of that process, by the end of the daemon, or by an update of Midspan.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from yarp_compat.wire.contact import rooted
 _log = logging.getLogger(__name__)
 
 AGAIN = 1.0
-"""Seconds between two times that a caller is asked to connect."""
+"""Seconds between two requests to connect to one client."""
 
 _PATIENCE = 60.0
-"""Seconds for which a port that came back asks a caller that does not connect."""
+"""Seconds for which a returned port asks a client that does not connect."""
 
 _CONNECT_SECONDS = 2.0
 _MOST = 1000
-"""Callers of one port that are kept; as many inputs a port has."""
+"""Maximum number of stored clients of one port, equal to its maximum number of inputs."""
 
 _UNREACHABLE = ("text", "local", "http", "name_ser")
-"""Carriers of people and of the port's own process, by which nobody is asked back."""
+"""Carriers of people and of the port's own process, which are not reconnected."""
 
 
 class Caller(NamedTuple):
-    """A port that calls, as it was registered when it connected: at another address it is another program's."""
+    """A client's port as registered when it connected; at another address it belongs to another program."""
 
     host: str
     port: int
@@ -58,7 +58,7 @@ _FORM = TypeAdapter(_Known)
 
 @dataclass(eq=False)
 class _Watched:
-    """A port that is open, with the connections that were looked up and the callers that it waits for."""
+    """An open port, its connections that were looked up, and the clients that it waits for."""
 
     core: PortCore
     awaited: dict[str, float]
@@ -66,14 +66,14 @@ class _Watched:
 
 
 def callers_file(state: Path, owner: str) -> Path:
-    """Where the callers of a module's or worker's ports are kept, in the state folder of this daemon's workers."""
+    """Return the file for the clients of a module's or worker's ports, in the state folder of this daemon's workers."""
     return state / "yarp_callers" / f"{owner}.json"
 
 
 class Callers:
-    """The callers of one owner's ports, kept in a file of this process alone.
+    """The clients of one owner's ports, stored in a file of this process.
 
-    `turn` and `leave` wait for the name server; one thread at a time may call `turn`.
+    `update` and `unwatch` wait for the name server; only one thread at a time may call `update`.
     """
 
     def __init__(self, naming: NameClient, file: Path) -> None:
@@ -84,30 +84,30 @@ class Callers:
         self._known = self._kept = _read(file)
 
     def watch(self, core: PortCore) -> None:
-        """A port is open: remember who calls it, and ask back who did."""
+        """Watch an open port: store its clients, and reconnect the stored ones."""
         end = time.monotonic() + _PATIENCE
         with self._lock:
             awaited = dict.fromkeys(self._known.get(core.name, {}), end)
             self._watched = [*self._watched, _Watched(core, awaited)]
             self._due = 0.0
 
-    def leave(self, core: PortCore) -> None:
-        """A port is about to be closed: who calls it now is asked when it comes back. Looks up who has just come."""
+    def unwatch(self, core: PortCore) -> None:
+        """Stop watching a port before it is closed; its current clients, also new ones, stay stored."""
         for port in [port for port in self._watched if port.core is core]:
             with contextlib.suppress(NamingError):
-                self._look(port)
+                self._refresh(port)
             with self._lock:
                 self._watched = [other for other in self._watched if other is not port]
         self._keep()
 
-    def turn(self) -> bool:
-        """Remember who came and forget who left, and ask back those that are missing; whether some still are.
+    def update(self) -> bool:
+        """Store new clients, drop those that left, and reconnect missing ones; return whether some are still missing.
 
-        To be called when a connection came or went, and soon again where it returned True.
+        Call it after each change of connections, and again soon if it returned True.
         """
         try:
             for port in self._watched:
-                self._look(port)
+                self._refresh(port)
             self._keep()
             now = time.monotonic()
             if now >= self._due:
@@ -120,17 +120,15 @@ class Callers:
             return True
         return any(port.awaited for port in self._watched)
 
-    def _look(self, port: _Watched) -> None:
+    def _refresh(self, port: _Watched) -> None:
         now = time.monotonic()
         with self._lock:
-            if port not in self._watched:  # it is closed by now, and has no inputs because of that
+            if port not in self._watched:  # it was closed meanwhile, and therefore has no inputs
                 return
             present = {i.route.source: i for i in port.core.connections.inputs if _can_return(i)}
             for name in [name for name, end in port.awaited.items() if name in present or now >= end]:
                 port.awaited.pop(name, None)
-                _log.info(
-                    "%s: %s %s", port.core.name, name, "calls again" if name in present else "did not connect again"
-                )
+                _log.info("%s: %s %s", port.core.name, name, "reconnected" if name in present else "did not reconnect")
             port.seen = {name: seen for name, seen in port.seen.items() if present.get(name) is seen}
             callers = self._known.get(port.core.name, {})
             callers = {n: caller for n, caller in callers.items() if n in present or n in port.awaited}
@@ -158,17 +156,17 @@ class Callers:
         if caller is None or port not in self._watched:
             port.awaited.pop(name, None)
             return
-        found = self._naming.query(name)
-        if found is None:  # a name server that forgot it may be told again
+        contact = self._naming.query(name)
+        if contact is None:  # the client may still register again with a restarted name server
             return
-        if (found.host, found.port) != caller[:2]:
+        if (contact.host, contact.port) != caller[:2]:
             port.awaited.pop(name, None)
             return
         try:
-            # It may list the connection that ended: a C++ port sees that only when it writes. This takes its place.
+            # The client may still list the broken connection, as a C++ port notices that only when it writes.
             connections.connect(self._naming, name, port.core.name, caller.carrier, timeout=_CONNECT_SECONDS)
         except PortError as err:
-            _log.debug("%s: %s does not connect again yet: %s", port.core.name, name, err)
+            _log.debug("%s: %s does not reconnect yet: %s", port.core.name, name, err)
 
     def _keep(self) -> None:
         with self._keeping:
@@ -176,7 +174,7 @@ class Callers:
             if known != self._kept:
                 self._kept = known
                 text = _FORM.dump_json(known).decode()
-                keep(self._file, text, "who calls its ports is not connected again when this process was killed")
+                keep(self._file, text, "clients of its ports will not be reconnected if this process is killed")
 
 
 def _can_return(connection: Input) -> bool:

@@ -24,7 +24,7 @@ SILENCE_SECONDS = 5.0
 """A clock without a message on ``/clock`` for longer is reported as a problem."""
 
 STEP_NS = 100_000_000
-"""A change of the system clock by more than this is a jump, beside what slewing may change meanwhile.
+"""A change of the system clock by more than this, beyond the possible slewing, is a jump.
 
 ntpd steps from 128 ms on and systemd-timesyncd from 400 ms on. A smaller step delays transforms by less than this.
 """
@@ -54,9 +54,9 @@ def _wall_ns() -> int:
 
 
 class SystemClock:
-    """The system clock, and who is notified when it is set, by NTP or by hand. Safe to use from any thread.
+    """The system clock, with notifications when it is set, by NTP or by hand. Safe to use from any thread.
 
-    A thread compares it with a monotonic clock while there is anyone to notify. Slewing is not a jump.
+    A thread compares it with a monotonic clock while it has listeners. Slewing is not a jump.
 
     Args:
         wall: a clock in ns, by default that of this machine.
@@ -89,7 +89,7 @@ class SystemClock:
         return lambda: self._withdraw(jumped)
 
     def check(self) -> int:
-        """Compare the clocks, and notify if the system clock has jumped since the last call; return by how many ns."""
+        """Compare the clocks; if the system clock has jumped since the last call, notify, and return the jump in ns."""
         now, offset, error = self._read()
         with self._lock:
             jump, passed = offset - self._offset, max(now - self._last, 0)
@@ -104,7 +104,7 @@ class SystemClock:
         return jump
 
     def _read(self) -> tuple[int, int, int]:
-        """Return the monotonic time, by how much the system clock is ahead of it, and the largest error of that."""
+        """Return the monotonic time, the system clock's offset to it, and the maximum error of the offset."""
         best = (0, 0, -1)
         for _ in range(_READS):
             before = self._steady()
@@ -172,14 +172,14 @@ class RunClock:
         if self._running:
             return (
                 f"{CLOCK_TOPIC} is silent (clock.source: sim): simulated time stands still at"
-                f" {self._now / _SECOND:.3f} s; go on with the simulation, or restart it"
+                f" {self._now / _SECOND:.3f} s; resume or restart the simulation"
             )
         return (
             f"no message on {CLOCK_TOPIC} (clock.source: sim): stamps stay 0, and programs on simulated time wait in"
             " sleep; start the simulation or 'midspan play --clock', or set clock.source: system"
         )
 
-    def hear(self, cdr: bytes) -> None:
+    def receive(self, cdr: bytes) -> None:
         """Accept a message of ``/clock``, CDR with its encapsulation header."""
         if not self.simulated or len(cdr) < _HEADER + _TIME.size:
             return
@@ -227,7 +227,7 @@ SYSTEM = RunClock()
 
 
 def _notify(listeners: tuple[Jumped, ...]) -> None:
-    """Notify every listener; an error of one must not keep the time of the others from going on."""
+    """Notify every listener, even if one of them raises an error."""
     for jumped in listeners:
         try:
             jumped()

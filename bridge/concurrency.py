@@ -1,7 +1,7 @@
 """Executors, delayed calls and bounded queues, used by every part of Midspan.
 
-Each starts its daemon threads when the first piece of work comes, so that one which is never used costs nothing, and
-work which hangs does not keep Python from ending (unlike the threads of `concurrent.futures.ThreadPoolExecutor`).
+Each starts its daemon threads with the first job, so that unused ones cost nothing, and a hanging job does not prevent
+Python from exiting (unlike the threads of `concurrent.futures.ThreadPoolExecutor`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Message = TypeVar("Message")
 
 
 class _OneThread:
-    """Something with one daemon thread, which starts when it is first needed."""
+    """Base class with one daemon thread, which starts when it is first needed."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -49,7 +49,7 @@ class _OneThread:
 class SerialExecutor(_OneThread):
     """Runs jobs in order on one thread.
 
-    For jobs that may block, submitted by threads that must not: zenoh's receiving threads, for example.
+    For blocking jobs of threads that must not block, such as zenoh's receiving threads.
     """
 
     def __init__(self, name: str) -> None:
@@ -58,7 +58,7 @@ class SerialExecutor(_OneThread):
         self._lock = threading.Lock()
 
     def submit(self, job: Job) -> None:
-        """Run a job soon; after `close` it is ignored."""
+        """Queue a job; after `close` it is ignored."""
         with self._lock:
             if self._closed:
                 return
@@ -66,7 +66,7 @@ class SerialExecutor(_OneThread):
             self._start()
 
     def close(self) -> None:
-        """Run what was submitted, for two seconds at most, and end the thread. Safe to call twice."""
+        """Run the submitted jobs, for two seconds at most, and end the thread. Safe to call twice."""
         with self._lock:
             self._closed = True
             self._queue.put(None)
@@ -81,11 +81,10 @@ class SerialExecutor(_OneThread):
 
 
 class InlineExecutor:
-    """Runs jobs in order, one at a time, on the threads that submit them: for state that many threads' events change.
+    """Runs jobs in order, one at a time, on the threads that submit them: for state changed by events of many threads.
 
-    The thread that submits a job while none runs also runs those that are submitted meanwhile. So a job that submits
-    another one, by a callback that answers at once for example, sees it run after itself, and no lock is held during a
-    call.
+    A thread that submits a job while none runs also runs the jobs that are submitted meanwhile. A job submitted by
+    another job, for example in a callback, therefore runs after it, and no lock is held during a job.
     """
 
     def __init__(self) -> None:
@@ -94,7 +93,7 @@ class InlineExecutor:
         self._running = False
 
     def submit(self, job: Job) -> None:
-        """Run a job now or, where another one runs, after it."""
+        """Run a job now, or after the one that is running."""
         with self._lock:
             self._jobs.append(job)
             if self._running:
@@ -142,7 +141,7 @@ class WorkerPool:
         return future
 
     def close(self, seconds: float = 0.0) -> None:
-        """Cancel the jobs that have not begun, and wait up to ``seconds`` for each thread that still runs one."""
+        """Cancel the jobs that have not started, and wait up to ``seconds`` for each thread that still runs one."""
         with self._condition:
             self._closed = True
             waiting, self._jobs = self._jobs, deque()
@@ -175,7 +174,7 @@ class WorkerPool:
 
 
 class DelayedCalls(_OneThread):
-    """Makes calls when they are due, one after the other, on one thread."""
+    """Makes scheduled calls, in sequence, on one thread."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -185,9 +184,9 @@ class DelayedCalls(_OneThread):
         self._numbers = itertools.count()
 
     def after(self, seconds: float, call: Job, *, once: bool = False) -> None:
-        """Make a call after so many seconds, unless `close` comes first.
+        """Schedule a call after ``seconds``, unless `close` comes first.
 
-        With ``once`` it is ignored where the same call is already due.
+        With ``once`` it is ignored if the same call is already scheduled.
         """
         with self._condition:
             if self._closed or (once and call in self._once):
@@ -201,7 +200,7 @@ class DelayedCalls(_OneThread):
                 self._condition.notify()
 
     def close(self, seconds: float | None = None) -> None:
-        """Make no more calls; wait up to ``seconds`` for the one that runs, by default until it ends."""
+        """Cancel all calls; wait up to ``seconds`` for the running one, by default until it ends."""
         with self._condition:
             self._closed = True
             self._due.clear()
@@ -229,12 +228,12 @@ class DelayedCalls(_OneThread):
 
 
 class BoundedQueue(_OneThread, Generic[Message]):
-    """A bounded queue and the thread that empties it. Where it is full, it drops the oldest messages.
+    """A bounded queue with a thread that processes it. If full, it drops the oldest messages.
 
-    A route uses it for large messages, which may wait for a slow link of the hub: zenoh fits a message larger than a
-    packet in between what a congested link still has to send, and waits up to 0.2 s for that. A thread that serves all
-    topics of a side must not wait so long. ``take`` gets each message in order, ``dropped`` is called for each dropped
-    one; ``max_bytes`` does not count the newest message.
+    A route uses it for large messages, which may be delayed by a slow link of the hub: on a congested link zenoh waits
+    up to 0.2 s to send a message larger than a packet. A thread that serves all topics of a side must not wait that
+    long. ``take`` is called with each message in order, ``dropped`` for each dropped one; ``max_bytes`` does not count
+    the newest message.
     """
 
     def __init__(
@@ -250,16 +249,16 @@ class BoundedQueue(_OneThread, Generic[Message]):
 
     @property
     def busy(self) -> bool:
-        """Whether a message waits or is under way, so that a later one must wait for its turn."""
-        return bool(self._queue) or self._taking  # in this order: `_run` sets the one before it empties the other
+        """Whether a message is queued or being processed, so that a later one must be queued."""
+        return bool(self._queue) or self._taking  # in this order: `_run` sets the flag before it empties the queue
 
     @property
     def waiting(self) -> int:
-        """Messages that wait for their turn."""
+        """Number of queued messages."""
         return len(self._queue)
 
     def put(self, message: Message, size: int) -> None:
-        """Queue a message of so many bytes."""
+        """Queue a message of ``size`` bytes."""
         with self._condition:
             if self._closed:
                 return
@@ -269,7 +268,7 @@ class BoundedQueue(_OneThread, Generic[Message]):
                 self._dropped()
 
     def offer(self, message: Message, size: int) -> bool:
-        """Queue a message of so many bytes where that drops no other one; whether it was queued."""
+        """Queue a message of ``size`` bytes unless the queue is full; return whether it was queued."""
         with self._condition:
             full = len(self._queue) >= self._depth or (self._queue and self._bytes + size > self._max_bytes)
             if self._closed or full:
@@ -284,7 +283,7 @@ class BoundedQueue(_OneThread, Generic[Message]):
         self._condition.notify()
 
     def close(self) -> None:
-        """Drop what waits, and end the thread. Safe to call twice."""
+        """Drop the queued messages, and end the thread. Safe to call twice."""
         with self._condition:
             self._closed = True
             self._queue.clear()
@@ -314,7 +313,7 @@ GOOD_LIFE = 30.0
 
 
 class Backoff:
-    """Doubles from 0.2 s to 10 s, and begins again after a life of 30 s."""
+    """Delays between restarts: they double from 0.2 s to 10 s, and reset after a run of 30 s."""
 
     def __init__(self, first: float = FIRST, longest: float = LONGEST, good_life: float = GOOD_LIFE) -> None:
         self._first = first
@@ -323,7 +322,7 @@ class Backoff:
         self._next = first
 
     def pause(self, lived: float) -> float:
-        """Seconds to wait after a life of ``lived`` seconds."""
+        """Return the seconds to wait after a run of ``lived`` seconds."""
         if lived >= self._good_life:
             self._next = self._first
         pause = self._next
@@ -331,5 +330,5 @@ class Backoff:
         return pause
 
     def reset(self) -> None:
-        """Begin again, as after a change of the configuration."""
+        """Reset the delay, for example after a change of the configuration."""
         self._next = self._first

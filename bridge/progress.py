@@ -28,8 +28,8 @@ class ThreadClock:
     """The processor time of the thread that creates it, readable from any thread."""
 
     def __init__(self) -> None:
-        own = getattr(time, "pthread_getcpuclockid", None)
-        self._id: int | None = own(threading.get_ident()) if own is not None else None
+        clock_id = getattr(time, "pthread_getcpuclockid", None)
+        self._id: int | None = clock_id(threading.get_ident()) if clock_id is not None else None
         self._seconds = 0.0
 
     def seconds(self) -> float:

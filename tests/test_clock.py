@@ -165,7 +165,7 @@ def test_simulated_time_that_stands_still_is_reported(monkeypatch: pytest.Monkey
     now[0] += clocks.SILENCE_SECONDS + 0.1
     assert run.trouble().startswith("no message on /clock (clock.source: sim)")
     assert "midspan play --clock" in run.trouble()
-    run.hear(b"\0\1\0\0" + (7).to_bytes(4, "little") + bytes(4))
+    run.receive(b"\0\1\0\0" + (7).to_bytes(4, "little") + bytes(4))
     assert run.trouble() == ""
     now[0] += clocks.SILENCE_SECONDS + 0.1
     assert "/clock is silent" in run.trouble()

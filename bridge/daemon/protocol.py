@@ -206,16 +206,16 @@ class Lines:
 
     def feed(self, data: bytes) -> list[bytes]:
         """Add received bytes; return the complete lines without their line ends."""
-        *whole, rest = (self._rest + data).split(b"\n")
+        *whole, partial = (self._rest + data).split(b"\n")
         lines: list[bytes] = []
         for line in whole:
             if not self._skipping:
                 lines.append(line[: self._limit])
             self._skipping = False
-        if len(rest) > self._limit and not self._skipping:
-            lines.append(rest[: self._limit])
+        if len(partial) > self._limit and not self._skipping:
+            lines.append(partial[: self._limit])
             self._skipping = True
-        self._rest = b"" if self._skipping else rest
+        self._rest = b"" if self._skipping else partial
         return lines
 
     def end(self) -> list[bytes]:

@@ -306,9 +306,9 @@ class Slot:
         else:
             self.restarts += 1
             pause = self._backoff.pause(now - self.since if self.phase is Phase.UP else 0.0)
-            why = self.ended = self._failure or str(ended)
-            logger.error("%s %s after %.1f s; restarting in %g s", self.name, why, now - self._started, pause)
-            self._enter(Phase.PAUSED, why)
+            reason = self.ended = self._failure or str(ended)
+            logger.error("%s %s after %.1f s; restarting in %g s", self.name, reason, now - self._started, pause)
+            self._enter(Phase.PAUSED, reason)
             self._due = now + pause
 
     # -- time ----------------------------------------------------------------------------------------------------------

@@ -105,7 +105,7 @@ class Channels:
 
     def look(self) -> None:
         """Announce topics that came, and withdraw those that went."""
-        found = self._topics.look()
+        found = self._topics.refresh()
         for name, channel in list(self._channels.items()):
             topic = found.get(channel.topic.key)
             if topic is None:
@@ -129,7 +129,7 @@ class Channels:
                     channel.again()
                 elif not channel.heard:
                     channel.heard = True
-                    self._topics.hear(channel.topic, channel.take)
+                    self._topics.subscribe(channel.topic, channel.take)
             elif channel.heard:
                 self._rest(channel)
 
@@ -152,12 +152,12 @@ class Channels:
 
     def _rest(self, channel: TopicChannel) -> None:
         channel.heard = False
-        self._topics.unhear(channel.topic.key)
+        self._topics.unsubscribe(channel.topic.key)
         channel.rest()
 
     def tick(self) -> None:
         """Count rates, and what was lost on its way; look again for definitions that were asked for."""
-        heard = {each.key: each for each in self._topics.heard()}
+        heard = {each.key: each for each in self._topics.subscribed()}
         for channel in self._channels.values():
             channel.counters.tick()
             if (end := heard.get(channel.topic.key)) is not None:

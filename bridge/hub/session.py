@@ -434,4 +434,4 @@ def follow_clock(clock: RunClock, hub: Hub) -> None:
     """Feed a simulated clock with the times that other nodes publish on ``/clock``; the system's clock needs none."""
     if clock.simulated:
         qos = Qos(Reliability.BEST_EFFORT, depth=1)
-        hub.subscription(CLOCK_TOPIC, CLOCK_TYPE, ANY_HASH, qos, lambda sample: clock.hear(sample.data()))
+        hub.subscription(CLOCK_TOPIC, CLOCK_TYPE, ANY_HASH, qos, lambda sample: clock.receive(sample.data()))

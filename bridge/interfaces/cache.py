@@ -1,13 +1,13 @@
-"""The cache of built packages, a folder that several processes and checkouts share; and how programs find them there.
+"""The cache of built packages, a folder that processes and checkouts share, and its use by programs.
 
 ::
 
-    <cache>/packages/<package>-<key>/   one built package: a small prefix, never changed once it is there
-    <cache>/sets/<key>/                 a prefix of links to several of them: what programs use
+    <cache>/packages/<package>-<key>/   one built package: a small prefix, never changed after its creation
+    <cache>/sets/<key>/                 a prefix of links to several of them, which programs use
     <cache>/locks/<name>
 
-A key stands for all that the content depends on, so there is nothing to invalidate; the whole cache may be deleted at
-any time that no program uses it.
+A key covers everything that the content depends on, so entries are never invalidated; the whole cache may be deleted
+while no program uses it.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from bridge.interfaces.definition import BuildError
 from bridge.interfaces.ros2 import MARK, Ros2
 
 SITE = f"lib/python{sys.version_info.major}.{sys.version_info.minor}/site-packages"
-"""Where in a prefix the Python packages are."""
+"""Folder of the Python packages within a prefix."""
 
 _INDEX = "share/ament_index/resource_index"
 
 
 def default_cache() -> Path:
-    """$MIDSPAN_CACHE, else ``midspan/interfaces`` in $XDG_CACHE_HOME or ~/.cache."""
+    """Return $MIDSPAN_CACHE, else ``midspan/interfaces`` in $XDG_CACHE_HOME or ~/.cache."""
     named = os.environ.get("MIDSPAN_CACHE")
     if named:
         return Path(named)
@@ -40,7 +40,7 @@ def default_cache() -> Path:
 
 
 def digest(parts: Iterable[str]) -> str:
-    """A short key for a list of texts."""
+    """Return a short key for a list of texts."""
     whole = hashlib.sha256()
     for part in parts:
         data = part.encode()
@@ -55,19 +55,19 @@ class BuildCache:
         self.folder = folder.absolute()
 
     def package(self, name: str, key: str) -> Path:
-        """Where a built package is, or will be."""
+        """Return the folder of a built package, which may not exist yet."""
         return self.folder / "packages" / f"{name}-{key}"
 
     def packages(self) -> list[Path]:
-        """All built packages, whole ones only."""
+        """Return all completely built packages."""
         folder = self.folder / "packages"
         return sorted(entry for entry in folder.iterdir() if entry.name[0] != ".") if folder.is_dir() else []
 
     @contextmanager
     def adding(self, final: Path) -> Iterator[Path | None]:
-        """Hold a prefix's lock and offer a folder to fill, which becomes ``final`` as a whole or not at all.
+        """Lock a prefix, and yield a folder to fill, which then becomes ``final`` atomically.
 
-        Yields None where another process had it ready meanwhile. Waits while another one builds the same.
+        Waits while another process builds the same prefix; yields None if that has completed it.
         """
         import fcntl
 
@@ -95,7 +95,7 @@ class BuildCache:
                 shutil.rmtree(scratch, ignore_errors=True)
 
     def join(self, packages: Iterable[Path]) -> Path:
-        """A prefix that holds all of these built packages, by links."""
+        """Return a prefix with links to all of these built packages."""
         members = sorted(set(packages))
         final = self.folder / "sets" / digest(member.name for member in members)
         if final.is_dir():
@@ -111,7 +111,7 @@ class BuildCache:
 
 
 def members(prefix: Path) -> dict[str, Path]:
-    """The built packages that a set's prefix holds, by name; raises `BuildError` where the folder is no such prefix."""
+    """Return the built packages in a set's prefix, by name; raises `BuildError` if the folder is not such a prefix."""
     site = prefix / SITE
     if not (prefix / MARK).is_file():
         raise BuildError(f"{prefix} is not a prefix of built interfaces", cure="Run `midspan interfaces build`")
@@ -119,14 +119,14 @@ def members(prefix: Path) -> dict[str, Path]:
 
 
 def _link(package: Path, prefix: Path) -> None:
-    """Put links to a built package's parts into a prefix; the real folders hold nothing but links."""
+    """Link a built package's parts into a prefix, whose real folders contain only links."""
     for folder in (SITE, "share", "include", "lib", f"{_INDEX}/packages", f"{_INDEX}/rosidl_interfaces"):
         source, target = package / folder, prefix / folder
         target.mkdir(parents=True, exist_ok=True)
         for entry in sorted(source.iterdir()):
             if entry.name not in ("ament_index", Path(SITE).parent.name):
                 link = target / entry.name
-                # both folders stay where they are to each other when the set is renamed into place
+                # relative: the position of the two folders to each other does not change when the set is renamed
                 link.symlink_to(os.path.relpath(entry, target))
 
 
@@ -134,11 +134,11 @@ _PTH = "midspan_interfaces.pth"
 
 
 def activate(*prefixes: Path) -> tuple[str, ...]:
-    """Make this process, and those it starts, find the packages of these prefixes, before any others of their names.
+    """Add the packages of these prefixes to this process and its children, ahead of others with the same names.
 
-    Returns the packages that this process has imported from elsewhere already: neither Python nor the dynamic loader
-    can load a package again, so that a new process is needed for the new ones. Raises `BuildError` where two prefixes
-    hold different builds of one package.
+    Returns the packages that this process has already imported from elsewhere: neither Python nor the dynamic loader
+    can load a package again, so the new ones need a new process. Raises `BuildError` if two prefixes have different
+    builds of one package.
     """
     packages = _merged(prefixes)
     for prefix in reversed(prefixes):
@@ -148,22 +148,22 @@ def activate(*prefixes: Path) -> tuple[str, ...]:
 
 
 def environment(prefixes: Sequence[Path]) -> dict[str, str]:
-    """Variables for a new Python process that shall find ROS 2's libraries and the packages of these prefixes.
+    """Return the variables with which a new Python process finds ROS 2's libraries and these prefixes' packages.
 
-    Lay them over a copy of `os.environ`. Raises `BuildError` where two prefixes hold different builds of one package.
+    Merge them into a copy of `os.environ`. Raises `BuildError` if two prefixes have different builds of one package.
     """
     _merged(prefixes)
     return {
         "PYTHONPATH": _joined([str(prefix / SITE) for prefix in prefixes], "PYTHONPATH"),
         "AMENT_PREFIX_PATH": _joined([str(prefix) for prefix in prefixes], "AMENT_PREFIX_PATH"),
         "LD_LIBRARY_PATH": _joined([str(folder) for folder in Ros2.find().libraries], "LD_LIBRARY_PATH"),
-        # the wheels restart Python once to set LD_LIBRARY_PATH, unless told that it is set
+        # the wheels restart Python once to set LD_LIBRARY_PATH, unless this variable marks it as set
         "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
     }
 
 
 def link_into_venv(prefix: Path) -> Path | None:
-    """Let programs of this virtual environment import a prefix's packages: the file that does, None without one."""
+    """Make a prefix's packages importable in this virtual environment; return the created file, None without one."""
     if sys.prefix == sys.base_prefix:
         return None
     file = Path(sysconfig.get_path("purelib")) / _PTH
@@ -176,16 +176,16 @@ def link_into_venv(prefix: Path) -> Path | None:
 
 
 def _merged(prefixes: Iterable[Path]) -> dict[str, Path]:
-    """Built packages of all prefixes by name."""
-    found: dict[str, Path] = {}
+    """Return the built packages of all prefixes by name."""
+    merged: dict[str, Path] = {}
     for prefix in prefixes:
         for name, folder in members(prefix).items():
-            if found.setdefault(name, folder) != folder:
+            if merged.setdefault(name, folder) != folder:
                 raise BuildError(
                     f"package {name} is in {prefix} and in another prefix, with different contents",
                     cure="Build all packages that one process uses together, in one call",
                 )
-    return found
+    return merged
 
 
 def _joined(entries: Sequence[str], variable: str) -> str:

@@ -1,8 +1,8 @@
-"""Compiles and links what the generators made, with gcc and g++ alone.
+"""Compiles and links the generators' output, using only gcc and g++.
 
-All files of one generator and one folder become one translation unit: they include the same headers, which is where
-much of the time goes. Measured on 2 cores for nav2_msgs (51 definitions, 358 generated files): 11 s against 23 s file
-by file. Only the type descriptions stay apart, since each has static names of its own.
+All files of one generator and one folder become one translation unit, since they include the same headers, which take
+most of the time. On 2 cores nav2_msgs (51 definitions, 358 generated files) takes 11 s, against 23 s for separate
+files. Only the type descriptions are compiled separately, since their static names collide.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from bridge.interfaces.ros2 import GENERATORS, Ros2
 
 _CURE_COMPILER = "Install one: apt install g++"
 _FLAGS = ("-O0", "-fPIC", "-w")
-"""Of what is generated, optimising gains little: rclpy takes 4 % less for 2,000 nested parts, and no less for arrays of
+"""Optimizing generated code gains little: rclpy takes 4 % less time for 2,000 nested parts, and no less for arrays of
 bytes. It costs much: with -O1 the bundled packages take 84 s of processor time instead of 53."""
 _STANDARD = {".c": "-std=gnu11", ".cpp": "-std=gnu++17"}
-TIMEOUT = 900  # seconds that one call of a compiler, or of the generators, may take; the longest measured took 10
+TIMEOUT = 900  # seconds for one call of a compiler or of the generators; the longest measured one took 10
 _RUNTIME = (
     "rosidl_typesupport_fastrtps_c",
     "rosidl_typesupport_fastrtps_cpp",
@@ -42,8 +42,8 @@ _RUNTIME = (
 class Dependency:
     """A message package to compile and link against.
 
-    ``runpath`` leads the new libraries to its own at run time (``$ORIGIN/...``), "" where the process knows the folder;
-    ``includes`` are its headers, where they are not the installation's.
+    ``runpath`` is the path to its libraries at run time (``$ORIGIN/...``), "" if the process knows the folder;
+    ``includes`` are its headers, unless they are the installation's.
     """
 
     name: str
@@ -61,23 +61,23 @@ class Compiler:
 
     @classmethod
     def find(cls) -> Compiler:
-        """The compilers of this machine; raises `BuildError` where one is missing, or Python's headers are."""
-        found: list[str] = []
+        """Find the compilers of this machine; raises `BuildError` if one, or Python's headers, are missing."""
+        paths: list[str] = []
         for variable, usual in (("CC", "gcc"), ("CXX", "g++")):
             name = os.environ.get(variable) or usual
             path = shutil.which(name)
             if path is None:
                 raise BuildError(f"no compiler: '{name}' is not on the PATH", cure=_CURE_COMPILER)
-            found.append(path)
+            paths.append(path)
         headers = Path(sysconfig.get_path("include"))
         if not (headers / "Python.h").is_file():
             raise BuildError(f"no Python headers: no {headers}/Python.h", cure="Install them: apt install python3-dev")
-        return cls(found[0], found[1])
+        return cls(paths[0], paths[1])
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One package to compile: output folder by generator, all packages that it needs, compilers at once (``jobs``)."""
+    """One package to compile: output folder by generator, required packages, parallel compilers (``jobs``)."""
 
     package: str
     roots: dict[str, Path]
@@ -89,10 +89,10 @@ class Job:
 
 
 def compile_package(job: Job, ros2: Ros2, compiler: Compiler) -> None:
-    """Make a package's shared libraries and Python extension; raises `BuildError` with the first error line."""
+    """Build a package's shared libraries and Python extension; raises `BuildError` with the first error line."""
     includes = [f"-I{folder}" for folder in _includes(job, ros2)]
     units = [unit for generator in GENERATORS for unit in _units(job, generator)]
-    units.sort(key=lambda unit: -sum(file.stat().st_size for file in unit.files))  # the longest first: no one waits
+    units.sort(key=lambda unit: -sum(file.stat().st_size for file in unit.files))  # longest first, to finish together
 
     def compile_unit(unit: _Unit) -> None:
         command = compiler.c if unit.language == ".c" else compiler.cpp
@@ -122,7 +122,7 @@ def _numpy_headers() -> Path:
 
 @dataclass(frozen=True, slots=True)
 class _Unit:
-    """Files that one compiler call takes: one that includes all, or several that stay apart."""
+    """Files of one compiler call: one file that includes all, or several separate ones."""
 
     folder: Path
     language: str
@@ -200,7 +200,7 @@ class _Linker:
             [
                 self._command, "-shared", "-s", "-o", str(output), *files, f"-Wl,-soname,{output.name}",
                 "-Wl,--enable-new-dtags", f"-Wl,-rpath,{origin}", *self._runpaths, *self._paths,
-                # the extension must need its type supports even where it does not call them
+                # link the type supports even if the extension does not call them
                 "-Wl,--no-as-needed", *(f"-l{library}" for library in own),
                 "-Wl,--as-needed", *self._others, "-Wl,--allow-shlib-undefined",
             ],

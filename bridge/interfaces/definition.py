@@ -153,10 +153,10 @@ class _Reader:
             self._names.clear()
             self._part += 1
             return content
-        field_type, _, rest = content.partition(" ")
-        if not rest:
+        field_type, _, value_text = content.partition(" ")
+        if not value_text:
             raise self._fault(number, f"'{content}' is neither 'type name' nor 'TYPE NAME=value'")
-        name, value, is_constant = _split(rest)
+        name, value, is_constant = _split(value_text)
         self._check_name(number, name, is_constant=is_constant)
         spelt = self._check_type(number, field_type, is_constant=is_constant)
         if value and re.split(r"[<[]", field_type)[0] in ("string", "wstring"):
@@ -211,11 +211,11 @@ class _Reader:
         return BuildError(message, where=f"{self.package}/{self.path}:{number}", cure=cure)
 
 
-def _split(rest: str) -> tuple[str, str, bool]:
+def _split(text: str) -> tuple[str, str, bool]:
     """Split the text after the type into name, value, and whether it is a constant rather than a default."""
-    rest = rest.lstrip()
-    name, equals, value = rest.partition("=")
+    text = text.lstrip()
+    name, equals, value = text.partition("=")
     if equals and " " not in name.strip():
         return name.strip(), value.strip(), True
-    name, _, value = rest.partition(" ")
+    name, _, value = text.partition(" ")
     return name, value.strip(), False

@@ -11,14 +11,14 @@ from bridge.messages.definitions.names import package_name
 
 
 def read_package_folder(folder: Path) -> dict[str, str]:
-    """Return a package's definitions, text by path (``msg/Name.msg``); its folder may hold ``.msg`` files itself."""
+    """Return a package's definitions, text by path (``msg/Name.msg``); its folder may contain ``.msg`` files itself."""
     files = {f"{form.value}/{file.name}": file for form in Form for file in folder.glob(f"{form.value}/*.{form.value}")}
     files |= {f"msg/{file.name}": file for file in folder.glob("*.msg")}
     return {path: _text(file) for path, file in sorted(files.items())}
 
 
 def read_folders(folders: Iterable[Path]) -> dict[str, dict[str, str]]:
-    """Return definitions by package and path; each folder is a package's own, its ``msg`` folder, or holds packages.
+    """Return definitions by package and path; each folder is a package, its ``msg`` folder, or contains packages.
 
     Raises `BuildError` for a folder without definitions, and for two packages of one name.
     """

@@ -1,6 +1,6 @@
-"""Runs ROS 2's own generators for one package. A program, run in a process of its own by `bridge.interfaces.builder`.
+"""Runs ROS 2's own generators for one package: a program that `bridge.interfaces.builder` runs in a separate process.
 
-The generators write to standard output, replace it, and read the environment; nothing of that may happen in a worker.
+The generators write to standard output, replace it, and read the environment, which must not happen in a worker.
 Usage: ``python generate.py REQUEST.json``, where the request is a `Request` as JSON. The rosidl functions called are
 those of Jazzy (rosidl 4.6), as the command-line tools of the same packages call them.
 """
@@ -40,13 +40,13 @@ def main() -> None:
     _hash(request)
     for generator in request["roots"]:
         _visibility(request, generator)
-    # the children inherit the parsed files; the templates' expansion is what takes the time
+    # the children inherit the parsed files; most of the time goes into expanding the templates
     with multiprocessing.get_context("fork").Pool(request["jobs"]) as pool:
         pool.map(partial(_generate, request), request["roots"], chunksize=1)
 
 
 def _parse_each_file_once() -> None:
-    """Let all generators share what the (slow) parser made of a file; none of them changes it."""
+    """Share the (slow) parser's result for a file among all generators; none of them changes it."""
     from rosidl_parser import parser
 
     parse: Callable[[Any], Any] = parser.parse_idl_file
@@ -83,7 +83,7 @@ def _hash(request: Request) -> None:
 
 
 def _visibility(request: Request, generator: str) -> None:
-    """Expand the header that decides which symbols a library shows, where the generator has one."""
+    """Expand the header that decides which symbols a library exports, if the generator has one."""
     name = f"{generator}__visibility_control.h"
     template = Path(request["resources"][generator]) / f"{name}.in"
     if template.is_file():
@@ -120,7 +120,7 @@ def _generate(request: Request, generator: str) -> None:
 
 
 def _arguments(request: Request, name: str, **more: Any) -> str:
-    """Write a generator's arguments file; returns its path."""
+    """Write a generator's arguments file; return its path."""
     arguments = {
         "package_name": request["package"],
         "idl_tuples": [f"{request['share']}:{_idl(file)}" for file in request["files"]],

@@ -1,6 +1,6 @@
-"""The ROS 2 that is installed here: the wheels of this Python, or a sourced installation such as /opt/ros/jazzy.
+"""The installed ROS 2: the wheels of this Python, or a sourced installation such as /opt/ros/jazzy.
 
-Both are prefixes of the same shape (``share/<package>``, ``include``, ``lib``): nothing else needs to know which it is.
+Both are prefixes with the same layout (``share/<package>``, ``include``, ``lib``).
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ class InstalledPackage:
 
     @property
     def version(self) -> str:
-        """The version in its ``package.xml``, "" where it has none."""
+        """The version in its ``package.xml``, "" without one."""
         return _version(self.share / "package.xml")
 
     def has(self, path: str) -> bool:
-        """Whether it has a definition, named as ``msg/Name.msg``."""
+        """Return whether it has a definition, given as ``msg/Name.msg``."""
         return (self.share / path).is_file() or (self.share / path).with_suffix(".idl").is_file()
 
 
@@ -60,7 +60,7 @@ class Ros2:
 
     @classmethod
     def find(cls) -> Ros2:
-        """The installation that this process would use; raises `BuildError`."""
+        """Find the installation that this process would use; raises `BuildError`."""
         named = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
         spec = importlib.util.find_spec("rosidl_parser")
         if spec is None or spec.origin is None:
@@ -72,12 +72,12 @@ class Ros2:
     @cached_property
     def packages(self) -> dict[str, InstalledPackage]:
         """The message packages, by name."""
-        found: dict[str, InstalledPackage] = {}
+        packages: dict[str, InstalledPackage] = {}
         for prefix in self.prefixes:
             index = prefix / _INDEX
             for entry in sorted(index.iterdir()) if index.is_dir() else ():
-                found.setdefault(entry.name, InstalledPackage(entry.name, prefix))
-        return found
+                packages.setdefault(entry.name, InstalledPackage(entry.name, prefix))
+        return packages
 
     @cached_property
     def libraries(self) -> tuple[Path, ...]:
@@ -92,7 +92,7 @@ class Ros2:
         return tuple(folder for root in roots for folder in (root, *sorted(p for p in root.iterdir() if p.is_dir())))
 
     def resource(self, generator: str) -> Path:
-        """Folder of a generator's templates."""
+        """Return the folder of a generator's templates."""
         for prefix in self.prefixes:
             folder = prefix / "share" / generator / "resource"
             if folder.is_dir():
@@ -101,7 +101,7 @@ class Ros2:
 
     @cached_property
     def identity(self) -> str:
-        """What a built package depends on besides its definitions: versions of the generators, Python, NumPy, CPU."""
+        """The versions that a build depends on: generators, Python, NumPy, and the CPU architecture."""
         versions = [f"{name} {self._version_of(name)}" for name in (*GENERATORS, *_RUNTIME)]
         numpy = importlib.metadata.version("numpy").partition(".")[0]
         return " ".join([sys.implementation.cache_tag, platform.machine(), f"numpy {numpy}", *versions])

@@ -1,1 +1,1 @@
-"""Hosted modules: nodes of the hub that Midspan runs itself, the YARP navigation modules among them."""
+"""Hosted modules: nodes of the hub that Midspan runs itself, such as the YARP navigation modules."""

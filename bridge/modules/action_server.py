@@ -104,7 +104,7 @@ class Goal:
     def _change(self, status: GoalState) -> None:
         if self.active:
             self.status = status
-            self._server.tell_status()
+            self._server.publish_status()
 
 
 Take = Callable[[Goal], bool]
@@ -150,7 +150,7 @@ class ActionServer:
         self.accepting = True  # whether new goals are served
         self._clients_of = names.send_goal
         self.met: Callable[[Goal], object] = lambda _goal: None  # called with each new goal
-        self.tell_status()  # an empty list at the start: subscribers learn that no goal is active
+        self.publish_status()  # an empty list at the start: subscribers learn that no goal is active
 
     @property
     def active(self) -> list[Goal]:
@@ -178,7 +178,7 @@ class ActionServer:
         """Publish the feedback of a goal."""
         self._feedback.publish({"goal_id": {"uuid": list(goal_id)}, "feedback": feedback})
 
-    def tell_status(self) -> None:
+    def publish_status(self) -> None:
         """Publish the states of all active and recently ended goals."""
         if self._starting:
             return
@@ -200,15 +200,15 @@ class ActionServer:
         try:
             accepted = self._take(goal)
         except BaseException:
-            self._forget(goal)
+            self._drop(goal)
             raise
         finally:
             self._starting = False
         if not accepted:
-            self._forget(goal)
+            self._drop(goal)
         answer({"accepted": accepted, "stamp": stamp})
         if accepted:
-            self.tell_status()
+            self.publish_status()
 
     def _on_result_request(self, request: dict[str, Any], answer: Answer) -> None:
         goal = self._goals.get(bytes(request["goal_id"]["uuid"]))
@@ -249,7 +249,7 @@ class ActionServer:
         if self._active.pop(goal.id, None) is not None:
             self._ended.append(goal)
 
-    def _forget(self, goal: Goal) -> None:
+    def _drop(self, goal: Goal) -> None:
         """Drop a goal that was not accepted."""
         del self._goals[goal.id]
         self._active.pop(goal.id, None)

@@ -120,9 +120,9 @@ class SentGoal:
         if isinstance(reply, CallError):
             self.finish(GoalState.ABORTED, None, str(reply))
         elif reply["status"] == GoalState.UNKNOWN:
-            why = str(reply["result"].get("error_msg", ""))
-            if why:  # of a bridge that cannot reach the server
-                self.finish(GoalState.ABORTED, None, why)
+            reason = str(reply["result"].get("error_msg", ""))
+            if reason:  # of a bridge that cannot reach the server
+                self.finish(GoalState.ABORTED, None, reason)
             else:
                 self.finish(GoalState.UNKNOWN, None, "the server does not know the goal, or cannot be reached")
         else:
@@ -130,7 +130,7 @@ class SentGoal:
 
     def finish(self, status: GoalState, result: dict[str, Any] | None, why: str) -> None:
         """Report the end of the goal, once."""
-        if self._client.forget(self.id):
+        if self._client.drop(self.id):
             self.status = status
             self._ended(self, result, why)
 
@@ -151,7 +151,7 @@ class CallingNode(Protocol):
     def client(self, name: str, type_name: str) -> ModuleClient:
         """Create a service client."""
 
-    def subscription(self, topic: str, type_name: str, heard: OnMessage, qos: Qos | None = None) -> Any:
+    def subscription(self, topic: str, type_name: str, on_message: OnMessage, qos: Qos | None = None) -> Any:
         """Subscribe to a topic."""
 
     def release(self, end: Any) -> None:
@@ -236,7 +236,7 @@ class ActionClient:
         """Whether this client has sent the goal and it has not ended."""
         return goal_id in self._goals
 
-    def forget(self, goal_id: bytes) -> bool:
+    def drop(self, goal_id: bytes) -> bool:
         """Drop an ended goal; return False if it was dropped before."""
         return self._goals.pop(goal_id, None) is not None
 

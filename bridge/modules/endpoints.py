@@ -24,11 +24,11 @@ from bridge.routing.counters import Counters
 
 _log = logging.getLogger(__name__)
 
-Heard = Callable[[dict[str, Any]], None]
+OnMessage = Callable[[dict[str, Any]], None]
 
 
 class ModulePublisher:
-    """Publishes values on one topic; made by `ModuleNode.publisher`. Safe to use from any thread."""
+    """Publishes values on one topic; created by `ModuleNode.publisher`. Safe to use from any thread."""
 
     KIND = "publisher"
 
@@ -39,22 +39,22 @@ class ModulePublisher:
         self._schema = registry.schema(type_name)
 
     def publish(self, message: Mapping[str, Any]) -> None:
-        """Publish a message; fields that are missing have their defaults.
+        """Publish a message; missing fields have their defaults.
 
         Raises `ConversionError` if a field is unknown, or its value does not fit.
         """
         self.publish_cdr(self.encoded(message))
 
     def encoded(self, message: Mapping[str, Any]) -> bytes:
-        """A message in CDR; see `publish`, also for what it raises."""
+        """Encode a message as CDR; raises like `publish`."""
         return MessageWriter(self._schema).message(message)
 
     def template(self, message: Mapping[str, Any], *changing: str) -> MessageTemplate:
-        """A message of this topic of which only some numbers change; see `MessageTemplate`, also for what it raises."""
+        """Return a template for messages in which only some numbers change; see `MessageTemplate`."""
         return MessageTemplate(self._schema, message, *changing)
 
     def offer(self, make: Callable[[], bytes]) -> None:
-        """Publish a message, which is made only where anybody may get it; one that nobody gets counts with 0 bytes."""
+        """Publish a message that is created only if there may be a subscriber; without one it counts as 0 bytes."""
         if self._publisher.pass_over():
             self.counters.crossed(0)
         else:
@@ -66,12 +66,12 @@ class ModulePublisher:
         self.counters.crossed(len(payload))
 
     def close(self) -> None:
-        """Give the endpoint back."""
+        """Close the endpoint."""
         self._publisher.close()
 
 
 class Subscription:
-    """Hears one topic; made by `ModuleNode.subscription`. Messages wait in a bounded queue; the oldest make room."""
+    """Receives one topic; created by `ModuleNode.subscription`. A bounded queue drops the oldest messages."""
 
     KIND = "subscription"
 
@@ -81,24 +81,24 @@ class Subscription:
         topic: str,
         type_name: str,
         type_hash: str,
-        heard: Callable[[bytes], None],
+        on_message: Callable[[bytes], None],
         depth: int,
         *,
         at_once: bool = False,
     ) -> None:
         self.topic, self.type_name = topic, type_name
         self.counters = Counters()
-        self._loop, self._heard, self._at_once = node.loop, heard, at_once
+        self._loop, self._heard, self._at_once = node.loop, on_message, at_once
         self._check = node.registry.hub_check(type_name, type_hash)
         self._lock = threading.Lock()
         self._queue: deque[HubSample] = deque()
         self._depth = depth
         self.end: HubSubscription | None = None
-        self.sender = b""  # the GID of the publisher whose message is being heard; on the module's thread
-        self.sent_ns = 0  # when that message was sent, nanoseconds of its publisher's clock
+        self.sender = b""  # the GID of the publisher of the current message; on the module's thread
+        self.sent_ns = 0  # the source time of the current message, in ns of its publisher's clock
 
-    def take(self, sample: HubSample) -> None:
-        """Queue a sample, or give it out at once, on zenoh's thread."""
+    def on_sample(self, sample: HubSample) -> None:
+        """Queue a sample, or deliver it at once, on zenoh's thread."""
         if self._at_once:
             self._give(sample)
             return
@@ -110,16 +110,16 @@ class Subscription:
         if full:
             self.counters.dropped("queue")
         else:
-            # one for each sample: it keeps its place among what else was posted, such as the timers of a clock
+            # one action for each sample, so that it keeps its order relative to others, such as the timers of a clock
             self._loop.post(self._run)
 
     def refused(self, reason: str, why: str) -> None:
-        """Count what the hub left out."""
+        """Count a sample that the hub refused."""
         self.counters.dropped(reason)
         self.counters.failed(why)
 
     def tick(self) -> None:
-        """Count what was lost on its way, too."""
+        """Update the rate and the number of lost messages."""
         self.counters.tick()
         if self.end is not None:
             self.counters.missed(self.end.lost, self.end.losses)
@@ -142,7 +142,7 @@ class Subscription:
         self._heard(payload)
 
     def close(self) -> None:
-        """Hear no more."""
+        """Unsubscribe."""
         if self.end is not None:
             self.end.close()
         with self._lock:
@@ -150,7 +150,7 @@ class Subscription:
 
 
 class Endpoints:
-    """What a module's node has on the hub, apart from its actions; see `bridge.modules.host.ModuleNode`.
+    """The endpoints of a module's node on the hub, without its actions; see `bridge.modules.host.ModuleNode`.
 
     Attributes:
         hub: its session.
@@ -166,44 +166,44 @@ class Endpoints:
     def publisher(
         self, topic: str, type_name: str, qos: Qos | None = None, *, priority: str = "stream"
     ) -> ModulePublisher:
-        """Make a publisher; raises `bridge.messages.errors.MessageTypeError` for a type that nobody knows."""
+        """Create a publisher; raises `bridge.messages.errors.MessageTypeError` for an unknown type."""
         side = self.registry.ros2(type_name)
         end = self.hub.publisher(topic, type_name, side.type_id, qos or Qos(), priority=priority)
-        made = ModulePublisher(end, self.registry, type_name)
-        self._ends.append(made)
-        return made
+        endpoint = ModulePublisher(end, self.registry, type_name)
+        self._ends.append(endpoint)
+        return endpoint
 
-    def subscription(self, topic: str, type_name: str, heard: Heard, qos: Qos | None = None) -> Subscription:
-        """Hear a topic's messages as values, on the module's thread; arrays of numbers share the message's memory."""
+    def subscription(self, topic: str, type_name: str, on_message: OnMessage, qos: Qos | None = None) -> Subscription:
+        """Receive a topic's messages as values, on the module's thread; numeric arrays share the message's memory."""
         schema = self.registry.schema(type_name)
         return self.subscription_cdr(
-            topic, type_name, lambda payload: heard(MessageReader(schema, payload).message()), qos
+            topic, type_name, lambda payload: on_message(MessageReader(schema, payload).message()), qos
         )
 
     def subscription_cdr(
         self,
         topic: str,
         type_name: str,
-        heard: Callable[[bytes], None],
+        on_message: Callable[[bytes], None],
         qos: Qos | None = None,
         *,
         at_once: bool = False,
     ) -> Subscription:
-        """Hear a topic's messages as checked CDR bytes.
+        """Receive a topic's messages as validated CDR bytes.
 
         Args:
             topic: its name.
             type_name: its type.
-            heard: called with each message, on the module's thread.
-            qos: how it is subscribed to.
-            at_once: ``heard`` is called on zenoh's threads, several at a time: it keeps what it is given, and is quick.
+            on_message: called with each message, on the module's thread.
+            qos: of the subscription.
+            at_once: call ``on_message`` on zenoh's threads, concurrently; it must not block, and only store the message.
         """
         side = self.registry.ros2(type_name)
         qos = qos or Qos()
-        made = Subscription(self, topic, type_name, side.type_id, heard, max(qos.depth, 1), at_once=at_once)
-        made.end = self.hub.subscription(topic, type_name, side.type_id, qos, made.take, made.refused)
-        self._ends.append(made)
-        return made
+        endpoint = Subscription(self, topic, type_name, side.type_id, on_message, max(qos.depth, 1), at_once=at_once)
+        endpoint.end = self.hub.subscription(topic, type_name, side.type_id, qos, endpoint.on_sample, endpoint.refused)
+        self._ends.append(endpoint)
+        return endpoint
 
     def server(
         self, name: str, type_name: str, serve: Serve, at_once: Callable[[dict[str, Any]], None] | None = None
@@ -211,24 +211,24 @@ class Endpoints:
         """Serve a service (``std_srvs/srv/SetBool``); raises `bridge.messages.errors.MessageTypeError`.
 
         Args:
-            name: the service's.
+            name: of the service.
             type_name: its type.
             serve: called on the module's thread.
-            at_once: called with each request before, on a thread of the hub: it only sets a flag, wakes or sends.
+            at_once: called with each request before ``serve``, on a thread of the hub; it must not block.
         """
-        made = ModuleServer(self.hub, self.registry, self.loop, name, type_name, serve, at_once)
-        self._ends.append(made)
-        return made
+        endpoint = ModuleServer(self.hub, self.registry, self.loop, name, type_name, serve, at_once)
+        self._ends.append(endpoint)
+        return endpoint
 
     def client(self, name: str, type_name: str) -> ModuleClient:
-        """Call a service; raises `bridge.messages.errors.MessageTypeError`."""
-        made = ModuleClient(self.hub, self.registry, self.loop, name, type_name)
-        self._ends.append(made)
-        return made
+        """Create a service client; raises `bridge.messages.errors.MessageTypeError`."""
+        endpoint = ModuleClient(self.hub, self.registry, self.loop, name, type_name)
+        self._ends.append(endpoint)
+        return endpoint
 
     def release(self, end: ModulePublisher | Subscription | ModuleServer | ModuleClient) -> None:
-        """Give one end back before the node's end."""
-        self._ends = [each for each in self._ends if each is not end]
+        """Close one endpoint before the node is closed."""
+        self._ends = [other for other in self._ends if other is not end]
         end.close()
 
     def tick(self) -> None:
@@ -240,13 +240,13 @@ class Endpoints:
                 end.counters.tick()
 
     def status(self) -> list[dict[str, Any]]:
-        """Its ends, as they stand in the status document."""
+        """Return the endpoints for the status document."""
         return [
             {"topic": end.topic, "type": end.type_name, "end": end.KIND, **end.counters.as_dict()} for end in self._ends
         ]
 
     def close(self) -> None:
-        """Give back all ends."""
+        """Close all endpoints."""
         ends, self._ends = self._ends, []
         for end in ends:
             end.close()

@@ -104,8 +104,8 @@ class Host:
     def _acknowledge(self, now: int) -> None:
         """Acknowledge a time of the simulation: the actions of timers that were due then were posted earlier."""
         seconds, nanoseconds = divmod(now, 1_000_000_000)
-        said = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": self.name}
-        self.loop.post(lambda: self._done.publish(said))
+        time_message = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": self.name}
+        self.loop.post(lambda: self._done.publish(time_message))
 
     def on_jump(self, forget: Callable[[], Any]) -> None:
         """Discard what depends on time when the clock jumps (see `RunClock.on_jump`), on the module's thread."""
@@ -145,5 +145,5 @@ class Host:
 
 
 def _stamp(nanoseconds: int) -> dict[str, int]:
-    seconds, rest = divmod(nanoseconds, 1_000_000_000)
-    return {"sec": seconds, "nanosec": rest}
+    seconds, nanosec = divmod(nanoseconds, 1_000_000_000)
+    return {"sec": seconds, "nanosec": nanosec}

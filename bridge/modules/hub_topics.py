@@ -3,7 +3,7 @@
 `HubTopics` lists the topics with all their publishers, and subscribes to chosen ones. It passes on the received CDR,
 with the sequence number, source time and publisher from the attachment, and builds no message objects.
 
-Callbacks run on zenoh's threads. It is up to the caller to queue messages, and to bound the queue.
+Callbacks run on zenoh's threads. The caller has to queue messages, and to bound the queue.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ def published(endpoints: Iterable[HubEndpoint], *, taps: bool = False) -> dict[T
     return {key: HubTopic(key, tuple(endpoints)) for key, endpoints in publishers.items()}
 
 
-class HeardTopic:
-    """A subscribed topic, created by `HubTopics.hear` and renewed by `HubTopics.look`.
+class SubscribedTopic:
+    """A subscribed topic, created by `HubTopics.subscribe` and renewed by `HubTopics.refresh`.
 
     If a publisher stores messages for late joiners, these are received as well, each once. Messages of one publisher
     are in order, except for the stored ones of a latched publisher that joins publishers without stored messages.
@@ -255,7 +255,7 @@ class HubTopics:
         hub: the session, which stays open.
         registry: of types.
         changed: called after each change of the hub's graph, on a thread of zenoh: it should only wake a thread, which
-            then calls `look`.
+            then calls `refresh`.
         taps: include topics that workers show of a side upon request.
 
     Attributes:
@@ -267,11 +267,11 @@ class HubTopics:
     ) -> None:
         self._hub, self._taps = hub, taps
         self._lock = threading.RLock()
-        self._subscribed: dict[TopicKey, HeardTopic] = {}
+        self._subscribed: dict[TopicKey, SubscribedTopic] = {}
         self.definitions = Definitions(hub, registry)
         self._watch = hub.graph.watch(changed) if changed is not None else None
 
-    def look(self) -> dict[TopicKey, HubTopic]:
+    def refresh(self) -> dict[TopicKey, HubTopic]:
         """Return the topics that are published now; renew the subscriptions with the QoS that their publishers need."""
         topics = published(self._hub.graph.publishers(), taps=self._taps)
         with self._lock:
@@ -281,8 +281,8 @@ class HubTopics:
                 topic.renew(topics[topic.key].publishers)
         return topics
 
-    def hear(self, topic: HubTopic, on_sample: Callable[[HubSample], None]) -> HeardTopic:
-        """Subscribe to a topic until `close` or `unhear`; an existing subscription keeps its callback.
+    def subscribe(self, topic: HubTopic, on_sample: Callable[[HubSample], None]) -> SubscribedTopic:
+        """Subscribe to a topic until `close` or `unsubscribe`; an existing subscription keeps its callback.
 
         ``on_sample`` runs on several zenoh threads at a time: it should only queue the sample and wake a thread.
         The payload of a sample may be in its sender's shared memory, which is scarce: queue a copy (`HubSample.data`).
@@ -290,11 +290,11 @@ class HubTopics:
         with self._lock:
             subscribed = self._subscribed.get(topic.key)
             if subscribed is None:
-                subscribed = self._subscribed[topic.key] = HeardTopic(self._hub, topic.key, on_sample)
+                subscribed = self._subscribed[topic.key] = SubscribedTopic(self._hub, topic.key, on_sample)
         subscribed.renew(topic.publishers)
         return subscribed
 
-    def unhear(self, key: TopicKey) -> HeardTopic | None:
+    def unsubscribe(self, key: TopicKey) -> SubscribedTopic | None:
         """Unsubscribe from a topic; return the closed subscription with its counts, None if there was none."""
         with self._lock:
             topic = self._subscribed.pop(key, None)
@@ -302,7 +302,7 @@ class HubTopics:
             topic.close()
         return topic
 
-    def heard(self) -> list[HeardTopic]:
+    def subscribed(self) -> list[SubscribedTopic]:
         """Return the subscribed topics."""
         with self._lock:
             return list(self._subscribed.values())

@@ -1,4 +1,4 @@
-"""A module's own thread: messages, timers and calls, one after the other."""
+"""A module's thread: messages, timers and calls, in sequence."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bridge.progress import StepWatch, working
 _log = logging.getLogger(__name__)
 ANSWER_SECONDS = 5.0
 STEP_SECONDS = 5.0
-"""A step that stands still for longer hangs."""
+"""A step without progress for longer hangs."""
 _LOOK = 0.25
 
 Action = Callable[[], Any]
@@ -27,10 +27,10 @@ Action = Callable[[], Any]
 class EventLoop:
     """Runs actions in order on one thread. Safe to use from any thread.
 
-    What is posted is bounded by who posts it: a subscription posts itself once for each message in its bounded queue.
+    Callers bound their posted actions: a subscription posts one for each message in its bounded queue.
 
     Args:
-        limit: seconds for which a step may stand still.
+        limit: longest time in seconds without progress of a step.
     """
 
     def __init__(self, name: str, limit: float = STEP_SECONDS) -> None:
@@ -50,7 +50,7 @@ class EventLoop:
 
     @property
     def waiting(self) -> int:
-        """Actions that wait for the thread."""
+        """Number of actions that wait for the thread."""
         return len(self._ready)
 
     def start(self) -> None:
@@ -71,28 +71,28 @@ class EventLoop:
         Args:
             action: what to run.
             seconds: how long to wait for it.
-            late: run it even once nobody waits for it any more, as a stop must be; else one that has not begun by then
-                never does, and one that has is waited for.
+            late: run it even after the timeout, as is needed for a stop; otherwise an action that has not begun by then
+                is dropped, and one that has begun is awaited.
 
         Raises:
-            TimeoutError: the thread has not come to it in time, or has ended.
+            TimeoutError: the thread did not run it in time, or has ended.
         """
         if threading.current_thread() is self._thread:
             return action()
         call = self._ask(action)
         if not call.done.wait(seconds) and (late or self._withdrawn(call) or not call.done.wait(ANSWER_SECONDS)):
-            raise TimeoutError(f"{self._name} has not answered for {seconds:g} s")
+            raise TimeoutError(f"{self._name} has not responded for {seconds:g} s")
         return call.outcome()
 
     def work(self, action: Callable[[], Any], still: float | None = None) -> Any:
-        """As `call`, from another thread, for what may take long: it is waited for while the thread works.
+        """Run a slow action as `call` does, from another thread, and wait for it as long as the thread makes progress.
 
         Args:
             action: what to run.
-            still: seconds for which the thread may stand still; default the loop's limit.
+            still: longest time in seconds without progress; by default the loop's limit.
 
         Raises:
-            TimeoutError: the thread hangs, or has ended; the action is left out where it has not begun.
+            TimeoutError: the thread hangs, or has ended; an action that has not begun is dropped.
         """
         call, clock = self._ask(action), self._watch.clock
         assert clock is not None
@@ -107,9 +107,9 @@ class EventLoop:
         return call.outcome()
 
     def computes(self) -> str:
-        """Words about a step that has computed for long, "" else; to be asked by one thread, again and again.
+        """Return a text if a step has computed for a long time, else ""; called repeatedly by one thread.
 
-        Raises `TimeoutError` if the step at hand hangs.
+        Raises `TimeoutError` if the current step hangs.
         """
         return self._watch.judge(self._name, self._busy_since)
 
@@ -124,19 +124,19 @@ class EventLoop:
         return call
 
     def every(self, seconds: float, action: Action) -> Timer:
-        """Run an action every so many seconds; a time that was missed is left out."""
+        """Run an action periodically; missed times are skipped."""
         timer = Timer(self, seconds, action, again=True)
         self._put(time.monotonic() + seconds, timer)
         return timer
 
     def after(self, seconds: float, action: Action) -> Timer:
-        """Run an action once, so many seconds from now."""
+        """Run an action once, after a delay in seconds."""
         timer = Timer(self, seconds, action, again=False)
         self._put(time.monotonic() + seconds, timer)
         return timer
 
     def close(self, seconds: float = 2.0) -> None:
-        """End the thread once the action at hand is done; the others are dropped, and who waits for one is told.
+        """End the thread after its current action; the other actions are dropped, and their callers get an error.
 
         Safe to call twice, and on the thread itself.
         """
@@ -152,7 +152,7 @@ class EventLoop:
             self._thread.join(seconds)
 
     def _ended(self) -> TimeoutError:
-        """A kind of time-out, for who calls: the answer does not come."""
+        """Return the error for callers of a loop that has ended."""
         return TimeoutError(f"{self._name} has ended")
 
     def _answer(self, call: _Call) -> None:
@@ -160,7 +160,7 @@ class EventLoop:
             call.run()
 
     def _withdrawn(self, call: _Call) -> bool:
-        """Take a call out of those that have not begun; whether it was one."""
+        """Remove a call that has not begun; return whether there was one."""
         with self._condition:
             waits = call in self._calls
             self._calls.discard(call)
@@ -191,8 +191,8 @@ class EventLoop:
             while not self._closed:
                 now = time.monotonic()
                 due = bool(self._timers) and self._timers[0][0] <= now
-                # by turns: neither timers that take longer than their period nor what is posted on and on may keep a
-                # stop waiting
+                # alternate, so that neither timers that take longer than their period nor a flood of posted actions
+                # can delay a stop
                 if due and not (self._ready and self._timer_ran):
                     self._timer_ran = True
                     return self._due(now).run
@@ -212,7 +212,7 @@ class EventLoop:
 
 
 class _Call:
-    """An action that somebody waits for, and what came of it once it is done."""
+    """An action that a caller waits for, and its outcome."""
 
     def __init__(self, action: Callable[[], Any]) -> None:
         self._action = action
@@ -229,19 +229,19 @@ class _Call:
         self.done.set()
 
     def outcome(self) -> Any:
-        """What came of it, returned or raised."""
+        """Return the result of the action, or raise its error."""
         if self.error is not None:
             raise self.error
         return self.result
 
     def fail(self, error: BaseException) -> None:
-        """It is not run."""
+        """Set an error instead of running the action."""
         self.error = error
         self.done.set()
 
 
 class Timer:
-    """An action with a time; made by `EventLoop.every` and `EventLoop.after`."""
+    """A scheduled action, created by `EventLoop.every` and `EventLoop.after`."""
 
     def __init__(self, loop: EventLoop, seconds: float, action: Action, *, again: bool) -> None:
         self.seconds, self.again = seconds, again
@@ -254,12 +254,12 @@ class Timer:
             self._action()
 
     def close(self) -> None:
-        """Run it no more."""
+        """Cancel the timer."""
         self.closed = True
 
 
 class ClockTimer:
-    """An action every so many seconds of a simulated clock; as in `EventLoop.every`, missed times are left out."""
+    """A periodic action on a simulated clock; as in `EventLoop.every`, missed times are skipped."""
 
     def __init__(self, clock: RunClock, loop: EventLoop, seconds: float, action: Action) -> None:
         self._period = round(seconds * 1e9)
@@ -270,7 +270,7 @@ class ClockTimer:
         self._withdraw = clock.on_time(self._heard)
 
     def close(self) -> None:
-        """Run it no more."""
+        """Cancel the timer."""
         self.closed = True
         self._withdraw()
 
@@ -291,10 +291,10 @@ T = TypeVar("T")
 
 
 class Newest(Generic[T]):
-    """Gives a module's thread the newest value; while it is busy one waits, and not all that came.
+    """Passes the newest value to a module's thread; while the thread is busy, newer values replace the waiting one.
 
     Args:
-        take: called with it there.
+        take: called with the value, on that thread.
     """
 
     def __init__(self, loop: EventLoop, take: Callable[[T], object]) -> None:
@@ -303,7 +303,7 @@ class Newest(Generic[T]):
         self._waiting: list[T] = []
 
     def put(self, value: T) -> None:
-        """Another one came, on any thread."""
+        """Pass a value, from any thread."""
         with self._lock:
             posted, self._waiting = bool(self._waiting), [value]
         if not posted:

@@ -48,7 +48,7 @@ class HostedPort:
         self.trouble = "not opened yet"  # why it is not open, "" if it is
 
     @property
-    def heard(self) -> bool:
+    def has_readers(self) -> bool:
         """Return whether a port is connected to its output."""
         return bool(self.core.connections.outputs)
 
@@ -75,8 +75,8 @@ class HostedPort:
         decision = self._decision(output)
         cure = self._generations.hint(decision) if _is_device(output) else ""
         if cure:
-            what = "%s: the YARP release of its reader %s is unknown (%s); it gets the data of %s; %s"
-            _log.warning(what, self.name, decision.peer, decision.reason, decision.generation.value, cure)
+            text = "%s: the YARP release of its reader %s is unknown (%s); it gets the data of %s; %s"
+            _log.warning(text, self.name, decision.peer, decision.reason, decision.generation.value, cure)
         return decision.generation
 
     def _decision(self, output: AnyOutput) -> GenerationDecision:
@@ -170,7 +170,7 @@ class Ports:
                 self._trials.connected(event.route.source, event.address)
             self._wake.set()
 
-        port = self._made(name, server, is_output=False, rpc=True, on_event=on_event)
+        port = self._open_port(name, server, is_output=False, rpc=True, on_event=on_event)
         port.answers = self.generations
         return port
 
@@ -181,7 +181,7 @@ class Ports:
         after ``[many]`` as lines.
         """
 
-        def take(message: PortMessage) -> None:
+        def on_request(message: PortMessage) -> None:
             received = Received(message, self._profile)
             try:
                 answer = respond(received.values)
@@ -190,7 +190,7 @@ class Ports:
             if message.wants_reply:
                 received.reply(answer if isinstance(answer, Portable) else begun_by_vocab(answer))
 
-        return self._made(name, take, rpc=True, on_event=lambda _event: self._wake.set())
+        return self._open_port(name, on_request, rpc=True, on_event=lambda _event: self._wake.set())
 
     def input(self, name: str, take: Take) -> HostedPort:
         """Receive the messages that YARP programs write to a port."""
@@ -204,13 +204,13 @@ class Ports:
                 if port.counters.failed(str(err)):
                     _log.warning("%s: message refused: %s", name, err)
 
-        port = self._made(name, taken, is_output=False)
+        port = self._open_port(name, taken, is_output=False)
         return port
 
     def output(self, name: str, type_name: str = "", *, by_release: bool = False) -> HostedPort:
         """Write to the ports that connect; ``by_release``: to each in the form of its release of YARP."""
         if not by_release:
-            return self._made(name, None, is_input=False, type_name=type_name)
+            return self._open_port(name, None, is_input=False, type_name=type_name)
 
         def on_event(event: ConnectionEvent) -> None:
             if not event.incoming:
@@ -218,7 +218,7 @@ class Ports:
             if not event.incoming and event.up:
                 self._trials.connected(event.route.target, ("", 0))
 
-        port = self._made(name, None, is_input=False, type_name=type_name, on_event=on_event)
+        port = self._open_port(name, None, is_input=False, type_name=type_name, on_event=on_event)
         port.answers = self.generations
         return port
 
@@ -251,7 +251,7 @@ class Ports:
         self._closed = True
         self._trials.close()
         for port in self._ports:
-            self._callers.leave(port.core)
+            self._callers.unwatch(port.core)
         self._wake.set()
         if self._thread is not None:
             self._thread.join(_ASK_SECONDS + 0.5)
@@ -259,7 +259,7 @@ class Ports:
             port.core.close()
         self._ports = []
 
-    def _made(self, name: str, on_message: Callable[[PortMessage], Any] | None, **options: Any) -> HostedPort:
+    def _open_port(self, name: str, on_message: Callable[[PortMessage], Any] | None, **options: Any) -> HostedPort:
         core = PortCore(
             name,
             on_message=on_message,
@@ -289,7 +289,7 @@ class Ports:
                 if self._closed:
                     return
                 self._open(port)
-            missing = self._callers.turn()
+            missing = self._callers.update()
             self._wake.wait(AGAIN if missing or any(port.trouble for port in self._ports) else None)
 
     def _open(self, port: HostedPort) -> None:

@@ -15,7 +15,7 @@ from yarp_compat.wire.generation import Findings
 
 
 def hub_settings(config: Config, node: str, worker: str) -> HubSettings:
-    """How a node joins the hub of a configuration; ``worker`` is its name on the control plane."""
+    """Return the settings for a node on a configuration's hub; ``worker`` is its name on the control plane."""
     return HubSettings(
         domain=config.hub.domain,
         router=config.hub.listen,
@@ -33,16 +33,16 @@ def hub_settings(config: Config, node: str, worker: str) -> HubSettings:
 class Shared:
     """Opens each part when a module first needs it. Safe to use from any thread.
 
-    One session spares a process the links, buffers and graphs of one for each module, and a topic of
-    several modules crosses a link once.
+    With one common session a process has only one set of links, buffers and graphs, and a topic of several modules
+    crosses a link once.
 
     Args:
-        config: the configuration; its ``hub`` and ``store`` hold as long as the process.
-        alone: the module that has the process for itself, "" in the daemon's own worker.
+        config: the configuration; its ``hub`` and ``store`` do not change during the process's life.
+        alone: the only module of this process, "" in the daemon's own worker.
 
     Attributes:
         stores: the process's store.
-        findings: of the releases of YARP clients; a client calls several modules.
+        findings: the detected releases of YARP clients, since one client calls several modules.
     """
 
     def __init__(self, config: Config, alone: str = "") -> None:

@@ -227,7 +227,7 @@ class SideToHubRoute(TopicRoute):
             return
         self.counters.carried(len(data), since)
         if self._tells_time:
-            self._context.edge.clock.hear(data)
+            self._context.edge.clock.receive(data)
 
     def _stale(self, known: _Source, time_ns: int | None) -> bool:
         timeout = self.policy.timeout

@@ -73,7 +73,7 @@ class PosePublisher:
 
     def _write(self, estimate: PoseEstimate, odometry: OdometryData | None, map_name: str, now: int) -> None:
         """Write to YARP's streams: NaN without a reliable pose, as upstream does."""
-        if not any(port.heard for port in (*self._streams, *self._odometries)):
+        if not any(port.has_readers for port in (*self._streams, *self._odometries)):
             return
         sure = estimate.status is LocalizationStatus.OK and estimate.pose is not None
         self._stamp.update(now / 1e9)

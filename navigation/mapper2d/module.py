@@ -171,7 +171,7 @@ class Mapper2D(Module):
         if self._changed and self._map is not None:
             self._map.publish_cdr(bytes(to_cdr(self.mapper.grid(), self._section.map_frame, self._host.clock.now_ns())))
         self._changed = False
-        if self._picture.heard:
+        if self._picture.has_readers:
             try:
                 robot = self._poses.robot()
             except FramesError:

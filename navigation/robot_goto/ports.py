@@ -76,7 +76,7 @@ class GotoTopics(PlannerTopics):
 
     def publish_surroundings(self, now: float, driver: Driver, pose: Pose | None, moved: Pose | None) -> None:
         """Publish the local grid, and with a goal the path ahead, twice a second."""
-        if self._ports and self._ports["gui:o"].heard:
+        if self._ports and self._ports["gui:o"].has_readers:
             self._write("gui:o", gui(driver))
         if pose is None or moved is None or 0.0 <= now - self._mapped < _MAP_PERIOD:
             return

@@ -69,7 +69,7 @@ class PathPlannerTopics(PlannerTopics):
 
     def show(self, planner: PathPlanner, pose: Pose | None) -> None:
         """Send a picture if the port has receivers."""
-        if self._image is None or not self._image.heard:
+        if self._image is None or not self._image.has_readers:
             return
         pixels = draw(planner, pose)
         if pixels is not None:

@@ -173,7 +173,7 @@ def test_a_file_that_is_none_is_left_aside(config: Config, names: NameClient) ->
     callers = Callers(names, file)
     core = PortCore("/echo/rpc", naming=names, rpc=True)
     callers.watch(core)
-    assert not callers.turn()
+    assert not callers.update()
 
 
 def _inputs(names: NameClient) -> list[str]:

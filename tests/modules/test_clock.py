@@ -70,14 +70,14 @@ def test_a_clock_tells_only_a_jump_back(caplog: pytest.LogCaptureFixture) -> Non
     withdraw = clock.on_jump(jumps.release)
     assert clock.now_ns() == 0
     for seconds in (5, 5, 100):
-        clock.hear(bytes([0, 1, 0, 0]) + seconds.to_bytes(4, "little") + bytes(4))
+        clock.receive(bytes([0, 1, 0, 0]) + seconds.to_bytes(4, "little") + bytes(4))
     assert not jumps.acquire(blocking=False)
-    clock.hear(bytes([0, 1, 0, 0]) + bytes(8))
+    clock.receive(bytes([0, 1, 0, 0]) + bytes(8))
     assert jumps.acquire(blocking=False)
     assert "set back" in caplog.text
     withdraw()
-    clock.hear(bytes(3))  # none
+    clock.receive(bytes(3))  # none
     assert clock.stamp() == {"sec": 0, "nanosec": 0}
     system = RunClock()
-    system.hear(bytes([0, 1, 0, 0]) + bytes(8))
+    system.receive(bytes([0, 1, 0, 0]) + bytes(8))
     assert abs(system.now_ns() - time.time_ns()) < 5e9

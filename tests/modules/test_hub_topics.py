@@ -62,7 +62,7 @@ def string_key(topic: str) -> TopicKey:
 
 def wait_for(topics: HubTopics, key: TopicKey, publishers: int = 1) -> HubTopic:
     def here() -> HubTopic | None:
-        topic = topics.look().get(key)
+        topic = topics.refresh().get(key)
         return topic if topic is not None and len(topic.publishers) == publishers else None
 
     return until(here, f"{key.topic} has {publishers} publishers")
@@ -77,14 +77,14 @@ def test_topics_come_with_their_sides_and_go(far: Hub, topics: HubTopics, change
     assert not topic.latched
     assert changed.is_set()
     publisher.close()
-    until(lambda: key not in topics.look(), "it is gone")
+    until(lambda: key not in topics.refresh(), "it is gone")
 
 
 def test_messages_are_heard_as_they_came(far: Hub, topics: HubTopics) -> None:
     key = string_key("/said")
     publisher = far.publisher(*key, Qos())
     heard: list[HubSample] = []
-    end = topics.hear(wait_for(topics, key), heard.append)
+    end = topics.subscribe(wait_for(topics, key), heard.append)
     until(publisher.matched, "it is heard")
     publisher.put(text("one"), 1_000)
     publisher.put(text("two"), 2_000)
@@ -94,7 +94,7 @@ def test_messages_are_heard_as_they_came(far: Hub, topics: HubTopics) -> None:
     ]  # fmt: skip
     assert {each.gid for each in heard} == {publisher.gid}
     assert (end.lost, end.refused, end.trouble) == (0, 0, "")
-    topics.unhear(key)
+    topics.unsubscribe(key)
     until(lambda: not publisher.matched(), "nobody hears it")
 
 
@@ -102,7 +102,7 @@ def test_a_latched_publisher_beside_one_that_is_not_gives_what_it_keeps_once(far
     key = string_key("/both")
     plain = far.publisher(*key, Qos())
     heard: list[bytes] = []
-    topics.hear(wait_for(topics, key), lambda sample: heard.append(sample.data()))
+    topics.subscribe(wait_for(topics, key), lambda sample: heard.append(sample.data()))
     until(plain.matched, "it is heard")
     plain.put(text("plain"))
     until(lambda: heard == [text("plain")], "the plain one came")
@@ -120,7 +120,7 @@ def test_a_name_that_is_no_zenoh_key_is_told_not_raised(far: Hub, topics: HubTop
     far.publisher(*key, Qos())
     topic = wait_for(topics, key)
     bad = HubTopic(key._replace(type_hash="TypeHashNotSupported"), topic.publishers)
-    assert "RIHS01" in topics.hear(bad, lambda _: None).trouble
+    assert "RIHS01" in topics.subscribe(bad, lambda _: None).trouble
 
 
 def test_definitions_are_those_installed_or_those_that_a_worker_tells(far: Hub, topics: HubTopics) -> None:

@@ -103,7 +103,7 @@ def recording(hubs: QuickHub, state: Path, place: RecordPlace, **section: Any) -
 
 
 def await_topics(made: Recording, count: int) -> None:
-    until(lambda: len(made.recorder.topics.heard()) >= count, f"{count} topics are heard")
+    until(lambda: len(made.recorder.topics.subscribed()) >= count, f"{count} topics are heard")
 
 
 def await_written(made: Recording, count: int) -> dict[str, Any]:

@@ -89,7 +89,7 @@ def test_each_file_of_a_split_begins_with_what_is_latched(hubs: QuickHub, robot:
         said.put(robot.text("first"))
         await_written(made, 5)
         gone.close()
-        until(lambda: not made.recorder.topics.look().keys() & {gone_key(made)}, "it is gone")
+        until(lambda: not made.recorder.topics.refresh().keys() & {gone_key(made)}, "it is gone")
         first = made.recorder.split()
         said.put(robot.text("second"))
         await_written(made, 6)
@@ -140,7 +140,7 @@ def test_the_metadata_of_a_folder_have_the_qos_of_all_publishers(hubs: QuickHub,
 
 
 def gone_key(made: Any) -> Any:
-    return next(each.key for each in made.recorder.topics.heard() if each.key.topic == "/gone")
+    return next(each.key for each in made.recorder.topics.subscribed() if each.key.topic == "/gone")
 
 
 def test_a_pause_hears_nothing_and_a_start_goes_on_in_another_file(

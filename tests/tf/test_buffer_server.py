@@ -37,7 +37,7 @@ class Asked:
     def at(self, now: int) -> None:
         """Simulated time goes on."""
         seconds, rest = divmod(now, S)
-        self.clock.hear(b"\0\1\0\0" + seconds.to_bytes(4, "little") + rest.to_bytes(4, "little"))
+        self.clock.receive(b"\0\1\0\0" + seconds.to_bytes(4, "little") + rest.to_bytes(4, "little"))
 
     def lookup(self, target: str, source: str, stamp: int = 0, **more: Any) -> list[Any]:
         """Ends of one goal: they come later."""

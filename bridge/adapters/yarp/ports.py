@@ -280,7 +280,7 @@ class OwnPorts:
         """Make missing connections, in the background."""
         now = time.monotonic()
         if (self._asking is None or self._asking.done()) and any(port.served for port in self.own.values()):
-            self._asking = self._links.submit(self._callers.turn)
+            self._asking = self._links.submit(self._callers.update)
         for name, port in self.own.items():
             if not port.links:
                 continue
@@ -334,7 +334,7 @@ class OwnPorts:
             if port.input_port is not None:
                 port.input_port.deliver_to(None)
             if port.served is not None:
-                self._callers.leave(port.core)
+                self._callers.unwatch(port.core)
                 port.served.close()
         ends = [self._ends.submit(partial(self._end, port.core)) for port in ports]
         deadline = time.monotonic() + _STOP_SECONDS

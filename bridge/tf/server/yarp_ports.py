@@ -99,7 +99,7 @@ class FrameStream:
 
     def _send(self, part: float) -> None:
         now = time.monotonic()
-        if self._port.heard and now - self._last >= part * self._period:
+        if self._port.has_readers and now - self._last >= part * self._period:
             self._last = now
             self._port.write(_All(self._give(), self._generation))
 

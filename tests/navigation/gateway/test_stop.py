@@ -225,7 +225,7 @@ def test_a_planner_that_speaks_before_the_graph_tells_of_it_is_believed(
         monkeypatch.setattr(goal_list, "EARLY_SECONDS", 0.0)
         unknown = rig.state(State.MOVING, "has not reported its goals; the robot may still be moving")
         assert unknown["error_code"] == Fault.MAY_MOVE, "a list that is missing is not an empty one"
-        rig.planner.on(rig.planner.server.tell_status)
+        rig.planner.on(rig.planner.server.publish_status)
         rig.state(State.ABORTED, "has gone")
 
 

@@ -262,7 +262,7 @@ def test_the_newest_parent_wins_and_both_are_told(place: Place, clock: Stopped) 
 
 def simulated(seconds: float) -> RunClock:
     run = RunClock(simulated=True)
-    run.hear(tick(seconds))
+    run.receive(tick(seconds))
     return run
 
 
@@ -279,11 +279,11 @@ def test_a_run_on_a_simulations_clock(clock: Stopped, follows: bool, shown: floa
     place.set(frame("base", "on_its_clock", 99.95), frame("base", "on_the_systems", clock.system - 0.05))
     assert [t.stamp for t in place.said] == pytest.approx([99_950_000_000] * 2, abs=1000)
     assert {round(place.seen()[n].timestamp, 6) for n in ("on_its_clock", "on_the_systems")} == {round(shown - 0.05, 6)}
-    place.run.hear(tick(100.3))
+    place.run.receive(tick(100.3))
     clock.system += 0.3
     assert list(place.seen()) == ["base"]
     place.hear("base", "lidar", 0, static=True)
-    place.run.hear(tick(1.0))
+    place.run.receive(tick(1.0))
     place.exchange.forget_timed()
     assert list(place.seen()) == ["lidar"]
     assert place.set(frame("map", "base", 1.0)) is None
