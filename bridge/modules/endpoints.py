@@ -196,7 +196,7 @@ class Endpoints:
             type_name: its type.
             on_message: called with each message, on the module's thread.
             qos: of the subscription.
-            at_once: call ``on_message`` on zenoh's threads, concurrently; it must not block, and only store the message.
+            at_once: call ``on_message`` on zenoh's threads, concurrently; it must only store the message.
         """
         side = self.registry.ros2(type_name)
         qos = qos or Qos()
