@@ -63,9 +63,13 @@ class RobotPorts:
         scan = self._simulation.scan
         if scan.time_ns != self._scanned:
             self._scanned = scan.time_ns
-            if self._laser.heard:
+            if self._laser.has_readers:
                 self._laser.write(self._scan(), envelope)
-        if self._depth is not None and self._simulation.pictured == self._simulation.time_ns and self._depth.heard:
+        if (
+            self._depth is not None
+            and self._simulation.pictured == self._simulation.time_ns
+            and self._depth.has_readers
+        ):
             self._depth.write(ImageFloat.of(self._simulation.depth()), envelope)
         if self._ticks % _ODOMETRY == 0 and "encoders_silent" not in self._simulation.faults:
             self._publish_odometry(envelope)
@@ -78,9 +82,9 @@ class RobotPorts:
         charge = self._simulation.battery.charge
         percent, current = 100.0 * charge.share, -charge.current
         data = BatteryData(percent, charge.voltage, current, _TEMPERATURE, int(_IN_USE))
-        if self._battery.heard:
+        if self._battery.has_readers:
             self._battery.write(data.older(), envelope)
-        if self._battery_data.heard:
+        if self._battery_data.has_readers:
             self._battery_data.write_by_release(
                 lambda generation: data.older() if generation.before_3_12 else data, envelope
             )
@@ -97,12 +101,12 @@ class RobotPorts:
         (x, y, yaw), (vx, vy, angular) = estimate.pose, estimate.twist
         c, s = math.cos(yaw), math.sin(yaw)
         degrees = math.degrees(angular)
-        if self._odometry.heard:
+        if self._odometry.has_readers:
             data = OdometryData(x, y, math.degrees(yaw), vx, vy, degrees, c * vx - s * vy, s * vx + c * vy, degrees)
             self._odometry.write(data, envelope)
-        if self._odometer.heard:
+        if self._odometer.has_readers:
             self._odometer.write([estimate.travelled, math.degrees(estimate.turned)], envelope)
-        if self._velocity.heard:
+        if self._velocity.has_readers:
             self._velocity.write([math.hypot(vx, vy), degrees], envelope)
 
 
@@ -130,7 +134,7 @@ class _Board:
 
     def publish(self, envelope: str) -> None:
         """Write the state of the wheels, on the simulation's thread."""
-        if self._state.heard or self._positions.heard:
+        if self._state.has_readers or self._positions.has_readers:
             state = self._board.state()
             self._state.write(state, envelope)
             self._positions.write(positions(state), envelope)

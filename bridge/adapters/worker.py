@@ -23,7 +23,7 @@ from bridge.config.sections.section import SideSection
 from bridge.hub import opening, shared_memory
 from bridge.hub.control import Handler
 from bridge.hub.daemons import identity_of
-from bridge.hub.diagnostics import heard
+from bridge.hub.diagnostics import has_subscribers
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings, follow_clock
 from bridge.messages.actions import GET_RESULT, split
@@ -238,7 +238,7 @@ class NetworkBridge:
 
     def diagnostics_wanted(self) -> bool:
         """Return whether `/diagnostics` has a subscriber on the hub or on any side."""
-        return heard(self._hub.graph)
+        return has_subscribers(self._hub.graph)
 
     def drain(self, deadline: float) -> None:
         """Wait until no result of a navigation goal is pending: the daemon's gateway stops the robot meanwhile.

@@ -25,7 +25,7 @@ from bridge.foxglove.scene import SCENE, Scene
 from bridge.foxglove.server import FoxgloveServer
 from bridge.foxglove.services import Services
 from bridge.foxglove.visitors import Visitors
-from bridge.hub.diagnostics import announce, heard
+from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from bridge.modules.hub_topics import HubTopics
@@ -71,7 +71,7 @@ class FoxgloveWorker(Worker):
 
     def diagnostics_wanted(self) -> bool:
         """See `Worker`."""
-        return self._live is not None and heard(self._live.host.node.hub.graph)
+        return self._live is not None and has_subscribers(self._live.host.node.hub.graph)
 
     def stop(self) -> None:
         """Cut the clients, and leave the hub."""

@@ -1,4 +1,4 @@
-"""Definitions of message types that workers tell each other, and tools: of types that the asker does not have."""
+"""Requests for message definitions: workers and tools get definitions that they lack from other workers."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Iterable
 from bridge.hub.control import WorkerAnswer
 
 VERB = "type"
-"""The question on the control plane, with the parameter ``name``."""
+"""The request on the control plane, with the parameter ``name``."""
 
 MAX_DEFINITION = 1024 * 1024
-"""Characters of the longest definition that is taken."""
+"""Maximum length of an accepted definition, in characters."""
 
 
 def definition_among(answers: Iterable[WorkerAnswer], type_hash: str = "") -> str | None:
-    """The first definition that was told, with this very hash unless that is ""; None where nobody knew it."""
+    """Return the first received definition, with this hash unless it is ""; None if no worker has it."""
     for answer in answers:
         value = answer.value if isinstance(answer.value, dict) else {}
         definition = value.get("definition")

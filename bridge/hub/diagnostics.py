@@ -1,4 +1,4 @@
-"""The state of Midspan's parts on the hub, as rqt_robot_monitor and the Foxglove app show it: names, and who hears."""
+"""``/diagnostics`` on the hub, for rqt_robot_monitor and the Foxglove app: names, and whether it has subscribers."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from bridge.messages.registry import Registry
 TOPIC = "/diagnostics"
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 HEARD = "/_midspan/diagnostics"
-"""Under this name a side's worker subscribes while a program of its side hears `TOPIC`: who tells need not ask for it.
+"""A side's worker subscribes to this topic while a program of its side subscribes to `TOPIC`.
 
-The routes of a topic subscribe on the hub whether or not anybody on their side listens.
+The route's own subscription on the hub does not show that, as it exists even without subscribers on the side.
 """
 
 
 def announce(hub: Hub, registry: Registry) -> HubPublisher:
-    """Have `TOPIC` on the hub, where those find it who choose of a list; nobody need tell by it."""
+    """Advertise `TOPIC` on the hub, so that tools list it even while no status is published."""
     return hub.publisher(TOPIC, TYPE, registry.ros2(TYPE).type_id, Qos(depth=10))
 
 
-def heard(graph: HubGraph) -> bool:
-    """Whether a native program of the hub hears `TOPIC`, or one of a side."""
+def has_subscribers(graph: HubGraph) -> bool:
+    """Return whether `TOPIC` has a subscriber on the hub or on any side."""
     ends = graph.subscriptions(TOPIC)
     return any(each.origin is None and not each.pending for each in ends) or bool(graph.subscriptions(HEARD))

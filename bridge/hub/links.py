@@ -1,13 +1,12 @@
-"""The links of zenoh sessions: missing ones between programs of this machine are made again, dead ones to others end.
+"""The links of zenoh sessions: restores missing ones between programs of this machine, and closes dead ones to others.
 
-Peers learn of each other when one of them joins the router (zenoh calls it gossip), and then link directly. zenoh does
-not try a link again after it has ended, and its routers forward nothing between two peers (zenoh 1.10:
-``closed_session`` of ``orchestrator.rs`` reconnects to configured endpoints only; ``peers_failover_brokering`` has no
-effect any more). A process that stands still for about the lease of 3 s loses some of its links and keeps others. If it
-keeps the router's, it and a lost peer receive nothing from each other until one of them is restarted. This was seen
-with a worker that was stopped for 3 s several times: the fourth time. When a session joins, the router and all peers
-are announced again, so a session that has lost a peer which is still at the router opens another one for a moment
-(`Mesh`).
+Peers discover each other when one of them joins the router (zenoh calls it gossip), and then link directly. zenoh does
+not restore a link that has ended, and its routers do not forward between two peers (zenoh 1.10: ``closed_session`` of
+``orchestrator.rs`` reconnects only to configured endpoints; ``peers_failover_brokering`` no longer has an effect). A
+process that is suspended for about the lease of 3 s loses some of its links and keeps others. If it keeps the router's,
+it and a lost peer receive nothing from each other until one of them is restarted. A worker that was repeatedly stopped
+for 3 s showed this the fourth time. When a session joins, the router and all peers are announced again, so a session
+that has lost a peer which is still at the router briefly opens another session (`Mesh`).
 
 A first attempt to link may fail as well: when 13 nodes of rmw_zenoh joined at once on a busy machine, one of them had
 no link to some workers, and they did not see its topics. So a session also compares its links with the router's peers.
@@ -45,23 +44,23 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 MEMBERS = "members"
-"""The verb that Midspan's router answers with its sessions."""
+"""The verb to which Midspan's router responds with its sessions."""
 
 _MARK = "d0c0ffee"
-"""Begins the zenoh ids of the sessions that introduce others; their ends are not losses."""
+"""Prefix of the zenoh ids of the sessions that introduce others; their ends are not losses."""
 
 _FIRST_SECONDS = 1.5
-"""Longer than the other sessions and the router take to notice a loss. Otherwise a process that stands still would be
+"""Longer than the other sessions and the router take to detect a loss. Otherwise a suspended process would be
 announced, and failing attempts to reach it would still run when it continues."""
 
 _SOON_SECONDS = 0.2
 _TOGETHER_SECONDS = 1.0
-"""A session that lost its router within this time of its peers stood still itself, and need not wait."""
+"""A session that lost its router within this time of its peers was suspended itself, and need not wait."""
 
 _LONGEST_SECONDS = 4.0
 _INTRODUCTION_SECONDS = 2.0
 _REMEMBERED_SECONDS = 60.0
-"""Time for which a lost session is looked for; one that is not at the router may return to it."""
+"""Time for which a lost session is searched; one that is not at the router may return to it."""
 
 _COMPARE_SECONDS = 5.0
 """Time between two comparisons with the router's peers. One that is missing in two of them has no link."""
@@ -77,12 +76,12 @@ class Mesh:
     """Watches the direct links of a session.
 
     Args:
-        config: makes a configuration by which another session joins the same hub.
+        config: returns a configuration with which another session joins the same hub.
         members: returns the zenoh ids of all sessions at this session's routers, None if no router answers.
         peers: the same for peers only.
 
     Attributes:
-        mended: number of links that were missing and were made again.
+        mended: number of missing links that were restored.
     """
 
     def __init__(
@@ -96,7 +95,7 @@ class Mesh:
         self._adrift = float("-inf")
         self._closed = Event()
         self.mended = 0
-        # Not a callback: zenoh's thread, which waits for Python's lock there, has links to make and to end
+        # Not a callback: it would block zenoh's thread, which opens and closes links, on the GIL
         channel: Any = zenoh.handlers.RingChannel(_MOST_EVENTS)
         self._listener: Any = session.info.declare_transport_events_listener(channel)
         self._events: Any = self._listener.handler
@@ -116,7 +115,7 @@ class Mesh:
         return frozenset(self._lost)
 
     def _run(self) -> None:
-        while not self._closed.wait(_LOOK_SECONDS):  # zenoh's own way to wait for an event looks ten times a second
+        while not self._closed.wait(_LOOK_SECONDS):  # zenoh's own wait for an event polls ten times a second
             try:
                 self._take_all()
                 self._compare()
@@ -142,7 +141,7 @@ class Mesh:
             pause = min(2 * pause, _LONGEST_SECONDS)
 
     def _give_up(self, oldest: float) -> None:
-        """Stop looking for sessions that were lost before a time."""
+        """Stop searching for sessions that were lost before a time."""
         over = {zid for zid, at in self._lost.items() if at <= oldest}
         self._lost = {zid: at for zid, at in self._lost.items() if zid not in over}
         self._unreachable |= over
@@ -162,8 +161,8 @@ class Mesh:
             self._unlinked, self._unreachable = set(), frozenset()
             return
         self._unreachable &= peers  # one that has left may return
-        here = self._here() | self._unreachable | {str(self._session.zid())}
-        unlinked = {zid for zid in peers - here if not zid.startswith(_MARK)}
+        linked = self._here() | self._unreachable | {str(self._session.zid())}
+        unlinked = {zid for zid in peers - linked if not zid.startswith(_MARK)}
         for zid in unlinked & self._unlinked:
             self._lost.setdefault(zid, now - _FIRST_SECONDS)
         self._unlinked = unlinked
@@ -180,7 +179,7 @@ class Mesh:
 
     def _mend(self) -> None:
         """Introduce the missing sessions; does nothing while no router reports its sessions."""
-        if not self._session.info.routers_zid():  # when it returns, all peers are announced
+        if not self._session.info.routers_zid():  # when the router returns, all peers are announced
             return
         members = self._members()
         if members is None:
@@ -197,7 +196,7 @@ class Mesh:
         return {str(zid) for zid in self._session.info.peers_zid()}
 
     def _introduce(self, missing: Collection[str]) -> None:
-        """Open another session, which makes the router announce all peers, until the missing ones are linked."""
+        """Open another session until the missing ones are linked: it makes the router announce all peers."""
         config = self._config()
         config.insert_json5("id", json.dumps(_MARK + secrets.token_hex(12)))
         session = zenoh.open(config)
@@ -206,7 +205,7 @@ class Mesh:
             while time.monotonic() < deadline and not self._closed.wait(0.02):
                 if self._here().issuperset(missing):
                     self.mended += len(missing)
-                    _log.warning("the direct link to %s had been lost, and is there again", ", ".join(missing))
+                    _log.warning("restored the direct link to %s", ", ".join(missing))
                     break
         finally:
             session.close()  # type: ignore[no-untyped-call]
@@ -221,10 +220,10 @@ def _far(address: str) -> bool:
 
 
 def limit_links(process: psutil.Process, far: Callable[[str], bool] = _far) -> None:
-    """Give this process's connections to other machines the limit; those that have it already, once more."""
+    """Set the limit on all of this process's connections to other machines."""
     if _OPTION is None:
         return
-    import psutil  # who opens no door does without
+    import psutil  # only needed with an external listener
 
     with contextlib.suppress(psutil.Error, OSError):
         for connection in process.net_connections("tcp"):
@@ -233,7 +232,7 @@ def limit_links(process: psutil.Process, far: Callable[[str], bool] = _far) -> N
 
 
 def _limit(descriptor: int, option: int) -> None:
-    copy = os.dup(descriptor)  # zenoh may close its own in this moment, and another file have its number
+    copy = os.dup(descriptor)  # zenoh may close its own meanwhile, and its number may be reused
     try:
         link = socket.socket(fileno=copy)
     except OSError:
@@ -244,7 +243,7 @@ def _limit(descriptor: int, option: int) -> None:
 
 
 class LinkLimits:
-    """Gives connections the limit as they are made. On a thread of its own."""
+    """Sets the limit on new connections, on a separate thread."""
 
     def __init__(self) -> None:
         self._end = threading.Event()
@@ -252,7 +251,7 @@ class LinkLimits:
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread."""
+        """Stop the thread."""
         self._end.set()
         self._thread.join(2.0)
 

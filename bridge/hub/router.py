@@ -152,12 +152,14 @@ class RouterWorker(Worker):
                     f"the router cannot listen on {hub.listen} (hub.listen): {zenoh_reason(err)}"
                 ) from None
             holder = probe_router(hub.listen, hub.zenoh)
-            who = "a program that is not zenoh" if holder is None else str(holder)
+            holder_name = "a program that is not zenoh" if holder is None else str(holder)
             if holder is None or holder.mode != "router" or hub.router is True:
                 cure = "" if holder is None else ", or hub.router to auto, which uses that router"
-                raise RuntimeError(f"{hub.listen} is held by {who}; set hub.listen to a free port{cure}") from None
-            self._other = who
-            _log.info("%s is at %s already and is used", who, hub.listen)
+                raise RuntimeError(
+                    f"{hub.listen} is held by {holder_name}; set hub.listen to a free port{cure}"
+                ) from None
+            self._other = holder_name
+            _log.info("%s is at %s already and is used", holder_name, hub.listen)
         self._open_door(config)
 
     def reload(self, config: Config) -> bool:
@@ -349,7 +351,7 @@ class RouterWorker(Worker):
 def _members(session: zenoh.Session, *, peers: bool = False) -> list[str]:
     """Return the ids of the sessions that are linked with a router; only peers if wanted."""
     transports = session.info.transports()
-    return [str(each.zid) for each in transports if not peers or each.whatami == zenoh.WhatAmI.PEER]
+    return [str(transport.zid) for transport in transports if not peers or transport.whatami == zenoh.WhatAmI.PEER]
 
 
 def _identify(session: zenoh.Session, endpoint: str, seconds: float) -> RouterInfo | None:

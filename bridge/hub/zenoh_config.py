@@ -137,8 +137,8 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> Tree:
 
 def connect_endpoint(listen: str) -> str:
     """Return the endpoint by which this machine's programs connect to a listener at ``listen``."""
-    for everywhere, here in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):
-        listen = listen.replace(everywhere, here, 1)
+    for everywhere, loopback in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):
+        listen = listen.replace(everywhere, loopback, 1)
     return listen
 
 

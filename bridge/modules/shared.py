@@ -6,7 +6,7 @@ from threading import Lock
 
 from bridge.config.model import Config
 from bridge.hub.daemons import identity_of
-from bridge.hub.diagnostics import heard
+from bridge.hub.diagnostics import has_subscribers
 from bridge.hub.errors import HubClosedError
 from bridge.hub.session import Hub, HubSession, HubSettings
 from bridge.state_file import lane_folder
@@ -65,7 +65,7 @@ class Shared:
     def diagnostics_wanted(self) -> bool:
         """Return whether `/diagnostics` has subscribers, once a module has joined the hub."""
         session = self._session
-        return session is not None and heard(session.graph)
+        return session is not None and has_subscribers(session.graph)
 
     def close(self) -> None:
         """Close the store and the session. Safe to call twice."""

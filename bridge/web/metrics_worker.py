@@ -11,7 +11,7 @@ import psutil
 
 from bridge.config.model import Config
 from bridge.config.sections.web import WebSection
-from bridge.hub.diagnostics import announce, heard
+from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from bridge.metrics.endpoint import MetricsRoutes
@@ -85,7 +85,7 @@ class MetricsWorker(Worker):
 
     def diagnostics_wanted(self) -> bool:
         """See `Worker`."""
-        return self._hub is not None and heard(self._hub.graph)
+        return self._hub is not None and has_subscribers(self._hub.graph)
 
     def stop(self) -> None:
         """Close the server and the session."""

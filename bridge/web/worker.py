@@ -16,7 +16,7 @@ from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.daemons import identity_of
-from bridge.hub.diagnostics import announce, heard
+from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.hub.namesakes import own_answers
 from bridge.messages.registry import Registry
 from bridge.metrics.endpoint import MetricsRoutes
@@ -83,7 +83,7 @@ class WebWorker(Worker):
 
     def diagnostics_wanted(self) -> bool:
         """See `Worker`."""
-        return self._console is not None and heard(self._console.host.node.hub.graph)
+        return self._console is not None and has_subscribers(self._console.host.node.hub.graph)
 
     def stop(self) -> None:
         """Close the page's sockets and the node."""

@@ -240,7 +240,7 @@ class OdometryPublisher:
 
     def _write(self, travelled: Travelled, theta: float, stamp: dict[str, int]) -> None:
         ports = [*self._poses, *self._odometers, *self._velocities, self._vector]
-        if not any(port.heard for port in ports):
+        if not any(port.has_readers for port in ports):
             return
         self._stamp.update(stamp["sec"] + stamp["nanosec"] / 1e9)
         envelope = self._stamp.to_text()

@@ -17,7 +17,7 @@ from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.config.sections.metrics import MetricsSection
 from bridge.daemon.query import Phase, ask_daemon
-from bridge.hub.diagnostics import HEARD, TOPIC, TYPE, heard
+from bridge.hub.diagnostics import HEARD, TOPIC, TYPE, has_subscribers
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Qos
@@ -132,7 +132,7 @@ class Side(Worker):
         self._hub = hub
 
     def diagnostics_wanted(self) -> bool:
-        return heard(self._hub.graph)
+        return has_subscribers(self._hub.graph)
 
     def start(self, config: Config) -> None:
         """Nothing."""

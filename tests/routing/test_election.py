@@ -278,7 +278,7 @@ def test_while_one_speaks_another_major_none_is_active_beside_it() -> None:
         return election.outcome.waiting
 
     for now in (1.0, 1.0 + 10 * UNKNOWN):
-        assert "speaks version 2.0 of Midspan's wire" in turn(now, now, "2.0")
+        assert "uses version 2.0 of Midspan's protocol" in turn(now, now, "2.0")
     assert turn(90.0, 90.0, "1.99") == ""
     assert election.outcome.standing_by == "A", "a later minor is understood"
     election.turn(91.0 + SILENCE, 100, [Sighting("a", b'{"wire": "2.0"}', 90.0)], HubView(), settled=True)

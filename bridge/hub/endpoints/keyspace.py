@@ -194,8 +194,8 @@ class KeySpace:
 
         Of watched keys zenoh lists the tokens that it received, and at times misses the newest (zenoh 1.10).
         """
-        found: Any = self._session.liveliness().get(f"{self._prefix}/{keys}", timeout=seconds)
-        return [self._below(str(reply.ok.key_expr)) for reply in found if reply.ok is not None]
+        replies: Any = self._session.liveliness().get(f"{self._prefix}/{keys}", timeout=seconds)
+        return [self._below(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None]
 
     def watch(self, keys: str, changed: Callable[[str, bool], None]) -> None:
         """Call back for each present or new token (True) and each removed one (False), until the space is closed."""

@@ -1,8 +1,8 @@
-"""A subscription that takes small messages from the lanes of this daemon's other workers, and else from zenoh.
+"""A subscription that receives small messages over the lanes of this daemon's other workers, otherwise over zenoh.
 
-It chooses for its topic: while all of the topic's publishers are workers of the daemon it has no subscriber on zenoh,
-so that a put there costs them little. While it goes from one way to the other, messages come both ways: the numbers
-that rmw_zenoh gives them leave out what comes twice, and hold back for a moment what comes too early.
+It chooses per topic: while all of the topic's publishers are workers of this daemon, it has no subscriber on zenoh, so
+that their puts cost little. During a switch, messages arrive over both transports: by the sequence numbers of rmw_zenoh
+it drops duplicates, and briefly holds messages that arrive too early.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from bridge.hub.wire.qos import History, Qos
 from bridge.hub.zenoh_compat import subscribe, undeclare
 
 _EARLY_SECONDS = 0.1
-"""How long a message waits for earlier ones that come the other way."""
+"""Seconds for which a message is held for earlier ones on the other transport."""
 
 _CAUGHT_SECONDS = 1.0
-"""Later than this after a mark nothing from before it is under way."""
+"""Seconds after a mark, after which all earlier messages have arrived."""
 
 _UNANSWERED_SECONDS = 1.0
 _SPARED_MARKS = 64
@@ -36,7 +36,7 @@ _SPARED_MARKS = 64
 
 @dataclass(slots=True)
 class _Joined:
-    """A publisher that sends on a lane, all that follows ``mark``."""
+    """A publisher that sends all messages after ``mark`` on a lane."""
 
     inlet: Inlet
     mark: int
@@ -46,10 +46,10 @@ class _Joined:
 
 @dataclass(slots=True)
 class _Leaving:
-    """A lane that is given up.
+    """A lane that is being closed.
 
-    ``passed`` is when its session knew of the subscriber on zenoh, 0.0 not yet; ``fenced`` when the fence was sent,
-    ``ended`` whether it came back.
+    ``passed`` is the time when its session knew of the subscriber on zenoh (0.0: not yet), ``fenced`` the time when the
+    fence was sent, ``ended`` whether it came back.
     """
 
     passed: float = 0.0
@@ -87,7 +87,7 @@ class LaneSubscription(HubSubscription):
         self._early: dict[bytes, float] = {}
         self._large = 0
         super().__init__(context, token, key, topic, qos, callback, on_refused)
-        self.why = "the graph was not looked at yet"
+        self.why = "the graph is not evaluated yet"
         lane.add(self)
 
     def close(self) -> None:
@@ -120,13 +120,13 @@ class LaneSubscription(HubSubscription):
                 if self._leaving:
                     self._heard.add(source.zid)
                 ready = self._in_turn(source, message, first=0)
-            for each in ready:
-                self._callback(each)
+            for deliverable in ready:
+                self._callback(deliverable)
         if len(message.payload) > BOUND:
             self.grown()
 
     def heard(self, inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
-        """A message came on a lane."""
+        """Handle a message from a lane."""
         if self._closed:
             return
         sequence, time_ns, gid = attached
@@ -144,18 +144,18 @@ class LaneSubscription(HubSubscription):
                 before = self._held, source.sequence
                 ready = self._in_turn(source, message, first=0 if joined is None else joined.mark)
                 self.by_lane += bool(ready) or (self._held, source.sequence) != before
-            for each in ready:
-                self._callback(each)
+            for ready_message in ready:
+                self._callback(ready_message)
 
     def _in_turn(self, source: PublisherState, message: HubSample, first: int) -> list[HubSample]:
-        """What is to be delivered now; ``first``: that many went before the first one, and may come the other way."""
+        """Return the messages to deliver now; ``first`` earlier messages may arrive over the other transport."""
         number, last = message.sequence, source.sequence
         if not source.paired:
             gap = source.take(message)
             if gap:
                 self._missed(gap, message)
             return [] if gap is None else [message]
-        if number in source.held:  # the other way has come so far too, and nothing earlier is to come
+        if number in source.held:  # both transports have reached this number, so no earlier message is missing
             return self._up_to(source, message.gid, number)
         if last is not None and number <= last:
             return []
@@ -174,12 +174,12 @@ class LaneSubscription(HubSubscription):
         return self._everywhere and gid in self._joined
 
     def _up_to(self, source: PublisherState, gid: bytes, number: int) -> list[HubSample]:
-        """All that is held up to a number, and what follows it without a gap."""
+        """Return the held messages up to a number, and those that follow it without a gap."""
         ready: list[HubSample] = []
-        for each in sorted(source.held):
-            if each > number and each != (source.sequence or 0) + 1:
+        for held in sorted(source.held):
+            if held > number and held != (source.sequence or 0) + 1:
                 break
-            message = source.held.pop(each)
+            message = source.held.pop(held)
             self._held -= self._weight(message)
             ready += self._deliverable(source, message)
         if source.held:
@@ -199,7 +199,7 @@ class LaneSubscription(HubSubscription):
         return [message]
 
     def _let_go(self) -> None:
-        """Deliver what was held back for long enough."""
+        """Deliver the messages that were held for the maximum time."""
         self._let_go_since(time.monotonic() - _EARLY_SECONDS)
         with self._lock:
             first = min(self._early.values(), default=None)
@@ -207,7 +207,7 @@ class LaneSubscription(HubSubscription):
             self._lane.calls.after(first + _EARLY_SECONDS - time.monotonic(), self._let_go, once=True)
 
     def _let_go_since(self, before: float) -> None:
-        """Deliver what has been held back since then, or longer."""
+        """Deliver the messages that have been held since a time, or longer."""
         with self._delivery:
             ready: list[HubSample] = []
             if self._closed:
@@ -216,13 +216,13 @@ class LaneSubscription(HubSubscription):
                 for gid in [gid for gid, since in self._early.items() if since <= before]:
                     source = self.sources[gid]
                     ready += self._up_to(source, gid, max(source.held))
-            for each in ready:
-                self._callback(each)
+            for message in ready:
+                self._callback(message)
 
     # -- lanes ---------------------------------------------------------------------------------------------------------
 
     def marked(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
-        """A publisher sends on the lane what follows that number."""
+        """Handle a mark: the publisher sends messages after this number on the lane."""
         with self._lock:
             joined = self._joined.get(gid)
             if joined is None or joined.inlet is not inlet:
@@ -235,7 +235,7 @@ class LaneSubscription(HubSubscription):
         self._lane.wake(self)
 
     def fenced(self, inlet: Inlet) -> None:
-        """A lane that is given up has delivered all."""
+        """Handle a returned fence: the closing lane has delivered everything."""
         with self._lock:
             leaving = self._leaving.get(inlet)
             if leaving is not None:
@@ -243,13 +243,13 @@ class LaneSubscription(HubSubscription):
         self._lane.wake(self)
 
     def grown(self) -> None:
-        """A message is too large for the lane."""
+        """Handle a message that is too large for the lane."""
         if not self._large:
             self._large = BOUND
             self._lane.wake(self)
 
     def parted(self, inlet: Inlet) -> None:
-        """A connection ended."""
+        """Handle the end of a connection."""
         if inlet in self._inlets:
             self._drop(inlet)
             self._lane.wake(self)
@@ -265,35 +265,35 @@ class LaneSubscription(HubSubscription):
     # -- the choice ----------------------------------------------------------------------------------------------------
 
     def settle(self) -> bool:
-        """Go on towards the way that should be; whether to look again soon."""
+        """Continue the switch to the wanted transport; return whether to check again soon."""
         if self._closed:
             return False
         for inlet in [inlet for inlet in self._inlets if not inlet.alive]:
             self._drop(inlet)
         publishers = self._publishers()
-        why = self._why_zenoh(publishers)
+        reason = self._why_zenoh(publishers)
         inlets: set[Inlet] = set()
-        if not why:
-            for zid in {each.zid for each in publishers}:
-                found = self._lane.inlet(zid)
-                if isinstance(found, str):
-                    node = next(each.node for each in publishers if each.zid == zid)
-                    why = f"{node}: {found}"
+        if not reason:
+            for zid in {publisher.zid for publisher in publishers}:
+                connection = self._lane.inlet(zid)
+                if isinstance(connection, str):
+                    node = next(publisher.node for publisher in publishers if publisher.zid == zid)
+                    reason = f"{node}: {connection}"
                     break
-                inlets.add(found)
-        return self._to_zenoh(why) if why else self._to_lane(publishers, inlets)
+                inlets.add(connection)
+        return self._to_zenoh(reason) if reason else self._to_lane(publishers, inlets)
 
     @property
     def settled(self) -> bool:
-        """Whether messages come one way alone."""
+        """Whether messages arrive over only one transport."""
         return not self._everywhere if self.way == "lane" else not self._inlets
 
     def _publishers(self) -> list[HubEndpoint]:
-        """The publishers that it hears, but for those of its own session."""
+        """Return the publishers of the topic, without those of its own session."""
         return [
-            each
-            for each in self._graph.publishers(self.topic)
-            if each.type_name == self._type and self._hash in (ANY_HASH, each.type_hash) and not each.own
+            endpoint
+            for endpoint in self._graph.publishers(self.topic)
+            if endpoint.type_name == self._type and self._hash in (ANY_HASH, endpoint.type_hash) and not endpoint.own
         ]
 
     def _why_zenoh(self, publishers: list[HubEndpoint]) -> str:
@@ -301,11 +301,11 @@ class LaneSubscription(HubSubscription):
             return f"a message was larger than {BOUND} bytes"
         if not publishers:
             return "no other worker publishes it"
-        for each in publishers:
-            if each.qos.latched:
-                return f"{each.node} keeps messages for late joiners"
-            if each.qos.history is History.KEEP_ALL:
-                return f"{each.node} keeps all messages"
+        for publisher in publishers:
+            if publisher.qos.latched:
+                return f"{publisher.node} stores messages for late joiners"
+            if publisher.qos.history is History.KEEP_ALL:
+                return f"{publisher.node} has the history keep_all"
         return ""
 
     def _to_lane(self, publishers: list[HubEndpoint], inlets: set[Inlet]) -> bool:
@@ -317,30 +317,30 @@ class LaneSubscription(HubSubscription):
             self._inlets[inlet] = now
             inlet.join(self)
         with self._lock:
-            missing = [each for each in publishers if not self._caught(each.gid, now)]
+            missing = [publisher for publisher in publishers if not self._caught(publisher.gid, now)]
         if not missing:
             self._listen(everywhere=False)
             self.way, self.why = "lane", ""
             return False
         self._listen(everywhere=True)
-        self.way, self.why = "zenoh", "on its way to the lane"
-        for each in missing:
-            late = next(inlet for inlet in inlets if inlet.zid == each.zid)
+        self.way, self.why = "zenoh", "switching to the lane"
+        for publisher in missing:
+            late = next(inlet for inlet in inlets if inlet.zid == publisher.zid)
             if not late.answered and now - late.since > _UNANSWERED_SECONDS:
-                self._lane.refuse(late, "it does not answer on its lane")
-            elif each.gid not in self._joined and now - self._inlets.get(late, now) > _UNANSWERED_SECONDS:
+                self._lane.refuse(late, "it does not respond on its lane")
+            elif publisher.gid not in self._joined and now - self._inlets.get(late, now) > _UNANSWERED_SECONDS:
                 self._inlets[late] = now
                 late.join(self)  # once more, for another mark
         return True
 
     def _forget(self, publishers: list[HubEndpoint]) -> None:
-        """Forget the marks of publishers that left, where they become many."""
+        """Drop the marks of publishers that left, once there are many."""
         if len(self._joined) > 2 * len(publishers) + _SPARED_MARKS:
-            here = {each.gid for each in publishers}
-            self._joined = {gid: joined for gid, joined in self._joined.items() if gid in here}
+            present = {publisher.gid for publisher in publishers}
+            self._joined = {gid: joined for gid, joined in self._joined.items() if gid in present}
 
     def _caught(self, gid: bytes, now: float) -> bool:
-        """Whether all has come that a publisher put on zenoh alone."""
+        """Return whether all messages that a publisher sent only on zenoh have arrived."""
         joined = self._joined.get(gid)
         if joined is None:
             return False
@@ -369,7 +369,7 @@ class LaneSubscription(HubSubscription):
         return bool(self._inlets)
 
     def _listen(self, *, everywhere: bool) -> None:
-        """Subscribe on zenoh to all sessions, or to this one alone where it has several nodes."""
+        """Subscribe on zenoh to all sessions, or only to this one if it has several nodes."""
         with self._switching:
             if self._closed or everywhere == self._everywhere:
                 return

@@ -271,5 +271,5 @@ def _publisher(sample: zenoh.Sample) -> tuple[str, str] | None:
 
 def _identity(key: str) -> tuple[str, str]:
     """Return session and entity of the publisher at a key; "" if the key has no entity."""
-    zid, _, rest = key.rpartition(_PUBLISHERS)[2].partition("/")
-    return zid, rest.partition("/")[0]
+    zid, _, tail = key.rpartition(_PUBLISHERS)[2].partition("/")
+    return zid, tail.partition("/")[0]

@@ -318,7 +318,7 @@ class HubPublisher:
     def detach(self, outlet: Outlet) -> None:
         """Stop sending on a lane."""
         with self._lock:
-            self._outlets = tuple(each for each in self._outlets if each is not outlet)
+            self._outlets = tuple(other for other in self._outlets if other is not outlet)
 
     def close(self) -> None:
         """Leave the graph and drop the cached samples. Safe to call twice."""

@@ -1,13 +1,13 @@
-"""Servers and clients of services on the hub, in rmw_zenoh's form; the three services of an action are such too.
+"""Servers and clients of services on the hub, in rmw_zenoh's format, including the three services of an action.
 
 A server is a queryable, a call is a query on the same key (`bridge.hub.wire.keys.topic_key` with the service's type and
-hash): CDR request with an attachment whose number and GID the reply carries again (rmw_zenoh_cpp, rmw_service_data.cpp
-and rmw_client_data.cpp). Two things are Midspan's own, and rmw_zenoh's programs pass over them:
+hash): a CDR request with an attachment, whose number and GID the reply repeats (rmw_zenoh_cpp, rmw_service_data.cpp and
+rmw_client_data.cpp). Midspan adds two extensions, which rmw_zenoh's programs ignore:
 
-- A call that fails is answered with zenoh's error reply, whose text says why. An rmw_zenoh client writes that to its
-  log and goes on waiting, as it cannot report it to its program.
-- zenoh notifies no server that its caller is gone. A caller of Midspan's does so on ``<key>/@abandon``, with the call's
-  attachment; any other has gone when its liveliness token has.
+- A failed call gets zenoh's error reply with the reason as text. An rmw_zenoh client logs it and continues to wait, as
+  it cannot report it to its program.
+- zenoh does not notify a server when a client leaves. Midspan's clients publish that on ``<key>/@abandon``, with the
+  call's attachment; any other client has left when its liveliness token disappears.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ _MAX_CALLERS = 10_000
 
 
 class _HubRequest(PendingRequest):
-    """One request, and who waits for its reply."""
+    """One request, and its client."""
 
     number: int | None = None
     seen = False
 
 
 class HubServer(CallServer):
-    """Serves one service on the hub; made by `bridge.hub.session.Hub.server`.
+    """Serves one service on the hub; created by `bridge.hub.session.Hub.server`.
 
     Attributes:
-        gid: the 16 bytes that name the server.
+        gid: the server's 16-byte id.
     """
 
     def __init__(
@@ -67,26 +67,26 @@ class HubServer(CallServer):
         return [subscribe(session, abandon_key(self._key), self._heard_leaving, reach)]
 
     def _takes(self, query: zenoh.Query) -> bool:
-        """Calls of the node itself are no calls."""
+        """Return whether to accept a call: not if it comes from the node itself."""
         attached = query.attachment
         return attached is None or attached.to_bytes()[-GID_SIZE:] not in self._own
 
     def _pending(self, query: zenoh.Query) -> _HubRequest:
-        asked, attached = _HubRequest(query, self._answer), query.attachment
-        if attached is not None:  # a plain zenoh program needs none
+        request, attached = _HubRequest(query, self._answer), query.attachment
+        if attached is not None:  # optional for a plain zenoh program
             try:
-                asked.number, _time, asked.caller = unpack_attachment(attached.to_bytes())
+                request.number, _time, request.caller = unpack_attachment(attached.to_bytes())
             except HubWireError as err:
                 raise CallError(str(err)) from None
-            asked.seen = bool(self._graph.zid_of(asked.caller))
-        return asked
+            request.seen = bool(self._graph.zid_of(request.caller))
+        return request
 
     def _attached(self, asked: PendingRequest) -> bytes | None:
-        """The request's number and GID again."""
+        """Return the reply's attachment: the request's number and GID."""
         assert isinstance(asked, _HubRequest)
         return None if asked.number is None else pack_attachment(asked.number, time.time_ns(), asked.caller)
 
-    # -- callers that leave --------------------------------------------------------------------------------------------
+    # -- clients that leave --------------------------------------------------------------------------------------------
 
     def _remembered(self, asked: PendingRequest) -> None:
         assert isinstance(asked, _HubRequest)
@@ -113,28 +113,30 @@ class HubServer(CallServer):
         except HubWireError:
             return
         with self._lock:
-            asked = self._callers.get((gid, number))
-        if asked is not None:
-            self._abandoned(asked)
+            request = self._callers.get((gid, number))
+        if request is not None:
+            self._abandoned(request)
 
     def _look_for_callers(self) -> None:
-        """The graph changed: callers whose token has gone have left."""
+        """After a change of the graph, abandon the calls of clients whose tokens have disappeared."""
         with self._lock:
-            waiting = [asked for asked in self._waiting if isinstance(asked, _HubRequest) and asked.number is not None]
-        for asked in waiting:
-            here = bool(self._graph.zid_of(asked.caller))
-            if asked.seen and not here:
-                self._abandoned(asked)
-            asked.seen = here
+            waiting = [
+                request for request in self._waiting if isinstance(request, _HubRequest) and request.number is not None
+            ]
+        for request in waiting:
+            present = bool(self._graph.zid_of(request.caller))
+            if request.seen and not present:
+                self._abandoned(request)
+            request.seen = present
 
 
 class HubClient(CallClient):
-    """Calls one service on the hub; made by `bridge.hub.session.Hub.client`. Safe to use from any thread.
+    """Calls one service on the hub; created by `bridge.hub.session.Hub.client`. Safe to use from any thread.
 
-    Of several servers' replies the first counts.
+    If several servers reply, the first reply counts.
 
     Attributes:
-        gid: the 16 bytes that name the client in its requests.
+        gid: the client's 16-byte id in its requests.
     """
 
     def __init__(
@@ -162,18 +164,18 @@ class HubClient(CallClient):
 
     @property
     def ready(self) -> bool:
-        """Whether there is a server to call; one of the node itself is none."""
+        """Return whether there is a server, other than one of the node itself."""
         if not super().ready:
             return False
         servers = [server.gid in self._own for server in self._graph.servers(self.name)]
         return not servers or not all(servers)
 
     def _attached(self, number: int) -> bytes:
-        """Number, time and GID, as rmw_zenoh's."""
+        """Return the request's attachment: number, time and GID, as in rmw_zenoh."""
         return pack_attachment(number, time.time_ns(), self.gid)
 
     def _abandoned(self, attached: bytes | None) -> None:
-        """Tell the server."""
+        """Notify the server."""
         assert attached is not None
         self._executor.submit(partial(self._tell_leaving, attached))
 
@@ -188,5 +190,5 @@ class HubClient(CallClient):
 
 
 def abandon_key(key: str) -> str:
-    """Where callers of a service announce that they wait no more; ``**`` does not match it."""
+    """Return the key on which clients of a service announce abandoned calls; ``**`` does not match it."""
     return f"{key}/@abandon"

@@ -20,16 +20,16 @@ from bridge.resources import LARGE_MESSAGES
 _log = logging.getLogger(__name__)
 _MAX_SOURCES = 4096
 _SPARED = 64
-"""Publishers that left the graph, or were never on it, and are remembered nevertheless; the newest."""
+"""Maximum number of publishers that are remembered although they are not on the graph."""
 _MAX_GAP = 1_000_000
 _MAX_HELD = 1000
-"""Samples of one publisher that are held back at most, beyond its history."""
+"""Maximum number of held samples of one publisher, beyond its history."""
 
 MAX_HELD_BYTES = 256 << 20
-"""Bytes that one subscription holds back at most, with `OVERHEAD` for each sample."""
+"""Maximum bytes of one subscription's held samples, with `OVERHEAD` for each of them."""
 
 OVERHEAD = 256
-"""Bytes that a sample that is held back costs besides its payload."""
+"""Bytes that a held sample uses in addition to its payload."""
 
 _CURE = (
     "limit the topic's rate by a rule, or where the messages are large raise, in hub.zenoh of the sender's machine,"
@@ -37,7 +37,7 @@ _CURE = (
 )
 
 Refused = Callable[[str, str], None]
-"""``refused(reason, why)``: a sample was left out; ``reason`` is ``bad`` or ``large``, ``why`` is for people."""
+"""``refused(reason, why)``: a sample was refused; ``reason`` is ``bad`` or ``large``, ``why`` is for people."""
 
 
 class HubSample:
@@ -45,7 +45,7 @@ class HubSample:
 
     Attributes:
         payload: zenoh's bytes, not copied yet.
-        gid: the 16 bytes that name its publisher.
+        gid: the publisher's 16-byte id.
         zid: its session, "" if it is unknown.
     """
 
@@ -64,7 +64,7 @@ class HubSample:
 
 
 class PublisherState:
-    """What a subscription remembers of one publisher; a ``paired`` one is ours, and sends on two ways at times."""
+    """A subscription's state of one publisher; a ``paired`` one is ours, and may send over both transports at once."""
 
     __slots__ = ("held", "paired", "sequence", "time_ns", "zid")
 
@@ -76,7 +76,7 @@ class PublisherState:
         self.held: dict[int, HubSample] = {}
 
     def take(self, sample: HubSample) -> int | None:
-        """Mark a sample as delivered; the result of `gap`, None if it is not to be delivered."""
+        """Mark a sample as delivered; return the result of `gap`, None if it must not be delivered."""
         last, number = self.sequence, sample.sequence
         missing = 0 if last is not None and number == last + 1 else self.gap(sample)
         if missing is not None:
@@ -89,7 +89,7 @@ class PublisherState:
         if last is None:
             return 0
         if sample.sequence <= last:
-            # numbered anew by a publisher that keeps its GID, unless it is not newer
+            # a publisher that keeps its GID restarted its numbers, unless the sample is older
             return None if 0 < sample.source_time_ns <= self.time_ns else 0
         missing = sample.sequence - last - 1
         return missing if missing < _MAX_GAP else 0
@@ -120,7 +120,7 @@ class HubSubscription:
         self.topic = topic
         self.lost = self.refused = self.by_lane = 0
         self.way = "zenoh"
-        self.why = "earlier messages come too" if qos.latched else NO_LANE
+        self.why = "a latched topic" if qos.latched else NO_LANE
         self._graph, self._limit, self._on_close = context.graph, context.limit, context.closed
         self._own = context.own
         self._depth = cache_depth(qos)
@@ -131,7 +131,7 @@ class HubSubscription:
         self._room = 2 * _SPARED
         self._asked: Counter[str] = Counter()
         self._held = 0
-        # never taken by `close`, whose caller may hold a lock that the callback waits for
+        # never acquired by `close`, whose caller may hold a lock that the callback waits for
         self._lock = Lock()
         self._closing = Lock()
         self._closed = False
@@ -190,9 +190,9 @@ class HubSubscription:
             zid, gap = source.zid, source.gap(message)
             if gap is None:
                 return
-            # of a publisher that keeps one sample the newest is all that counts
+            # of a publisher with a history of one, only the newest sample counts
             deep = self._depth > 1 and len(source.held) < self._depth + _MAX_HELD
-            # a live sample may come before its publisher's token, by which it would have been asked
+            # a live sample may arrive before its publisher's token, which triggers the query
             past = gap > 0 if source.sequence is not None else message.sequence > 1
             missing = deep and past and bool(zid) and (self._recovers or source.sequence is None)
             if not ((missing or (deep and self._asked[zid])) and self._hold(source, message)):
@@ -203,12 +203,12 @@ class HubSubscription:
             self._history.ask_session(zid)
 
     def asked(self, zid: str) -> None:
-        """A session's publishers were asked for what they keep; see `LatchedHistory`."""
+        """Handle the start of a query for the samples that a session's publishers store; see `LatchedHistory`."""
         with self._lock:
             self._asked[zid] += 1
 
     def came(self, sample: zenoh.Sample) -> None:
-        """One of the samples that a publisher keeps; see `LatchedHistory`."""
+        """Handle one of the samples that a publisher stores; see `LatchedHistory`."""
         message = self._read(sample)
         if message is None:
             return
@@ -218,10 +218,10 @@ class HubSubscription:
             if source.gap(message) is None:
                 return
             if not self._hold(source, message):
-                self._refuse("large", f"more than {MAX_HELD_BYTES} bytes are kept for late joiners")
+                self._refuse("large", f"more than {MAX_HELD_BYTES} bytes are stored for late joiners")
 
     def done(self, zid: str) -> None:
-        """All that was asked of a session has come; see `LatchedHistory`."""
+        """Handle the end of a query; see `LatchedHistory`."""
         with self._lock:
             self._asked[zid] -= 1
             if self._asked[zid] > 0:
@@ -232,7 +232,7 @@ class HubSubscription:
                     self._release(source)
 
     def _hold(self, source: PublisherState, message: HubSample) -> bool:
-        """Hold a sample back; return False if too much is held already."""
+        """Hold a sample; return False if the limits are reached."""
         size = self._weight(message)
         if self._held + size > MAX_HELD_BYTES or message.sequence in source.held:
             return message.sequence in source.held
@@ -272,7 +272,7 @@ class HubSubscription:
         if not size and sample.kind != zenoh.SampleKind.PUT:
             return None
         if attached is None:
-            self._refuse("bad", "a sample without the attachment that rmw_zenoh puts on each")
+            self._refuse("bad", "a sample without rmw_zenoh's attachment")
             return None
         if size > self._limit:
             self._refuse("large", f"message of {size} bytes, the limit is {self._limit}")
@@ -306,8 +306,8 @@ class HubSubscription:
         places = Counter[str]()
         for (gid, zid), count in lost.items():
             places[names.get(gid) or " or ".join(sessions.get(zid, [])) or zid or "an unknown node"] += count
-        told = ", ".join(f"{count} from {place}" for place, count in places.items())
-        return f"lost on the hub's links, which were busy for too long: {told}; {_CURE}"
+        text = ", ".join(f"{count} from {place}" for place, count in places.items())
+        return f"lost on the hub's links, which were busy for too long: {text}; {_CURE}"
 
     def _source(self, message: HubSample, sample: zenoh.Sample) -> PublisherState:
         source = self.sources.get(message.gid)
@@ -326,9 +326,9 @@ class HubSubscription:
         return source
 
     def _make_room(self) -> None:
-        """Forget publishers that are gone; some participants (zenoh-ros2-sdk) have never been on the graph."""
-        gone = [gid for gid, source in self.sources.items() if not source.held and not self._graph.zid_of(gid)]
-        for gid in gone[:-_SPARED]:
+        """Drop publishers that have left; some participants (zenoh-ros2-sdk) were never on the graph."""
+        departed = [gid for gid, source in self.sources.items() if not source.held and not self._graph.zid_of(gid)]
+        for gid in departed[:-_SPARED]:
             del self.sources[gid]
         while len(self.sources) >= _MAX_SOURCES:
             self._take_held(self.sources.pop(next(iter(self.sources))))
@@ -337,6 +337,6 @@ class HubSubscription:
     def _refuse(self, reason: str, why: str) -> None:
         level = logging.DEBUG if self.refused or self._on_refused is not None else logging.WARNING
         self.refused += 1
-        _log.log(level, "%s: sample left out: %s", self.topic, why)
+        _log.log(level, "%s: sample refused: %s", self.topic, why)
         if self._on_refused is not None:
             self._on_refused(reason, why)

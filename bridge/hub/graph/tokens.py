@@ -4,12 +4,12 @@ A node's token is ``@ros2_lv/<domain>/<zid>/<node id>/<id>/NN/<enclave>/<namespa
 ``MS``, ``SS`` or ``SC`` for ``NN`` and then ``/<name>/<type>/<hash>/<qos>`` (rmw_zenoh_cpp, liveliness_utils.cpp). A
 GID is the 128-bit XXH3 of the whole key, low half first.
 
-Midspan's workers announce beside it which foreign network they speak for, their origin:
+Midspan's workers also announce the foreign network that they bridge, their origin:
 ``@midspan/<domain>/origin/<zid>/<side>/<network>/<daemon>``, one per session, declared before any endpoint. An endpoint
-declared while its session has an origin carries the enclave ``/midspan``, so that whoever sees the endpoint first knows
-that an origin is to come. A worker that carries messages announces too which other workers it sees on its network:
-``@midspan/<domain>/member/<zid>/<zid of the other>``, one for each and one for itself, so that two networks of two
-hubs are known to be one. Each session of ours says in which version it says all this, before anything else:
+declared while its session has an origin carries the enclave ``/midspan``, so that a participant that sees the endpoint
+first knows that an origin will follow. A worker that carries messages also announces the other workers on its network:
+``@midspan/<domain>/member/<zid>/<zid of the other>``, one for each and one for itself, which reveals that networks of
+two hubs are the same. Before anything else, each Midspan session announces its protocol version:
 ``@midspan/<domain>/wire/<zid>/<version>/<Midspan's release>`` (`bridge.hub.wire.version`).
 """
 
@@ -30,7 +30,7 @@ from bridge.hub.wire.version import WIRE
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """The foreign network that a worker's hub session speaks for.
+    """The foreign network that a worker's hub session bridges.
 
     A hub session without an origin token is a native participant of the hub (an rmw_zenoh node, a zenoh program).
 
@@ -38,7 +38,7 @@ class Origin:
         side: ``ros1``, ``ros2``, ``yarp``, or of the zenoh adapter's dialects ``zenoh_ros2dds``, ``zenoh_ros1``,
             ``zenoh_json``.
         network: identity of the network: the master's run id on ROS 1, the participant's marked GUID prefix (24 hex
-            digits) on ROS 2, the dialect session's id on zenoh. The adapter of that side says whether it is its own
+            digits) on ROS 2, the dialect session's id on zenoh. The adapter of that side decides whether it is its own
             network.
         daemon: identity of the daemon (its machine and name), for people.
     """
@@ -51,11 +51,11 @@ class Origin:
 ADMIN_SPACE = "@ros2_lv"
 MIDSPAN_SPACE = "@midspan"
 TAPS = "/_midspan/"
-"""Hub names under which workers show what does not cross to those who ask for it; nothing of it leaves the hub."""
+"""Prefix of hub names for topics that do not cross and that workers show on request; they never leave the hub."""
 
 BRIDGE_ENCLAVE = "/midspan"
 UNKNOWN_HASH = "RIHS01_" + "0" * 64
-"""Stands in the token of a subscription that takes any hash."""
+"""The hash in the token of a subscription that accepts any hash."""
 
 _NODE = "NN"
 _NODE_PARTS = 9
@@ -64,7 +64,7 @@ _MAX_TOKEN = 4096
 
 
 class EndpointKind(StrEnum):
-    """What an endpoint is."""
+    """The kind of an endpoint."""
 
     PUBLISHER = "publisher"
     SUBSCRIPTION = "subscription"
@@ -116,12 +116,12 @@ class OriginToken:
 
 
 def node_key(token: NodeToken) -> str:
-    """The key of a node's token."""
+    """Return the key of a node's token."""
     return _head(token, token.node_id, _NODE)
 
 
 def endpoint_key(token: EndpointToken) -> str:
-    """The key of an endpoint's token."""
+    """Return the key of an endpoint's token."""
     any_hash = token.type_hash == ANY_HASH and token.kind is EndpointKind.SUBSCRIPTION
     type_hash = UNKNOWN_HASH if any_hash else check_hash(token.type_hash)
     return (
@@ -131,9 +131,9 @@ def endpoint_key(token: EndpointToken) -> str:
 
 
 def origin_key(token: OriginToken) -> str:
-    """The key of an origin's token; its texts are percent-encoded."""
-    words = "/".join(_quote(word) for word in (token.origin.side, token.origin.network, token.origin.daemon))
-    return f"{MIDSPAN_SPACE}/{token.domain}/origin/{token.zid}/{words}"
+    """Return the key of an origin's token; its texts are percent-encoded."""
+    parts = "/".join(_quote(part) for part in (token.origin.side, token.origin.network, token.origin.daemon))
+    return f"{MIDSPAN_SPACE}/{token.domain}/origin/{token.zid}/{parts}"
 
 
 def parse_token(key: str) -> NodeToken | EndpointToken:
@@ -163,7 +163,7 @@ def parse_origin(key: str) -> OriginToken:
 
 
 def member_key(domain: int, zid: str, member: str) -> str:
-    """The key of the token by which a session announces that another one's worker is on its network."""
+    """Return the key of the token by which a session announces that another one's worker is on its network."""
     return f"{MIDSPAN_SPACE}/{domain}/member/{zid}/{_quote(member)}"
 
 
@@ -176,12 +176,12 @@ def parse_member(key: str) -> tuple[str, str]:
 
 
 def wire_key(domain: int, zid: str) -> str:
-    """The key of the token by which a session says the version of its wire."""
+    """Return the key of the token by which a session announces its protocol version."""
     return f"{MIDSPAN_SPACE}/{domain}/wire/{zid}/{WIRE}/{_quote(__version__)}"
 
 
 def parse_wire(key: str) -> tuple[str, str, str]:
-    """Read a version's token: session, version and release, whatever a later one adds; raises `HubWireError`."""
+    """Read a version's token: session, version and release, ignoring later additions; raises `HubWireError`."""
     parts = _split(key, MIDSPAN_SPACE)
     if len(parts) < 6 or parts[2] != "wire":
         raise HubWireError("token is not a version's")
@@ -189,7 +189,7 @@ def parse_wire(key: str) -> tuple[str, str, str]:
 
 
 def gid_of(key: str) -> bytes:
-    """The 16 bytes that name the endpoint whose token has this key."""
+    """Return the GID of the endpoint whose token has this key: 16 bytes."""
     value = xxhash.xxh3_128_intdigest(key.encode())
     return (value & (2**64 - 1)).to_bytes(8, "little") + (value >> 64).to_bytes(8, "little")
 
@@ -215,7 +215,7 @@ def _domain(part: str) -> int:
 
 
 def _absolute(name: str) -> str:
-    """A token of other makers may lack the leading slash, or have one at the end."""
+    """Normalize a name: foreign tokens may lack the leading slash, or have one at the end."""
     return "/" + name.strip("/")
 
 

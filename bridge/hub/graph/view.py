@@ -291,14 +291,14 @@ class HubGraph:
 
     def _put_wire(self, key: str, zid: str, version: str, release: str) -> bool:
         """Endpoints of a session with an incompatible version stay of unknown origin."""
-        why = refusal(version)
-        if not why or zid in self._strangers:
+        reason = refusal(version)
+        if not reason or zid in self._strangers:
             return False
         if len(self._strangers) >= self._max_tokens:
             self._refuse(key, f"more than {self._max_tokens} versions")
             return False
         self._strangers.add(zid)
-        _log.warning("a Midspan %.40s on the hub is refused, session %s: %s", release, zid, why)
+        _log.warning("a Midspan %.40s on the hub is refused, session %s: %s", release, zid, reason)
         self._settle(zid, None)
         return True
 
@@ -337,8 +337,8 @@ class HubGraph:
         self._zids[gid] = owner.zid
         name = token.topic, token.type_name, token.type_hash
         place = owner.zid, owner.node, owner.namespace, token.kind
-        own = owner.zid == self._zid
-        endpoint = HubEndpoint(*place, *name, token.qos, gid, origin=None, pending=False, own=own)
+        is_own = owner.zid == self._zid
+        endpoint = HubEndpoint(*place, *name, token.qos, gid, origin=None, pending=False, own=is_own)
         self._warn_of_unknown(key, endpoint)
         self._best_available.added(key, token.topic, token.qos)
         self._place(key, endpoint)

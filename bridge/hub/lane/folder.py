@@ -14,13 +14,13 @@ from bridge.hub.lane.wire import VERSION
 
 _CREDENTIALS = struct.Struct("3i")
 _SEND_BUFFER = 1 << 20
-"""Bytes that the kernel keeps for a reader, at most: what is in there, no command overtakes."""
+"""Maximum bytes in the kernel's buffer for a reader, which commands cannot overtake."""
 
 _BACKLOG = 64
 
 
 def possible() -> bool:
-    """Whether this system has what a lane needs."""
+    """Return whether this system supports lanes."""
     return (
         all(hasattr(socket, name) for name in ("AF_UNIX", "SOCK_SEQPACKET", "SO_PEERCRED"))
         and Path("/proc/self/fd").is_dir()
@@ -33,7 +33,7 @@ def listen(folder: Path, zid: str) -> socket.socket:
     sock = _socket()
     try:
         with _short(folder, zid) as path:
-            unready = Path(f"{path}.new")  # under its name a socket takes readers: `clean` removes one that does not
+            unready = Path(f"{path}.new")  # renamed once it accepts readers: `clean` removes sockets that do not
             sock.bind(str(unready))
             unready.chmod(0o600)
             sock.listen(_BACKLOG)
@@ -45,13 +45,13 @@ def listen(folder: Path, zid: str) -> socket.socket:
 
 
 def connect(folder: Path, zid: str) -> socket.socket:
-    """Connect to a session; raises `OSError` where it has no lane, or another user owns it."""
-    if not zid.isalnum():  # the graph says it, and whoever is on the graph
+    """Connect to a session; raises `OSError` if it has no lane, or belongs to another user."""
+    if not zid.isalnum():  # untrusted: any participant can put it on the graph
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
     sock = _socket()
     try:
         with _short(folder, zid) as path:
-            sock.setblocking(False)  # never wait for one who does not accept
+            sock.setblocking(False)  # never wait for a process that does not accept
             sock.connect(path)
         check_peer(sock)
         sock.setblocking(True)
@@ -65,13 +65,13 @@ def check_peer(sock: socket.socket) -> None:
     """Raise `PermissionError` unless the other end runs as the same user."""
     _, user, _ = _CREDENTIALS.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
     if user != os.geteuid():
-        raise PermissionError(f"a process of user {user} is at the other end of the lane")
+        raise PermissionError(f"the other end of the lane belongs to user {user}")
 
 
 def other_version(folder: Path, zid: str) -> str:
-    """That a session has a lane of another version, "" where it has none."""
-    found = next(folder.glob(f"{zid}.*"), None) if zid.isalnum() else None
-    return f"its lane is of version {found.suffix[1:]}, ours of {VERSION}: over zenoh instead" if found else ""
+    """Return a text if a session's lane has another version, else ""."""
+    path = next(folder.glob(f"{zid}.*"), None) if zid.isalnum() else None
+    return f"its lane has version {path.suffix[1:]}, ours {VERSION}; zenoh is used instead" if path else ""
 
 
 def remove(folder: Path, zid: str) -> None:
@@ -105,7 +105,7 @@ def _name(zid: str) -> str:
 
 @contextlib.contextmanager
 def _short(folder: Path, zid: str) -> Iterator[str]:
-    """A path that fits into a socket's address, however long the folder's own is."""
+    """Yield a path that fits into a socket's address, even if the folder's path is too long."""
     number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         yield f"/proc/self/fd/{number}/{_name(zid)}"

@@ -1,4 +1,4 @@
-"""The reading end of a lane: a connection to one writing session, and who hears what comes."""
+"""The reading end of a lane: a connection to one writing session, and the subscriptions that use it."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ _log = logging.getLogger(__name__)
 
 
 class LaneReader(Protocol):
-    """A subscription that takes from lanes; called on the connection's thread."""
+    """A subscription that receives from lanes; called on the connection's thread."""
 
     key: str
 
     def heard(self, inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
-        """A message came: number, source time, publisher; CDR."""
+        """Handle a message: number, source time, publisher; CDR."""
 
     def marked(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
-        """The publisher sends here what follows that number."""
+        """Handle a mark: the publisher sends the messages after this number here."""
 
     def fenced(self, inlet: Inlet) -> None:
-        """All came that was sent here before `Inlet.fence` was called."""
+        """Handle a fence: everything sent here before `Inlet.fence` was called has arrived."""
 
     def grown(self) -> None:
-        """A message is too large for the lane."""
+        """Handle a message that is too large for the lane."""
 
 
 class _Key:
-    """What one or more subscriptions hear."""
+    """A key with its subscriptions."""
 
     __slots__ = ("number", "parts", "readers")
 
@@ -52,9 +52,9 @@ class Inlet:
 
     Attributes:
         zid: the session.
-        since: when it was made (monotonic seconds).
-        alive: whether messages can come.
-        answered: whether anything came yet.
+        since: time of the connection (monotonic seconds).
+        alive: whether the connection is open.
+        answered: whether anything was received yet.
     """
 
     def __init__(self, sock: socket.socket, zid: str, lost: Callable[[Inlet], None]) -> None:
@@ -71,7 +71,7 @@ class Inlet:
         self._thread.start()
 
     def join(self, reader: LaneReader) -> None:
-        """Have the reader get what is published on its key, and a mark of each publisher."""
+        """Request the messages of the reader's key, and a mark of each publisher."""
         with self._lock:
             key = self._keys.get(reader.key)
             if key is None:
@@ -82,7 +82,7 @@ class Inlet:
             self._tell(HEAD.pack(ON, key.number) + reader.key.encode())
 
     def fence(self, reader: LaneReader) -> None:
-        """Have `LaneReader.fenced` called behind all that was sent until now."""
+        """Request a fence: `LaneReader.fenced` is called after everything that was sent until now."""
         with self._lock:
             key = self._keys.get(reader.key)
             if key is not None:
@@ -91,18 +91,18 @@ class Inlet:
                 self._tell(HEAD.pack(FENCE, key.number) + TOKEN.pack(self._next))
 
     def leave(self, reader: LaneReader) -> None:
-        """Have the reader get nothing more."""
+        """Stop delivery to the reader."""
         with self._lock:
             key = self._keys.get(reader.key)
             if key is None:
                 return
-            key.readers = tuple(each for each in key.readers if each is not reader)
+            key.readers = tuple(other for other in key.readers if other is not reader)
             if not key.readers:
                 del self._keys[reader.key], self._numbers[key.number]
                 self._tell(HEAD.pack(OFF, key.number))
 
     def close(self) -> None:
-        """End the connection. Safe to call twice."""
+        """Close the connection. Safe to call twice."""
         self.alive = False
         with contextlib.suppress(OSError):
             self._sock.shutdown(socket.SHUT_RDWR)
@@ -110,7 +110,7 @@ class Inlet:
     def _tell(self, record: bytes) -> None:
         try:
             self._sock.send(record, socket.MSG_DONTWAIT)
-        except OSError as err:  # the writer died, or takes nothing
+        except OSError as err:  # the writer died, or does not read
             _log.debug("the lane from %s ends: %s", self.zid, err)
             self.close()
 
@@ -141,7 +141,7 @@ class Inlet:
         for reader in key.readers:
             try:
                 reader.heard(self, message, payload)
-            except Exception:  # whatever a subscription met, the others hear on
+            except Exception:  # the other subscriptions must still receive the message
                 _log.exception("a message from the lane was not handled")
 
     def _other(self, kind: int, key: _Key, attached: bytes, record: bytes) -> None:

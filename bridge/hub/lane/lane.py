@@ -1,4 +1,4 @@
-"""The lanes of one session: its writing end, its connections to others, and the choice of each subscription."""
+"""The lanes of one session: its writing end, its connections to others, and the transport of each subscription."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from bridge.hub.zenoh_compat import answer, keep_thread_state, undeclare
 _log = logging.getLogger(__name__)
 
 _LOOK_SECONDS, _LONGEST_LOOK_SECONDS = 0.02, 0.5
-"""Between two looks of a subscription that is on its way from one to the other; longer where nothing happens."""
+"""Seconds between two checks of a subscription that is switching transports; longer while nothing changes."""
 
 _SETTLE_SECONDS = 0.02
 _SHARE = 4
-"""So many times what a look cost the next one waits: the graph changes often while hundreds of topics begin."""
+"""The pause after a check is this multiple of its cost, as the graph changes often while hundreds of topics start."""
 
 _AGAIN_SECONDS = 2.0
-"""A session that has no lane is asked again so much later."""
+"""Seconds until a session without a lane is tried again."""
 
 _MAX_REFUSED = 1000
 _BARRIER_SECONDS = 1.0
 
 
 class Choosing(Protocol):
-    """A subscription that chooses between lane and zenoh."""
+    """A subscription that chooses between its lane and zenoh."""
 
     def settle(self) -> bool:
-        """Go on towards the way that should be; whether to look again soon."""
+        """Continue the switch to the wanted transport; return whether to check again soon."""
 
     def parted(self, inlet: Inlet) -> None:
-        """A connection ended."""
+        """Handle the end of a connection."""
 
 
 class Lane:
-    """Opened by `Lane.open`; the writing end is None where this session cannot have one.
+    """Opened by `Lane.open`; the writing end is None if this session cannot have one.
 
     Attributes:
-        writer: where other sessions get what this one publishes.
+        writer: sends this session's publications to other sessions.
         why: why there is no writing end, else "".
     """
 
@@ -63,12 +63,12 @@ class Lane:
         self._barrier_key = f"@midspan/{domain}/lane/"
         self.writer: LaneWriter | None = None
         self.why = ""
-        folder.clean(path)  # before this one listens: who is asked whether it lives counts a reader
+        folder.clean(path)  # before this one listens, since the check of a socket counts as a reader there
         try:
             self.writer = LaneWriter(path, zid)
         except OSError as err:
             self.why = f"{path}: {err.strerror or err}"
-            _log.warning("no lane from this worker, its messages go over zenoh: %s", self.why)
+            _log.warning("this worker has no lane, its messages use zenoh: %s", self.why)
         self.calls = DelayedCalls("hub-lane-calls")
         self._answering = answer(session, self._barrier_key + zid, _reply)
         self._thread = Thread(target=self._run, name="hub-lane", daemon=True)
@@ -77,25 +77,25 @@ class Lane:
     # -- subscriptions -------------------------------------------------------------------------------------------------
 
     def add(self, chooser: Choosing) -> None:
-        """Have a subscription choose, now and after each change of the graph."""
+        """Add a subscription, which chooses now and after each change of the graph."""
         with self._lock:
             self._choosing[chooser] = None
         self.wake(chooser)
 
     def remove(self, chooser: Choosing) -> None:
-        """It is closed."""
+        """Remove a closed subscription."""
         with self._lock:
             self._choosing.pop(chooser, None)
             self._looking.pop(chooser, None)
 
     def wake(self, chooser: Choosing) -> None:
-        """Have a subscription look soon."""
+        """Let a subscription check soon."""
         with self._lock:
             self._looking[chooser] = None
         self._wake.set()
 
     def graph_changed(self) -> None:
-        """Have all look soon."""
+        """Let all subscriptions check soon."""
         with self._lock:
             self._looking.update(self._choosing)
         self._wake.set()
@@ -118,7 +118,7 @@ class Lane:
         try:
             return chooser.settle()
         except zenoh.ZError as err:  # the session is being closed
-            _log.debug("no choice of a way: %s", err)
+            _log.debug("cannot choose a transport: %s", err)
         except Exception:
             _log.exception("the choice between lane and zenoh failed")
         return False
@@ -126,23 +126,23 @@ class Lane:
     # -- connections ---------------------------------------------------------------------------------------------------
 
     def inlet(self, zid: str) -> Inlet | str:
-        """The connection to a session, or why there is none."""
+        """Return the connection to a session, or why there is none."""
         with self._lock:
             inlet = self._inlets.get(zid)
             if inlet is not None and inlet.alive:
                 return inlet
-            at, why = self._refused.get(zid, (0.0, ""))
-            if why and time.monotonic() - at < _AGAIN_SECONDS:
-                return why
+            at, reason = self._refused.get(zid, (0.0, ""))
+            if reason and time.monotonic() - at < _AGAIN_SECONDS:
+                return reason
         try:
             sock = folder.connect(self._folder, zid)
         except OSError as err:
-            there = not isinstance(err, FileNotFoundError)
-            why = err.strerror or str(err)
-            if not there:
-                why = folder.other_version(self._folder, zid) or "it has no lane here"
-            self._refuse(zid, why, again=there)
-            return why
+            exists = not isinstance(err, FileNotFoundError)
+            reason = err.strerror or str(err)
+            if not exists:
+                reason = folder.other_version(self._folder, zid) or "it has no lane here"
+            self._refuse(zid, reason, again=exists)
+            return reason
         inlet = Inlet(sock, zid, self._lost)
         with self._lock:
             self._refused.pop(zid, None)
@@ -150,7 +150,7 @@ class Lane:
         return inlet
 
     def refuse(self, inlet: Inlet, why: str) -> None:
-        """End a connection that is of no use, and try another one later."""
+        """Close an unusable connection, and try another one later."""
         self._refuse(inlet.zid, why)
         inlet.close()
 
@@ -177,7 +177,7 @@ class Lane:
             self.calls.after(_AGAIN_SECONDS, self.graph_changed, once=True)
 
     def state(self) -> dict[str, Any]:
-        """How the lane is, for the status document."""
+        """Return the lane's state for the status document."""
         with self._lock:
             writers = sum(inlet.alive for inlet in self._inlets.values())
         readers, dropped = (0, 0) if self.writer is None else (self.writer.readers, self.writer.dropped)
@@ -186,14 +186,14 @@ class Lane:
     # -- barriers ------------------------------------------------------------------------------------------------------
 
     def passed(self, zid: str, since: float) -> bool:
-        """Whether a session has heard what this one declared before ``since``; asks it where that is not known."""
+        """Return whether a session knows all declarations of this one before ``since``; query it if unknown."""
         with self._lock:
-            asked, heard = self._barriers.get(zid, (0.0, 0.0))
-            if heard >= since:
+            requested, confirmed = self._barriers.get(zid, (0.0, 0.0))
+            if confirmed >= since:
                 return True
             now = time.monotonic()
-            if asked < since or now - asked > _BARRIER_SECONDS:
-                self._barriers[zid] = now, heard
+            if requested < since or now - requested > _BARRIER_SECONDS:
+                self._barriers[zid] = now, confirmed
                 self._asking.submit(lambda: self._ask(zid, now))
         return False
 

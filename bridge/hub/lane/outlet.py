@@ -1,4 +1,4 @@
-"""The writing end of a lane: what goes to one reader, and what waits for it."""
+"""The writing end of a lane: the connection to one reader, with its queues."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from bridge.hub.wire.keys import pack_attachment
 _NO_MEMORY = (errno.ENOBUFS, errno.ENOMEM)
 
 MAX_WAITING = 32 << 20
-"""Bytes that wait for one reader at most, but for the newest message."""
+"""Maximum bytes queued for one reader, without the newest message."""
 
 
 class LaneMessage:
-    """A message that waits; ``at``: bytes of it that were sent in parts."""
+    """A queued message; ``at``: number of its bytes that were already sent in parts."""
 
     __slots__ = ("at", "attached", "fence", "payload")
 
@@ -32,10 +32,10 @@ class Outlet:
     """One key for one reader; the publishers of that key share it.
 
     Attributes:
-        command: whether it goes before all others.
-        depth: messages that wait at most.
-        dropped: messages that found no room.
-        fences: how many of those that wait are fences.
+        command: whether its messages are sent before all others.
+        depth: maximum number of queued messages.
+        dropped: number of dropped messages.
+        fences: number of fences among the queued messages.
     """
 
     def __init__(self, link: ReaderLink, number: int, key: str) -> None:
@@ -46,25 +46,25 @@ class Outlet:
         self._head = HEAD.pack(DATA, number)
 
     def send(self, attached: bytes, payload: bytes) -> None:
-        """Send a message, or have it wait; never blocks."""
+        """Send or queue a message; never blocks."""
         self.link.send(self, self._head, attached, payload)
 
     def mark(self, gid: bytes, sequence: int) -> None:
-        """Tell that the publisher's messages after this number come here."""
+        """Send a mark: the publisher's messages after this number are sent here."""
         self.link.note(HEAD.pack(MARK, self.number) + pack_attachment(sequence, 0, gid))
 
     def fence(self, token: bytes) -> None:
-        """Send a token back behind all that was sent before."""
+        """Return a token after everything that was sent before."""
         self.link.fence(self, HEAD.pack(FENCE, self.number) + token[: TOKEN.size])
 
 
 class ReaderLink:
-    """A reader's connection. Safe to use from any thread; nothing here waits.
+    """A reader's connection. Safe to use from any thread; never blocks.
 
     Args:
         sock: connected, not blocking.
-        watch: called with whether something waits, or the link has ended: `flush` is to be called once the socket takes
-            data again.
+        watch: called with whether data is queued, or the link has ended; `flush` must be called once the socket is
+            writable again.
     """
 
     def __init__(self, sock: socket.socket, watch: Callable[[bool], None]) -> None:
@@ -91,7 +91,7 @@ class ReaderLink:
             self._wait(outlet, LaneMessage(attached, payload))
 
     def note(self, record: bytes) -> None:
-        """Send a record that goes before all messages."""
+        """Send a record before all queued messages."""
         with self._lock:
             if self._closed:
                 return
@@ -111,7 +111,7 @@ class ReaderLink:
                 self._watch(True)
 
     def flush(self) -> None:
-        """Send what waits, commands first."""
+        """Send the queued messages, commands first."""
         with self._lock:
             while self._notes:
                 if not self._put(self._notes[0]):
@@ -125,15 +125,15 @@ class ReaderLink:
             self._watch(False)
 
     def forget(self, outlet: Outlet) -> None:
-        """Drop what waits for a key that was given up."""
+        """Drop the queue of a key that the reader released."""
         with self._lock:
             self._queued.pop(outlet, None)
-            self._bytes -= sum(len(each.payload) for each in outlet.queue)
+            self._bytes -= sum(len(message.payload) for message in outlet.queue)
             outlet.queue.clear()
             outlet.fences = 0
 
     def close(self) -> None:
-        """End the connection; the reader sees it. Safe to call twice."""
+        """Close the connection, which the reader detects. Safe to call twice."""
         with self._lock:
             self._closed = True
             self._queued.clear()
@@ -146,7 +146,7 @@ class ReaderLink:
         queue.append(message)
         self._bytes += len(message.payload)
         while (left := len(queue) - outlet.fences) > outlet.depth or (self._bytes > MAX_WAITING and left > 1):
-            at = next(number for number, each in enumerate(queue) if not each.fence)
+            at = next(number for number, queued in enumerate(queue) if not queued.fence)
             self._bytes -= len(queue[at].payload)
             del queue[at]
             outlet.dropped += 1
@@ -156,7 +156,7 @@ class ReaderLink:
         self._queued[outlet] = None
 
     def _send_next(self, outlet: Outlet) -> bool:
-        """Send the first message of a queue; False where the socket is full."""
+        """Send the first message of a queue; return False if the socket is full."""
         message = outlet.queue[0]
         if message.fence:
             sent = self._put(message.fence)
@@ -181,7 +181,7 @@ class ReaderLink:
         return True
 
     def _put(self, record: bytes) -> bool:
-        """Hand a record to the kernel; False where there is no room, or the link has ended."""
+        """Write a record to the socket; return False if the socket is full, or the link has ended."""
         try:
             self.sock.send(record)
         except BlockingIOError:

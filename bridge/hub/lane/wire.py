@@ -1,10 +1,10 @@
 """Records on a lane, each a packet of a Unix SEQPACKET socket.
 
-A record begins with its kind and the number that the reader gave the key. ``DATA`` carries on with the attachment that
-zenoh would carry, and the payload. ``PART`` is a piece of a message that is too large for one record: attachment, bytes
-of the whole, where this piece begins, the piece. ``MARK`` says that the publisher of its attachment sends what follows
-that number here. The reader asks for a key with ``ON`` and its UTF-8, gives it up with ``OFF``, and has a ``FENCE``
-come back behind all that was sent before it.
+A record begins with its kind and the number that the reader assigned to the key. In ``DATA`` the attachment of the
+zenoh sample and the payload follow. ``PART`` is a fragment of a message that is too large for one record: attachment,
+total size, offset of the fragment, the fragment. ``MARK``: the publisher of its attachment sends the messages after
+this number here. The reader requests a key with ``ON`` and its UTF-8, and releases it with ``OFF``; the writer returns
+a ``FENCE`` after everything that it sent before.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import struct
 from bridge.hub.wire.keys import ATTACHMENT_SIZE
 
 VERSION = 1
-"""Stands in a socket's name: workers of two versions do not find each other."""
+"""Part of a socket's name, so that workers of different versions do not connect."""
 
 BOUND = 64 * 1024
 """Bytes of the largest payload in one record; topics with larger ones stay on zenoh."""
@@ -25,7 +25,7 @@ HEAD = struct.Struct("<BI")
 PIECE = struct.Struct("<II")
 TOKEN = struct.Struct("<Q")
 BODY = HEAD.size + ATTACHMENT_SIZE
-"""Where the payload of a ``DATA`` record begins."""
+"""Offset of the payload in a ``DATA`` record."""
 
 ROOM = BODY + PIECE.size + BOUND
 """Bytes of the largest record."""
@@ -35,10 +35,10 @@ MAX_KEY = 4096
 
 
 def prefix(key: str) -> str:
-    """A key without its last part, the type's hash."""
+    """Return a key without its last part, the type's hash."""
     return key.rpartition("/")[0]
 
 
 def fits(wanted: str, key: str) -> bool:
-    """Whether a subscription's key means a publisher's."""
+    """Return whether a subscription's key matches a publisher's."""
     return wanted == key or (wanted.endswith("/*") and prefix(wanted) == prefix(key))

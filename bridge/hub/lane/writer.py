@@ -1,4 +1,4 @@
-"""Where readers connect to a session, and which of its publishers they get."""
+"""The listener of a session's lanes, and the publishers that each reader requests."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ class LanePublisher(Protocol):
     key: str
 
     def attach(self, outlet: Outlet) -> None:
-        """Send each message from now on to the outlet too, which is told the number before."""
+        """Send a mark with the last number, and each message from now on, to the outlet."""
 
     def detach(self, outlet: Outlet) -> None:
-        """Send there no more."""
+        """Stop sending to the outlet."""
 
 
 class LaneWriter:
-    """The writing end of a session's lanes: takes readers' connections, and flushes what waits for them.
+    """The writing end of a session's lanes: accepts readers' connections, and flushes their queues.
 
-    Raises `OSError` where it cannot listen.
+    Raises `OSError` if it cannot listen.
     """
 
     def __init__(self, path: Path, zid: str) -> None:
@@ -47,7 +47,7 @@ class LaneWriter:
         self._links: dict[int, ReaderLink] = {}
         self._closed = False
         self._dropped = 0
-        self._joins = SerialExecutor("hub-lane-joins")  # a publisher that is busy may have a join wait
+        self._joins = SerialExecutor("hub-lane-joins")  # a busy publisher may delay a join
         self._poll = select.epoll()
         self._poll.register(self._listener, select.EPOLLIN)
         self._listens = True
@@ -57,7 +57,7 @@ class LaneWriter:
         self._thread.start()
 
     def add(self, publisher: LanePublisher) -> None:
-        """Another publisher sends to those who asked for its key."""
+        """Add a publisher, which sends to the readers of its key."""
         with self._lock:
             self._publishers[publisher] = None
             for link in tuple(self._links.values()):
@@ -66,22 +66,22 @@ class LaneWriter:
                         publisher.attach(outlet)
 
     def remove(self, publisher: LanePublisher) -> None:
-        """It is closed."""
+        """Remove a closed publisher."""
         with self._lock:
             self._publishers.pop(publisher, None)
 
     @property
     def readers(self) -> int:
-        """How many sessions are connected."""
+        """Number of connected sessions."""
         return len(self._links)
 
     @property
     def dropped(self) -> int:
-        """Messages that found no room, in all."""
+        """Total number of dropped messages."""
         return self._dropped + sum(link.dropped for link in tuple(self._links.values()))
 
     def close(self) -> None:
-        """End all connections. Safe to call twice."""
+        """Close all connections. Safe to call twice."""
         with self._lock:
             if self._closed:
                 return
@@ -125,8 +125,8 @@ class LaneWriter:
             sock, _ = self._listener.accept()
         except BlockingIOError:
             return
-        except OSError as err:  # no descriptor is left: readers stay on zenoh
-            _log.debug("no lane to another reader: %s", err)
+        except OSError as err:  # no free descriptor: readers stay on zenoh
+            _log.debug("cannot accept another reader of the lane: %s", err)
             self._poll.unregister(self._listener)
             self._listens = False
             return
@@ -157,11 +157,11 @@ class LaneWriter:
             self._end(number)
             return
         kind, key = HEAD.unpack_from(record)
-        rest = record[HEAD.size :]
+        body = record[HEAD.size :]
         if kind == ON:
-            self._joins.submit(partial(self._on, link, key, rest.decode(errors="replace")))
+            self._joins.submit(partial(self._on, link, key, body.decode(errors="replace")))
         elif kind == FENCE:
-            self._joins.submit(partial(self._fence, link, key, rest))
+            self._joins.submit(partial(self._fence, link, key, body))
         elif kind == OFF:
             self._joins.submit(partial(self._off, link, key))
 

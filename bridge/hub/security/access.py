@@ -1,11 +1,11 @@
-"""What machines may do on the hub: zenoh's access rules for the door.
+"""Access rights of other machines on the hub: zenoh's access rules for the external listener.
 
-A machine of the trusted names may do everything. Any other that has a certificate may listen, ask what is kept and how
-things are, answer, and say everything but commands (`bridge.config.rules`).
+A machine with a trusted name may do everything. Any other machine with a certificate may subscribe, query stored values
+and states, reply, and publish everything except commands (`bridge.config.rules`).
 
-zenoh refuses a key where a rule's expression includes it, not where the two meet: ``**`` would pass a rule that denies
-``*/cmd_vel/**``, and a put on ``**`` reaches every subscription. So nothing is denied here. What a guest may say is a
-list of expressions none of which meets a command's key: types that end like no command's, letter by letter.
+zenoh denies a key if the rule's expression includes it, not if the two intersect: ``**`` would pass a rule that denies
+``*/cmd_vel/**``, and a put on ``**`` reaches every subscription. So these rules only allow. A guest may publish on
+expressions that do not intersect any command's key: types whose endings differ from those of commands.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from bridge.hub.graph.tokens import ADMIN_SPACE, MIDSPAN_SPACE
 from bridge.hub.wire.keys import dds_type_name
 
 ANYBODY = "*"
-"""In the list of trusted names: every machine that may join."""
+"""Entry of the list of trusted names that means every machine that may join."""
 
 _CACHES = "**/@adv/**"
 _STORE = "midspan/store"
 _SPACES = ("**", _CACHES, abandon_key("**"), f"{_STORE}/*/@sync/**", f"{ADMIN_SPACE}/**", f"{MIDSPAN_SPACE}/**")
-"""``**`` does not match what begins with ``@``."""
+"""``**`` does not match chunks that begin with ``@``."""
 
 _LISTENING = ("declare_subscriber", "liveliness_token", "liveliness_query", "declare_liveliness_subscriber")
 _EVERYTHING = ("put", "delete", "query", "reply", "declare_queryable", *_LISTENING)
 
 _GOAL = "Goal_"
-"""Types of goals and cancels end so: MoveBaseActionGoal_, NavigateToPose_SendGoal_, CancelGoal_."""
+"""Endings of goal and cancel types: MoveBaseActionGoal_, NavigateToPose_SendGoal_, CancelGoal_."""
 
 QUESTIONS = (
     *(f"*/**/$*::srv::dds_::{verb}$*/RIHS01_$*" for verb in ("Get", "List", "Describe")),
@@ -42,25 +42,25 @@ QUESTIONS = (
 """Services that change nothing."""
 
 _READING = (f"{_STORE}/**", f"{_STORE}/*/@sync/digest/**", f"{_STORE}/*/@sync/fetch/**")
-"""What is kept (`bridge.stores`): whoever may join reads it, and those who are trusted alone change it."""
+"""Stored values (`bridge.stores`): every machine that may join reads them, only trusted ones change them."""
 
 _ANSWERS = tuple(f"*/**/$*::{middle}::dds_::$*/RIHS01_$*" for middle in ("srv", "action"))
-"""A server may answer who calls it, also whether it takes a goal."""
+"""A server may reply to its clients, also to goal requests."""
 
 _TYPE_LETTERS = string.ascii_letters + string.digits + "_:"
 _NAME_LETTERS = string.ascii_letters + string.digits + "_-."
 
 
 def access_control(door: OpenSection, routing: RoutingSection, loopback: Sequence[str]) -> dict[str, Any]:
-    """The ``access_control`` of the door's zenoh configuration.
+    """Return the ``access_control`` of the external listener's zenoh configuration.
 
-    The routing rules name commands beyond the usual ones. ``loopback`` names this machine's loopback interfaces; they
-    count only where there is no TLS.
+    The routing rules name commands in addition to the usual ones. ``loopback`` has this machine's loopback interfaces,
+    which are used only without TLS.
     """
-    here = {"interfaces": list(loopback)} if door.insecure else {"link_protocols": ["tcp", "unixsock-stream"]}
+    local = {"interfaces": list(loopback)} if door.insecure else {"link_protocols": ["tcp", "unixsock-stream"]}
     others: dict[str, Any] = {} if door.insecure else {"link_protocols": ["tls", "quic"]}
     names = [name for name in door.trusted if name != ANYBODY]
-    subjects = [{"id": "here", **here}, {"id": "others", **others}]
+    subjects = [{"id": "here", **local}, {"id": "others", **others}]
     masters = ["here", *(["others"] if ANYBODY in door.trusted else [])]
     if names:
         subjects.append({"id": "trusted", "cert_common_names": names, **others})
@@ -72,7 +72,7 @@ def access_control(door: OpenSection, routing: RoutingSection, loopback: Sequenc
         _rule("join", "ingress", _LISTENING, _SPACES),
         _rule("say", "ingress", ("put", "reply"), (*harmless, control)),
         _rule("answer", "ingress", ("reply",), _ANSWERS),
-        # who is asked for a latched command could answer on any key
+        # a publisher that is queried for a latched command could reply on any key
         _rule("keep", "ingress", ("put", "declare_queryable"), [f"{key}/@adv/**" for key in harmless]),
         _rule("serve", "ingress", ("declare_queryable",), ("**", control)),
         _rule("ask", "ingress", ("query",), (*QUESTIONS, *_READING, _CACHES, control)),
@@ -91,9 +91,9 @@ def access_control(door: OpenSection, routing: RoutingSection, loopback: Sequenc
 
 
 def harmless_keys(commanding: Mapping[str, Iterable[str]]) -> list[str]:
-    """Key expressions of samples that do not command; together all of them, as far as types are spelled as in ROS.
+    """Return key expressions that cover all samples except commands, provided that types are spelled as in ROS.
 
-    ``commanding`` has the types that command, with the last parts of their topics' names (words, ``*`` at their end).
+    ``commanding`` has the types of commands, with the last parts of their topics' names (words, maybe ending in ``*``).
     """
     types = {type_name: dds_type_name(type_name) for type_name in commanding}
     endings = {_GOAL, *(f":{name.rpartition(':')[2]}" for name in types.values())}
@@ -105,7 +105,7 @@ def harmless_keys(commanding: Mapping[str, Iterable[str]]) -> list[str]:
 
 
 def not_ending(tail: str, endings: Iterable[str]) -> Iterator[str]:
-    """Expressions for the chunks that end with ``tail`` and with none of the endings, each of which is longer."""
+    """Yield expressions for the chunks that end with ``tail`` but with none of the (longer) endings."""
     longer = {ending for ending in endings if ending.endswith(tail)}
     if tail in longer:
         return
@@ -116,13 +116,13 @@ def not_ending(tail: str, endings: Iterable[str]) -> Iterator[str]:
 
 
 def not_beginning(head: str, words: Iterable[str]) -> Iterator[str]:
-    """Expressions for the chunks that begin with ``head`` and are none of the words; ``go*`` is all that begin so."""
-    longer = {word for word in words if word.startswith(head)}
+    """Yield expressions for the chunks that begin with ``head`` but match none of the words (some end in ``*``)."""
+    longer = {text for text in words if text.startswith(head)}
     if f"{head}*" in longer:
         return
     if head and head not in longer:
         yield head
-    after = {word[len(head)] for word in longer if len(word) > len(head)}
+    after = {text[len(head)] for text in longer if len(text) > len(head)}
     yield from (f"{head}{letter}{'$*'}" for letter in _NAME_LETTERS if letter not in after)
     for letter in sorted(after):
         yield from not_beginning(head + letter, longer)

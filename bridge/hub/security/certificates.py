@@ -112,9 +112,9 @@ class Authority:
             CertificateError: it exists already, a name is invalid, or the authority cannot be used.
         """
         wanted = general_names(name, names)
-        there = [file for file in (self.folder / f"{name}{end}" for end in (".pem", ".key")) if file.exists()]
-        if there and not replace:
-            raise CertificateError(f"{there[0]} is there already; --replace makes a new one in its place")
+        existing = [file for file in (self.folder / f"{name}{end}" for end in (".pem", ".key")) if file.exists()]
+        if existing and not replace:
+            raise CertificateError(f"{existing[0]} is there already; --replace makes a new one in its place")
         signer, signer_key = self._load()
         key = ec.generate_private_key(ec.SECP256R1())
         certificate = (
@@ -162,18 +162,20 @@ class Authority:
 
 def read_certificate(file: Path) -> Certificate:
     """The content of a certificate file; raises `CertificateError`."""
-    found = _load(file)
+    certificate = _load(file)
     try:
-        alternatives = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        alternatives = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         names = tuple(str(name.value) for name in alternatives)
     except x509.ExtensionNotFound:
         names = ()
     try:
-        authority = found.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+        authority = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
     except x509.ExtensionNotFound:
         authority = False
-    since, until = found.not_valid_before_utc, found.not_valid_after_utc
-    return Certificate(file, _common_name(found.subject), _common_name(found.issuer), names, since, until, authority)
+    since, until = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    return Certificate(
+        file, _common_name(certificate.subject), _common_name(certificate.issuer), names, since, until, authority
+    )
 
 
 def signed_by(file: Path, authority: Path) -> bool:
@@ -189,11 +191,13 @@ def trouble(files: KeyFiles) -> str:
     """Return why no machine accepts this certificate now, "" if they do."""
     try:
         files.check()
-        own, signed = read_certificate(files.certificate), signed_by(files.certificate, files.ca)
+        certificate, signed = read_certificate(files.certificate), signed_by(files.certificate, files.ca)
     except (HubConfigError, CertificateError) as err:
         return str(err)
-    if own.until < datetime.now(UTC):
-        return f"{files.certificate} expired on {own.until:%Y-%m-%d}; renew it: midspan keys make NAME --replace"
+    if certificate.until < datetime.now(UTC):
+        return (
+            f"{files.certificate} expired on {certificate.until:%Y-%m-%d}; renew it: midspan keys make NAME --replace"
+        )
     if not signed:
         return f"{files.certificate} was not signed by {files.ca}; copy both from the same folder of 'midspan keys'"
     return ""
@@ -245,8 +249,8 @@ def _x509_name(name: str) -> x509.Name:
 
 
 def _common_name(name: x509.Name) -> str:
-    found = name.get_attributes_for_oid(NameOID.COMMON_NAME)
-    return str(found[0].value) if found else ""
+    attributes = name.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(attributes[0].value) if attributes else ""
 
 
 def general_names(name: str, names: Sequence[str] = ()) -> list[x509.GeneralName]:
@@ -255,9 +259,9 @@ def general_names(name: str, names: Sequence[str] = ()) -> list[x509.GeneralName
         raise CertificateError(
             f"{name!r} is not a machine's name: letters, digits, '_', '.' and '-', not {AUTHORITY!r}"
         )
-    if why := forbidden(f"{name}.pem"):
-        raise CertificateError(f"{name!r}: its certificate's {name}.pem {why}")
-    return [_general_name(each) for each in dict.fromkeys([name, f"{name}.local", *names])]
+    if reason := forbidden(f"{name}.pem"):
+        raise CertificateError(f"{name!r}: its certificate's {name}.pem {reason}")
+    return [_general_name(text) for text in dict.fromkeys([name, f"{name}.local", *names])]
 
 
 def _general_name(name: str) -> x509.GeneralName:

@@ -91,10 +91,10 @@ class HubDoor:
     def machines(self) -> list[ConnectedMachine]:
         """Return the machines that are connected."""
         links = self._session.info.links()
-        found = {(str(link.auth_identifier or ""), str(link.zid), str(link.dst)) for link in links}
+        identities = {(str(link.auth_identifier or ""), str(link.zid), str(link.dst)) for link in links}
         return [
             ConnectedMachine(name, zid, address, ANYBODY in self._open.trusted or name in self._open.trusted)
-            for name, zid, address in sorted(found)
+            for name, zid, address in sorted(identities)
             if address != self._here
         ]
 
@@ -209,8 +209,8 @@ class KeyWatch:
         stamps: list[tuple[int, int, int] | None] = []
         for file in (self._files.ca, self._files.certificate, self._files.key):
             try:
-                found = file.stat()
-                stamps.append((found.st_mtime_ns, found.st_size, found.st_ino))
+                status = file.stat()
+                stamps.append((status.st_mtime_ns, status.st_size, status.st_ino))
             except OSError:
                 stamps.append(None)
         return tuple(stamps)

@@ -94,7 +94,9 @@ class EndpointStatus:
 def closed_endpoints(listen: Sequence[str], connect: Sequence[str], reason: str, since: float) -> list[EndpointStatus]:
     """Return the endpoints of a router that could not open them."""
     places = [(place, "listen") for place in listen] + [(place, "connect") for place in connect]
-    return [EndpointStatus(place, way, EndpointState.CLOSED, reason, "", "", since) for place, way in places]
+    return [
+        EndpointStatus(place, direction, EndpointState.CLOSED, reason, "", "", since) for place, direction in places
+    ]
 
 
 class _Endpoint:
@@ -157,9 +159,9 @@ class _Connect(_Endpoint):
 
     def _link(self, links: Collection[ZenohLink]) -> ZenohLink | None:
         """Return the endpoint's link, or another one to the same machine: zenoh makes one link in each direction."""
-        own = (link for link in links if re.split(r"[?#]", link.dst)[0] in self._addresses)
+        matching = (link for link in links if re.split(r"[?#]", link.dst)[0] in self._addresses)
         others = (link for link in links if self._machine and link.auth_identifier == self._machine)
-        return next(own, None) or next(others, None)
+        return next(matching, None) or next(others, None)
 
     def _start_test(self, pool: WorkerPool, now: float) -> None:
         place, identity = self.place, self._identity
@@ -239,11 +241,11 @@ class _Listen(_Endpoint):
                 errors.add(reason.text)
         if errors:
             self._note_callers([self._active[text] for text in errors])
-        self._active = {text: each for text, each in self._active.items() if now < each.last + REFUSAL_SECONDS}
-        due = [each for each in self._active.values() if each.callers or now > each.first + _ADDRESS_SECONDS]
-        for each in due:
-            self._log_refusals(each)
-        self._enter([own_trouble] if own_trouble else [reason for each in due if (reason := each.reason())])
+        self._active = {text: entry for text, entry in self._active.items() if now < entry.last + REFUSAL_SECONDS}
+        due = [entry for entry in self._active.values() if entry.callers or now > entry.first + _ADDRESS_SECONDS]
+        for entry in due:
+            self._log_refusals(entry)
+        self._enter([own_trouble] if own_trouble else [reason for entry in due if (reason := entry.reason())])
 
     def _log_refusals(self, refusals: _Refusals) -> None:
         """Log a cause once, and again for each further machine that it is found for."""
@@ -282,9 +284,11 @@ class _Listen(_Endpoint):
         except (psutil.Error, OSError):
             return set()
         return {
-            (str(each.raddr[0]).removeprefix("::ffff:"), int(each.raddr[1]))
-            for each in table
-            if each.status == psutil.CONN_TIME_WAIT and each.raddr and tuple(each.laddr)[1:2] == (self.place.port,)
+            (str(connection.raddr[0]).removeprefix("::ffff:"), int(connection.raddr[1]))
+            for connection in table
+            if connection.status == psutil.CONN_TIME_WAIT
+            and connection.raddr
+            and tuple(connection.laddr)[1:2] == (self.place.port,)
         }
 
 

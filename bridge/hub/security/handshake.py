@@ -97,8 +97,8 @@ class HostPort:
     @classmethod
     def of(cls, endpoint: str) -> HostPort | None:
         """Return the parts of an endpoint; None if it is not of the form ``protocol/host:port``."""
-        protocol, _, rest = endpoint.partition("/")
-        host, _, port = re.split(r"[?#]", rest)[0].rpartition(":")
+        protocol, _, address = endpoint.partition("/")
+        host, _, port = re.split(r"[?#]", address)[0].rpartition(":")
         if not host or not port.isdecimal() or int(port) > 65535:
             return None
         return cls(protocol, host.strip("[]"), int(port))
@@ -111,8 +111,8 @@ class HostPort:
 
 def resolve(place: HostPort) -> list[HostPort]:
     """Return the place by each of its addresses; raises `OSError` if its name cannot be resolved."""
-    found = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)
-    addresses = dict.fromkeys(str(address[0]) for *_, address in found)
+    results = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)
+    addresses = dict.fromkeys(str(address[0]) for *_, address in results)
     return [HostPort(place.protocol, address, place.port) for address in addresses][:_MOST_ADDRESSES]
 
 
@@ -123,7 +123,7 @@ def resolved(place: HostPort) -> Attempt:
     except OSError as err:
         return Attempt(unreachable(err, str(place)))
     reason = Reason(EndpointState.CONNECTING, f"no link, and zenoh does not report why over {place.protocol}")
-    return Attempt(reason, "", frozenset(f"{place.protocol}/{each}" for each in places))
+    return Attempt(reason, "", frozenset(f"{place.protocol}/{address}" for address in places))
 
 
 def attempt(place: HostPort, identity: Identity | None, name: str = "") -> Attempt:
@@ -135,15 +135,15 @@ def attempt(place: HostPort, identity: Identity | None, name: str = "") -> Attem
         places = resolve(place)
     except OSError as err:
         return Attempt(unreachable(err, str(place)))
-    addresses = frozenset(f"{place.protocol}/{each}" for each in places)
+    addresses = frozenset(f"{place.protocol}/{address}" for address in places)
     reason, machine = Reason(EndpointState.UNREACHABLE, f"the name {place.host} has no address"), ""
-    for each in places:
+    for address in places:
         try:
             if place.protocol == "tcp" or identity is None:
-                _connect(each).close()
+                _connect(address).close()
                 reason = Reason(EndpointState.CONNECTING, _SAYS_NOTHING)
             else:
-                reason, machine = _handshake(each, identity, name or place.host)
+                reason, machine = _handshake(address, identity, name or place.host)
         except OSError as err:
             reason = unreachable(err, str(place))
             continue
@@ -240,7 +240,7 @@ def _described(certificate: bytes, refusal: str) -> tuple[str, str]:
             alternatives = content.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         except x509.ExtensionNotFound:
             alternatives = x509.SubjectAlternativeName([])
-        hosts = ", ".join(str(each.value) for each in alternatives)
+        hosts = ", ".join(str(alternative.value) for alternative in alternatives)
     except ValueError:
         return "", ""
     machine = names[0] if names else ""

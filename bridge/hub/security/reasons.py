@@ -78,16 +78,16 @@ def refused_by_other(error: str) -> Reason:
 
 def refusal_in_log(error: str, caller: str = "") -> Reason | None:
     """Return why a listener refused a connection, from zenoh's log; None for what is not about a certificate."""
-    who = f"a machine at {caller}" if caller else "a machine"
+    peer = f"a machine at {caller}" if caller else "a machine"
     if _has(error, _MISSING):
-        return Reason(EndpointState.REFUSED, f"{who} connects without a certificate", _SAME_FOLDER)
+        return Reason(EndpointState.REFUSED, f"{peer} connects without a certificate", _SAME_FOLDER)
     if "certificate" not in error.lower() and not _ALERT.search(error):
         return None
     wrong, cure = _cause(error)
     if _ALERT.search(error):
-        text = f"{who} does not accept this machine's certificate: it {wrong}"
+        text = f"{peer} does not accept this machine's certificate: it {wrong}"
     else:
-        text = f"{who} is refused: its certificate {wrong}"
+        text = f"{peer} is refused: its certificate {wrong}"
     return Reason(EndpointState.REFUSED, text, cure)
 
 
@@ -120,12 +120,12 @@ def unreachable(err: OSError, place: str) -> Reason:
 
 
 def _cause(error: str) -> tuple[str, str]:
-    for words, wrong, cure in _CAUSES:
-        if _has(error, words):
+    for phrases, wrong, cure in _CAUSES:
+        if _has(error, phrases):
             return wrong, cure
     return f"is not accepted ({error})", "'midspan keys show FILE' prints a certificate"
 
 
 def _has(error: str, words: tuple[str, ...]) -> bool:
     squeezed = re.sub(r"[^a-z]", "", error.lower())
-    return any(word in squeezed for word in words)
+    return any(phrase in squeezed for phrase in words)

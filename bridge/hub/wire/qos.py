@@ -148,7 +148,7 @@ def _fields(text: str) -> _Fields:
     fields = text.split(":")
     if len(fields) != 6:
         raise HubWireError(f"quality of service {text[:80]!r} has {len(fields)} fields instead of 6")
-    reliability, durability, *others = (_numbers(*each) for each in zip(fields, (1, 1, 2, 2, 2, 3), strict=True))
+    reliability, durability, *others = (_numbers(*field) for field in zip(fields, (1, 1, 2, 2, 2, 3), strict=True))
     return _Fields(reliability[0], durability[0], *others)
 
 

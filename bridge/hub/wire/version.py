@@ -1,7 +1,7 @@
-"""The version of what Midspans say to each other on the hub: graph, control plane, store, election.
+"""The version of the protocol between Midspan processes on the hub: graph, control plane, store, election.
 
-``<major>.<minor>``: what a minor adds is left out by who does not know it; another major cannot be understood, and is
-refused. What the releases say that name no version is 1.0.
+``<major>.<minor>``: additions of a newer minor version are ignored, another major version is incompatible and refused.
+Releases that do not announce a version use 1.0.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ _VERSION = re.compile(r"([0-9]{1,5})\.[0-9]{1,5}")
 
 
 def refusal(version: object) -> str:
-    """Why who says this version cannot be understood, "" where it can; None is said by who names none."""
+    """Return why a peer with this version is refused, "" if it is compatible; None: it announces no version."""
     if version is None:
         return ""
-    said = _VERSION.fullmatch(version) if isinstance(version, str) else None
-    if said is None:
-        return f"it names {version!r:.40} as the version of Midspan's wire"
-    if int(said[1]) == MAJOR:
+    match = _VERSION.fullmatch(version) if isinstance(version, str) else None
+    if match is None:
+        return f"its protocol version {version!r:.40} is invalid"
+    if int(match[1]) == MAJOR:
         return ""
-    return f"it speaks version {version} of Midspan's wire, and this Midspan {WIRE}; bring both to one release"
+    return f"it uses version {version} of Midspan's protocol, and this Midspan {WIRE}; install the same release on both"

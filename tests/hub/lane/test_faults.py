@@ -158,7 +158,7 @@ def test_other_users_are_refused(network: HubNetwork, tmp_path: Path, monkeypatc
         matched(publisher)
         publisher.put(b"x")
         heard.expect("x")
-        goes_by(heard, "zenoh", "is at the other end of the lane")
+        goes_by(heard, "zenoh", "the other end of the lane belongs to user")
 
 
 def test_sockets_of_the_dead_are_removed(network: HubNetwork, tmp_path: Path) -> None:

@@ -109,8 +109,8 @@ def test_a_topic_that_grows_goes_back(reader: Hub, writer: Hub) -> None:
 @pytest.mark.parametrize(
     ("qos", "why"),
     [
-        (LATCHED, "writer keeps messages for late joiners"),
-        (Qos(history=History.KEEP_ALL), "writer keeps all messages"),
+        (LATCHED, "writer stores messages for late joiners"),
+        (Qos(history=History.KEEP_ALL), "writer has the history keep_all"),
     ],
 )
 def test_what_stays_on_zenoh(reader: Hub, writer: Hub, qos: Qos, why: str) -> None:

@@ -63,7 +63,9 @@ def test_what_a_session_of_another_major_carries_has_no_origin(
             until(lambda: seen() == [(None, True)], "it is refused: nothing of unknown origin crosses")
         (said,) = (line for line in caplog.messages if zid in line)
         assert said == f"a Midspan 9.9 on the hub is refused, session {zid}: {refusal(NEXT)}"
-        assert f"it speaks version {NEXT} of Midspan's wire, and this Midspan {WIRE}; bring both to one" in said
+        assert (
+            f"it uses version {NEXT} of Midspan's protocol, and this Midspan {WIRE}; install the same release" in said
+        )
         strange.undeclare()
         until(lambda: seen() == [(Origin("ros1", "net", "far"), False)], "it is taken again")
         for token in (later, *kept):
@@ -100,6 +102,6 @@ def test_answers_of_the_control_plane(network: HubNetwork) -> None:
 
 def test_a_lane_of_another_version_is_named(tmp_path: Path) -> None:
     (tmp_path / "ab.7").touch()
-    assert folder.other_version(tmp_path, "ab") == f"its lane is of version 7, ours of {VERSION}: over zenoh instead"
+    assert folder.other_version(tmp_path, "ab") == f"its lane has version 7, ours {VERSION}; zenoh is used instead"
     assert folder.other_version(tmp_path, "cd") == ""
     assert folder.other_version(tmp_path, "*") == ""
