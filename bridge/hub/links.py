@@ -125,7 +125,7 @@ class Mesh:
 
     def _take_all(self) -> None:
         while (event := self._events.try_recv()) is not None:
-            self._take(event)
+            self._on_event(event)
 
     def _search(self) -> None:
         """Introduce the lost sessions until all of them are linked or given up."""
@@ -167,7 +167,7 @@ class Mesh:
             self._lost.setdefault(zid, now - _FIRST_SECONDS)
         self._unlinked = unlinked
 
-    def _take(self, event: zenoh.TransportEvent) -> None:
+    def _on_event(self, event: zenoh.TransportEvent) -> None:
         """Record a lost peer or router."""
         if event.kind != zenoh.SampleKind.DELETE:
             return

@@ -240,7 +240,7 @@ class Hub:
         self._heartbeats = DelayedCalls("hub-heartbeats")
         self._context = EndpointContext(
             self._session, session.reach, self._own, self.graph, settings.max_payload, self._executor, self._asking,
-            self._heartbeats, self._forget, session.lane,
+            self._heartbeats, self._remove, session.lane,
         )  # fmt: skip
         session.add(self)
         self._withdraw = self.graph.announce(node_key(self._node))
@@ -418,7 +418,7 @@ class Hub:
             self._own.add(endpoint.gid)
         return endpoint
 
-    def _forget(self, endpoint: HubPublisher | HubSubscription | HubServer | HubClient) -> None:
+    def _remove(self, endpoint: HubPublisher | HubSubscription | HubServer | HubClient) -> None:
         self._endpoints.discard(endpoint)
         if not isinstance(endpoint, HubSubscription):
             self._own.discard(endpoint.gid)

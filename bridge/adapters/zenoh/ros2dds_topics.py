@@ -124,7 +124,7 @@ class LatchedSubscription(KeySubscription):
         with self._asking:
             self._asked[zid] += 1
 
-    def came(self, sample: zenoh.Sample) -> None:
+    def on_stored(self, sample: zenoh.Sample) -> None:
         """Store a cached sample until its session's reply is complete."""
         source = self.native(sample)
         if source:

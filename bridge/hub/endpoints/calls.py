@@ -396,7 +396,7 @@ class CallServer:
         if not closed:
             self._withdraw()
             for pending in waiting:
-                self._leave(pending)
+                self._abandon(pending)
                 self._answer(pending, CallError(LEFT.format(name=self.name)))
             undeclare(*self._declared)
             self._on_close(self)
@@ -434,7 +434,7 @@ class CallServer:
             raise CallError(f"the request has {len(payload)} bytes, limits.message allows {self._limit}")
         return self._request(b"" if payload is None else payload.to_bytes())
 
-    def _forget(self, asked: PendingRequest) -> bool:
+    def _remove(self, asked: PendingRequest) -> bool:
         """Drop a request; return whether it was still pending."""
         with self._lock:
             waited = asked in self._waiting
@@ -444,7 +444,7 @@ class CallServer:
         return waited
 
     def _answer(self, asked: PendingRequest, result: bytes | CallError) -> None:
-        if not self._forget(asked):
+        if not self._remove(asked):
             return
         if isinstance(result, bytes) and len(result) > self._limit:
             result = CallError(f"the reply has {len(result)} bytes, limits.message allows {self._limit}")
@@ -463,11 +463,11 @@ class CallServer:
 
     def _abandoned(self, asked: PendingRequest) -> None:
         """Handle the cancellation by a client."""
-        if self._forget(asked):
+        if self._remove(asked):
             asked.query.drop()  # type: ignore[no-untyped-call]
-            self._leave(asked)
+            self._abandon(asked)
 
-    def _leave(self, asked: PendingRequest) -> None:
+    def _abandon(self, asked: PendingRequest) -> None:
         with self._lock:
             asked.left = True
             abandon = asked.abandon

@@ -132,13 +132,13 @@ class KeySpace:
     def subscribe(self, keys: str, callback: Callable[[KeyItem], None]) -> None:
         """Call back for each value that is written or deleted, until the space is closed."""
 
-        def take(sample: zenoh.Sample) -> None:
+        def on_message(sample: zenoh.Sample) -> None:
             keep_thread_state()
             item = self._item(sample)
             if item is not None:
                 callback(item)
 
-        self._keep(subscribe(self._session, f"{self._prefix}/{keys}", take))
+        self._keep(subscribe(self._session, f"{self._prefix}/{keys}", on_message))
 
     def serve(self, keys: str, asked: Callable[[KeyQuery], None], *, complete: bool = False) -> None:
         """Answer queries of some keys, which may have wildcards, until the space is closed.
@@ -146,14 +146,14 @@ class KeySpace:
         ``complete``: any single such server knows all values.
         """
 
-        def take(query: zenoh.Query) -> None:
+        def on_message(query: zenoh.Query) -> None:
             keep_thread_state()
             if query.payload is not None and len(query.payload) > self._limit:
                 query.drop()  # type: ignore[no-untyped-call]
             else:
                 asked(KeyQuery(query, self._prefix))
 
-        self._keep(answer(self._session, f"{self._prefix}/{keys}", take, complete=complete))
+        self._keep(answer(self._session, f"{self._prefix}/{keys}", on_message, complete=complete))
 
     def ask(self, keys: str, body: bytes = b"", seconds: float = 5.0) -> list[KeyItem]:
         """Query all servers of some keys; returns when all have answered, or after ``seconds``.
@@ -200,11 +200,11 @@ class KeySpace:
     def watch(self, keys: str, changed: Callable[[str, bool], None]) -> None:
         """Call back for each present or new token (True) and each removed one (False), until the space is closed."""
 
-        def take(sample: zenoh.Sample) -> None:
+        def on_message(sample: zenoh.Sample) -> None:
             keep_thread_state()
             changed(self._below(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT)
 
-        self._keep(follow_tokens(self._session, f"{self._prefix}/{keys}", take))
+        self._keep(follow_tokens(self._session, f"{self._prefix}/{keys}", on_message))
 
     def close(self) -> None:
         """Withdraw everything, and end pending queries. Safe to call twice."""

@@ -151,7 +151,7 @@ class LaneSubscription(HubSubscription):
         """Return the messages to deliver now; ``first`` earlier messages may arrive over the other transport."""
         number, last = message.sequence, source.sequence
         if not source.paired:
-            gap = source.take(message)
+            gap = source.accept(message)
             if gap:
                 self._missed(gap, message)
             return [] if gap is None else [message]
@@ -162,7 +162,7 @@ class LaneSubscription(HubSubscription):
         early = number > last + 1 if last is not None else first > 0
         if early and self._both(message.gid) and self._hold(source, message):
             self._early.setdefault(message.gid, time.monotonic())
-            self._lane.calls.after(_EARLY_SECONDS, self._let_go, once=True)
+            self._lane.calls.after(_EARLY_SECONDS, self._release_due, once=True)
             return []
         if not source.held:
             return self._deliverable(source, message)
@@ -198,15 +198,15 @@ class LaneSubscription(HubSubscription):
         source.sequence, source.time_ns = message.sequence, message.source_time_ns
         return [message]
 
-    def _let_go(self) -> None:
+    def _release_due(self) -> None:
         """Deliver the messages that were held for the maximum time."""
-        self._let_go_since(time.monotonic() - _EARLY_SECONDS)
+        self._release_since(time.monotonic() - _EARLY_SECONDS)
         with self._lock:
             first = min(self._early.values(), default=None)
         if first is not None:
-            self._lane.calls.after(first + _EARLY_SECONDS - time.monotonic(), self._let_go, once=True)
+            self._lane.calls.after(first + _EARLY_SECONDS - time.monotonic(), self._release_due, once=True)
 
-    def _let_go_since(self, before: float) -> None:
+    def _release_since(self, before: float) -> None:
         """Deliver the messages that have been held since a time, or longer."""
         with self._delivery:
             ready: list[HubSample] = []
@@ -260,7 +260,7 @@ class LaneSubscription(HubSubscription):
             self._leaving.pop(inlet, None)
             for gid in [gid for gid, joined in self._joined.items() if joined.inlet is inlet]:
                 del self._joined[gid]
-        self._let_go_since(time.monotonic())
+        self._release_since(time.monotonic())
 
     # -- the choice ----------------------------------------------------------------------------------------------------
 
@@ -312,7 +312,7 @@ class LaneSubscription(HubSubscription):
         now = time.monotonic()
         with self._lock:
             self._leaving.clear()
-            self._forget(publishers)
+            self._prune_marks(publishers)
         for inlet in inlets - self._inlets.keys():
             self._inlets[inlet] = now
             inlet.join(self)
@@ -333,7 +333,7 @@ class LaneSubscription(HubSubscription):
                 late.join(self)  # once more, for another mark
         return True
 
-    def _forget(self, publishers: list[HubEndpoint]) -> None:
+    def _prune_marks(self, publishers: list[HubEndpoint]) -> None:
         """Drop the marks of publishers that left, once there are many."""
         if len(self._joined) > 2 * len(publishers) + _SPARED_MARKS:
             present = {publisher.gid for publisher in publishers}

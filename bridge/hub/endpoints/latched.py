@@ -116,7 +116,7 @@ class HistoryListener(Protocol):
     def asked(self, zid: str) -> None:
         """A session's publishers are being queried: hold back its live samples."""
 
-    def came(self, sample: zenoh.Sample) -> None:
+    def on_stored(self, sample: zenoh.Sample) -> None:
         """A cached sample arrived."""
 
     def done(self, zid: str) -> None:
@@ -239,7 +239,7 @@ class LatchedHistory:
         if reply.ok is not None and self._samples.includes(reply.ok.key_expr):
             with self._lock:
                 self._silent.pop(_identity(publishers), None)
-            self._listener.came(reply.ok)
+            self._listener.on_stored(reply.ok)
 
     def _on_done(self, publishers: str, zid: str) -> None:
         """End the query of a publisher, and prepare another one if nothing of it has ever arrived."""

@@ -75,7 +75,7 @@ class PublisherState:
         self.time_ns = 0
         self.held: dict[int, HubSample] = {}
 
-    def take(self, sample: HubSample) -> int | None:
+    def accept(self, sample: HubSample) -> int | None:
         """Mark a sample as delivered; return the result of `gap`, None if it must not be delivered."""
         last, number = self.sequence, sample.sequence
         missing = 0 if last is not None and number == last + 1 else self.gap(sample)
@@ -171,7 +171,7 @@ class HubSubscription:
             if source is None or not source.zid:
                 source = self._source(message, sample)
             message.zid = source.zid
-            gap = source.take(message)
+            gap = source.accept(message)
             if gap is None:
                 return
             if gap:
@@ -207,7 +207,7 @@ class HubSubscription:
         with self._lock:
             self._asked[zid] += 1
 
-    def came(self, sample: zenoh.Sample) -> None:
+    def on_stored(self, sample: zenoh.Sample) -> None:
         """Handle one of the samples that a publisher stores; see `LatchedHistory`."""
         message = self._read(sample)
         if message is None:
@@ -255,7 +255,7 @@ class HubSubscription:
             self._deliver(source, held[sequence])
 
     def _deliver(self, source: PublisherState, message: HubSample) -> None:
-        gap = None if self._closed else source.take(message)
+        gap = None if self._closed else source.accept(message)
         if gap is not None:
             if gap:
                 self._missed(gap, message)

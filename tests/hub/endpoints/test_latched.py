@@ -315,7 +315,7 @@ class Events(list[str]):
     def asked(self, _zid: str) -> None:
         self.append("asked")
 
-    def came(self, _sample: zenoh.Sample) -> None:
+    def on_stored(self, _sample: zenoh.Sample) -> None:
         self.append("came")
 
     def done(self, _zid: str) -> None:
