@@ -1,9 +1,8 @@
 """Messages as JSON values, for people and scripts: ``topic echo`` and ``topic pub``, requests and replies of services.
 
-A message is an object with ROS 2's field names. What JSON cannot say itself: arrays of octets (``uint8``, ``byte``,
-``char``) are base64 text, NaN and the infinities are the texts ``"NaN"``, ``"Infinity"`` and ``"-Infinity"``. On the
-way back lists of numbers are taken for octets too, fields that are not given have their defaults, and an unknown field
-is an error.
+A message is an object with ROS 2's field names. Arrays of octets (``uint8``, ``byte``, ``char``) are base64 text; NaN
+and the infinities are the texts ``"NaN"``, ``"Infinity"`` and ``"-Infinity"``. In the other direction, octets may also
+be lists of numbers, missing fields have their defaults, and an unknown field is an error.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ def to_json(registry: Registry, type_name: str, cdr: bytes, type_hash: str = "")
 
 
 def from_json(registry: Registry, type_name: str, value: Mapping[str, Any], type_hash: str = "") -> bytes:
-    """Encode a message for the hub; fields that are missing have their defaults.
+    """Encode a message for the hub; missing fields have their defaults.
 
     Raises `MessageTypeError` for an unknown type, `ConversionError` with the field that is unknown or does not fit.
     """
@@ -40,10 +39,10 @@ def from_json(registry: Registry, type_name: str, value: Mapping[str, Any], type
 
 
 class _JsonReader(MessageReader):
-    """Reads values as JSON has them."""
+    """Reads messages as JSON values."""
 
     def plain(self, value: Any, base: str) -> Any:
-        """The digits of a float32 are no more than it holds."""
+        """Return a number; a float32 with only its significant digits."""
         if isinstance(value, float):
             if not math.isfinite(value):
                 return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
@@ -52,7 +51,7 @@ class _JsonReader(MessageReader):
         return value
 
     def numbers(self, content: memoryview | bytes, base: str) -> Any:
-        """A list, or base64 text."""
+        """Return a list, or base64 text for octets."""
         if base in OCTETS:
             return base64.b64encode(content).decode()
         values = np.frombuffer(content, dtype(base)).tolist()
@@ -60,23 +59,23 @@ class _JsonReader(MessageReader):
 
 
 class _JsonWriter(MessageWriter):
-    """Takes values as JSON has them."""
+    """Writes messages from JSON values."""
 
     def plain(self, base: str, value: Any, where: str) -> bool | int | float:
-        """Takes the texts for what is no number."""
+        """Return a number, also from the texts for NaN and the infinities."""
         if base.startswith("float") and isinstance(value, str) and value.lower() in _NOT_NUMBERS:
             return _NOT_NUMBERS[value.lower()]
         return super().plain(base, value, where)
 
     def items(self, kind: FieldType, value: Any, where: str) -> Sequence[Any] | np.ndarray | bytes:
-        """Takes base64 text."""
+        """Return the elements, also from base64 text."""
         if kind.base not in OCTETS or isinstance(value, np.ndarray):
             return super().items(kind, value, where)
         if isinstance(value, str):
             try:
                 return base64.b64decode(value, validate=True)
-            except ValueError as err:  # binascii.Error, or what is no ASCII
-                raise ConversionError(f"{where} is no base64 text: {err}") from None
+            except ValueError as err:  # binascii.Error, or non-ASCII text
+                raise ConversionError(f"{where} is not base64 text: {err}") from None
         if isinstance(value, bytes | bytearray):
             return bytes(value)
         if isinstance(value, list | tuple):

@@ -95,7 +95,7 @@ class Registry:
             if md5 not in ANY_MD5 and md5 in self._ros1.fingerprints(name):
                 return md5
             known = self._ros1.learn(name, definition, "" if md5 in ANY_MD5 else md5)
-            self._forget()
+            self._clear_caches()
             return known
 
     def learn_ros2(self, name: str, definition: str) -> str:
@@ -104,7 +104,7 @@ class Registry:
             if not is_ros2_name(name):
                 raise MessageTypeError(f"{name!r} is not a ROS 2 message type")
             known = self._ros2.learn(name, definition)
-            self._forget()
+            self._clear_caches()
             return known
 
     def ros1_to_hub(self, name: str, md5: str = "", definition: str = "") -> Conversion:
@@ -118,8 +118,10 @@ class Registry:
                 if definition and md5 not in self._ros1.fingerprints(name):
                     self.learn_ros1(name, definition, md5)
                 if _is_feedback(name):
-                    other, one, two = self._actions.of_ros1(name)
-                    self._answers[key] = self._messages.conversion(closure(one[name], one), closure(two[other], two))
+                    other, ros1_parts, ros2_parts = self._actions.of_ros1(name)
+                    self._answers[key] = self._messages.conversion(
+                        closure(ros1_parts[name], ros1_parts), closure(ros2_parts[other], ros2_parts)
+                    )
                 else:
                     source = self._messages.find_ros1(name, md5)
                     self._answers[key] = self._messages.conversion(source, self._messages.to_ros2(source))
@@ -131,9 +133,9 @@ class Registry:
         with self._lock:
             if key not in self._answers:
                 if _is_feedback(type_name):
-                    other, one, two = self._actions.of_ros2(type_name, type_hash)
+                    other, ros1_parts, ros2_parts = self._actions.of_ros2(type_name, type_hash)
                     self._answers[key] = self._messages.conversion(
-                        closure(two[type_name], two), closure(one[other], one)
+                        closure(ros2_parts[type_name], ros2_parts), closure(ros1_parts[other], ros1_parts)
                     )
                 else:
                     source = self._find_ros2(type_name, type_hash)
@@ -155,8 +157,8 @@ class Registry:
         with self._lock:
             if key not in self._service_answers:
                 if _is_action(name):
-                    other, one, two = self._actions.of_ros1(name)
-                    pair = _ros1_part(name, one), ros2_service(closure(two[other], two))
+                    other, ros1_parts, ros2_parts = self._actions.of_ros1(name)
+                    pair = _ros1_part(name, ros1_parts), ros2_service(closure(ros2_parts[other], ros2_parts))
                 else:
                     ros1 = self._services.of_ros1(name, wanted)
                     pair = ros1, self._services.to_ros2(ros1)
@@ -169,8 +171,8 @@ class Registry:
         with self._lock:
             if key not in self._service_answers:
                 if _is_action(type_name):
-                    other, one, two = self._actions.of_ros2(type_name, type_hash)
-                    pair = _ros1_part(other, one), ros2_service(closure(two[type_name], two))
+                    other, ros1_parts, ros2_parts = self._actions.of_ros2(type_name, type_hash)
+                    pair = _ros1_part(other, ros1_parts), ros2_service(closure(ros2_parts[type_name], ros2_parts))
                 else:
                     ros2 = self._services.of_ros2(type_name, type_hash)
                     pair = self._services.to_ros1(ros2), ros2
@@ -236,14 +238,14 @@ class Registry:
                     path = f"{kind}/{name.split('/')[2]}.{kind}"
                     contents = [f"{name}_{part}" for part in CONTENTS[kind]]
                     if path not in files:
-                        files[path] = "---\n".join(own_text(self._find_ros2(one).root) for one in contents)
+                        files[path] = "---\n".join(own_text(self._find_ros2(content).root) for content in contents)
             return files
 
-    def _forget(self) -> None:
+    def _clear_caches(self) -> None:
         """Clear cached conversions: a new definition may change counterparts."""
         self._answers.clear()
         self._service_answers.clear()
-        self._messages.forget()
+        self._messages.clear_cache()
 
     def _find_ros2(self, name: str, type_hash: str = "") -> Schema:
         """Return a message of ROS 2, which may be part of a service or action."""

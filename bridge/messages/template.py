@@ -54,8 +54,8 @@ class _PlaceWriter(MessageWriter):
         self.found: set[str] = set()
 
     def items(self, kind: FieldType, value: Any, where: str) -> Sequence[Any] | bytes:
-        found = super().items(kind, value, where)
-        return found.tolist() if isinstance(found, np.ndarray) else found
+        items = super().items(kind, value, where)
+        return items.tolist() if isinstance(items, np.ndarray) else items
 
     def element(self, kind: FieldType, value: Any, where: str) -> None:
         super().element(kind, value, where)
@@ -75,6 +75,11 @@ def _runs(places: list[tuple[int, str]]) -> list[tuple[struct.Struct, int, int, 
     gaps = [i for i, (end, (at, _)) in enumerate(zip(ends, places[1:], strict=False), 1) if end != at]
     bounds = [0, *gaps, len(places)] if places else []
     return [
-        (struct.Struct("<" + "".join(STRUCT_FORMATS[base] for _, base in places[one:two])), places[one][0], one, two)
-        for one, two in itertools.pairwise(bounds)
+        (
+            struct.Struct("<" + "".join(STRUCT_FORMATS[base] for _, base in places[start:end])),
+            places[start][0],
+            start,
+            end,
+        )
+        for start, end in itertools.pairwise(bounds)
     ]

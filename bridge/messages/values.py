@@ -73,24 +73,24 @@ class MessageReader:
         count = kind.length if kind.shape is Shape.ARRAY else int(self.number("uint32"))
         if kind.base in PRIMITIVE_SIZES:
             size = PRIMITIVE_SIZES[kind.base]
-            return self.numbers(self.take(size, count * size) if count else b"", kind.base)
+            return self.numbers(self.read_bytes(size, count * size) if count else b"", kind.base)
         return [self.element(kind.element) for _ in range(count)]
 
     def element(self, kind: FieldType) -> Any:
         """A field of one value, or one element of an array."""
         base = kind.base
-        one = _STRUCTS.get(base)
-        if one is not None:  # as most are; `number` once more, for a call less
-            start = self.at + -(self.at - 4) % one.size
-            self.at = start + one.size
-            return self.plain(one.unpack_from(self.data, start)[0], base)
+        struct_ = _STRUCTS.get(base)
+        if struct_ is not None:  # as most are; `number` once more, for a call less
+            start = self.at + -(self.at - 4) % struct_.size
+            self.at = start + struct_.size
+            return self.plain(struct_.unpack_from(self.data, start)[0], base)
         if kind.nested:
             return self.structure(self.schema.types[base])
         if base == "string":
             end = int(self.number("uint32")) + self.at
             start, self.at = self.at, end
             return str(self.data[start : end - 1], "utf-8", "replace")
-        units = self.take(4, 4 * int(self.number("uint32")))  # a wstring: two bytes of four count
+        units = self.read_bytes(4, 4 * int(self.number("uint32")))  # a wstring: two bytes of four count
         content = bytearray(len(units) // 2)
         content[::2], content[1::2] = units[::4], units[1::4]
         return content.decode("utf-16-le", errors="replace")
@@ -107,13 +107,13 @@ class MessageReader:
 
     def number(self, base: str) -> Any:
         """The number that comes next."""
-        one = _STRUCTS[base]
-        start = self.at + -(self.at - len(HEADER)) % one.size
-        self.at = start + one.size
-        return one.unpack_from(self.data, start)[0]
+        struct_ = _STRUCTS[base]
+        start = self.at + -(self.at - len(HEADER)) % struct_.size
+        self.at = start + struct_.size
+        return struct_.unpack_from(self.data, start)[0]
 
-    def take(self, alignment: int, size: int) -> memoryview:
-        """The bytes that come next."""
+    def read_bytes(self, alignment: int, size: int) -> memoryview:
+        """Read the next bytes, after their alignment."""
         self.at += -(self.at - len(HEADER)) % alignment
         start, self.at = self.at, self.at + size
         return self.data[start : self.at]

@@ -88,7 +88,7 @@ def test_a_part_without_its_siblings_waits_for_them() -> None:
     lone = gate(parts=("status", "cancel_goal"))
     found = lone.decide("topic", "/robot/go/_action/status", PARTS["status"][1])
     assert (found.allowed, found.settled) == (False, True)
-    assert "not seen" in found.why
+    assert "its type is unknown" in found.why
 
 
 def test_nothing_of_a_rule_but_its_name_holds_for_parts_of_an_action() -> None:

@@ -38,10 +38,10 @@ class DefinitionLibrary:
 
     def learn(self, name: str, text: str, announced: str = "") -> str:
         """Keep a full definition from the network or a bag, and return its fingerprint; raises `MessageTypeError`."""
-        found = parse_announced(text, name, self.world)
-        if len(found) > MAX_NESTED:
+        definitions = parse_announced(text, name, self.world)
+        if len(definitions) > MAX_NESTED:
             raise MessageTypeError(f"the definition of {name} nests more than {MAX_NESTED} types")
-        schema = self._close(name, found)
+        schema = self._close(name, definitions)
         fingerprint = self.fingerprint(schema)
         if announced and announced != fingerprint:
             msg = f"the definition sent of {name} has the fingerprint {fingerprint}, but {announced} was announced"
@@ -58,7 +58,7 @@ class DefinitionLibrary:
         if len(variants) > MAX_VARIANTS:
             del variants[next(iter(variants))]
         if len(self._nested) < MAX_NAMES:
-            self._nested.update(found)
+            self._nested.update(definitions)
         return fingerprint
 
     def find(self, name: str, fingerprint: str = "", *, newest: bool = False) -> Schema | None:
@@ -81,11 +81,11 @@ class DefinitionLibrary:
 
     def fingerprints(self, name: str) -> list[str]:
         """Return the fingerprints of all known definitions of ``name``."""
-        found = list(self._learned.get(name, {}))
+        hashes = list(self._learned.get(name, {}))
         schema = self.installed(name)
-        if schema is not None and (own := self.fingerprint(schema)) not in found:
-            found.append(own)
-        return found
+        if schema is not None and (own_hash := self.fingerprint(schema)) not in hashes:
+            hashes.append(own_hash)
+        return hashes
 
     def names(self, package: str, kind: str = "msg") -> list[str]:
         """Return the names of a package's known messages, services (``srv``) or actions."""
@@ -96,17 +96,17 @@ class DefinitionLibrary:
 
     def variants(self, name: str) -> list[Schema]:
         """Return all definitions of ``name``: the learned ones, the newest first, then the installed one."""
-        found = list(reversed(self._learned.get(name, {}).values()))
-        rest = self.installed(name) or (None if found else self._from_nested(name))
-        return found if rest is None else [*found, rest]
+        learned = list(reversed(self._learned.get(name, {}).values()))
+        other = self.installed(name) or (None if learned else self._from_nested(name))
+        return learned if other is None else [*learned, other]
 
     def installed(self, name: str) -> Schema | None:
         """Return the schema of ``name`` as this machine's packages and folders define it."""
         if name not in self._found:
-            found = find_first(self._sources, name, self.world)
-            if found is None:
+            definition = find_first(self._sources, name, self.world)
+            if definition is None:
                 return None
-            self._found[name] = self._close(name, found)
+            self._found[name] = self._close(name, definition)
         return self._found[name]
 
     def _empty(self, name: str, fingerprint: str) -> Schema | None:
@@ -161,5 +161,5 @@ class DefinitionLibrary:
     def _own_definition(self, name: str) -> Definition | None:
         if name in self._found:
             return self._found[name].root
-        found = find_first(self._sources, name, self.world)
-        return self._nested.get(name) if found is None else found[name]
+        definition = find_first(self._sources, name, self.world)
+        return self._nested.get(name) if definition is None else definition[name]

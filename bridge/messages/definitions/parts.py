@@ -65,8 +65,8 @@ def is_service(name: str) -> bool:
 def made_parts(base: str, world: World) -> dict[str, Definition]:
     """Return the definitions that a service or action has in addition to its file's; no events in ROS 1."""
     kind = base.split("/")[1]
-    made = _MADE[kind] if world is World.ROS2 else _SENT
-    texts = {f"{base}_{part}" if part else base: text for part, text in made.items()}
+    templates = _MADE[kind] if world is World.ROS2 else _SENT
+    texts = {f"{base}_{part}" if part else base: text for part, text in templates.items()}
     content = f"{base}_" if world is World.ROS2 else base.replace("/action/", "/", 1)
     return {
         name: parse_definition(text.format(base=base, content=content), name, world) for name, text in texts.items()
@@ -96,12 +96,12 @@ def parse_announced(text: str, name: str, world: World) -> dict[str, Definition]
     if len(sections) != 2:
         msg = f"the definition of the service {name} has {len(sections)} parts separated by '---' instead of 2"
         raise MessageTypeError(msg)
-    found: dict[str, Definition] = {}
+    definitions: dict[str, Definition] = {}
     for part, section in zip(CONTENTS["srv"], sections, strict=True):
-        found = parse_full(section, f"{name}_{part}", world) | found
-    for made, pattern in {name: _SERVICE, f"{name}_Event": _EVENT}.items():
-        found[made] = parse_definition(pattern.format(base=name), made, world)
-    return found
+        definitions = parse_full(section, f"{name}_{part}", world) | definitions
+    for part_name, pattern in {name: _SERVICE, f"{name}_Event": _EVENT}.items():
+        definitions[part_name] = parse_definition(pattern.format(base=name), part_name, world)
+    return definitions
 
 
 def base_of(name: str, world: World) -> str:
@@ -121,15 +121,15 @@ def find_part(folder: Path, name: str, world: World = World.ROS2) -> dict[str, D
     if not path.is_file():
         return None
     sections = zip(CONTENTS[kind], read_sections(path, kind), strict=True)
-    found = {f"{base}_{part}": parse_definition(text, f"{base}_{part}", world) for part, text in sections}
-    return with_made(found, name, world)
+    parts = {f"{base}_{part}": parse_definition(text, f"{base}_{part}", world) for part, text in sections}
+    return with_made(parts, name, world)
 
 
-def with_made(found: dict[str, Definition], name: str, world: World) -> dict[str, Definition] | None:
+def with_made(definitions: dict[str, Definition], name: str, world: World) -> dict[str, Definition] | None:
     """Return the definitions of a service's or action's file and those that ROS 2 adds; None if ``name`` is missing."""
     if world is World.ROS2:
-        found = made_parts(base_of(name, world), world) | found
-    return found if name in found else None
+        definitions = made_parts(base_of(name, world), world) | definitions
+    return definitions if name in definitions else None
 
 
 def find_actionlib(folder: Path, name: str) -> dict[str, Definition] | None:
@@ -139,8 +139,11 @@ def find_actionlib(folder: Path, name: str) -> dict[str, Definition] | None:
         path = folder / f"{action.rpartition('/')[2]}.action"
         if action != name and path.is_file():
             sections = zip(CONTENTS["action"], read_sections(path, "action"), strict=True)
-            found = {f"{action}{own}": parse_definition(text, f"{action}{own}", World.ROS1) for own, text in sections}
-            return found | actionlib_messages(action)
+            definitions = {
+                f"{action}{part_suffix}": parse_definition(text, f"{action}{part_suffix}", World.ROS1)
+                for part_suffix, text in sections
+            }
+            return definitions | actionlib_messages(action)
     return None
 
 

@@ -1,6 +1,6 @@
-"""The model of a message definition: fields, constants, and the types it nests.
+"""The model of a message definition: fields, constants, and nested types.
 
-Type names are spelled as their world spells them: ``std_msgs/Header`` in ROS 1, ``std_msgs/msg/Header`` in ROS 2
+Type names have the spelling of their world: ``std_msgs/Header`` in ROS 1, ``std_msgs/msg/Header`` in ROS 2
 (``pkg/srv/Name_Request`` and ``pkg/action/Name_Goal`` for the parts of services and actions).
 """
 
@@ -15,14 +15,14 @@ DefaultValue = bool | int | float | str | tuple["DefaultValue", ...]
 
 
 class World(Enum):
-    """Whose rules a definition follows."""
+    """The language of a definition: that of ROS 1 or ROS 2."""
 
     ROS1 = "ROS 1"
     ROS2 = "ROS 2"
 
 
 class Shape(Enum):
-    """How many values a field holds."""
+    """The number of values of a field."""
 
     SINGLE = "single"
     ARRAY = "array"
@@ -33,13 +33,13 @@ STRUCT_FORMATS: Mapping[str, str] = {
     "bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i",
     "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
 }  # fmt: skip
-"""Each ROS 2 primitive as the module `struct` names it."""
+"""The `struct` format of each ROS 2 primitive."""
 
 PRIMITIVE_SIZES: Mapping[str, int] = {base: struct.calcsize(f"<{code}") for base, code in STRUCT_FORMATS.items()}
-"""Bytes of each primitive on both wires; ROS 1's ``byte`` is an int8, ``char`` a uint8, ROS 2's ``byte`` an octet."""
+"""Size of each primitive in both formats; ROS 1's ``byte`` is an int8, ``char`` a uint8, ROS 2's ``byte`` an octet."""
 
 TIME_TYPES: Mapping[str, str] = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
-"""ROS 1's two built-in structures (each two 32-bit integers) and the ROS 2 messages that stand for them."""
+"""ROS 1's two built-in structures (each two 32-bit integers) and the corresponding ROS 2 messages."""
 
 STRING_TYPES = frozenset({"string", "wstring"})
 
@@ -50,8 +50,8 @@ class FieldType:
 
     base: str  #: a primitive, ``string``, ``wstring``, ROS 1's ``time`` or ``duration``, or the name of a message type
     shape: Shape = Shape.SINGLE  #: one value, a fixed array, or a sequence
-    length: int = 0  #: number of elements of a fixed array; greatest number of a sequence, 0 where unbounded
-    string_bound: int = 0  #: greatest number of bytes of a string, 0 where unbounded
+    length: int = 0  #: number of elements of a fixed array; maximum of a sequence, 0 if unbounded
+    string_bound: int = 0  #: maximum number of bytes of a string, 0 if unbounded
 
     @property
     def nested(self) -> bool:
@@ -64,7 +64,7 @@ class FieldType:
         return FieldType(self.base, string_bound=self.string_bound)
 
     def __str__(self) -> str:
-        """The type as a definition spells it, with the full name of a nested type."""
+        """Return the type as spelled in definitions, with the full name of a nested type."""
         bound = f"<={self.string_bound}" if self.string_bound else ""
         match self.shape:
             case Shape.SINGLE:
@@ -78,7 +78,7 @@ class FieldType:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field; ``default`` is ROS 2's default value where the definition gives one."""
+    """A field; ``default`` is ROS 2's default value, if the definition has one."""
 
     name: str
     type: FieldType
@@ -96,13 +96,13 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """One message type's own definition."""
+    """The definition of one message type, without those of its nested types."""
 
     name: str
     world: World
     fields: tuple[Field, ...]
     constants: tuple[Constant, ...] = ()
-    text: str = ""  #: the definition as its author wrote it, "" where it was made here
+    text: str = ""  #: the definition as its author wrote it, "" if it was generated
 
     @property
     def package(self) -> str:
@@ -125,7 +125,7 @@ TIME_DEFINITIONS: Mapping[str, Definition] = {
 
 @dataclass(frozen=True)
 class Schema:
-    """A message type together with every type that it nests, so that it means one thing only."""
+    """A message type together with all its nested types, so that it is unambiguous."""
 
     root: Definition
     types: Mapping[str, Definition]  #: the root and all nested types by name
@@ -137,19 +137,19 @@ class Schema:
 
     @property
     def world(self) -> World:
-        """Whose type it is."""
+        """The language of its definition."""
         return self.root.world
 
     def sub(self, name: str) -> Schema:
-        """The schema of one of the nested types."""
+        """Return the schema of one of the nested types."""
         return Schema(self.types[name], self.types)
 
     def of(self, kind: FieldType) -> Definition | None:
-        """The fields of a field's type; None for a primitive or a string."""
+        """Return the definition of a field's type; None for a primitive or a string."""
         return self.types[kind.base] if kind.nested else TIME_DEFINITIONS.get(kind.base)
 
     def nested_order(self) -> list[str]:
-        """Names of the nested types in the order in which they are first met, without the root."""
+        """Return the names of the nested types in order of first use, without the root."""
         order: dict[str, None] = {}
         waiting = list(reversed(self.root.nested_names()))
         while waiting:

@@ -90,11 +90,11 @@ class DefinitionFolder:
     @cached_property
     def _renamed(self) -> Mapping[str, list[Path]]:
         """The folders of packages in this folder that have other names than their packages, by package."""
-        found: dict[str, list[Path]] = {}
+        folders: dict[str, list[Path]] = {}
         for file in sorted(self.root.glob("*/package.xml")):
             if (name := package_name(file.parent)) != file.parent.name:
-                found.setdefault(name, []).append(file.parent)
-        return found
+                folders.setdefault(name, []).append(file.parent)
+        return folders
 
     def find(self, name: str) -> Found | None:
         parts = name.split("/")
@@ -103,9 +103,9 @@ class DefinitionFolder:
             return None
         for folder in self.folders(package, kind):
             if kind != "msg":
-                found = self._part(folder, name)
-                if found is not None:
-                    return found
+                definitions = self._part(folder, name)
+                if definitions is not None:
+                    return definitions
                 continue
             if (path := folder / f"{short}.msg").is_file():
                 return self._native({name: parse_definition(read_text(path), name, self.world)}, path)
@@ -113,17 +113,17 @@ class DefinitionFolder:
                 return parse_idl(read_text(path), name)
         if self.world is World.ROS1 and kind == "msg":
             for folder in self.folders(package, "action"):
-                found = find_actionlib(folder, name)
-                if found is not None:
-                    stem = next(iter(found)).rpartition("/")[2].removesuffix("Goal")
-                    return self._native(found, folder / f"{stem}.action")
+                definitions = find_actionlib(folder, name)
+                if definitions is not None:
+                    stem = next(iter(definitions)).rpartition("/")[2].removesuffix("Goal")
+                    return self._native(definitions, folder / f"{stem}.action")
         return None
 
     def _part(self, folder: Path, name: str) -> Found | None:
-        found = find_part(folder, name, self.world)
+        definitions = find_part(folder, name, self.world)
         stem = base_of(name, self.world).rpartition("/")[2]
-        if found is not None:
-            return self._native(found, folder / f"{stem}.{name.split('/')[1]}")
+        if definitions is not None:
+            return self._native(definitions, folder / f"{stem}.{name.split('/')[1]}")
         path = folder / f"{stem}.idl"
         if self.world is World.ROS2 and path.is_file():
             return with_made(parse_idl(read_text(path), _first_part(name)), name, self.world)
@@ -147,15 +147,15 @@ class DefinitionFolder:
 
     def files(self, package: str) -> dict[str, str]:
         """Text of the package's definition files by their path within it."""
-        found: dict[str, str] = {}
+        texts: dict[str, str] = {}
         for kind in ("msg", "srv", "action"):
             for folder in self.folders(package, kind):
                 for path in sorted(folder.glob(f"*.{kind}")):
                     name = f"{package}/{kind}/{path.stem}"
                     if self.find(name if kind == "msg" else _first_part(name)) is not None:
                         text = read_text(path) if kind == "msg" else "---\n".join(read_sections(path, kind))
-                        found.setdefault(f"{kind}/{path.name}", text)
-        return found
+                        texts.setdefault(f"{kind}/{path.name}", text)
+        return texts
 
     def names(self, package: str, kind: str = "msg") -> list[str]:
         middle = "" if self.world is World.ROS1 and kind == "msg" else f"{kind}/"
@@ -225,9 +225,9 @@ def find_first(sources: Iterable[DefinitionSource], name: str, world: World) -> 
     if not is_ros2_name(name) and (world is World.ROS2 or not is_ros1_name(name)):
         return None
     for source in sources:
-        found = source.find(name)
-        if found is not None:
-            return found
+        definitions = source.find(name)
+        if definitions is not None:
+            return definitions
     return None
 
 
@@ -246,13 +246,13 @@ def ros1_sources(folders: Sequence[Path], packages: Path | None) -> list[Definit
 
 def ros2_sources(folders: Sequence[Path], prefixes: Sequence[Path]) -> list[DefinitionSource]:
     """Return the places of ROS 2 definitions, the most specific first."""
-    own = Path(__file__).parents[2] / "interfaces" / "definitions"
+    bundled = Path(__file__).parents[2] / "interfaces" / "definitions"
     roots = [*prefixes, *_split(os.environ.get("AMENT_PREFIX_PATH")), Path(sys.prefix), Path("/opt/ros/jazzy")]
     shares = dict.fromkeys(root / "share" for root in roots)
     return [
         *(DefinitionFolder(folder, World.ROS2) for folder in folders),
         *(DefinitionFolder(share, World.ROS2) for share in shares if share.is_dir()),
-        DefinitionFolder(own, World.ROS2),
+        DefinitionFolder(bundled, World.ROS2),
         DefinitionFolder(_OWN / "ros2", World.ROS2),
         RosbagsTypes(World.ROS2),
     ]
@@ -280,10 +280,10 @@ def read_text(path: Path) -> str:
 
 def _ros1_python_folders() -> list[Path]:
     """Where Debian, a sourced workspace or /opt/ros put ROS 1's Python packages; never the venv's own ROS 2 ones."""
-    own = {Path(folder).resolve() for folder in site.getsitepackages()}
+    site_folders = {Path(folder).resolve() for folder in site.getsitepackages()}
     wanted = [*_split(os.environ.get("PYTHONPATH")), Path("/opt/ros/noetic/lib/python3/dist-packages")]
     wanted.append(Path("/usr/lib/python3/dist-packages"))
-    return [folder for folder in dict.fromkeys(wanted) if folder.resolve() not in own]
+    return [folder for folder in dict.fromkeys(wanted) if folder.resolve() not in site_folders]
 
 
 def _split(paths: str | None) -> list[Path]:
@@ -319,10 +319,10 @@ def parse_idl(text: str, name: str) -> dict[str, Definition]:
         types = get_types_from_idl(text)
     except TypesysError as err:
         raise MessageTypeError(f"cannot read the IDL definition of {name}: {err}") from None
-    found = {key: _definition(key, value, World.ROS2) for key, value in types.items()}
-    if name not in found:
-        raise MessageTypeError(f"the IDL file of {name} defines {', '.join(found) or 'nothing'} instead")
-    return found
+    definitions = {key: _definition(key, value, World.ROS2) for key, value in types.items()}
+    if name not in definitions:
+        raise MessageTypeError(f"the IDL file of {name} defines {', '.join(definitions) or 'nothing'} instead")
+    return definitions
 
 
 @cache

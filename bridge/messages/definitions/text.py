@@ -74,15 +74,15 @@ def parse_definition(text: str, name: str, world: World) -> Definition:
 
 def parse_full(text: str, name: str, world: World) -> dict[str, Definition]:
     """Read a full definition, the type's own first, then nested ones after lines of ``=`` and ``MSG: name``."""
-    own, *rest = _SEPARATOR.split(text.replace("\r\n", "\n"))
-    found = {name: parse_definition(own, name, world)}
-    for part in rest:
+    main, *sections = _SEPARATOR.split(text.replace("\r\n", "\n"))
+    definitions = {name: parse_definition(main, name, world)}
+    for part in sections:
         head, _, body = part.partition("\n")
         if not head.startswith("MSG:"):
             raise MessageTypeError(f"the full definition of {name} has a section without 'MSG: <type>' ({head[:60]!r})")
         nested = spell(head.removeprefix("MSG:").strip(), name, world)
-        found.setdefault(nested, parse_definition(body, nested, world))
-    return found
+        definitions.setdefault(nested, parse_definition(body, nested, world))
+    return definitions
 
 
 def split_parts(text: str) -> list[str]:
@@ -169,12 +169,12 @@ def _read_line(line: str, bare: str, owner: str, world: World, fields: list[Fiel
     match = _LINE.fullmatch(bare) if len(bare) <= MAX_LINE else None
     if match is None:
         raise ValueError("expected '<type> <name>'" if len(bare) <= MAX_LINE else f"longer than {MAX_LINE} characters")
-    type_text, name, rest = match.groups()
-    if rest.startswith("="):
+    type_text, name, remainder = match.groups()
+    if remainder.startswith("="):
         if type_text.split("<=")[0] in STRING_TYPES and world is World.ROS1:
             # A string constant of ROS 1 is everything after the '=', '#' included.
-            rest = "=" + line.split("=", 1)[1]
-        constant = Constant(name, parse_type(type_text, owner, world).base, rest[1:].strip())
+            remainder = "=" + line.split("=", 1)[1]
+        constant = Constant(name, parse_type(type_text, owner, world).base, remainder[1:].strip())
         constants.append(constant)
         other = World.ROS2 if world is World.ROS1 else World.ROS1
         if not is_readable(constant, other):
@@ -183,8 +183,8 @@ def _read_line(line: str, bare: str, owner: str, world: World, fields: list[Fiel
     field_type = parse_type(type_text, owner, world)
     if world is World.ROS1:
         fields.append(Field(name, field_type))
-        return not rest and _FOREIGN_TO_ROS1.search(type_text) is None
-    fields.append(Field(name, field_type, parse_default(rest, field_type) if rest else None))
+        return not remainder and _FOREIGN_TO_ROS1.search(type_text) is None
+    fields.append(Field(name, field_type, parse_default(remainder, field_type) if remainder else None))
     native = is_legal_field(name) and _FOREIGN_TO_ROS2.match(type_text) is None
     return native and ("/msg/" not in field_type.base or is_legal_type(field_type.base))
 
@@ -261,9 +261,9 @@ def full_text(schema: Schema) -> str:
     """The type's own definition, then each nested type's after a line of ``=`` and ``MSG: package/Name``."""
     parts = [own_text(schema.root).rstrip("\n")]
     for name in schema.nested_order():
-        own = own_text(schema.types[name]).rstrip("\n")
+        main = own_text(schema.types[name]).rstrip("\n")
         # of an empty type, genpy wants the line of its text, too (genpy/dynamic.py)
-        parts.append(f"{_NESTED_LINE}\nMSG: {_short(name)}\n{own}")
+        parts.append(f"{_NESTED_LINE}\nMSG: {_short(name)}\n{main}")
     return "\n".join(parts) + "\n"
 
 

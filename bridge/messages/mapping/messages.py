@@ -75,24 +75,24 @@ _TIME_DEFINITIONS = {
 def _nested(schema: Schema, kind: FieldType, counterpart: Counterpart, types: dict[str, Definition]) -> str:
     if not kind.nested:
         return kind.base
-    found = counterpart(schema.sub(kind.base))
-    types.update({name: found.types[name] for name in (found.name, *found.nested_order())})
-    return found.name
+    target = counterpart(schema.sub(kind.base))
+    types.update({name: target.types[name] for name in (target.name, *target.nested_order())})
+    return target.name
 
 
 def unknown_type(name: str, world: World, wanted: str = "", known: str = "", kind: str = "srv") -> MessageTypeError:
     """Return the error, with its cure, for a message (``msg``), a service or an action that cannot be used."""
     package, kind = name.split("/")[0], "action" if "/action/" in name and kind == "srv" else kind
     if wanted and known:
-        word = "md5" if world is World.ROS1 else "hash"
+        hash_name = "md5" if world is World.ROS1 else "hash"
         return MessageTypeError(
-            f"{name} has the {word} {wanted} there but {known} here: the definitions differ",
+            f"{name} has the {hash_name} {wanted} there but {known} here: the definitions differ",
             f"use the same version of {package} on both sides",
         )
-    what = {"msg": "type", "srv": "service", "action": "action"}[kind]
+    kind_name = {"msg": "type", "srv": "service", "action": "action"}[kind]
     announced = "" if kind == "msg" else ", and no connection announces one"
     return MessageTypeError(
-        f"no definition of the {world.value} {what} {name} is known{announced}",
+        f"no definition of the {world.value} {kind_name} {name} is known{announced}",
         f"install {package}, or put its .{kind} files into a folder that types.folders names",
     )
 
@@ -110,7 +110,7 @@ class MessageMapping:
         self._sides: dict[tuple[World, str], tuple[Schema, SideType]] = {}
         ros1.derive, ros2.derive = self._installed_as_ros1, self._installed_as_ros2
 
-    def forget(self) -> None:
+    def clear_cache(self) -> None:
         """A new definition may change what stands for what."""
         self._counterparts.clear()
         self._sides.clear()
@@ -141,9 +141,9 @@ class MessageMapping:
     def find_ros1(self, name: str, md5: str = "") -> Schema:
         """Return the ROS 1 message ``name``, derived from ROS 2's if only ROS 2 has it."""
         wanted = "" if md5 in ANY_MD5 else md5
-        found = self.ros1.find(name, wanted, newest=True)
-        if found is not None:
-            return found
+        schema = self.ros1.find(name, wanted, newest=True)
+        if schema is not None:
+            return schema
         if is_ros1_name(name):
             for candidate in self.rules.ros2_names(name):
                 ros2 = self.ros2.find(candidate)
@@ -154,9 +154,9 @@ class MessageMapping:
 
     def find_ros2(self, name: str, type_hash: str = "") -> Schema:
         """Return the ROS 2 message ``name``, derived from ROS 1's if only ROS 1 has it."""
-        found = self.ros2.find(name, type_hash)
-        if found is not None:
-            return found
+        schema = self.ros2.find(name, type_hash)
+        if schema is not None:
+            return schema
         if is_ros2_name(name):
             for ros1 in self._ros1_variants(name):
                 ros2 = self.to_ros2(ros1)
@@ -205,9 +205,9 @@ class MessageMapping:
     def _match_ros2(self, ros1: Schema) -> Schema:
         names = self.rules.ros2_names(ros1.name)
         for name in names:
-            found = self.ros2.installed(name)
-            if found is not None:
-                return found
+            schema = self.ros2.installed(name)
+            if schema is not None:
+                return schema
         for name in names:
             for announced in self.ros2.variants(name):
                 if says_the_same(ros1, announced, self.rules):

@@ -29,7 +29,7 @@ _KEYS = {
     "ros1_package_name",
     "ros2_package_name",
     "enable_foreign_mappings",
-    *(f"{side}_{word}_name" for side in ("ros1", "ros2") for word in _PARTS),
+    *(f"{side}_{part}_name" for side in ("ros1", "ros2") for part in _PARTS),
     *(key for parts in _PARTS.values() for key in parts.values()),
 }
 
@@ -177,22 +177,22 @@ def _rule(entry: Any, origin: str) -> MappingRule:
     packages = _text(entry, "ros1_package_name", origin), _text(entry, "ros2_package_name", origin)
     if not all(packages):
         raise MessageTypeError(f"{origin}: needs ros1_package_name and ros2_package_name")
-    named = {word: _both(entry, f"ros1_{word}_name", f"ros2_{word}_name", origin) for word in _PARTS}
-    meant = [word for word, names in named.items() if any(names)]
+    named = {prefix: _both(entry, f"ros1_{prefix}_name", f"ros2_{prefix}_name", origin) for prefix in _PARTS}
+    meant = [prefix for prefix, names in named.items() if any(names)]
     if len(meant) > 1:
         raise MessageTypeError(f"{origin}: speaks of {meant[0]}s and of {meant[1]}s; write two entries")
-    word = meant[0] if meant else ""
+    prefix = meant[0] if meant else ""
     fields: dict[str, Fields] = {}
     for other, parts in _PARTS.items():
         for part, key in parts.items():
             value = _fields(entry, key, origin)
             if value is None:
                 continue
-            if other != word:
+            if other != prefix:
                 raise MessageTypeError(f"{origin}: {key} needs ros1_{other}_name and ros2_{other}_name")
             fields[part] = value
-    names = named[word] if word else ("", "")
-    return MappingRule(*packages, *names, _KINDS.get(word, ""), fields, origin)
+    names = named[prefix] if prefix else ("", "")
+    return MappingRule(*packages, *names, _KINDS.get(prefix, ""), fields, origin)
 
 
 def _both(entry: Mapping[str, Any], first: str, second: str, origin: str) -> tuple[str, str]:

@@ -57,27 +57,27 @@ class ServiceMapping:
             return self._derive_ros1(self.of_ros2(name))
         if not is_ros1_name(name):
             raise unknown_type(name, World.ROS1)
-        found = self._find_ros1(name)
-        if found is None:
+        service = self._find_ros1(name)
+        if service is None:
             for candidate in self._messages.rules.ros2_names(name, "srv"):
                 ros2 = self._find_ros2(candidate)
                 derived = None if ros2 is None else self.to_ros1(ros2)
                 if derived is not None and derived.name == name:
-                    found = derived
+                    service = derived
                     break
-        if md5 == EMPTY_MD5 and (found is None or found.type_id != md5):
-            found = self._empty_ros1(name)
-        if found is None or md5 not in ("", found.type_id):
-            raise unknown_type(name, World.ROS1, md5, "" if found is None else found.type_id)
-        return found
+        if md5 == EMPTY_MD5 and (service is None or service.type_id != md5):
+            service = self._empty_ros1(name)
+        if service is None or md5 not in ("", service.type_id):
+            raise unknown_type(name, World.ROS1, md5, "" if service is None else service.type_id)
+        return service
 
     def of_ros2(self, name: str, type_hash: str = "") -> ServiceSchema:
         """Return the ROS 2 service ``pkg/srv/Name``; if only ROS 1 has it, the one derived from there."""
         if not is_ros2_name(name) or not is_service(name):
             raise unknown_type(name, World.ROS2)
-        found = self._find_ros2(name, type_hash)
-        if found is not None:
-            return found
+        service = self._find_ros2(name, type_hash)
+        if service is not None:
+            return service
         known = " or ".join(self._messages.ros2.fingerprints(name))
         for ros1 in self._ros1_candidates(name):
             ros2 = self.to_ros2(ros1)
@@ -91,10 +91,10 @@ class ServiceMapping:
         """Return the request or response of a ROS 2 service that is only defined in ROS 1."""
         base, part = split_part(name)
         service = self.of_ros2(base) if part in CONTENTS["srv"] else None
-        found = None if service is None else service.request if part == "Request" else service.response
-        if found is None or type_hash not in ("", rihs01(found)):
-            raise unknown_type(name, World.ROS2, type_hash, "" if found is None else rihs01(found))
-        return found
+        schema = None if service is None else service.request if part == "Request" else service.response
+        if schema is None or type_hash not in ("", rihs01(schema)):
+            raise unknown_type(name, World.ROS2, type_hash, "" if schema is None else rihs01(schema))
+        return schema
 
     def to_ros2(self, ros1: ServiceSchema) -> ServiceSchema:
         """Return the ROS 2 service for one of ROS 1: installed, announced with equal fields, else derived."""
@@ -167,9 +167,9 @@ class ServiceMapping:
         others = [name.replace("/srv/", "/", 1) for name in self._messages.ros1.names(package, "srv")]
         names += [name for name in others if name not in names and legal_type(name, "srv") == ros2_name]
         for name in names:
-            found = self._find_ros1(name)
-            if found is not None:
-                yield found
+            service = self._find_ros1(name)
+            if service is not None:
+                yield service
 
     def _derive_ros2(self, ros1: ServiceSchema) -> ServiceSchema:
         base = legal_type(ros1.name, "srv")

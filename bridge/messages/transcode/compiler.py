@@ -1,7 +1,7 @@
-"""Makes the conversion program of a pair of types, or of one type that is only checked.
+"""Compiles the conversion program of a pair of types, or of one type that is only checked.
 
-Fields are walked in the target's order. Where the source has them in the same order they are read as they come; where a
-mapping rule mixes them up, the whole source structure is walked first, and its fields are then read where they were.
+The program writes fields in the target's order. If the source has the same order, it reads them sequentially; if a
+mapping rule reorders them, it first scans the whole source structure for their positions.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from bridge.messages.transcode.program import ConversionProgram, Instruction
 FieldPath = tuple[str, ...]
 FieldPaths = Sequence[tuple[FieldPath, FieldPath]]
 Match = Callable[[str, str], FieldPaths]
-"""Gives the fields of a pair of types that stand for each other, as paths in the source and in the target."""
+"""Returns the corresponding fields of a pair of types, as paths in the source and in the target."""
 
-MAX_STEPS = 100_000  # most fields of a type, with those of the types that it nests, each as often as it occurs
-MAX_DEFAULT = 16 << 20  # most bytes of default values that one message is given
+MAX_STEPS = 100_000  # maximum number of fields of a type, including those of each occurrence of its nested types
+MAX_DEFAULT = 16 << 20  # maximum bytes of default values in one message
 
 
 def compile_pair(source: Schema, target: Schema, match: Match) -> ConversionProgram:
-    """The program that turns messages of ``source`` into messages of ``target``."""
+    """Compile the program that converts messages of ``source`` into messages of ``target``."""
     compiler = _Compiler(
         source, target, match, ConversionProgram(source.name, source.world is World.ROS2, target.world is World.ROS2)
     )
@@ -45,13 +45,13 @@ def compile_pair(source: Schema, target: Schema, match: Match) -> ConversionProg
 
 
 def compile_check(schema: Schema) -> ConversionProgram:
-    """The program that checks messages of a ROS 2 type, and writes them in their normal form."""
+    """Compile the program that checks messages of a ROS 2 type, and writes them in their normal form."""
     return compile_pair(schema, schema, lambda name, _: [((f.name,), (f.name,)) for f in schema.types[name].fields])
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A piece of a structure in the order of its bytes: a field that is wanted, or one that is passed over."""
+    """A part of a structure in the order of its bytes: a wanted field, or one to skip."""
 
     path: FieldPath
     type: FieldType
@@ -70,7 +70,7 @@ class _Compiler:
         self._least: dict[str, int] = {}
 
     def structure(self, one: Definition, two: Definition, at: FieldPath) -> None:
-        """Convert one structure ``one`` into one ``two``."""
+        """Convert the structure ``one`` into ``two``."""
         fields = self.match(one.name, two.name)
         wanted = {path for path, _ in fields}
         origins = {path2: path1 for path1, path2 in fields}
@@ -90,11 +90,11 @@ class _Compiler:
             self.program.emit(Instruction(Op.ZERO, size=1, field=_name(at)))
 
     def _hidden_member(self, definition: Definition, schema: Schema) -> bool:
-        """ROS 2 gives a structure without fields one byte, since C and IDL want at least one member."""
+        """Whether a structure has ROS 2's hidden byte: C and IDL need a member, even without fields."""
         return not definition.fields and schema.world is World.ROS2
 
     def _stream(self, source_parts: list[_Part], target_parts: list[_Part], at: FieldPath) -> None:
-        """Both sides have the wanted fields in the same order."""
+        """Convert the fields if both sides have the wanted ones in the same order."""
         reading = iter(source_parts)
         for part in target_parts:
             if not part.wanted:
@@ -116,7 +116,7 @@ class _Compiler:
         target_parts: list[_Part],
         at: FieldPath,
     ) -> None:
-        """The source has the fields in another order: remember where each is, then read them in the target's."""
+        """Convert the fields if the order differs: find their positions, then read them in the target's order."""
         slots: dict[FieldPath, tuple[int, FieldType]] = {}
 
         def mark() -> int:
@@ -193,7 +193,7 @@ class _Compiler:
             self.program.emit(Instruction(Op.COPY, size - 1, size, field=name))
 
     def skip(self, kind: FieldType, at: FieldPath) -> None:
-        """Pass over one field of the source."""
+        """Skip one field of the source."""
         self._step()
         name = _name(at)
         if kind.shape is Shape.ARRAY:
@@ -225,7 +225,7 @@ class _Compiler:
             self.program.emit(Instruction(Op.SKIP, size - 1, size, field=name))
 
     def default(self, kind: FieldType, default: DefaultValue | None, at: FieldPath) -> None:
-        """Write a field that the source does not have: the definition's default value, else nothing and zero."""
+        """Write a field that the source lacks: the definition's default value, else empty or zero."""
         self._step()
         if kind.shape is Shape.SINGLE:
             self._default_element(kind, default, at)
@@ -260,14 +260,14 @@ class _Compiler:
         try:
             return struct.pack("<" + STRUCT_FORMATS[base], default or 0)
         except struct.error:
-            msg = f"{self.target.name} cannot be made: the default {default!r} of {_name(at)} is no {base}"
+            msg = f"{self.target.name} cannot be created: the default {default!r} of {_name(at)} is not a {base}"
             raise MessageTypeError(msg) from None
 
     def _text(self, base: str, text: str) -> bytes:
         if base == "wstring":
             units = text.encode("utf-16-le")
-            words = b"".join(units[k : k + 2] + b"\0\0" for k in range(0, len(units), 2))
-            return struct.pack("<I", len(units) // 2) + words
+            units32 = b"".join(units[k : k + 2] + b"\0\0" for k in range(0, len(units), 2))
+            return struct.pack("<I", len(units) // 2) + units32
         content = text.encode() + (b"\0" if self.target.world is World.ROS2 else b"")
         return struct.pack("<I", len(content)) + content
 
@@ -284,7 +284,7 @@ class _Compiler:
             )
 
     def least(self, kind: FieldType) -> int:
-        """Fewest bytes that a value of the source can take."""
+        """Return the minimum size of a value of the source in bytes."""
         if kind.shape is Shape.SEQUENCE:
             return 4
         if kind.base in TIME_TYPES:
@@ -303,7 +303,7 @@ class _Compiler:
         return self._least[name]
 
     def _step(self) -> None:
-        """Types that nest each other many times over would take for ever to compile."""
+        """Count a step; deeply nested types would take too long to compile."""
         self._steps += 1
         if self._steps > MAX_STEPS:
             msg = f"{self.program.name} is too large to be converted: it has more than {MAX_STEPS} fields in all"
@@ -311,7 +311,7 @@ class _Compiler:
 
 
 def _parts(definition: Definition, schema: Schema, wanted: set[FieldPath], prefix: FieldPath) -> Iterator[_Part]:
-    """The structure's fields in the order of their bytes; a nested one is opened where only pieces of it are wanted."""
+    """Yield a structure's fields in byte order; a nested one is expanded if only parts of it are wanted."""
     for field in definition.fields:
         path = (*prefix, field.name)
         inner = schema.of(field.type)
@@ -332,5 +332,5 @@ def _bound(kind: FieldType) -> int:
 
 
 def _name(path: FieldPath) -> str:
-    """``("transforms", "", "header")`` as ``transforms[].header``."""
+    """Format ``("transforms", "", "header")`` as ``transforms[].header``."""
     return "".join(f".{step}" if step else "[]" for step in path).removeprefix(".")

@@ -1,4 +1,4 @@
-"""Conversions: a message type as each side names it, and the converters of its bytes."""
+"""Conversions: a message type by its name on each side, and the converters of its bytes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bridge.messages.transcode.vm import VirtualMachine
 
 @dataclass(frozen=True, slots=True)
 class SideType:
-    """A message type as one side names it."""
+    """A message type by its name on one side."""
 
     name: str  #: as the side spells it
     type_id: str  #: md5 sum on ROS 1, RIHS01 hash (``RIHS01_<64 hex>``) on ROS 2 and the hub
@@ -27,10 +27,10 @@ class SideType:
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """How one type's bytes get from one wire to another; ``convert`` is None where the bytes are the same.
+    """The conversion of one type from one wire format to another; ``convert`` is None if the bytes are the same.
 
-    ``convert(payload: bytes) -> bytes`` raises `bridge.messages.errors.ConversionError` for a bad message.
-    ``left_out`` names the fields of a ROS 1 message that get lost, because the target has none for them.
+    ``convert(payload: bytes) -> bytes`` raises `bridge.messages.errors.ConversionError` for an invalid message.
+    ``left_out`` names the fields of a ROS 1 message that are lost, because the target lacks them.
     """
 
     source: SideType
@@ -41,59 +41,59 @@ class Conversion:
 
 @dataclass(frozen=True, slots=True)
 class ServiceConversion:
-    """How a service's requests and replies get from one wire to another; the same for calls in both directions.
+    """The conversions of a service's requests and replies, the same for calls in both directions.
 
-    Each is ``convert(payload: bytes) -> bytes`` and raises `bridge.messages.errors.ConversionError`; None where the
-    bytes are the same.
+    Each is ``convert(payload: bytes) -> bytes`` and raises `bridge.messages.errors.ConversionError`; None if the bytes
+    are the same.
     """
 
-    side: SideType  #: the service type as the side names it (ROS 1: ``std_srvs/SetBool`` and md5)
-    # as ROS 2 names it (``std_srvs/srv/SetBool`` and the service's RIHS01). The definition of either is the request's
+    side: SideType  #: the service type on the side (ROS 1: ``std_srvs/SetBool`` and md5)
+    # in ROS 2 (``std_srvs/srv/SetBool`` and the service's RIHS01). The definition of either is the request's
     # full text, a line ``---``, and the response's.
     hub: SideType
     request_to_side: Callable[[bytes], bytes] | None
     request_to_hub: Callable[[bytes], bytes] | None
     response_to_side: Callable[[bytes], bytes] | None
     response_to_hub: Callable[[bytes], bytes] | None
-    # the fields of ROS 1's request and response that get lost, because the hub's have none for them
+    # the fields of ROS 1's request and response that are lost, because the hub's types lack them
     left_out: tuple[str, ...] = ()
 
 
 Convert = Callable[[bytes], bytes]
-"""Takes one message's bytes and gives its bytes on the other wire; raises `ConversionError`."""
+"""Converts one message's bytes to the other wire format; raises `ConversionError`."""
 
 _REASONS = {
     MessageFault.TRUNCATED: "the message ends before the field does, or its length is wrong",
     MessageFault.TOO_MANY: "more elements than its type allows",
     MessageFault.TOO_LONG: "the string is longer than its type allows",
     MessageFault.NO_NUL: "the string has no closing NUL",
-    MessageFault.TRAILING: "bytes are left over behind the last field",
-    MessageFault.ENCAPSULATION: "no little-endian CDR: the message does not begin with 00 01",
+    MessageFault.TRAILING: "bytes are left over after the last field",
+    MessageFault.ENCAPSULATION: "not little-endian CDR: the message does not begin with 00 01",
     MessageFault.TOO_LARGE: f"the converted message would be larger than {MAX_MESSAGE} bytes",
     MessageFault.ENDLESS: "more empty elements than any message holds",
 }
 
 
 def ros1_to_cdr(source: Schema, target: Schema, pairs: PairTable) -> Convert:
-    """The converter of a ROS 1 type's bytes to CDR."""
+    """Return the converter of a ROS 1 type's bytes to CDR."""
     return make_vm(compile_pair(source, target, lambda one, two: pairs[one, two].fields)).convert
 
 
 def cdr_to_ros1(source: Schema, target: Schema, pairs: PairTable) -> Convert:
-    """The converter of CDR bytes to a ROS 1 type's."""
+    """Return the converter of CDR to a ROS 1 type's bytes."""
     return make_vm(
         compile_pair(source, target, lambda one, two: [(path2, path1) for path1, path2 in pairs[two, one].fields])
     ).convert
 
 
 def check_cdr(schema: Schema) -> Convert:
-    """The check of CDR bytes against their type; the same bytes come back where nothing is to be mended."""
+    """Return a check of CDR against its type, which returns the normal form, or the same object if it already is."""
     assert schema.world is World.ROS2
     return make_vm(compile_check(schema)).check
 
 
 def make_vm(program: ConversionProgram) -> VirtualMachine:
-    """A program made ready, which refuses bad messages in words."""
+    """Return the virtual machine of a program, with readable errors for invalid messages."""
     return VirtualMachine(*program.assemble(), partial(_error, program))
 
 

@@ -98,10 +98,10 @@ class ConversionProgram:
 
     def assemble(self) -> tuple[bytes, bytes]:
         """The program as the virtual machine takes it: a word of flags and the instructions; the literals."""
-        words = [self.source_cdr * SOURCE_CDR + self.target_cdr * TARGET_CDR]
-        for one in (*self.instructions, Instruction(Op.END)):
-            words += [one.op, one.mask, one.size, one.bound, one.link]
-        return struct.pack(f"={len(words)}q", *words), bytes(self._literals)
+        code = [self.source_cdr * SOURCE_CDR + self.target_cdr * TARGET_CDR]
+        for instruction in (*self.instructions, Instruction(Op.END)):
+            code += [instruction.op, instruction.mask, instruction.size, instruction.bound, instruction.link]
+        return struct.pack(f"={len(code)}q", *code), bytes(self._literals)
 
     def field_of(self, number: int) -> str:
         """Path of the field that an instruction is about, "" past the end."""

@@ -1,13 +1,13 @@
 """Runs conversion programs over messages: bytes in, bytes out. A kernel, see `bridge.kernels`.
 
-One interpreter serves every type, so that no type is ever compiled and the first message is as quick as the last. A
-message is run twice: without a target, which checks it and measures its converted form, and then into just that room.
-Every read is checked against the message's end before it is made; that a program keeps to its own memory is made sure
-of before (`bridge.messages.transcode.opcodes`).
+One interpreter serves every type, so that no type needs compiling and the first message is as fast as the last. The
+program runs twice over a message: without a target, to check the message and measure its converted form, and then into
+a buffer of that size. Every read is checked against the message's end; `bridge.messages.transcode.opcodes` has checked
+before that the program only uses its own memory.
 
-``i`` and ``o`` are positions in the message and in what is made of it. ``in_mask`` and ``out_mask`` are 7 where that
-side is CDR and 0 where it is ROS 1's format, which knows no alignment. Compiled, messages are pointers; uncompiled,
-they are bytes, and an access out of bounds is an IndexError.
+``i`` and ``o`` are positions in the message and in its converted form. ``in_mask`` and ``out_mask`` are 7 if that side
+is CDR, and 0 if it is ROS 1's format, which has no alignment. Compiled, messages are pointers; uncompiled, they are
+bytes, and an access out of bounds is an IndexError.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ if sys.byteorder != "little":
     raise ImportError("the message converters need a little-endian machine")
 
 _LARGE = cython.declare(cython.longlong, 64 << 10)
-"""Messages from this size on are converted while other threads run Python. Below, giving the interpreter's lock away
-costs more than the conversion, up to the 5 ms for which a busy thread keeps it."""
+"""Messages from this size on are converted without the GIL. For smaller ones, releasing it costs more than the
+conversion: to get it back may take the 5 ms for which a busy thread keeps it."""
 
-# C variables, which are read without Python's lock
+# C variables, which are read without the GIL
 _COPY = cython.declare(cython.longlong, Op.COPY)
 _BOOL = cython.declare(cython.longlong, Op.BOOL)
 _STRING = cython.declare(cython.longlong, Op.STRING)
@@ -65,7 +65,7 @@ _DIRTY = cython.declare(cython.longlong, opcodes.DIRTY)
 
 
 def _within(memory: bytes | bytearray, at: int, size: int) -> None:
-    """Uncompiled, each access is checked: Python cuts slices short, and takes indexes below zero."""
+    """Check an access of uncompiled code: Python truncates slices, and accepts negative indexes."""
     if at < 0 or at + size > len(memory):
         raise IndexError(f"bytes {at} to {at + size} of {len(memory)}")
 
@@ -139,7 +139,7 @@ def _clear(target: cython.p_uchar, o: cython.longlong, size: cython.longlong) ->
 @cython.nogil
 @cython.exceptval(check=False)
 def _fault(kind: cython.longlong, byte: cython.longlong, pc: cython.longlong) -> cython.longlong:
-    """What ends a run: -(byte of the message << 27 | instruction << 5 | fault)."""
+    """Return the code of a fault: -(byte of the message << 27 | instruction << 5 | fault)."""
     return -((((byte << _INSTRUCTION_BITS) | pc) << _FAULT_BITS) | kind)
 
 
@@ -147,7 +147,7 @@ def _fault(kind: cython.longlong, byte: cython.longlong, pc: cython.longlong) ->
 @cython.nogil
 @cython.exceptval(check=False)
 def _aligned(at: cython.longlong, mask: cython.longlong) -> cython.longlong:
-    """The next position that is aligned, which CDR counts from behind its header of 4 bytes."""
+    """Return the next aligned position; CDR aligns relative to the end of its 4-byte header."""
     return at + ((4 - at) & mask)
 
 
@@ -155,7 +155,7 @@ def _aligned(at: cython.longlong, mask: cython.longlong) -> cython.longlong:
 @cython.nogil
 @cython.exceptval(check=False)
 def _pad(target: cython.p_uchar, o: cython.longlong, mask: cython.longlong, write: cython.bint) -> cython.longlong:
-    """The next aligned position; what lies between is zeroed."""
+    """Zero the padding, and return the next aligned position."""
     end: cython.longlong = _aligned(o, mask)
     if write:
         while o < end:
@@ -175,7 +175,7 @@ def _flags(
     count: cython.longlong,
     write: cython.bint,
 ) -> cython.longlong:
-    """Copy bools, each made 0 or 1; 1 where one was something else."""
+    """Copy bools, normalized to 0 or 1; return 1 if any had another value."""
     odd: cython.longlong = 0
     k: cython.longlong
     for k in range(count):
@@ -191,7 +191,7 @@ def _flags(
 def _read_count(
     source: cython.p_const_uchar, i: cython.longlong, size: cython.longlong, bound: cython.longlong
 ) -> cython.longlong:
-    """How many elements follow; less than zero: a fault, at ``i`` or at the message's end."""
+    """Return the number of elements that follow; a negative result is a fault, at ``i`` or at the message's end."""
     if i + 4 > size:
         return -_TRUNCATED
     count: cython.longlong = _load32(source, i)
@@ -204,7 +204,7 @@ def _read_count(
 def _write_count(
     target: cython.p_uchar, o: cython.longlong, mask: cython.longlong, count: cython.longlong, write: cython.bint
 ) -> cython.longlong:
-    """Write how many elements follow; the position behind."""
+    """Write the number of elements that follow; return the next position."""
     o = _pad(target, o, mask & 3, write)
     if write:
         _store32(target, o, count)
@@ -221,7 +221,7 @@ def _read_string(
     from_cdr: cython.longlong,
     bound: cython.longlong,
 ) -> cython.longlong:
-    """How many characters a string has whose head stands at ``i``; a fault is less than zero."""
+    """Return the length of the string whose head is at ``i``; a negative result is a fault."""
     if i + 4 > size:
         return -_TRUNCATED
     length: cython.longlong = _load32(source, i)
@@ -246,7 +246,7 @@ def _write_string(
     length: cython.longlong,
     write: cython.bint,
 ) -> cython.longlong:
-    """Write a string whose characters stand at ``i``; the position behind."""
+    """Write a string whose characters are at ``i``; return the next position."""
     nul: cython.longlong = mask & 1
     o = _write_count(target, o, mask, length + nul, write)
     if write:
@@ -261,16 +261,16 @@ def _write_string(
 @cython.exceptval(check=False)
 def _run(
     words: cython.p_const_longlong,  # flags, then five words for each instruction
-    literals: cython.p_const_uchar,  # what the program writes of its own
+    literals: cython.p_const_uchar,  # constant bytes that the program writes
     source: cython.p_const_uchar,  # the message
     size: cython.longlong,  # its length in bytes
-    target: cython.p_uchar,  # room for the converted message
-    write: cython.bint,  # whether it is written; else the message is checked and that room measured
+    target: cython.p_uchar,  # buffer for the converted message
+    write: cython.bint,  # whether to write; otherwise the message is checked and the size measured
 ) -> cython.longlong:
-    """Run a program over one message. One long function: its state is to stay in the processor's registers.
+    """Run a program over one message. One long function, so that its state stays in the processor's registers.
 
     Returns:
-        The size of the converted message, with `opcodes.DIRTY` where the message is not in its normal form; or a fault.
+        The size of the converted message, with `opcodes.DIRTY` if the message is not in its normal form; or a fault.
     """
     counters = cython.declare(cython.longlong[32])  # opcodes.FRAMES
     marks = cython.declare(cython.longlong[224])  # opcodes.SLOTS
@@ -340,7 +340,7 @@ def _run(
             if code != _SKIP_SEQUENCE:
                 o = _write_count(target, o, out_mask, count, write)
             if count == 0:
-                slack += 4 * (mask == 7)  # rclpy takes room for the padding before elements that are not there
+                slack += 4 * (mask == 7)  # rclpy adds padding before the elements even if there are none
             else:
                 i = _aligned(i, mask & in_mask)
                 if count * length > size - i:
@@ -423,8 +423,8 @@ class VirtualMachine:
 
     Args:
         words: 64-bit words: flags, then five for each instruction.
-        literals: what the program writes of its own.
-        refuse: makes the error of a fault.
+        literals: constant bytes that the program writes.
+        refuse: returns the error for a fault.
     """
 
     _words: bytes
@@ -436,22 +436,22 @@ class VirtualMachine:
         self._words, self._literals, self._refuse = words, literals, refuse
 
     def convert(self, payload: bytes | bytearray | memoryview) -> bytes:
-        """The converted message; raises `bridge.messages.errors.ConversionError`."""
+        """Return the converted message; raises `bridge.messages.errors.ConversionError`."""
         message: bytes = payload if type(payload) is bytes else bytes(payload)
         return self._write(message, self._measure(message) & ~_DIRTY)
 
     def check(self, payload: bytes | bytearray | memoryview) -> bytes:
-        """As `convert`; but the very same bytes where nothing is to be mended."""
+        """Return the message in its normal form, the same object if it already is; raises like `convert`."""
         message: bytes = payload if type(payload) is bytes else bytes(payload)
         size: cython.longlong = self._measure(message)
         if size == len(message):
             return message
-        # behind the message is only slack; the layout before it is the same
+        # only slack follows the message; the layout before it is the same
         return self._write(message, size & ~_DIRTY) if size & _DIRTY else message[:size]
 
     @cython.cfunc
     def _measure(self, message: bytes) -> cython.longlong:
-        """Check a message: the size of what is made of it, and whether it is dirty."""
+        """Check a message; return the size of its converted form, and whether it is dirty."""
         size: cython.longlong = _run(_words(self._words), self._literals, message, len(message), cython.NULL, False)
         if size < 0:
             raise self._refuse(size)
@@ -459,22 +459,22 @@ class VirtualMachine:
 
     @cython.cfunc
     def _write(self, message: bytes, size: cython.longlong) -> bytes:
-        """Convert a message that was checked, into so many bytes."""
-        words: cython.p_const_longlong = _words(self._words)
+        """Convert a checked message into ``size`` bytes."""
+        program: cython.p_const_longlong = _words(self._words)
         literals: cython.p_const_uchar = self._literals
         source: cython.p_const_uchar = message
         length: cython.longlong = len(message)
         written: cython.longlong
         if cython.compiled:
-            made = PyBytes_FromStringAndSize(cython.NULL, size)
-            target: cython.p_uchar = cython.cast(cython.p_uchar, PyBytes_AsString(made))
+            result = PyBytes_FromStringAndSize(cython.NULL, size)
+            target: cython.p_uchar = cython.cast(cython.p_uchar, PyBytes_AsString(result))
         else:
-            made = target = bytearray(size)
+            result = target = bytearray(size)
         if length < _LARGE:
-            written = _run(words, literals, source, length, target, True)
+            written = _run(program, literals, source, length, target, True)
         else:
             with cython.nogil:
-                written = _run(words, literals, source, length, target, True)
+                written = _run(program, literals, source, length, target, True)
         if written & ~_DIRTY != size:
-            raise SystemError(f"a message of {size} bytes was made {written} bytes long")
-        return made if cython.compiled else bytes(made)
+            raise SystemError(f"a message of {size} bytes was converted into {written} bytes")
+        return result if cython.compiled else bytes(result)

@@ -1,8 +1,8 @@
-"""The default content of a port: the Bottle that YARP's own converter makes of a ROS message.
+"""The default content of a port: the Bottle that YARP's own converter creates from a ROS message.
 
-Its fields are ROS 1's, as that converter knows no others: a header has its ``seq``, which ROS 2's has not. People write
-Bottles by hand too: an integer where a float is meant, lists of one type, blobs. It is taken where it has the
-right number of values in each list, and values that fit; the error names the field.
+It has ROS 1's fields, as that converter supports no others: a header has its ``seq``, which ROS 2's lacks. Bottles
+written by hand are accepted, too, with integers for floats, lists of one type, and blobs, if each list has the right
+number of values, and the values fit; errors name the field.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class RosBottle(Codec):
         return EncodedMessage([bottle], (stamp_of(cdr) or None) if self._stamped else None)
 
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
-        """See `Codec`; a Bottle that people wrote by hand is taken too."""
+        """Convert a Bottle as in `Codec`, also one written by hand."""
         data = bytes(payload)
         try:
             ros1 = self._layouts[profile or self._profile].to_ros1(data)
@@ -80,24 +80,24 @@ class BottleCodec(RosBottle):
 
 
 def ros1_schema(name: str, definition: str) -> Schema:
-    """A ROS 1 type with all that it nests, from its full definition."""
+    """Return a ROS 1 type with its nested types, from its full definition."""
     types = parse_full(definition, name, World.ROS1)
     return closure(types[name], types)
 
 
 def decode_arrays(data: Buffer, profile: Profile | None) -> Any:
-    """A Bottle's values, lists of numbers as arrays, its own too; raises `ConversionError` if it is no Bottle."""
+    """Decode a Bottle, with lists of numbers as arrays, also itself; raises `ConversionError` for other bytes."""
     try:
         return binary.decode_arrays(data, profile)
     except WireError as err:
-        raise ConversionError(f"no Bottle: {err}") from None
+        raise ConversionError(f"not a Bottle: {err}") from None
 
 
 _SIGNED = {"byte": "b", "char": "B"}  # ROS 1's ``byte`` is signed, unlike ROS 2's
 
 
 def to_ros1(schema: Schema, values: Sequence[Any]) -> bytes:
-    """A message's ROS 1 bytes from its Bottle's values; raises `ConversionError` with the field that does not fit."""
+    """Encode a Bottle's values as ROS 1; raises `ConversionError` with the field that does not fit."""
     writer = _Writer(schema)
     writer.message(schema.root, values, "")
     return b"".join(writer.out)
@@ -153,7 +153,7 @@ class _Writer:
 
 
 def pack_number(base: str, value: Any, where: str, code: str) -> bytes:
-    """A number's bytes; a negative one stands for the unsigned of the same bits, as YARP writes those."""
+    """Encode a number; a negative value of an unsigned type has the same bits, as written by YARP."""
     if isinstance(value, np.generic):
         value = value.item()
     if base == "bool":
@@ -174,7 +174,7 @@ def pack_number(base: str, value: Any, where: str, code: str) -> bytes:
 
 
 def shown(values: Any) -> str:
-    """The beginning of a Bottle as people write it, for errors."""
+    """Return the beginning of a Bottle as text, for errors."""
     values = values.tolist() if isinstance(values, np.ndarray) else values
     text = to_text(values[:20])
     return text[:80] + ("..." if len(text) > 80 or len(values) > 20 else "")

@@ -1,4 +1,4 @@
-"""What every converter between the hub and YARP's ports has: its interface, and the message's time and header."""
+"""The interface of the converters between the hub and YARP's ports, and helpers for stamps and headers."""
 
 from __future__ import annotations
 
@@ -26,40 +26,40 @@ class EncodedMessage(NamedTuple):
     """A message for a port."""
 
     payload: list[Buffer]
-    stamp_ns: int | None  #: the message's own time, None where its type has none; it travels as the envelope
+    stamp_ns: int | None  #: the message's stamp, None if its type has none; it is sent as the envelope
 
 
 class Codec(ABC):
     """Converts messages of one type in one content and profile. Methods may be called from any thread."""
 
-    # the time of a message that comes without one, where its ROS type has one
+    # returns the stamp for a message without one whose ROS type needs one
     now_ns: Callable[[], int] = staticmethod(time.time_ns)
 
     @abstractmethod
     def to_yarp(self, cdr: bytes) -> EncodedMessage:
-        """A hub message, which was checked against its type, for a port; raises `ConversionError`."""
+        """Convert a hub message, checked against its type, for a port; raises `ConversionError`."""
 
     @abstractmethod
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
-        """A port's message for the hub; raises `ConversionError`, which says what is wrong and where.
+        """Convert a port's message for the hub; raises `ConversionError`, which names the fault and the field.
 
-        The sender's profile is None where the bytes must show it; ``stamp_ns`` is the time in the envelope.
+        The sender's profile is None if the bytes must show it; ``stamp_ns`` is the time in the envelope.
         """
 
 
 def has_header(schema: Schema) -> bool:
-    """Whether messages of a ROS 2 type begin with a header."""
+    """Return whether messages of a ROS 2 type begin with a header."""
     return bool(schema.root.fields) and schema.root.fields[0].type.base in _HEADERS
 
 
 def stamp_of(cdr: bytes) -> int:
-    """The time in the header that a message begins with, in nanoseconds."""
-    seconds, rest = _STAMP.unpack_from(cdr, len(HEADER))
-    return int(seconds) * 1_000_000_000 + int(rest)
+    """Return the stamp of the header that a message begins with, in nanoseconds."""
+    seconds, nanoseconds = _STAMP.unpack_from(cdr, len(HEADER))
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
 def with_stamp(cdr: bytes, stamp_ns: int | None) -> bytes:
-    """The message with this time in its header, where that has none yet."""
+    """Return the message with this stamp in its header, unless the header has one."""
     if stamp_ns is None or stamp_of(cdr):
         return cdr
     begin = len(HEADER)
@@ -67,9 +67,9 @@ def with_stamp(cdr: bytes, stamp_ns: int | None) -> bytes:
 
 
 def split_time(stamp_ns: int) -> tuple[int, int]:
-    """Seconds and nanoseconds, as far as ROS can say them."""
-    seconds, rest = divmod(max(stamp_ns, 0), 1_000_000_000)
-    return min(seconds, 2**31 - 1), rest
+    """Return seconds and nanoseconds, within the range of ROS."""
+    seconds, nanoseconds = divmod(max(stamp_ns, 0), 1_000_000_000)
+    return min(seconds, 2**31 - 1), nanoseconds
 
 
 Message = dict[str, Any]  # a ROS message as `bridge.messages.values` has it
@@ -77,7 +77,7 @@ Message = dict[str, Any]  # a ROS message as `bridge.messages.values` has it
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """What YARP's types do not say and ROS's need."""
+    """Values that ROS's types need and YARP's lack."""
 
     frame: str = ""  #: the header's frame, "" for the type's own default
     child_frame: str = ""  #: an odometry's frame of the robot, "" for its default
@@ -85,28 +85,28 @@ class Missing:
 
 
 class NaturalType(Protocol):
-    """One pair. Both methods may raise `ConversionError`, and `to_ros` what a `Reader` raises."""
+    """A pair of types. Both methods may raise `ConversionError`; `to_ros` also raises the errors of a `Reader`."""
 
     def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
         """Write the YARP type."""
 
     def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
-        """Read the YARP type that comes next; ``stamp_ns`` is the time of its envelope, else the present."""
+        """Read a value of the YARP type; ``stamp_ns`` is the time of its envelope, else the current time."""
 
 
 def header(stamp_ns: int, frame: str) -> Message:
     """A header."""
-    seconds, rest = split_time(stamp_ns)
-    return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": frame}
+    seconds, nanoseconds = split_time(stamp_ns)
+    return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
 
 
 def heading(orientation: Mapping[str, float]) -> float:
-    """The angle about the vertical of a quaternion, in degrees."""
+    """Return a quaternion's yaw in degrees."""
     x, y, z, w = (orientation[name] for name in "xyzw")
     return math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
 def turned(degrees: float) -> Message:
-    """The quaternion of an angle about the vertical."""
+    """Return the quaternion of a yaw in degrees."""
     half = math.radians(degrees) / 2
     return {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}

@@ -1,4 +1,4 @@
-"""What a port carries, as the configuration says it: the converter's Bottle, chosen fields, or the natural type."""
+"""The configured content of a YARP port: the converter's Bottle, chosen fields, or the natural type."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ Form = Literal["bottle", "fields", "natural"]
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """What a port carries."""
+    """The content of a port."""
 
-    # how messages look there; a type that has no natural form is a Bottle, and a clock is always YARP's
+    # the format of messages; a type without a natural form is sent as a Bottle, and a clock always as YARP's type
     form: Form = "bottle"
-    fields: tuple[BottleEntry, ...] = ()  #: what stands in the Bottle of chosen fields
-    profile: Profile = Profile.YARP3  #: whose bytes are written, and read where the bytes do not show it
-    missing: Missing = field(default_factory=Missing)  #: what YARP's types do not say
+    fields: tuple[BottleEntry, ...] = ()  #: the entries of the Bottle of chosen fields
+    profile: Profile = Profile.YARP3  #: format of written bytes, and of read bytes that do not show theirs
+    missing: Missing = field(default_factory=Missing)  #: values that YARP's types lack
 
     def codec(self, registry: Registry, type_name: str, type_hash: str = "") -> Codec:
-        """The converter of a type; raises `MessageTypeError` where the type is unknown or has no such form."""
+        """Return the converter of a type; raises `MessageTypeError` if the type is unknown or lacks this form."""
         schema = registry.schema(type_name, type_hash)
         if self.form == "fields":
             return FieldsCodec(schema, self.fields, self.profile, self.missing.frame)
@@ -44,7 +44,7 @@ class Content:
         return BottleCodec(registry, type_name, type_hash, self.profile)
 
     def shown(self, type_name: str) -> str:
-        """The content in words, for people."""
+        """Return a description of the content, for people."""
         if self.form == "fields":
             return "fields " + " ".join(entry.text for entry in self.fields)
         return "natural" if self._is_natural(type_name) else "bottle"
@@ -53,11 +53,11 @@ class Content:
         return (self.form == "natural" and type_name in KINDS) or type_name == CLOCK
 
 
-KINDS: Mapping[str, NaturalType] = {**SENSORS, **NAVIGATION, **PLAIN}  # what there is, by the message's ROS 2 name
+KINDS: Mapping[str, NaturalType] = {**SENSORS, **NAVIGATION, **PLAIN}  # natural types by the message's ROS 2 name
 
 
 class NaturalCodec(Codec):
-    """Messages as the YARP type that means the same."""
+    """Converts messages to the YARP type with the same meaning."""
 
     def __init__(self, schema: Schema, profile: Profile, missing: Missing) -> None:
         self._schema, self._profile, self._missing = schema, profile, missing

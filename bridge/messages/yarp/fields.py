@@ -1,8 +1,8 @@
 """Short Bottles of chosen fields, as people use them: ``linear.x linear.y deg(angular.z)``.
 
 An entry is the path of a field by its ROS 2 names, ``path[2]`` for one element of an array, ``deg(path)`` for an angle
-that is in degrees there, a number that always stands at its place, or a text in single quotes that does. A time is one
-number of seconds, an array a list.
+that is in degrees in the Bottle, or a constant: a number, or a text in single quotes. A time is one number of seconds,
+an array a list.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ class BottleEntry:
 
     text: str  #: as it was written, for errors
     path: tuple[str, ...] = ()  #: the field's names from the root on; none for a constant
-    index: int | None = None  #: element of an array, None for the whole field
-    degrees: bool = False  #: whether an angle is in degrees there
-    constant: int | float | str | None = None  #: what always stands at this place
+    index: int | None = None  #: index of an array's element, None for the whole field
+    degrees: bool = False  #: whether an angle is in degrees in the Bottle
+    constant: int | float | str | None = None  #: the constant value, None for a field
 
     @classmethod
     def parse(cls, entry: float | str) -> BottleEntry:
@@ -49,18 +49,18 @@ class BottleEntry:
             return cls(str(entry), constant=entry)
         if _TEXT.fullmatch(entry):
             return cls(entry, constant=entry[1:-1])
-        found = _ENTRY.fullmatch(entry)
-        if not found:
-            msg = f"{entry!r} is no field: give linear.x, deg(angular.z), position[0], a number, or a text in quotes"
+        match = _ENTRY.fullmatch(entry)
+        if not match:
+            msg = f"{entry!r} is not a field: give linear.x, deg(angular.z), position[0], a number, or a text in quotes"
             raise ValueError(msg)
-        index = None if found["index"] is None else int(found["index"])
-        return cls(entry, tuple(found["path"].split(".")), index, found["deg"] is not None)
+        index = None if match["index"] is None else int(match["index"])
+        return cls(entry, tuple(match["path"].split(".")), index, match["deg"] is not None)
 
 
 class FieldsCodec(Codec):
-    """Messages as a Bottle of chosen fields; raises `MessageTypeError` if the type has no such field.
+    """Messages as a Bottle of chosen fields; raises `MessageTypeError` if the type lacks one of them.
 
-    The profile is that of ports that are written to; ``frame`` is the header's where the Bottle has none.
+    ``profile`` is the format of written bytes; ``frame`` is the header's frame if the Bottle has none.
     """
 
     def __init__(self, schema: Schema, entries: Sequence[BottleEntry], profile: Profile, frame: str = "") -> None:
@@ -75,7 +75,7 @@ class FieldsCodec(Codec):
         return EncodedMessage(encode_parts(values, self._profile), (stamp_of(cdr) or None) if self._stamped else None)
 
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
-        """See `Codec`; fields that the Bottle does not have get their defaults."""
+        """Convert a Bottle as in `Codec`; fields that it lacks have their defaults."""
         values = decode_arrays(bytes(payload), profile)
         if len(values) != len(self._entries):
             wanted = " ".join(entry.text for entry, _ in self._entries)
@@ -84,20 +84,20 @@ class FieldsCodec(Codec):
             )
         message: dict[str, Any] = {}
         if self._stamped:
-            _put(message, ("header", "frame_id"), self._frame)
-            _put(message, ("header", "stamp"), _time(self.now_ns() if stamp_ns is None else stamp_ns))
+            _assign(message, ("header", "frame_id"), self._frame)
+            _assign(message, ("header", "stamp"), _time(self.now_ns() if stamp_ns is None else stamp_ns))
         for (entry, kind), value in zip(self._entries, values, strict=True):
             if kind is None:
                 _compare(entry, value)
             elif entry.index is not None:
-                raise ConversionError(f"{entry.text} is one element of an array, which the Bottle cannot give alone")
+                raise ConversionError(f"{entry.text} is one element of an array, which the Bottle cannot set by itself")
             else:
-                _put(message, entry.path, _taken(entry, kind, value))
+                _assign(message, entry.path, _taken(entry, kind, value))
         return MessageWriter(self._schema).message(message)
 
 
 def _resolve(schema: Schema, entry: BottleEntry) -> FieldType | None:
-    """The type of an entry's field, None for a constant."""
+    """Return the type of an entry's field, None for a constant."""
     if not entry.path:
         return None
     definition, kind = schema.root, FieldType("")
@@ -109,7 +109,7 @@ def _resolve(schema: Schema, entry: BottleEntry) -> FieldType | None:
         kind = fields[name]
         if number + 1 < len(entry.path):
             if not kind.nested or kind.shape is not Shape.SINGLE:
-                raise MessageTypeError(f"{name} in {entry.text} has no fields of its own", "end the path there")
+                raise MessageTypeError(f"{name} in {entry.text} has no fields", "end the path there")
             definition = schema.types[kind.base]
     if entry.index is not None:
         if kind.shape is Shape.SINGLE or (kind.shape is Shape.ARRAY and entry.index >= kind.length):
@@ -141,7 +141,7 @@ def _get(message: Mapping[str, Any], entry: BottleEntry, kind: FieldType | None)
     return math.degrees(value) if entry.degrees else value
 
 
-def _put(message: dict[str, Any], path: Sequence[str], value: Any) -> None:
+def _assign(message: dict[str, Any], path: Sequence[str], value: Any) -> None:
     for name in path[:-1]:
         message = message.setdefault(name, {})
     message[path[-1]] = value
@@ -149,11 +149,11 @@ def _put(message: dict[str, Any], path: Sequence[str], value: Any) -> None:
 
 def _compare(entry: BottleEntry, value: Any) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float | str) or value != entry.constant:
-        raise ConversionError(f"a value of the Bottle is {value!r}, where the rule has {entry.text}")
+        raise ConversionError(f"a value of the Bottle is {value!r}, but the rule has {entry.text}")
 
 
 def _taken(entry: BottleEntry, kind: FieldType, value: Any) -> Any:
-    """A Bottle's value as the field takes it."""
+    """Convert a Bottle's value to that of the field."""
     if kind.base in _TIMES:
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1 << 31:
             raise wrong(entry.text, "a time in seconds", value)
@@ -180,5 +180,5 @@ def _items(entry: BottleEntry, kind: FieldType, value: Any) -> Any:
 
 
 def _time(time_ns: int) -> dict[str, int]:
-    seconds, rest = split_time(time_ns)
-    return {"sec": seconds, "nanosec": rest}
+    seconds, nanoseconds = split_time(time_ns)
+    return {"sec": seconds, "nanosec": nanoseconds}

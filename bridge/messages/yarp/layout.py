@@ -1,11 +1,12 @@
-"""How YARP's own converter of ROS messages lays a message out in a Bottle: a plan of its bytes, for both directions.
+"""The layout of a Bottle from YARP's own converter of ROS messages: a plan of its bytes, for both directions.
 
-A message is a list of its fields, each with its own tag, also where all are of one type; a nested message is such a
-list again, and a time a list of two integers. An array of numbers or strings is a list of that one type, also when it
-is empty, and octets are one-byte integers; an array of messages is a list of lists. Unsigned numbers are written as the
-signed ones of the same bits. (``yarpidl_rosmsg``, RosTypeCodeGenYarp.cpp in YARP 3.5, whose readers take nothing else.)
+A message is a list of its fields, each with its own tag, even if all have the same type; a nested message is also such
+a list, and a time a list of two integers. An array of numbers or strings is a list of that one type, even if empty;
+octets are one-byte integers; an array of messages is a list of lists. Unsigned numbers are written as signed ones with
+the same bits. (``yarpidl_rosmsg``, RosTypeCodeGenYarp.cpp in YARP 3.5, whose readers accept nothing else.)
 
-ROS 1's bytes have the same fields in the same order without tags. So a plan is a list of steps that walk both at once.
+ROS 1's bytes have the same fields in the same order without tags, so a plan is a list of steps that read one and write
+the other.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from bridge.messages.errors import ConversionError, MessageTypeError
 from yarp_compat.wire import tags
 from yarp_compat.wire.profile import Profile
 
-LONG_RUN = 16  # messages of fixed size in an array from which numpy is quicker than one after the other
+LONG_RUN = 16  # number of fixed-size messages in an array from which numpy is faster than a loop
 _TWO = struct.Struct("<ii")
 _COUNT = struct.Struct("<I")
 _INTEGERS = {1: tags.INT8, 2: tags.INT16, 4: tags.INT32, 8: tags.INT64}
@@ -29,48 +30,48 @@ _TAGS = {base: _INTEGERS[size] for base, size in PRIMITIVE_SIZES.items() if not 
 
 
 class MismatchError(Exception):
-    """The bytes are not laid out so; they may still say the same in another way."""
+    """The bytes have another layout; they may still be a valid message."""
 
 
 class _Step(Protocol):
-    """One part of a message. Both methods append the part's bytes to ``out`` and give the place behind it."""
+    """One part of a message. Both methods append the part's bytes to ``out``, and return the next position."""
 
     def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """From ROS 1's bytes, which were checked before."""
+        """Convert from checked ROS 1 bytes."""
 
     def to_ros1(self, data: bytes, at: int, out: list[bytes]) -> int:
-        """From a Bottle's bytes, whoever sent them; raises `MismatchError`."""
+        """Convert from unchecked bytes of a Bottle; raises `MismatchError`."""
 
 
 class _Run:
-    """Numbers of fixed size with what stands before each; whole messages where nothing else is in them."""
+    """Fixed-size numbers with the tags before them, or whole messages of such numbers."""
 
     def __init__(self) -> None:
         self._pairs: list[tuple[bytes, int]] = []
         self._constant = b""
 
     def constant(self, tag: int, count: int | None = None) -> None:
-        """Tags and counts that are always the same."""
+        """Append constant tags and counts."""
         self._constant += struct.pack("<i", tag) + (b"" if count is None else struct.pack("<i", count))
 
     def copy(self, size: int) -> None:
-        """Bytes that are the same on both wires."""
+        """Append bytes that are the same in both formats."""
         self._pairs.append((self._constant, size))
         self._constant = b""
 
     @property
     def empty(self) -> bool:
-        """Whether there is nothing in it."""
+        """Whether the run has no numbers."""
         return not self._pairs and not self._constant
 
     @property
     def ros1_size(self) -> int:
-        """Bytes in ROS 1."""
+        """Size in ROS 1's format, in bytes."""
         return sum(size for _, size in self._pairs)
 
     @property
     def bottle_size(self) -> int:
-        """Bytes in a Bottle."""
+        """Size in a Bottle, in bytes."""
         return sum(len(before) + size for before, size in self._pairs) + len(self._constant)
 
     def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
@@ -94,7 +95,7 @@ class _Run:
         return end
 
     def columns(self) -> tuple[np.ndarray, np.ndarray]:
-        """The Bottle's bytes with zeros for the numbers, and which of them are the numbers'."""
+        """Return the Bottle's bytes with zeros for the numbers, and the positions of the numbers."""
         parts = [part for before, size in self._pairs for part in (before, bytes(size))]
         marks = [part for before, size in self._pairs for part in (bytes(len(before)), b"\1" * size)]
         template = np.frombuffer(b"".join([*parts, self._constant]), np.uint8)
@@ -118,7 +119,7 @@ class _String:
 
 
 class _Strings:
-    """An array of strings; ``length`` is 0 where it is of any."""
+    """An array of strings; ``length`` is 0 if it is variable."""
 
     def __init__(self, length: int) -> None:
         self._length = length
@@ -159,7 +160,7 @@ class _Numbers:
 
 
 class _MessageArray:
-    """An array of messages; ``length`` is 0 where it is of any."""
+    """An array of messages; ``length`` is 0 if it is variable."""
 
     def __init__(self, length: int, steps: list[_Step]) -> None:
         self._length, self._steps = length, steps
@@ -221,12 +222,12 @@ def _ros1_count(data: bytes, at: int, length: int) -> tuple[int, int]:
 
 
 def _bottle_count(data: bytes, at: int, tag: int, length: int, least: int, out: list[bytes]) -> tuple[int, int]:
-    """A list's count, which is written for ROS 1 where any is allowed; ``least`` bytes are in each element."""
+    """Read a list's count, and write it for ROS 1 if it is variable; each element has at least ``least`` bytes."""
     if at + 8 > len(data):
         raise MismatchError
-    found, count = _TWO.unpack_from(data, at)
+    actual, count = _TWO.unpack_from(data, at)
     at += 8
-    if found != tag or count < 0 or (length and count != length) or count * least > len(data) - at:
+    if actual != tag or count < 0 or (length and count != length) or count * least > len(data) - at:
         raise MismatchError
     if not length:
         out.append(_COUNT.pack(count))
@@ -234,7 +235,7 @@ def _bottle_count(data: bytes, at: int, tag: int, length: int, least: int, out: 
 
 
 class _Maker:
-    """Makes the steps of one type."""
+    """Builds the steps of one type."""
 
     def __init__(self, schema: Schema, tag_of: Callable[[str], int]) -> None:
         self._schema, self._tag_of = schema, tag_of
@@ -247,7 +248,7 @@ class _Maker:
             try:
                 self._field(field.type)
             except KeyError:
-                msg = f"field {field.name} of {definition.name} is a {field.type.base}, which YARP has not"
+                msg = f"field {field.name} of {definition.name} is a {field.type.base}, which YARP lacks"
                 raise MessageTypeError(msg, "choose its fields: 'fields' in an entry of yarp.topics") from None
 
     def _field(self, kind: FieldType) -> None:
@@ -284,7 +285,7 @@ class _Maker:
 
 
 class Layout:
-    """A ROS 1 type's Bottle in one profile; raises `MessageTypeError` where YARP has no type for one of its fields."""
+    """A ROS 1 type's Bottle in one profile; raises `MessageTypeError` if YARP lacks the type of a field."""
 
     def __init__(self, schema: Schema, profile: Profile) -> None:
         floats = {"float32": profile.float32_tag, "float64": profile.float64_tag}
@@ -293,17 +294,17 @@ class Layout:
         self._steps = maker.finish()
 
     def to_bottle(self, ros1: bytes) -> bytes:
-        """A message's Bottle; the message was checked before."""
+        """Return the Bottle of a checked message."""
         out: list[bytes] = []
         at = 0
         for step in self._steps:
             at = step.to_bottle(ros1, at, out)
         if at != len(ros1):
-            raise ConversionError(f"bytes are left over behind the last field: {len(ros1) - at}")
+            raise ConversionError(f"{len(ros1) - at} bytes are left over after the last field")
         return b"".join(out)
 
     def to_ros1(self, bottle: bytes) -> bytes:
-        """A message from its Bottle; raises `MismatchError` where the Bottle is laid out otherwise."""
+        """Return the message of a Bottle; raises `MismatchError` if the Bottle has another layout."""
         out: list[bytes] = []
         at = 0
         for step in self._steps:

@@ -1,8 +1,8 @@
 """Motion and places as YARP's types: odometry, velocities, joints, poses, paths and maps. YARP's angles are in degrees.
 
-A pose is ``yarp/dev/Map2DLocation.h``'s ``map x y theta description``, where the map's name is the frame. A map is
-``yarp::dev::Nav2D::MapGrid2D``: the flags of a ROS map are those that YARP gives one it loads without flags: free below
-50, wall from there on, unknown. The two say different origins of a map that is turned, see `yarp_compat.dev.mapinfo`.
+A pose is ``map x y theta description`` (``yarp/dev/Map2DLocation.h``), with the map's name as frame. A map is
+``yarp::dev::Nav2D::MapGrid2D``: the flags of a ROS map are those that YARP assigns to a map without flags: free below
+50, wall from 50 on, unknown. The two have different origins for a rotated map, see `yarp_compat.dev.mapinfo`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from yarp_compat.wire.elements import ElementReader, ElementWriter
 
 
 class _Odometry:
-    """``yarp::dev::OdometryData``: pose, velocity in the robot's frame, velocity in the odometry's, each x y theta."""
+    """``yarp::dev::OdometryData``: pose, velocity in the robot's frame, velocity in odometry's, each x y theta."""
 
     def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
         pose, twist = message["pose"]["pose"], message["twist"]["twist"]
@@ -39,14 +39,14 @@ class _Odometry:
         )._write(out)  # fmt: skip
 
     def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
-        found = OdometryData()
-        found._read(source)
-        position = {"x": found.odom_x, "y": found.odom_y}
+        odometry = OdometryData()
+        odometry._read(source)
+        position = {"x": odometry.odom_x, "y": odometry.odom_y}
         return {
             "header": header(stamp_ns, missing.frame or "odom"),
             "child_frame_id": missing.child_frame or "base_link",
-            "pose": {"pose": {"position": position, "orientation": turned(found.odom_theta)}},
-            "twist": {"twist": _twist(found.base_vel_x, found.base_vel_y, found.base_vel_theta)},
+            "pose": {"pose": {"position": position, "orientation": turned(odometry.odom_theta)}},
+            "twist": {"twist": _twist(odometry.base_vel_x, odometry.base_vel_y, odometry.base_vel_theta)},
         }
 
 
@@ -59,9 +59,9 @@ class _Velocity:
         MobileBaseVelocity(twist["linear"]["x"], twist["linear"]["y"], turn)._write(out)
 
     def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:  # noqa: ARG002
-        found = MobileBaseVelocity()
-        found._read(source)
-        return _twist(found.vel_x, found.vel_y, found.vel_theta)
+        velocity = MobileBaseVelocity()
+        velocity._read(source)
+        return _twist(velocity.vel_x, velocity.vel_y, velocity.vel_theta)
 
 
 class _StampedVelocity(_Velocity):
@@ -71,7 +71,7 @@ class _StampedVelocity(_Velocity):
 
 
 class _Joints:
-    """A vector of the joints' positions in degrees, as a control board's ``state:o`` sends it; no names."""
+    """A vector of the joints' positions in degrees, without names, as sent by a control board's ``state:o``."""
 
     def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -79,10 +79,10 @@ class _Joints:
         Vector.of(degrees)._write(out)
 
     def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
-        found = Vector()
-        found._read(source)
+        vector = Vector()
+        vector._read(source)
         with np.errstate(invalid="ignore"):
-            positions = np.radians(found.numpy())
+            positions = np.radians(vector.numpy())
         names = missing.joints or tuple(f"joint_{number}" for number in range(len(positions)))
         if len(names) != len(positions):
             raise ConversionError(f"there are {len(positions)} joints, and the rule names {len(names)}")
@@ -97,11 +97,11 @@ class Grid:
     """The pair of map types."""
 
     def to_yarp(self, message: Mapping[str, Any], out: ElementWriter) -> None:
-        """See `NaturalType`; the map is not zipped."""
+        """Write the map uncompressed."""
         info = message["info"]
         width, height, position = info["width"], info["height"], info["origin"]["position"]
         if len(message["data"]) != width * height:
-            raise ConversionError(f"a map of {width} x {height} cells has not {len(message['data'])}")
+            raise ConversionError(f"a map of {width} x {height} cells cannot have {len(message['data'])}")
         cells = np.ascontiguousarray(message["data"].reshape(height, width)[::-1]).view(np.uint8)  # -1 is 255
         yaw = math.radians(heading(info["origin"]["orientation"]))
         try:
@@ -116,7 +116,7 @@ class Grid:
         grid._write(out)
 
     def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
-        """See `NaturalType`; the flags are not taken."""
+        """Read the map without its flags."""
         grid = MapGrid2D()
         grid._read(source)
         cells = grid.occupancy.astype(np.int16)
@@ -145,7 +145,7 @@ def _pose(location: Map2DLocation) -> Message:
 
 
 class _Pose:
-    """YARP has no covariance."""
+    """A pose; YARP has no covariance."""
 
     def __init__(self, *, covariant: bool) -> None:
         self._covariant = covariant
@@ -155,10 +155,10 @@ class _Pose:
         _location(message["header"]["frame_id"], pose)._write(out)
 
     def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
-        found = Map2DLocation()
-        found._read(source)
-        pose = {"pose": _pose(found)} if self._covariant else _pose(found)
-        return {"header": header(stamp_ns, missing.frame or found.map_id), "pose": pose}
+        location = Map2DLocation()
+        location._read(source)
+        pose = {"pose": _pose(location)} if self._covariant else _pose(location)
+        return {"header": header(stamp_ns, missing.frame or location.map_id), "pose": pose}
 
 
 class _Path:
@@ -172,9 +172,12 @@ class _Path:
     def to_ros(self, source: ElementReader, stamp_ns: int, missing: Missing) -> Message:
         path = Map2DPath()
         path._read(source)
-        found = path.waypoints
-        frame = missing.frame or (found[0].map_id if found else "")
-        poses = [{"header": header(stamp_ns, missing.frame or one.map_id), "pose": _pose(one)} for one in found]
+        waypoints = path.waypoints
+        frame = missing.frame or (waypoints[0].map_id if waypoints else "")
+        poses = [
+            {"header": header(stamp_ns, missing.frame or waypoint.map_id), "pose": _pose(waypoint)}
+            for waypoint in waypoints
+        ]
         return {"header": header(stamp_ns, frame), "poses": poses}
 
 

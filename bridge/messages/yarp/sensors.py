@@ -1,14 +1,14 @@
 """Sensors as YARP's types: laser scans, point clouds, octomaps and pictures.
 
 A scan is ``yarp::dev::LaserScan2D``: ``(angle_min angle_max range_min range_max (ranges) status)``, angles in degrees,
-no echo is infinity. The limits are those of the other side; YARP does not send the angle between two rays, which its
-readers take to be the span divided by the number of rays (``laserFromExternalPort.cpp``).
+no echo is infinity. The limits are passed on unchanged; YARP does not send the angle between two rays, which its
+readers compute as the span divided by the number of rays (``laserFromExternalPort.cpp``).
 
-``yarp::sig::PointCloud`` has points of a few fixed kinds, laid out as PCL does. A cloud with such fields is passed on
-as it is; of others the numbers that the nearest kind has are copied. The rows of ``yarp::sig::Image`` are padded to a
-multiple of 8 bytes. Depth is floats of metres there: millimetres (``16UC1``, REP 118) become such, ``mono16`` does not.
+``yarp::sig::PointCloud`` has points of a few fixed kinds with PCL's layout. A cloud with such fields is passed on
+unchanged; from other clouds the fields of the nearest kind are copied. The rows of ``yarp::sig::Image`` are padded to a
+multiple of 8 bytes. Depth is in meters as floats: millimeters (``16UC1``, REP 118) are converted, ``mono16`` is not.
 
-An octomap is the same in both, see `yarp_compat.octomap`.
+An octomap has the same form in both, see `yarp_compat.octomap`.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ _CHOICE = (
     (PointType.NORMAL, {"normal_x"}),
     (PointType.XY, {"x", "y"}),
 )
-"""The first kind all of whose names a cloud has."""
+"""The kinds of points, in order of preference: a cloud is sent as the first one whose fields it has."""
 
 
 class _Cloud:
@@ -109,9 +109,9 @@ class _Cloud:
 
 
 def _points(message: Mapping[str, Any]) -> np.ndarray:
-    """The points as an array of records (height, width), or of one row; a colour's four bytes are ``b g r a``.
+    """Return the points as an array of records (height, width), or of one row; a color is four bytes ``b g r a``.
 
-    Of several fields of a name it is the first, and a colour in four bytes rather than in fields of their own.
+    Of several fields with one name the first is used, and a color in four bytes rather than in separate fields.
     """
     names: list[str] = []
     formats: list[str] = []
@@ -130,8 +130,8 @@ def _points(message: Mapping[str, Any]) -> np.ndarray:
             names += "argb" if message["is_bigendian"] else "bgra"
             formats += ["u1"] * 4
             offsets += [offset + n for n in range(4)]
-    found = records(message, names, formats, offsets)
-    return found if len(found) > 1 else found.reshape(-1)
+    points = records(message, names, formats, offsets)
+    return points if len(points) > 1 else points.reshape(-1)
 
 
 def _same_places(found: np.dtype[Any], layout: np.dtype[Any]) -> bool:
@@ -141,11 +141,11 @@ def _same_places(found: np.dtype[Any], layout: np.dtype[Any]) -> bool:
 
 
 def _copied(points: np.ndarray, layout: np.dtype[Any]) -> np.ndarray:
-    made = np.zeros(points.shape, layout)
-    with np.errstate(over="ignore", invalid="ignore"):  # what no float32 holds is infinite
+    copy = np.zeros(points.shape, layout)
+    with np.errstate(over="ignore", invalid="ignore"):  # values beyond float32 become infinite
         for name in set(layout.names or ()) & set(points.dtype.names or ()):
-            made[name] = points[name]
-    return made
+            copy[name] = points[name]
+    return copy
 
 
 _DEPTH = "16UC1"
@@ -172,7 +172,7 @@ _CODES = {
         if "BAYER" in code.name
     },
 }
-"""ROS's encodings (``sensor_msgs/image_encodings.hpp``) and the pixels that hold the same."""
+"""ROS's encodings (``sensor_msgs/image_encodings.hpp``) and the equivalent pixels of YARP."""
 
 _ENCODINGS = {code: name for name, code in reversed(_CODES.items())}  # of several encodings, the first
 
@@ -216,7 +216,7 @@ class _Picture:
 
 
 def _rows(message: Mapping[str, Any], pixel: int) -> np.ndarray:
-    """The picture's rows, without what stands behind them."""
+    """Return the picture's rows without padding."""
     width, height, step, data = (message[name] for name in ("width", "height", "step", "data"))
     if step < width * pixel or len(data) < step * height:
         raise ConversionError(

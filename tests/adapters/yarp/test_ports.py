@@ -145,7 +145,7 @@ def test_invalid_messages_are_counted_with_the_reason(place: Place) -> None:
         10,
         every=0.1,
     )
-    assert "no Bottle" in route["error"]
+    assert "not a Bottle" in route["error"]
     assert "/writer" in route["error"]
     writer.write([9, 0.5, 0.25])
     until(lambda: velocity(9.0) in place.far.wait(subscription, 2, 0.2), "the next valid message is bridged")

@@ -120,7 +120,7 @@ def test_what_a_run_made_is_of_the_size_that_was_measured():
     program.emit(Instruction(Op.COPY, size=3))
     python = uncompiled("bridge.messages.transcode.vm")
     one = ready(python, program)
-    with pytest.raises(SystemError, match="of 4 bytes was made 3"):
+    with pytest.raises(SystemError, match="of 4 bytes was converted into 3"):
         one._write(b"abc", 4)
     with pytest.raises(IndexError):
         one._write(b"abc", 2)
