@@ -1,4 +1,4 @@
-"""Keys of a terminal as they are pressed, for verbs that are steered while they run."""
+"""Single key presses of a terminal, for verbs that are controlled while they run."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ else:
     AVAILABLE = True
 
 GONE = "\x04"
-"""Ctrl-D, and what comes once the terminal is gone."""
+"""Ctrl-D, also returned when the terminal has been closed."""
 
 
 def pressed(terminal: int, seconds: float) -> Iterator[str]:
-    """The keys that came within so many seconds; an arrow is one key."""
+    """Yield the keys pressed within ``seconds``; an arrow is one key."""
     if not select.select([terminal], [], [], seconds)[0]:
         return
     text = os.read(terminal, 1024).decode(errors="ignore")
@@ -34,7 +34,7 @@ def pressed(terminal: int, seconds: float) -> Iterator[str]:
 
 @contextlib.contextmanager
 def raw(terminal: int) -> Iterator[int]:
-    """A terminal that gives each key at once and shows none; where they are `AVAILABLE`."""
+    """Put a terminal into raw mode: each key at once, without echo; only if `AVAILABLE`."""
     before = termios.tcgetattr(terminal)
     try:
         tty.setcbreak(terminal)

@@ -1,4 +1,4 @@
-"""Messages as values: decoded by types known here or on the workers, read from YAML, and shown as YAML."""
+"""Messages as values: decoded with types of this machine or of the workers, read from YAML, and shown as YAML."""
 
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ class Types:
         self.registry = client.registry()
 
     def name(self, spelled: str) -> str:
-        """The ROS 2 name of a type spelled as ROS 1 or ROS 2 spells it; raises `CliError`."""
+        """Return the ROS 2 name of a type in ROS 1's or ROS 2's spelling; raises `CliError`."""
         if is_ros2_name(spelled):
             return spelled
         if not is_ros1_name(spelled):
-            raise CliError(f"{spelled!r} is no type: it should look like std_msgs/String or std_msgs/msg/String")
+            raise CliError(f"{spelled!r} is not a type: it should look like std_msgs/String or std_msgs/msg/String")
         try:
             return self.registry.ros1_to_hub(spelled).target.name
         except MessageTypeError:
             return ros2_spelling(spelled, "msg")
 
     def hash_of(self, name: str) -> str:
-        """The hash of a type, asked of the workers where its definition is not installed; raises `CliError`."""
+        """Return the hash of a type, from the workers if its definition is not installed; raises `CliError`."""
         self._have(lambda: self.registry.ros2(name), name)
         return self.registry.ros2(name).type_id
 
     def decode(self, name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
-        """A message's fields; `CliError`: nobody knows the type and hash; `ConversionError`: the bytes are none."""
+        """Return a message's fields; raises `CliError` for an unknown type or hash, `ConversionError` for bad bytes."""
         from bridge.messages.json import to_json
 
         self.prepare(name, type_hash)
         return to_json(self.registry, name, cdr, type_hash)
 
     def prepare(self, name: str, type_hash: str) -> None:
-        """Have the definition of a type with this very hash; raises `CliError` where nobody has it."""
+        """Load the definition of a type with this hash; raises `CliError` if no worker has it."""
         self._have(lambda: self.registry.schema(name, type_hash), name, type_hash)
 
     def prepare_service(self, name: str, type_hash: str) -> None:
-        """Have the definition of a service with this very hash; raises `CliError` where nobody has it."""
+        """Load the definition of a service with this hash; raises `CliError` if no worker has it."""
         self._have(lambda: self.registry.service_schemas(name, type_hash), name, type_hash)
 
     def _have(self, look: Callable[[], object], name: str, type_hash: str = "") -> None:
@@ -79,7 +79,7 @@ MAX_TEXT = 200
 
 
 def ros2_spelling(type_name: str, middle: str) -> str:
-    """A type's ROS 2 name as far as its name alone says: with ``srv`` as middle, ``std_srvs/srv/SetBool``."""
+    """Return a type's ROS 2 name, derived from its name: with ``srv`` as middle, ``std_srvs/srv/SetBool``."""
     return type_name.replace("/", f"/{middle}/") if is_ros1_name(type_name) else type_name
 
 
@@ -88,8 +88,8 @@ class _Row(list[Any]):
 
 
 def message_text(message: Any, *, full: bool = False) -> str:
-    """A message as YAML; unless ``full``, arrays are cut to `MAX_ITEMS` and texts to `MAX_TEXT` characters."""
-    import yaml  # listing topics needs none
+    """Format a message as YAML; unless ``full``, arrays are cut to `MAX_ITEMS` and texts to `MAX_TEXT` characters."""
+    import yaml  # not needed to list topics
 
     text: str = yaml.dump(
         _shaped(message, full=full), Dumper=_dumper(), sort_keys=False, default_flow_style=False, allow_unicode=True,
@@ -100,7 +100,7 @@ def message_text(message: Any, *, full: bool = False) -> str:
 
 @cache
 def _dumper() -> Any:
-    """What writes `_Row` in flow style; it knows no Python objects."""
+    """Return a YAML dumper that writes `_Row` in flow style, and rejects other Python objects."""
     import yaml
 
     class Dumper(yaml.SafeDumper):
@@ -127,7 +127,7 @@ def _shaped(value: Any, *, full: bool) -> Any:
 
 
 def yaml_fields(text: str) -> dict[str, Any]:
-    """A message's fields from YAML 1.2 or JSON; raises `CliError`."""
+    """Parse a message's fields from YAML 1.2 or JSON; raises `CliError`."""
     import yaml
 
     from bridge.config.document import Yaml12Loader

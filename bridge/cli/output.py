@@ -1,4 +1,4 @@
-"""What a verb prints: words and figures for people, tables, JSON, and text from the network made harmless."""
+"""Output of verbs: texts and numbers for people, tables, JSON, and sanitized text from the network."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class CliError(Exception):
-    """A command failed for a reason that a person can act on; its text is all that is shown."""
+    """A command failed for a reason that the user can fix; only its text is shown."""
 
 
 _LARGEST = 1e15
@@ -24,22 +24,22 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2
 
 
 def side_name(side: object) -> str:
-    """What people call a side."""
+    """Return a side's name for people."""
     return label(str(side)) or clean(side)
 
 
 def clean(value: object) -> str:
-    """Text from the network as it may go to a terminal: without what could redraw it or cannot be printed."""
+    """Sanitize text from the network for a terminal: without control and unprintable characters."""
     return _CONTROL.sub("?", str(value)).replace("\n", " ").replace("\t", " ")
 
 
 def is_number(value: object) -> TypeGuard[int | float]:
-    """Whether something from the network is a number that can be shown."""
+    """Return whether a value from the network is a finite number."""
     return isinstance(value, int | float) and abs(value) < _LARGEST
 
 
 def duration(seconds: object) -> str:
-    """``0.12 s``, ``4.5 s``, ``3 min``, ``2 h``, ``5 d``; ``-`` where it is not known."""
+    """Format a time: ``0.12 s``, ``4.5 s``, ``3 min``, ``2 h``, ``5 d``; ``-`` if unknown."""
     if not is_number(seconds):
         return "-"
     if seconds < 1:
@@ -53,7 +53,7 @@ def duration(seconds: object) -> str:
 
 
 def size(count: object) -> str:
-    """``340 B``, ``12 kB``, ``1.4 MB``; ``-`` where it is not known."""
+    """Format a size: ``340 B``, ``12 kB``, ``1.4 MB``; ``-`` if unknown."""
     if not is_number(count):
         return "-"
     value = float(count)
@@ -65,37 +65,37 @@ def size(count: object) -> str:
 
 
 def rate(value: object) -> str:
-    """Messages a second: ``9.8``, ``340``; ``-`` where none came."""
+    """Format messages per second: ``9.8``, ``340``; ``-`` for none."""
     if not is_number(value) or not value:
         return "-"
     return f"{value:.2g}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
 
 
 def milliseconds(value: object) -> str:
-    """``0.31``, ``12``; ``-`` where it is not known."""
+    """Format milliseconds: ``0.31``, ``12``; ``-`` if unknown."""
     if not is_number(value):
         return "-"
     return f"{value:.2f}" if value < 10 else f"{value:.0f}"
 
 
 def plural(count: int, noun: str) -> str:
-    """``1 route``, ``3 routes``."""
+    """Format a count with its noun: ``1 route``, ``3 routes``."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def near(name: str, names: Iterable[str], count: int = 3) -> list[str]:
-    """The names that somebody who wrote ``name`` may have meant, the likeliest first."""
+    """Return the names most similar to ``name``, the most similar first."""
     known = sorted(set(names))
     inside = [n for n in known if name.strip("/") and name.strip("/").lower() in n.lower()]
     return list(dict.fromkeys([*difflib.get_close_matches(name, known, count, 0.6), *inside]))[:count]
 
 
 _WIDE = 250
-"""Columns where nobody looks at it directly (a pipe, a file): nothing is cut."""
+"""Columns for a pipe or file, so that nothing is cut."""
 
 
 def make_console() -> Console:
-    """A console on the standard output; plain text unless that is a terminal."""
+    """Return a console on the standard output; plain text unless that is a terminal."""
     from rich.console import Console  # many verbs need no tables
 
     width = None if sys.stdout.isatty() else _WIDE
@@ -103,10 +103,10 @@ def make_console() -> Console:
 
 
 def print_json(value: Any, *, lines: bool = False) -> None:
-    """Write a value as JSON: indented, or on one line of its own."""
+    """Write a value as JSON: indented, or on one line."""
     print(json_line(value) if lines else json.dumps(value, indent=2, ensure_ascii=False), flush=True)
 
 
 def json_line(value: Any) -> str:
-    """A value as one line of JSON."""
+    """Format a value as one line of JSON."""
     return json.dumps(value, ensure_ascii=False)

@@ -81,7 +81,7 @@ class EventLoop:
             return action()
         call = self._ask(action)
         if not call.done.wait(seconds) and (late or self._withdrawn(call) or not call.done.wait(ANSWER_SECONDS)):
-            raise TimeoutError(f"{self._name} has not responded for {seconds:g} s")
+            raise TimeoutError(f"{self._name} has not answered for {seconds:g} s")
         return call.outcome()
 
     def work(self, action: Callable[[], Any], still: float | None = None) -> Any:

@@ -1,4 +1,4 @@
-"""The terminal while bags are played: keys, and one line of progress."""
+"""The terminal during playback: keys, and one line of progress."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CLEAR = "\r\x1b[K"
 
 
 class Screen:
-    """Hears keys and shows the progress, each where there is a terminal for it; a context manager."""
+    """Reads keys and shows the progress, if there is a terminal; a context manager."""
 
     def __init__(self, player: Player, source: PlaySource, *, keys: bool, progress: bool) -> None:
         self._player, self._source = player, source
@@ -35,7 +35,7 @@ class Screen:
             print(_CLEAR, end="", file=sys.stderr, flush=True)
 
     def look(self, seconds: float, ended: threading.Event) -> bool:
-        """Wait so long for keys, and show where the play is; whether somebody wants it to end."""
+        """Wait up to ``seconds`` for keys, and show the progress; return whether to quit."""
         if self._progress:
             print(f"{_CLEAR}{self.line()}", end="", file=sys.stderr, flush=True)
         if not self._keys:
@@ -44,7 +44,7 @@ class Screen:
         return any(map(self.press, pressed(sys.stdin.fileno(), seconds)))
 
     def press(self, key: str) -> bool:
-        """Do what a key means; whether that is to end."""
+        """Handle a key; return whether it means quit."""
         timeline = self._player.timeline
         if key == " ":
             timeline.pause(not timeline.paused)
@@ -53,7 +53,7 @@ class Screen:
         return key in ("q", GONE)
 
     def line(self) -> str:
-        """``12.3 of 60.0 s, rate 1, 456 messages, paused``."""
+        """Return the progress: ``12.3 of 60.0 s, rate 1, 456 messages, paused``."""
         source, timeline = self._source, self._player.timeline
         at = max(0.0, (timeline.now_ns() - source.begin_ns) / 1e9)
         whole = (source.end_ns - source.begin_ns) / 1e9

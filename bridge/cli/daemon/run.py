@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 def register_run(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Runs the daemon in the foreground. SIGHUP checks and loads the configuration again; only what changed is"
-        " touched. SIGTERM or Ctrl-C stops everything in order, a second one at once."
+        "Runs the daemon in the foreground. SIGHUP checks and reloads the configuration; only workers that use a change"
+        " reload. SIGTERM or Ctrl-C stops everything in order, a second one at once."
     )
     add_config(parser)
     parser.add_argument(
@@ -34,18 +34,18 @@ def register_run(parser: argparse.ArgumentParser) -> None:
         default=[],
         choices=[kind.name for kind in WORKERS],
         metavar="WORKER",
-        help="use this worker of a service of its own, never start or stop it (may be repeated)",
+        help="use this worker of a separate service, never start or stop it (may be repeated)",
     )
     parser.set_defaults(run=run_run)
 
 
 def run_run(args: argparse.Namespace) -> int:
     """Run the daemon until it is asked to stop."""
-    if sys.platform == "win32":  # its locks, and its word with its workers, are POSIX's
+    if sys.platform == "win32":  # its locks and its channels to the workers need POSIX
         workers = ", ".join(kind.name for kind in WORKERS)
         raise CliError(
-            f"no daemon runs on Windows: start each worker by 'midspan worker NAME' ({workers}),"
-            " or run the daemon on a machine with Linux, in the same hub"
+            f"the daemon does not run on Windows: start each worker with 'midspan worker NAME' ({workers}),"
+            " or run the daemon on a Linux machine on the same hub"
         )
     from bridge.config.document import ConfigError
     from bridge.daemon import log
@@ -56,7 +56,7 @@ def run_run(args: argparse.Namespace) -> int:
         supervisor = Supervisor(args.config, standing=args.adopt)
     except ConfigError as err:
         print(err, file=sys.stderr)
-        return EXIT_CANNOT_WORK  # a service must not be started again and again with it
+        return EXIT_CANNOT_WORK  # so that systemd does not restart the service
     log.setup(supervisor.config, "midspan", log.style_for())
     signal.signal(signal.SIGTERM, lambda *_: supervisor.request_stop())
     signal.signal(signal.SIGINT, lambda *_: supervisor.request_stop())
@@ -71,20 +71,20 @@ _KEPT = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
 def register_worker(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Runs one worker in the foreground, without the daemon: on another machine, or as a service of its own."
-        " SIGHUP loads the configuration again."
+        "Runs one worker in the foreground, without the daemon: on another machine, or as a separate service."
+        " SIGHUP reloads the configuration."
     )
     parser.add_argument("side", choices=[kind.name for kind in WORKERS], help="which worker")
     add_config(parser)
     parser.add_argument(
         "--control",
         action="store_true",
-        help="open a control socket in the state folder, by which a daemon of the same name finds the worker",
+        help="open a control socket in the state folder, through which a daemon of the same name adopts the worker",
     )
     parser.add_argument(
         "--supervised",
         action="store_true",
-        help="take the configuration and commands as JSON lines from the standard input (how the daemon starts it)",
+        help="read the configuration and commands as JSON lines from the standard input (used by the daemon)",
     )
     parser.add_argument("--prepared", action="store_true", help=argparse.SUPPRESS)  # the environment is already its own
     parser.set_defaults(run=run_worker)
@@ -98,7 +98,7 @@ def run_worker(args: argparse.Namespace) -> int:
     kind = worker_kinds()[args.side]
     if args.supervised:
         ended = Process(kind, DiagnosticsOnDemand, control=args.control).run_supervised()
-        # The daemon's SIGTERM may come behind its word, when Python has taken its handlers away already.
+        # The daemon's SIGTERM may arrive after its stop command, when Python has already removed its handlers.
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         return ended
     config = _config(args)
@@ -108,13 +108,13 @@ def run_worker(args: argparse.Namespace) -> int:
 
 
 def run_alone(kind: WorkerKind, config: Config, load: Callable[[], Config], *, control: bool = False) -> int:
-    """Run a worker in this process without the daemon; the exit code."""
+    """Run a worker in this process without the daemon; return the exit code."""
     from bridge.daemon.process import Process
     from bridge.metrics.on_demand import DiagnosticsOnDemand
 
     code = Process(kind, DiagnosticsOnDemand, control=control).run_alone(config, load)
     if code is None:
-        logging.getLogger("midspan").info("starting again")
+        logging.getLogger("midspan").info("restarting")
         _go_on_as([sys.executable, *sys.orig_argv[1:]], os.environ)
     return code
 
@@ -127,7 +127,7 @@ def _config(args: argparse.Namespace) -> Config:
 
 
 def _enter_environment(kind: WorkerKind, config: Config, args: argparse.Namespace) -> None:
-    """Start this command again in the environment that the worker needs."""
+    """Restart this command in the environment that the worker needs."""
     env = kind.child_environment(config)
     env.update({name: os.environ[name] for name in _KEPT if name in os.environ})
     options = ["--prepared", *(["--control"] if args.control else [])]
@@ -138,8 +138,8 @@ def _enter_environment(kind: WorkerKind, config: Config, args: argparse.Namespac
 
 
 def _go_on_as(command: list[str], env: Mapping[str, str]) -> NoReturn:
-    """Let a command of our own take this process's place."""
-    if sys.platform == "win32":  # exec leaves whoever waits for this process with nobody there
+    """Replace this process by another Midspan command."""
+    if sys.platform == "win32":  # exec would end this process for those that wait for it
         sys.exit(subprocess.call(command, env=dict(env)))
     os.execve(command[0], command, dict(env))  # noqa: S606  our own interpreter and module
 
@@ -147,8 +147,8 @@ def _go_on_as(command: list[str], env: Mapping[str, str]) -> NoReturn:
 def register_module(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
-        "Runs one hosted module in the foreground, without the daemon: on another machine, or as a service of its own."
-        " The configuration switches it on; SIGHUP loads that again. Switch it off where a daemon runs it too."
+        "Runs one hosted module in the foreground, without the daemon: on another machine, or as a separate service."
+        " The configuration must enable it; SIGHUP reloads that. Disable it for daemons that would run it too."
     )
     parser.add_argument("name", help="its name in the configuration's section modules")
     add_config(parser)
@@ -164,6 +164,6 @@ def run_module(args: argparse.Namespace) -> int:
     sections = config.hosted
     if args.name not in sections:
         known = ", ".join(sections) or "none"
-        raise CliError(f"modules.{args.name} is not switched on in the configuration; those that are: {known}")
+        raise CliError(f"modules.{args.name} is not enabled in the configuration; enabled modules: {known}")
     kind = replace(worker_kinds()["modules"], arguments=(args.name,))
     return run_alone(kind, config, lambda: with_state(load(args.config)))

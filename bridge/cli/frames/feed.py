@@ -84,10 +84,10 @@ class TransformFeed(TopicFeed):
         super().__init__(listener.client, topic, side)
         self._listener, self._static = listener, static
 
-    def take(self, sample: HubSample, type_name: str, type_hash: str, side: str) -> None:  # noqa: ARG002
+    def on_sample(self, sample: HubSample, type_name: str, type_hash: str, side: str) -> None:  # noqa: ARG002
         """Accept a message, on a thread of zenoh."""
         if type_name == TF_TYPE:
-            self._listener.take(sample, side, static=self._static)
+            self._listener.receive(sample, side, static=self._static)
 
 
 class TransformListener:
@@ -114,14 +114,14 @@ class TransformListener:
         follow_clock(self.clock, self.client.hub)
         self.clock.on_jump(self.buffer.clear)
         self.client.catch_up()  # who comes a moment later is met by the looks while it listens
-        self.look()
+        self.refresh()
 
     def listen(self, seconds: float) -> None:
         """Receive for some seconds."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             time.sleep(min(left, _LOOK_SECONDS))
-            self.look()
+            self.refresh()
 
     def gather(self) -> float:
         """Receive until all frames are probably known, at most `MOST`; returns the seconds that it took."""
@@ -130,7 +130,7 @@ class TransformListener:
             if time.monotonic() - max(began, self._news) >= QUIET and self._all_spoke():
                 break
             time.sleep(_FIRST_LOOK_SECONDS)
-            self.look()
+            self.refresh()
         return passed
 
     def _all_spoke(self) -> bool:
@@ -141,12 +141,12 @@ class TransformListener:
         others = [e for e in self.client.hub.graph.publishers() if e.topic in topics and not e.own]
         return all(e.origin is None and not e.pending and e.gid in heard for e in others)
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Subscribe to new publishers."""
         for feed in self._feeds:
-            feed.look()
+            feed.refresh()
 
-    def take(self, sample: HubSample, side: str, *, static: bool) -> None:
+    def receive(self, sample: HubSample, side: str, *, static: bool) -> None:
         """Accept a message."""
         cdr, now = sample.data(), self.clock.now_ns()
         authority = self._authority(sample.gid, side)

@@ -43,10 +43,10 @@ def _register_list_and_tree(verbs: Any) -> None:
     for parser in (listing, drawing):
         parser.add_argument(
             "--duration", type=float, metavar="SECONDS",
-            help="how long to listen once a transform came; a slow frame needs longer (default: until every node of the"
-            f" hub spoke and {QUIET:g} s brought no other frame, and {MOST:g} s where others are heard too)",
+            help="how long to listen after the first transform; slow frames need more (default: until every node of"
+            f" the hub has published and {QUIET:g} s passed without a new frame; {MOST:g} s if other publishers exist)",
         )  # fmt: skip
-        parser.add_argument("--json", action="store_true", help="print all that is known of each frame as JSON")
+        parser.add_argument("--json", action="store_true", help="print all details of each frame as JSON")
         add_tf_arguments(parser)
 
 
@@ -75,7 +75,7 @@ def _tree(args: argparse.Namespace) -> int:
 
 
 def frame_json(info: FrameInfo) -> dict[str, Any]:
-    """What is known of a frame, for ``--json``."""
+    """Return the details of a frame, for ``--json``."""
     return {
         "frame": info.name,
         "parent": info.parent,
@@ -122,19 +122,19 @@ _LOOK_SECONDS = 1.0
 
 def _register_echo(verbs: Any) -> None:
     parser = add_verb(
-        verbs, "echo", _echo, "print where one frame is in another",
-        "Prints the pose of FRAME in REFERENCE, which takes points from FRAME to REFERENCE, at the newest time that all"
-        " frames between them have, until Ctrl-C. While there is none, it says why.",
+        verbs, "echo", _echo, "print the pose of one frame in another",
+        "Prints the pose of FRAME in REFERENCE, which maps points from FRAME to REFERENCE, at the newest time that all"
+        " frames between them have, until Ctrl-C. While there is none, it prints the reason.",
         example="midspan tf echo map base_link", hub=False,
     )  # fmt: skip
-    parser.add_argument("reference", metavar="REFERENCE", help="the frame to see it in, for example map")
-    parser.add_argument("frame", metavar="FRAME", help="the frame to look at, for example base_link")
+    parser.add_argument("reference", metavar="REFERENCE", help="the reference frame, for example map")
+    parser.add_argument("frame", metavar="FRAME", help="the frame to locate, for example base_link")
     parser.add_argument("--rate", type=number_in(0, 1000), default=_RATE, metavar="HZ", help=f"default {_RATE:g}")
-    parser.add_argument("--count", type=int, metavar="N", help="end after so many")
+    parser.add_argument("--count", type=int, metavar="N", help="exit after N poses")
     parser.add_argument(
-        "--timeout", type=float, metavar="SECONDS", help="end with exit code 1 after so long without one"
+        "--timeout", type=float, metavar="SECONDS", help="exit with code 1 after this time without a pose"
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    parser.add_argument("--json", action="store_true", help="one JSON object per line")
     add_tf_arguments(parser)
 
 
@@ -151,7 +151,7 @@ def _echo(args: argparse.Namespace) -> int:
 
 
 def _next(args: argparse.Namespace, listener: TransformListener) -> Transform:
-    """Wait for a transform, saying why there is none; raises `CliError` when the time is over."""
+    """Wait for a transform, and print why there is none; raises `CliError` after the timeout."""
     end = math.inf if args.timeout is None else time.monotonic() + args.timeout
     told = ""
     while True:
@@ -165,7 +165,7 @@ def _next(args: argparse.Namespace, listener: TransformListener) -> Transform:
         if why != told:
             print(f"waiting: {why}", file=sys.stderr, flush=True)
             told = why
-        listener.look()
+        listener.refresh()
 
 
 def _print_pose(args: argparse.Namespace, listener: TransformListener, found: Transform) -> None:
@@ -192,7 +192,7 @@ def _print_pose(args: argparse.Namespace, listener: TransformListener, found: Tr
 
 
 def angles_of(rotation: Quaternion) -> tuple[float, float, float]:
-    """Roll, pitch and yaw in radians: first about x, then y, then z, all axes fixed (REP 103)."""
+    """Return roll, pitch and yaw in radians: rotations about the fixed axes x, then y, then z (REP 103)."""
     x, y, z, w = rotation
     pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
     roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
@@ -212,13 +212,13 @@ def _register_monitor(verbs: Any) -> None:
     )  # fmt: skip
     parser.add_argument("frames", nargs="*", metavar="FRAME", help="two frames")
     parser.add_argument("--interval", type=float, default=_INTERVAL, metavar="SECONDS", help=f"default {_INTERVAL:g}")
-    parser.add_argument("--duration", type=float, metavar="SECONDS", help="end after so long")
-    parser.add_argument("--json", action="store_true", help="one JSON list a line")
+    parser.add_argument("--duration", type=float, metavar="SECONDS", help="exit after this time")
+    parser.add_argument("--json", action="store_true", help="one JSON list per line")
     add_tf_arguments(parser)
 
 
 def _monitor(args: argparse.Namespace) -> int:
-    """Print tables until Ctrl-C, or for so long."""
+    """Print tables until Ctrl-C, or for the given duration."""
     if len(args.frames) not in (0, 2):
         raise CliError("name two frames, or none")
     with open_listener(args) as listener, contextlib.suppress(KeyboardInterrupt):
@@ -231,7 +231,7 @@ def _monitor(args: argparse.Namespace) -> int:
 
 
 def way(frames: Mapping[str, FrameInfo], one: str, other: str) -> list[str]:
-    """The frames on the way from one to another, without the last one above both."""
+    """Return the frames on the path from one to another, without their common ancestor."""
     ups: list[list[str]] = []
     for name in (one, other):
         up: list[str] = []

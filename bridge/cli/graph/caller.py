@@ -1,4 +1,4 @@
-"""How a verb finds the server of a service and calls it."""
+"""Service calls of verbs: discovery of the server, and the call."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ _TYPE = re.compile(r"[A-Za-z]\w*(?:/\w+){1,2}", re.ASCII)
 
 
 def type_and_values(words: list[str]) -> tuple[str, str]:
-    """The type, "" where none is given, and the values' text, of ``[TYPE] [VALUES]``; raises `CliError`."""
+    """Split ``[TYPE] [VALUES]`` into the type, "" if missing, and the values' text; raises `CliError`."""
     if len(words) > 2:
         raise CliError(f"after the name come the type, if any, and the values in one word: quote {' '.join(words)!r}")
     typed = bool(words) and _TYPE.fullmatch(words[0]) is not None
     values = words[1:] if typed else words
     if len(values) > 1:
-        raise CliError(f"{words[0]!r} is no type: it should look like std_srvs/SetBool or std_srvs/srv/SetBool")
+        raise CliError(f"{words[0]!r} is not a type: it should look like std_srvs/SetBool or std_srvs/srv/SetBool")
     return (words[0] if typed else ""), (values[0] if values else "{}")
 
 
 class ServiceCaller:
-    """Calls one service on the hub with JSON values; without a type it takes that of the server.
+    """Calls one service on the hub with JSON values; without a type it uses the server's.
 
-    Raises `CliError` where no server of the type comes within `WAIT_SECONDS`, or nobody knows the type.
+    Raises `CliError` if no server of the type appears within `WAIT_SECONDS`, or the type is unknown.
     """
 
     def __init__(self, client: CliClient, types: Types, name: str, type_name: str = "") -> None:
@@ -49,10 +49,10 @@ class ServiceCaller:
             self._ready.clear()
             if not self._client.ready and not self._ready.wait(WAIT_SECONDS):
                 self.close()
-                raise CliError(f"the server of {name} does not take calls from here")
+                raise CliError(f"the server of {name} does not accept calls from here")
 
     def call(self, values: dict[str, Any], done: Callable[[dict[str, Any] | CallError], None]) -> Callable[[], None]:
-        """Call; ``done`` gets the reply or the error. Raises `CliError` where the values do not fit."""
+        """Call the service; ``done`` gets the reply or the error. Raises `CliError` if the values do not fit."""
         try:
             request = self._codec.request(values)
         except ConversionError as err:
@@ -62,7 +62,7 @@ class ServiceCaller:
     def ask(
         self, values: dict[str, Any], seconds: float | None = None, check: Callable[[], None] = lambda: None
     ) -> dict[str, Any]:
-        """Call and wait for the reply; raises `CliError`. What ``check``, called now and then, raises ends the call."""
+        """Call and wait for the reply; raises `CliError`. An error of ``check``, called regularly, ends the call."""
         replies: SimpleQueue[dict[str, Any] | CallError] = SimpleQueue()
         abandon = self.call(values, replies.put)
         try:
@@ -78,7 +78,7 @@ class ServiceCaller:
         return reply
 
     def close(self) -> None:
-        """Withdraw the client; who calls one service and ends has no need of it."""
+        """Close the client; unnecessary for a process that then exits."""
         self._client.close()
 
     def _read(self, result: bytes | CallError) -> dict[str, Any] | CallError:
@@ -87,11 +87,11 @@ class ServiceCaller:
         try:
             return self._codec.response_value(result)
         except ConversionError as err:
-            return CallError(f"the reply is none: {err}")
+            return CallError(f"the reply is invalid: {err}")
 
 
 def _get(queue: SimpleQueue[Any], seconds: float | None, check: Callable[[], None]) -> Any:
-    """The next reply; None after so many seconds. Interruptible on every system."""
+    """Wait for the next reply; return None after ``seconds``. Interruptible on every system."""
     from queue import Empty
 
     waited = 0.0
@@ -106,7 +106,7 @@ def _get(queue: SimpleQueue[Any], seconds: float | None, check: Callable[[], Non
 
 
 def _served(client: CliClient, name: str, wanted: str) -> tuple[str, str]:
-    """The type and hash of a service's server on the hub; waits for one."""
+    """Wait for a service's server on the hub; return its type and hash."""
     changed = threading.Event()
     unwatch = client.hub.graph.watch(changed.set)
     try:
@@ -124,4 +124,4 @@ def _served(client: CliClient, name: str, wanted: str) -> tuple[str, str]:
         unwatch()
     if found:
         raise CliError(f"{name} is {', '.join(sorted(t for t, _ in found))} on the hub, not {wanted}")
-    raise CliError(f"nobody serves {name} on the hub; 'midspan explain {name}' shows why")
+    raise CliError(f"{name} has no server on the hub; 'midspan explain {name}' shows why")

@@ -1,4 +1,4 @@
-"""The messages of one topic as they come in, from the hub or through a worker that taps its side for us."""
+"""The received messages of one topic, from the hub or through a worker's tap of its side."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from bridge.routing.limits import combined_qos
 MAX_QUEUED = 10_000
 MAX_QUEUED_BYTES = 64 * 1024 * 1024
 TAP_SECONDS = 10
-"""How long a worker is asked to go on tapping; it is asked again at a third of it."""
+"""Duration of a tap in seconds; it is renewed after a third of it."""
 
 _LOOK_SECONDS = 0.5
 _TAP_QOS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
 
 
 class Arrival(NamedTuple):
-    """One message that came in.
+    """One received message.
 
     ``payload`` is CDR with its encapsulation header, None where only arrivals count; ``source_time_ns`` is the source's
     system time, if known; ``arrived`` is monotonic seconds.
@@ -44,7 +44,7 @@ class Arrival(NamedTuple):
 
 
 class TopicFeed:
-    """Follows one topic on the hub, or by a worker's tap of its side; keeps the arrivals alone without ``payloads``."""
+    """Receives one topic from the hub, or by a worker's tap of its side; without ``payloads`` only the arrivals."""
 
     def __init__(self, client: CliClient, topic: str, side: str | None = None, *, payloads: bool = True) -> None:
         self.topic = absolute(topic)
@@ -60,25 +60,25 @@ class TopicFeed:
 
     @property
     def lost(self) -> int:
-        """Messages that publishers numbered and that never came."""
+        """Number of lost messages, by the publishers' sequence numbers."""
         return sum(subscription.lost for subscription in self._subscriptions.values())
 
     def open(self, seconds: float) -> None:
-        """Find the topic, waiting up to ``seconds`` for it; raises `CliError` where nobody knows it."""
+        """Find the topic, waiting up to ``seconds`` for it; raises `CliError` if it is unknown."""
         end = time.monotonic() + seconds
         self._client.ask("status", timeout=1.0)
         self._client.settle()
         self._learn_names()
         while True:
-            self.look()
+            self.refresh()
             if self._subscriptions:
                 return
             if time.monotonic() >= end:
                 raise CliError(self._why_not())
             time.sleep(min(_LOOK_SECONDS, max(0.0, end - time.monotonic())))
 
-    def look(self) -> None:
-        """Take up publishers that came, and renew the taps."""
+    def refresh(self) -> None:
+        """Subscribe to new publishers, and renew the taps."""
         groups: dict[tuple[str, str, str], list[HubEndpoint]] = {}
         for name in self._names:
             for endpoint in self._client.hub.graph.publishers(name):
@@ -90,7 +90,7 @@ class TopicFeed:
             self._tap()
 
     def next(self, until: float) -> Arrival | None:
-        """The next message; None when none came until then (monotonic seconds)."""
+        """Return the next message, None if none arrives until then (monotonic seconds)."""
         while True:
             wait = min(until - time.monotonic(), _LOOK_SECONDS)
             with self._arrived:
@@ -100,10 +100,10 @@ class TopicFeed:
                     return arrival
             if time.monotonic() >= until:
                 return None
-            self.look()
+            self.refresh()
 
-    def take(self, sample: HubSample, type_name: str, type_hash: str, side: str) -> None:
-        """Keep a message that came, on a thread of zenoh."""
+    def on_sample(self, sample: HubSample, type_name: str, type_hash: str, side: str) -> None:
+        """Queue a received message, on a thread of zenoh."""
         kept = sample.payload if self._payloads else None
         time_ns = sample.source_time_ns or None
         arrival = Arrival(kept, len(sample.payload), type_name, type_hash, time_ns, time.monotonic(), side)
@@ -116,13 +116,13 @@ class TopicFeed:
             self._arrived.notify()
 
     def close(self) -> None:
-        """Listen no more; the taps end by themselves."""
+        """Unsubscribe; the taps expire by themselves."""
         for subscription in self._subscriptions.values():
             subscription.close()
         self._subscriptions.clear()
 
     def _learn_names(self) -> None:
-        """A side's own spelling of a topic leads to its name on the hub."""
+        """Find the topic's name on the hub from the side's spelling."""
         for decision in ask_decisions(self._client, self.topic):
             if decision.decision == "bridged" and decision.hub_topic not in self._names:
                 self._names.append(decision.hub_topic)
@@ -136,7 +136,7 @@ class TopicFeed:
             origin = self._client.hub.graph.origin_of(sample.zid)
             side = "zenoh" if origin is None else origin.side
             if self._side in (None, side):
-                self.take(sample, type_name, type_hash, side)
+                self.on_sample(sample, type_name, type_hash, side)
 
         self._subscriptions[key] = self._client.hub.subscription(topic, type_name, type_hash, qos, heard)
 
@@ -149,7 +149,7 @@ class TopicFeed:
             topic, type_name, type_hash = (str(value.get(name, "")) for name in ("topic", "type", "hash"))
             if topic and self._side in (None, answer.worker):
                 self._taps.add(topic)
-                # the tap may hold latched messages; a subscription that asks for them hears the others too
+                # the tap may have latched messages; a latched subscription receives the others too
                 self._subscribe((topic, type_name, type_hash), _TAP_QOS)
 
     def _why_not(self) -> str:
@@ -161,7 +161,7 @@ class TopicFeed:
 
 
 def add_feed_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of verbs that listen to one topic."""
+    """Add the arguments of verbs that subscribe to one topic."""
     parser.add_argument("topic", help="the topic's name")
     parser.add_argument(
         "--side",

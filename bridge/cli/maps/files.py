@@ -22,26 +22,26 @@ from yarp_compat.dev.places import Places, save_maps
 def register_map_files(verbs: Any) -> None:
     """Add the verbs' parsers."""
     come = add_verb(
-        verbs, "import", _import_maps, "bring maps and places from files into the store",
+        verbs, "import", _import_maps, "import maps and places from files into the store",
         "Reads maps of YARP (.map) and of ROS (.yaml with its image), collections (maps_collection.ini), and locations,"
         " areas, paths and objects (locations.ini) with their extras (locations_extras.ini), and maps in three"
         " dimensions: octomaps (.bt, .ot) and clouds (.pcd, .ply). Imports all or nothing.",
         example="midspan map import house.yaml --use",
     )  # fmt: skip
     come.add_argument("files", nargs="+", type=Path, metavar="FILE", help="the files")
-    come.add_argument("--name", help="the map's name in the store; default as the file says it")
-    come.add_argument("--replace", action="store_true", help="in place of what has the same name")
-    come.add_argument("--use", action="store_true", help="the first map is in use from now on")
+    come.add_argument("--name", help="the map's name in the store (default: that of the file)")
+    come.add_argument("--replace", action="store_true", help="replace existing entries of the same name")
+    come.add_argument("--use", action="store_true", help="use the first map from now on")
     go = add_verb(
         verbs, "export", _export_maps, "write a map, or all of them, to files",
         "Writes a map for YARP (.map, with its images) or for ROS (.yaml), or all maps as YARP's collection (.ini); one"
-        " in three dimensions as .bt, .ot, .pcd or .ply. A cloud of an octomap is the centres of what is occupied.",
+        " in three dimensions as .bt, .ot, .pcd or .ply. A cloud of an octomap has the centers of its occupied leaves.",
         example="midspan map export house.yaml house --image png",
     )  # fmt: skip
-    go.add_argument("file", type=Path, metavar="FILE", help="where to: .map, .yaml, .ini, .bt, .ot, .pcd or .ply")
-    go.add_argument("name", nargs="?", help="which map (default: the one in use)")
-    go.add_argument("--image", choices=("pgm", "png", "bmp"), default="pgm", help="form of the image beside a .yaml")
-    go.add_argument("--resolution", type=float, metavar="METRES", default=0.05, help="cells of an octomap of a cloud")
+    go.add_argument("file", type=Path, metavar="FILE", help="a .map, .yaml, .ini, .bt, .ot, .pcd or .ply file")
+    go.add_argument("name", nargs="?", help="name of the map (default: the one in use)")
+    go.add_argument("--image", choices=("pgm", "png", "bmp"), default="pgm", help="format of the image of a .yaml")
+    go.add_argument("--resolution", type=float, metavar="METERS", default=0.05, help="cell size to convert a cloud")
 
 
 def _import_maps(args: argparse.Namespace) -> int:
@@ -62,7 +62,7 @@ def _import_maps(args: argparse.Namespace) -> int:
         taken = stored.keys().intersection(names) - {(CURRENT.name, THE_MAP)} if not args.replace else set()
         if twice or taken:
             kind, name = min(twice or taken)
-            where = "in the files twice" if twice else "stored already; --replace puts this one in its place"
+            where = "twice in the files" if twice else "already stored; --replace replaces it"
             raise CliError(f"{kind} {name!r} is {where}; nothing is imported")
         stored.write(writes)
     for kind, name in names:
@@ -78,14 +78,14 @@ def _export_maps(args: argparse.Namespace) -> int:
     with open_stored(args) as (_, stored):
         if args.file.suffix.lower() == ".ini":
             if args.name is not None:
-                raise CliError("a collection holds all maps: leave the name out, or write a .map or .yaml")
+                raise CliError("a collection has all maps: omit the name, or write a .map or .yaml")
             maps = stored.all(MAP)
             _save(lambda: save_maps(maps, args.file))
             print(f"{len(maps)} maps to {args.file}")
             return 0
         grid = named_map(stored, args.name)
     if args.file.suffix.lower() not in (".map", ".yaml", ".yml"):
-        raise CliError(f"{args.file} says no form: give it .map (YARP), .yaml (ROS), .ini or one of 3D")
+        raise CliError(f"{args.file} has an unknown ending: use .map (YARP), .yaml (ROS), .ini or one for 3D")
     _save(lambda: grid.save(args.file, **({} if args.file.suffix.lower() == ".map" else {"image": args.image})))
     print(f"{clean(grid.name)} to {args.file}")
     return 0
@@ -106,14 +106,14 @@ def register_location_export(verbs: Any) -> None:
         " .yaml: the locations as waypoints for Nav2.",
         example="midspan location export house.geojson --map house",
     )  # fmt: skip
-    parser.add_argument("file", type=Path, metavar="FILE", help="where to: .ini, .geojson or .yaml")
-    parser.add_argument("--map", metavar="NAME", help="only what is on this map; for .yaml default the one in use")
+    parser.add_argument("file", type=Path, metavar="FILE", help="a .ini, .geojson or .yaml file")
+    parser.add_argument("--map", metavar="NAME", help="only those on this map (default for .yaml: the one in use)")
 
 
 def _export_locations(args: argparse.Namespace) -> int:
     form = args.file.suffix.lower()
     if form not in (".ini", ".geojson", ".yaml", ".yml") or (form == ".ini" and args.map is not None):
-        raise CliError(f"{args.file}: give it .ini (YARP, all maps), .geojson or .yaml (waypoints for Nav2)")
+        raise CliError(f"{args.file}: use the ending .ini (YARP, all maps), .geojson or .yaml (waypoints for Nav2)")
     with open_stored(args) as (_, stored):
         places = Places(stored.all(LOCATION), stored.all(OBJECT), stored.all(AREA), stored.all(PATH))
         extras = Extras(stored.all(BEHAVIOUR), stored.all(LINK))

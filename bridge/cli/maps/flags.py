@@ -1,4 +1,4 @@
-"""``midspan map edit-flags``: what cells of a map are to those who plan ways."""
+"""``midspan map edit-flags``: the flags of a map's cells, for path planners."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ def register(verbs: Any) -> None:
     """Add the verb's parser."""
     parser = add_verb(
         verbs, "edit-flags", run, "flag cells of a map: keep-out, wall, free, ...",
-        "Frees temporary and enlarged obstacles, then flags the cells of a shape (metres in the map's frame), then"
-        " enlarges obstacles, as far as asked.",
+        "Frees temporary and enlarged obstacles, then flags the cells of a shape (meters in the map's frame), then"
+        " enlarges obstacles, each step if requested.",
         example="midspan map edit-flags house --flag keep-out --points 1,1 2,1 2,3 1,3",
     )  # fmt: skip
-    parser.add_argument("name", nargs="?", help="which map (default: the one in use)")
-    parser.add_argument("--flag", choices=sorted(_FLAGS), help="what the shape's cells become")
+    parser.add_argument("name", nargs="?", help="name of the map (default: the one in use)")
+    parser.add_argument("--flag", choices=sorted(_FLAGS), help="the new flag of the shape's cells")
     shape = parser.add_mutually_exclusive_group()
     shape.add_argument("--points", nargs="+", type=_point, metavar="X,Y", help="a polygon's corners, three or more")
     shape.add_argument("--circle", type=_circle, metavar="X,Y,RADIUS", help="a circle")
     shape.add_argument("--area", metavar="NAME", help="a stored area")
-    parser.add_argument("--enlarge", type=float, metavar="METRES", help="enlarge obstacles so far; 0: not at all")
+    parser.add_argument("--enlarge", type=float, metavar="METERS", help="enlarge obstacles by this distance")
     parser.add_argument("--clear-temporary", action="store_true", help="temporary and enlarged obstacles become free")
 
 
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     if shaped is not (args.flag is not None):
         raise CliError("a shape (--points, --circle or --area) and a flag (--flag) go together")
     if not (shaped or args.enlarge is not None or args.clear_temporary):
-        raise CliError("say what to change: --flag with a shape, --enlarge or --clear-temporary")
+        raise CliError("nothing to change: give --flag with a shape, --enlarge or --clear-temporary")
     with open_stored(args) as (_, stored):
         name, changed = "", 0
 
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _edit(args: argparse.Namespace, stored: StoreClient, grid: MapGrid2D) -> int:
-    """Change the flags of a map as asked; how many cells changed."""
+    """Change the flags of a map as requested; return the number of changed cells."""
     before = grid.flags.copy()
     if args.clear_temporary:
         grid.clearMapTemporaryFlags()
@@ -99,7 +99,7 @@ def _numbers(text: str, count: int) -> list[float]:
     except ValueError:
         found = []
     if len(found) != count or not all(map(math.isfinite, found)):
-        raise argparse.ArgumentTypeError(f"{text!r} is not {count} numbers with commas between them")
+        raise argparse.ArgumentTypeError(f"{text!r} is not {count} comma-separated numbers")
     return found
 
 

@@ -48,13 +48,13 @@ _JSON: dict[str, Any] = {
 
 
 def _register_list_and_remove(verbs: Any) -> None:
-    listing = add_verb(verbs, "list", _list, "list locations, areas with their behaviour, paths, objects and links")
-    listing.add_argument("--map", metavar="NAME", help="only what is on this map")
+    listing = add_verb(verbs, "list", _list, "list locations, areas with their behavior, paths, objects and links")
+    listing.add_argument("--map", metavar="NAME", help="only those on this map")
     listing.add_argument("--kind", choices=sorted(KINDS), help="only these")
     listing.add_argument("--json", action="store_true", help="print them as JSON")
     remove = add_verb(verbs, "remove", _remove, "remove a location, or another kind")
     remove.add_argument("name", help="its name")
-    remove.add_argument("--kind", choices=sorted(KINDS), default="location", help="what it is (default: location)")
+    remove.add_argument("--kind", choices=sorted(KINDS), default="location", help="its kind (default: location)")
 
 
 def _list(args: argparse.Namespace) -> int:
@@ -64,7 +64,7 @@ def _list(args: argparse.Namespace) -> int:
         print_json(rows)
         return 0
     if not rows:
-        print("nothing is stored; 'midspan location add' adds one, 'midspan map import' brings them in from a file")
+        print("no locations are stored; 'midspan location add' adds one, 'midspan map import' imports files")
         return 0
     table = Table(box=None, pad_edge=False)
     for column in ("kind", "name", "map", "where", "", "description"):
@@ -76,7 +76,7 @@ def _list(args: argparse.Namespace) -> int:
             clean(row["name"]),
             clean(", ".join(row["maps"])),
             clean(_where(row["kind"], value)),
-            _behaviour(row.get("behaviour")),
+            _behavior(row.get("behaviour")),
             clean(value.get("description", "")),
         )
     make_console().print(table)
@@ -89,7 +89,7 @@ def _remove(args: argparse.Namespace) -> int:
         if args.name not in names:
             raise CliError(missing(args.kind, args.name, names))
         stored.write([Write(KINDS[args.kind], args.name, None)])
-    print(f"{args.kind} {clean(args.name)} is removed")
+    print(f"removed {args.kind} {clean(args.name)}")
     return 0
 
 
@@ -129,7 +129,7 @@ def _where(kind: str, value: dict[str, Any]) -> str:
     return f"{value['from']} to {value['to']}, cost {value['cost']:g}"
 
 
-def _behaviour(found: dict[str, Any] | None) -> str:
+def _behavior(found: dict[str, Any] | None) -> str:
     if found is None:
         return ""
     words = [] if found["max_speed"] is None else [f"up to {found['max_speed']:g} m/s"]
@@ -141,24 +141,24 @@ def _behaviour(found: dict[str, Any] | None) -> str:
 
 
 PATIENCE = 5.0
-"""Seconds within which the robot's place must be known."""
+"""Seconds to wait for the robot's pose."""
 
 _OLD = 2.0
-"""Seconds; where the robot was then is not where it is."""
+"""Maximum age of the robot's pose in seconds."""
 
 
 def _register_add(verbs: Any) -> None:
     parser = add_verb(
         verbs, "add", _add, "store a location",
-        "Stores a location: a pose in metres and degrees, or the robot's own by /tf.",
+        "Stores a location: a pose in meters and degrees, or the robot's current one from /tf.",
         example="midspan location add kitchen 1.5 2 90; midspan location add dock --here",
     )  # fmt: skip
     parser.add_argument("name", help="its name")
-    parser.add_argument("pose", nargs="*", type=float, metavar="X Y [DEGREES]", help="where it is")
-    parser.add_argument("--here", action="store_true", help="where the robot is: its base in the map's frame, by /tf")
-    parser.add_argument("--map", metavar="NAME", help="on which map (default: the one in use)")
+    parser.add_argument("pose", nargs="*", type=float, metavar="X Y [DEGREES]", help="its pose")
+    parser.add_argument("--here", action="store_true", help="the robot's pose: its base in the map's frame, from /tf")
+    parser.add_argument("--map", metavar="NAME", help="its map (default: the one in use)")
     parser.add_argument("--description", default="", help="for people")
-    parser.add_argument("--replace", action="store_true", help="in place of one of the same name")
+    parser.add_argument("--replace", action="store_true", help="replace an existing location of this name")
     parser.add_argument("--map-frame", default="map", metavar="FRAME", help="the map's frame, for --here")
     parser.add_argument("--base-frame", default="base_link", metavar="FRAME", help="the robot's frame, for --here")
 
@@ -172,7 +172,7 @@ def _add(args: argparse.Namespace) -> int:
         if not map_name:
             raise CliError("no map is in use: name one with --map, or choose one with 'midspan map use NAME'")
         if not args.replace and args.name in stored.names(kinds.LOCATION):
-            raise CliError(f"location {args.name!r} is there already; --replace puts this one in its place")
+            raise CliError(f"location {args.name!r} already exists; --replace replaces it")
         x, y, theta = robot_pose(client, args.map_frame, args.base_frame) if args.here else (*args.pose, 0.0)[:3]
         place = Map2DLocation(map_name, x, y, theta, args.description)
         stored.write([Write(kinds.LOCATION, args.name, place)])
@@ -181,17 +181,17 @@ def _add(args: argparse.Namespace) -> int:
 
 
 def robot_pose(client: CliClient, map_frame: str, base_frame: str) -> tuple[float, float, float]:
-    """Where the robot is, metres and degrees; raises `CliError` where that is not known now."""
+    """Return the robot's pose in meters and degrees; raises `CliError` if it is unknown."""
     heard = TransformListener(client)
     try:
         heard.open()
         heard.wait()
         found = heard.buffer.lookup_transform(map_frame, base_frame, timeout=PATIENCE)
     except TransformError as err:
-        raise CliError(f"the robot's place is not known: {clean(err).strip()}") from None
+        raise CliError(f"the robot's pose is unknown: {clean(err).strip()}") from None
     finally:
         heard.close()
     age = (heard.clock.now_ns() - found.stamp) / 1e9 if found.stamp else 0.0
     if age > _OLD:
-        raise CliError(f"the robot's place was last published {age:.1f} s ago; does its localisation run?")
+        raise CliError(f"the robot's pose was last published {age:.1f} s ago; is its localizer running?")
     return found.translation[0], found.translation[1], math.degrees(angles_of(found.rotation)[2])

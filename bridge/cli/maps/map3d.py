@@ -1,4 +1,4 @@
-"""Maps in three dimensions on the command line: what they are, their slices, and between octomaps and clouds."""
+"""3D maps on the command line: descriptions, slices, and conversions between octomaps and clouds."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from yarp_compat.wire.errors import WireError
 
 
 def described(name: str, value: Map3D) -> dict[str, Any]:
-    """What a map is: its form, its counts, and its bounds in metres (null where it is empty)."""
+    """Describe a map: its form, its counts, and its bounds in meters (null if it is empty)."""
     if isinstance(value, PointCloud):
         kind = PointType(value.getPointType()).name.lower().replace("_", " ")
         found = {"form": "cloud", "type": kind, "points": value.size()}
@@ -42,7 +42,7 @@ def described(name: str, value: Map3D) -> dict[str, Any]:
 
 
 def line(found: dict[str, Any]) -> str:
-    """The same as a line."""
+    """Format a description as one line."""
     if found["form"] == "cloud":
         what = f"cloud of {found['points']} points ({found['type']})"
     else:
@@ -55,7 +55,7 @@ def line(found: dict[str, Any]) -> str:
 
 
 def show(args: argparse.Namespace) -> int:
-    """Say what a map is."""
+    """Print the description of a map."""
     with open_stored(args) as (_, stored):
         name, value = named_map3d(stored, args.name)
     print(line(described(name, value)))
@@ -63,11 +63,11 @@ def show(args: argparse.Namespace) -> int:
 
 
 def layer(name: str, value: Map3D, height: float) -> MapGrid2D:
-    """The slice of an octomap at a height (m): walls are occupied leaves; raises `CliError` where there is none."""
+    """Return the slice of an octomap at a height (m), with occupied leaves as walls; raises `CliError` if empty."""
     if isinstance(value, PointCloud):
-        raise CliError(f"{name!r} is a cloud, which knows no free space; export it as .bt, and import that")
+        raise CliError(f"{name!r} is a cloud, which has no free space; export it as .bt, and import that")
     if not math.isfinite(height):
-        raise CliError(f"--layer is a height in metres, not {height}")
+        raise CliError(f"--layer is a height in meters, not {height}")
     tree, edge = value.tree(), value.resolution
     keys, sizes = tree.keys().astype(np.int64), tree.edges()
     low = keys[:, 2]
@@ -75,7 +75,7 @@ def layer(name: str, value: Map3D, height: float) -> MapGrid2D:
     cut = (low <= wanted) & (wanted < low + sizes)
     if not cut.any():
         ends = [f"{(end - MIDDLE) * edge:g}" for end in (low.min(), (low + sizes).max())] if len(low) else ["none"]
-        raise CliError(f"nothing is known of {name!r} at {height:g} m; its heights in metres: {' to '.join(ends)}")
+        raise CliError(f"{name!r} has no data at {height:g} m; its heights in meters: {' to '.join(ends)}")
     first, last = keys[cut, :2].min(axis=0), (keys[cut, :2] + sizes[cut, None]).max(axis=0)
     width, rows = (int(n) for n in last - first)
     if width * rows > MAX_CELLS:
@@ -91,7 +91,7 @@ def layer(name: str, value: Map3D, height: float) -> MapGrid2D:
 
 
 def export(args: argparse.Namespace) -> int:
-    """Write a map in three dimensions by the file's ending."""
+    """Write a 3D map in the format of the file's ending."""
     with open_stored(args) as (_, stored):
         name, value = named_map3d(stored, args.name)
     form = args.file.suffix.lower()
@@ -110,14 +110,14 @@ def export(args: argparse.Namespace) -> int:
 
 
 def named_map3d(stored: StoreClient, name: str | None) -> tuple[str, Map3D]:
-    """A map in three dimensions by its name, or the only one; raises `CliError`."""
+    """Return a 3D map by its name, or the only one; raises `CliError`."""
     names = stored.names(MAP3D)
     name = name or (names[0] if len(names) == 1 else "")
     value = stored.get(MAP3D, name) if name else None
     if not names:
-        raise CliError("no map in 3D is stored; 'midspan map import house.bt' brings one in")
+        raise CliError("no 3D map is stored; 'midspan map import house.bt' imports one")
     if value is None:
-        which = f"which one? there are {len(names)} maps in 3D: {', '.join(map(clean, names[:10]))}"
+        which = f"name one of the {len(names)} 3D maps: {', '.join(map(clean, names[:10]))}"
         raise CliError(missing("map3d", name, names) if name else which)
     return name, value
 

@@ -1,7 +1,6 @@
 """``midspan map show``: a map with its flags, locations and areas, or a slice of one in 3D; on the terminal or as PNG.
 
-What draws takes its time to load; it is imported where it draws, since verbs that draw nothing need this file's
-arguments.
+The drawing code loads slowly and is imported only when needed, since verbs that do not draw use this file's arguments.
 """
 
 from __future__ import annotations
@@ -27,18 +26,18 @@ def register(verbs: Any) -> None:
     """Add the verb's parser."""
     parser = add_verb(
         verbs, "show", run, "draw a map with its flags, locations and areas",
-        "Draws a map with its flags, locations and areas: in the terminal, in letters elsewhere, or as a PNG; of an"
-        " octomap the slice at a height, with what is occupied, free and unknown.",
+        "Draws a map with its flags, locations and areas: in the terminal, as text for a pipe, or as a PNG; of an"
+        " octomap the slice at a height, with occupied, free and unknown cells.",
         example="midspan map show house --png house.png",
     )  # fmt: skip
-    parser.add_argument("name", nargs="?", help="which map (default: the one in use)")
-    parser.add_argument("--3d", dest="three", action="store_true", help="the one in three dimensions: say what it is")
-    parser.add_argument("--layer", type=float, metavar="METRES", help="draw the octomap's slice at this height")
+    parser.add_argument("name", nargs="?", help="name of the map (default: the one in use)")
+    parser.add_argument("--3d", dest="three", action="store_true", help="describe the 3D map of that name")
+    parser.add_argument("--layer", type=float, metavar="METERS", help="draw the octomap's slice at this height")
     add_drawing_arguments(parser)
 
 
 def add_drawing_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of verbs that draw a map."""
+    """Add the arguments of verbs that draw a map."""
     parser.add_argument("--png", type=Path, metavar="FILE", help="write a picture instead")
     parser.add_argument("--scale", type=int, default=0, metavar="PIXELS", help="pixels of a cell in the picture")
     parser.add_argument("--width", type=int, metavar="COLUMNS", help="columns in the terminal")
@@ -69,7 +68,7 @@ def draw(
     grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], args: argparse.Namespace,
     path: Sequence[tuple[float, float]] = (),
 ) -> None:  # fmt: skip
-    """Draw a map as `add_drawing_arguments` says, with a line through ``path`` (metres); raises `CliError`."""
+    """Draw a map by `add_drawing_arguments`, with a line through ``path`` (meters); raises `CliError`."""
     if not 0 <= args.scale <= _MOST_SCALE or (args.width is not None and not 0 < args.width <= 1000):
         raise CliError(f"--scale is 1 to {_MOST_SCALE}, --width 1 to 1000")
     if args.png is not None:

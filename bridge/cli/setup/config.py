@@ -1,4 +1,4 @@
-"""``midspan config`` and ``midspan import``: our configuration files, and another bridge's turned into ours."""
+"""``midspan config`` and ``midspan import``: configuration files, and the conversion of another bridge's."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 def register_config(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
-    actions = add_verbs(parser, "Checks a configuration file, or prints what helps to write one.", dest="action")
+    actions = add_verbs(parser, "Checks a configuration file, or prints examples and references.", dest="action")
     check = add_verb(actions, "check", run_config, "check a file: every problem with its place and cure", hub=False)
-    check.add_argument("file", type=Path, nargs="?", metavar="FILE", help="the file (default: where one is found)")
+    check.add_argument("file", type=Path, nargs="?", metavar="FILE", help="the file (default: the daemon's)")
     check.add_argument("--json", action="store_true", help="print JSON")
     migrate = add_verb(
-        actions, "migrate", run_migrate, "bring an older file to today's keys; its comments stay", hub=False
+        actions, "migrate", run_migrate, "update an older file to the current keys; comments stay", hub=False
     )
-    migrate.add_argument("file", type=Path, nargs="?", metavar="FILE", help="the file (default: where one is found)")
-    migrate.add_argument("--print", action="store_true", help="print the new text, and leave the file as it is")
+    migrate.add_argument("file", type=Path, nargs="?", metavar="FILE", help="the file (default: the daemon's)")
+    migrate.add_argument("--print", action="store_true", help="print the new text without changing the file")
     for name, text in (
         ("schema", "print the JSON schema, for editors"),
-        ("example", "print a file with all keys at their defaults and what each does"),
+        ("example", "print a file with all keys, their defaults and descriptions"),
         ("reference", "print the reference page in Markdown, as in docs/operate/config.md"),
     ):
         add_verb(actions, name, run_config, text, hub=False)
@@ -73,7 +73,7 @@ NOT_ALL = 3
 
 
 def run_migrate(args: argparse.Namespace) -> int:
-    """Migrate, and keep the former text beside the file."""
+    """Migrate the file, and save the former text next to it."""
     from bridge.cli.output import CliError
     from bridge.config.document import ConfigError, text_of
     from bridge.config.load import find, loads
@@ -81,13 +81,13 @@ def run_migrate(args: argparse.Namespace) -> int:
 
     file = args.file if args.file is not None else find()
     if file is None:
-        raise CliError("no file found: the defaults are used, and there is nothing to migrate")
+        raise CliError("no file found: the defaults are used, nothing to migrate")
     before = text_of(file)
     migration = migrate(before, file)
     if args.print:
         sys.stdout.write(migration.text)
     elif migration.text == before:
-        print(f"{file}: is of today's format")
+        print(f"{file}: already has the current format")
     else:
         _replace_file(file, migration.text)
     for done in migration.done:
@@ -103,27 +103,27 @@ def run_migrate(args: argparse.Namespace) -> int:
 
 
 def _replace_file(file: Path, text: str) -> None:
-    """Write a file's new text, whole or not at all; the former file stays as ``<name>.old``."""
+    """Write a file's new text atomically; the former file stays as ``<name>.old``."""
     from bridge.cli.output import CliError
 
     file = file.resolve()
     old, new = (file.with_name(f"{file.name}.{end}") for end in ("old", "new"))
     if old.exists():
-        raise CliError(f"{old} is there already, from a migration before; move it away")
+        raise CliError(f"{old} already exists from an earlier migration; move it away")
     new.write_text(text, encoding="utf-8", newline="")
     shutil.copymode(file, new)
-    with contextlib.suppress(AttributeError, PermissionError):  # no Windows has it; only root may
+    with contextlib.suppress(AttributeError, PermissionError):  # missing on Windows; only root may
         os.chown(new, file.stat().st_uid, file.stat().st_gid)
     shutil.copy2(file, old)
     new.replace(file)
-    print(f"{file}: migrated; as it was: {old}")
+    print(f"{file}: migrated; the former file is {old}")
 
 
 def register_import(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     peers = add_verbs(
         parser,
-        "Turns another bridge's configuration into Midspan's. Names what has no counterpart by its line, on the"
+        "Converts another bridge's configuration. Reports entries without a counterpart by their line, on the"
         " standard error and in the new file; then the exit code is 3.",
         "BRIDGE",
         dest="peer",
@@ -131,7 +131,7 @@ def register_import(parser: argparse.ArgumentParser) -> None:
     ros1 = add_verb(peers, "ros1_bridge", run_import, "the parameter file of ros1_bridge's parameter_bridge", hub=False)
     ros1.add_argument(
         "--mapping-rules", type=Path, action="append", default=[], metavar="RULES",
-        help="a mapping-rule file that the bridge was built with; Midspan reads it as it is (may be repeated)",
+        help="a mapping-rule file that the bridge was built with, which Midspan reads unchanged (may be repeated)",
     )  # fmt: skip
     domain = add_verb(
         peers, "domain_bridge", run_import, "domain_bridge's file: one configuration for each of its domains", hub=False
@@ -139,7 +139,7 @@ def register_import(parser: argparse.ArgumentParser) -> None:
     for peer, what, meta in ((ros1, "file", "FILE"), (domain, "folder", "FOLDER")):
         peer.add_argument("file", type=Path, metavar="FILE", help="the other bridge's file")
         peer.add_argument("-o", "--output", type=Path, metavar=meta, help=f"the {what} to write to (default: print)")
-        peer.add_argument("--force", action="store_true", help="overwrite what is there")
+        peer.add_argument("--force", action="store_true", help="overwrite existing files")
 
 
 def run_import(args: argparse.Namespace) -> int:
@@ -184,7 +184,7 @@ def _write(drafts: Sequence[Draft], files: Sequence[Path], *, force: bool) -> No
 
     there = [str(file) for file in files if file.exists()]
     if there and not force:
-        raise CliError(f"{', '.join(there)} is there already; --force overwrites")
+        raise CliError(f"{', '.join(there)}: file exists; --force overwrites")
     for draft, file in zip(drafts, files, strict=True):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(draft.text(), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The verbs of ``midspan yarp`` about names and connections: where, list, ping, connect and their kin."""
+"""The verbs of ``midspan yarp`` for names and connections: where, list, ping, connect and others."""
 
 from __future__ import annotations
 
@@ -18,44 +18,44 @@ from yarp_compat.wire.text import from_text
 
 
 def add_server_arguments(parser: argparse.ArgumentParser, timeout: float = TIMEOUT) -> None:
-    """Which name server, and how patient."""
+    """Add the arguments for the name server and the timeout."""
     parser.add_argument("--server", type=_address, metavar="HOST:PORT", help="the name server (default: yarp.conf's)")
     parser.add_argument(
         "--timeout", type=float, default=timeout, metavar="SECONDS",
-        help="seconds that each step may take (default %(default)g)",
+        help="timeout of each step in seconds (default %(default)g)",
     )  # fmt: skip
 
 
 def client(args: argparse.Namespace) -> NameClient:
-    """The name server's client that the arguments ask for."""
+    """Return the client of the name server that the arguments choose."""
     if not 0 < args.timeout < math.inf:
-        raise CliError("--timeout takes seconds, more than 0")
+        raise CliError("--timeout must be more than 0 seconds")
     return NameClient(args.server, timeout=args.timeout)
 
 
 def register(verbs: Any) -> None:
     """Add the parsers."""
-    where = _add(verbs, "where", "where the name server is, and whether it answers")
+    where = _add(verbs, "where", "the name server's address, and whether it responds")
     where.add_argument("--json", action="store_true", help="print JSON")
     name = _add(
         verbs, "name", "send any command to the name server",
-        "Sends a command to the name server and prints its answer. 'help' lists the commands.",
+        "Sends a command to the name server and prints its reply. 'help' lists the commands.",
     )  # fmt: skip
     name.add_argument("words", nargs="+", metavar="WORD", help="the command: query /port, get /port key, list, ...")
     ports = _add(verbs, "list", "all registered ports")
     ports.add_argument("prefix", nargs="?", default="", help="only those at and below this name")
     ports.add_argument("--json", action="store_true", help="print JSON")
     exists = _add(
-        verbs, "exists", "whether a port answers, or two are connected",
-        "Exit code 0 when the port is registered and answers, or when the first port writes to the second; else 1.",
+        verbs, "exists", "whether a port responds, or two are connected",
+        "Exits with code 0 if the port is registered and responds, or if the first port writes to the second; else 1.",
     )  # fmt: skip
     exists.add_argument("port")
-    exists.add_argument("target", nargs="?", help="the port that it should be connected to")
-    ping = _add(verbs, "ping", "what a port says of itself and its connections")
+    exists.add_argument("target", nargs="?", help="check the connection to this port")
+    ping = _add(verbs, "ping", "a port's report on itself and its connections")
     ping.add_argument("port")
     connect = _add(
         verbs, "connect", "connect two ports",
-        "Connects two ports, whoever opened them. Without ports, or with one, lists persistent connections.",
+        "Connects two ports of any programs. Without ports, or with one, lists persistent connections.",
     )  # fmt: skip
     connect.add_argument("source", nargs="?", help="the port that writes")
     connect.add_argument("target", nargs="?", help="the port that reads")
@@ -63,20 +63,20 @@ def register(verbs: Any) -> None:
     persist = connect.add_mutually_exclusive_group()
     persist.add_argument(
         "--persist", dest="mode", action="store_const", const="",
-        help="have the name server make the connection whenever both ports are there",
+        help="let the name server connect the ports whenever both are registered",
     )  # fmt: skip
     for mode, end in (("from", "writes"), ("to", "reads")):
         persist.add_argument(
             f"--persist-{mode}", dest="mode", action="store_const", const=mode,
-            help=f"as --persist, until the port that {end} is closed",
+            help=f"like --persist, until the port that {end} is closed",
         )  # fmt: skip
     disconnect = _add(verbs, "disconnect", "end a connection")
     disconnect.add_argument("source", help="the port that writes")
     disconnect.add_argument("target", help="the port that reads")
-    disconnect.add_argument("--persist", action="store_true", help="forget a persistent connection")
+    disconnect.add_argument("--persist", action="store_true", help="remove a persistent connection")
     _add(
-        verbs, "clean", "forget ports that are dead",
-        "Tries each registered port, and unregisters those at whose address nobody answers.",
+        verbs, "clean", "unregister dead ports",
+        "Tries each registered port, and unregisters those that do not respond.",
     )  # fmt: skip
 
 
@@ -98,8 +98,8 @@ def _where(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"host": address.host, "port": address.port, "name": space, "file": file, "reachable": not problem})
     else:
-        print(f"{space} at {address.host} port {address.port}, {'does not answer' if problem else 'answers'}")
-        print(f"said by {file or '--server'}; to be browsed at http://{address.host}:{address.port}/")
+        print(f"{space} at {address.host} port {address.port}, {'does not respond' if problem else 'responds'}")
+        print(f"configured by {file or '--server'}; web page: http://{address.host}:{address.port}/")
     if problem:
         raise CliError(problem)
     return 0
@@ -107,7 +107,7 @@ def _where(args: argparse.Namespace) -> int:
 
 def _name(args: argparse.Namespace) -> int:
     words = from_text(" ".join(args.words))
-    # unlike name clients' own carrier this one keeps quotes
+    # unlike the usual carrier of name clients, this one preserves quotes
     for line in text_client.ask(client(args).contact, words, timeout=args.timeout):
         if not line.startswith("*** "):
             print(clean(line))
@@ -128,7 +128,7 @@ def _exists(args: argparse.Namespace) -> int:
     names = client(args)
     if args.target is None:
         found = connections.exists(names, args.port, timeout=args.timeout)
-        text = f"{args.port} is {'there' if found else 'not there, or does not answer'}"
+        text = f"{args.port} {'responds' if found else 'is not registered, or does not respond'}"
     else:
         carrier = connections.carrier_between(names, args.port, args.target, timeout=args.timeout)
         found = bool(carrier)
@@ -153,7 +153,7 @@ def _connect(args: argparse.Namespace) -> int:
     target = f"{args.carrier}:/{args.target}" if args.carrier else args.target
     if args.mode is not None:
         _done(names.command(["subscribe", args.source, target, *filter(None, [args.mode])]))
-        print(clean(f"{args.source} will be connected to {target} whenever both are there"))
+        print(clean(f"{args.source} will be connected to {target} whenever both are registered"))
         return 0
     for port in (args.source, args.target):
         _known(names, port)
@@ -165,7 +165,7 @@ def _disconnect(args: argparse.Namespace) -> int:
     names = client(args)
     if args.persist:
         _done(names.command(["unsubscribe", args.source, args.target]))
-        print(clean(f"{args.source} will not be connected to {args.target} any more; an open connection stays"))
+        print(clean(f"{args.source} will no longer be connected to {args.target}; an open connection stays"))
         return 0
     print(clean(connections.disconnect(names, args.source, args.target, timeout=args.timeout)))
     return 0
@@ -180,18 +180,18 @@ def _clean(args: argparse.Namespace) -> int:
         if not connections.responds(contact, timeout=args.timeout):
             names.unregister(contact.name)
             gone += 1
-            print(clean(f"{contact.name} does not answer at {contact.uri}: forgotten"))
+            print(clean(f"{contact.name} does not respond at {contact.uri}: unregistered"))
     names.lines(["gc"])
-    print(f"{gone} of the registered ports were dead" if gone else "all registered ports answer")
+    print(f"{gone} of the registered ports were dead" if gone else "all registered ports respond")
     return 0
 
 
 def _known(names: NameClient, port: str) -> str:
-    """A port that is registered; for one that is not, an error that says which may be meant."""
+    """Return the name of a registered port; raises an error with similar names if it is not registered."""
     if names.query(port) is None:
         alike = near(port, [contact.name for contact in names.list()])
         hint = f"; did you mean {' or '.join(alike)}?" if alike else ""
-        raise CliError(clean(f"there is no port {port} at the name server{hint}"))
+        raise CliError(clean(f"port {port} is not registered with the name server{hint}"))
     return port
 
 
@@ -203,7 +203,7 @@ def _subscription(answer: Any) -> str:
 
 def _done(answer: list[Any]) -> None:
     if answer != ["ok"]:
-        raise CliError("the name server did not take it: are both names port names, such as /robot/camera?")
+        raise CliError("the name server rejected it: are both names port names, such as /robot/camera?")
 
 
 def _address(text: str) -> Address:
@@ -211,7 +211,7 @@ def _address(text: str) -> Address:
     try:
         return config.parse(f"{host.strip('[]')} {port}")
     except NamingConfigError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no address: write it as 127.0.0.1:10000") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is not an address: write it as 127.0.0.1:10000") from None
 
 
 VERBS = {

@@ -1,4 +1,4 @@
-"""The verbs of ``midspan yarp`` that send and take messages: read, write, rpc."""
+"""The verbs of ``midspan yarp`` that send and receive messages: read, write, rpc."""
 
 from __future__ import annotations
 
@@ -26,44 +26,44 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text, to_text
 
 _WAITING = 1000
-"""Messages that wait to be printed; what comes beyond that is counted, not kept."""
+"""Maximum number of messages queued for printing; further ones are only counted."""
 _RPC_TIMEOUT = 30.0
 
 
 def register(verbs: Any) -> None:
     """Add the parsers."""
     read = add_verb(
-        verbs, "read", _ended_by_signals(_read), "print what comes in at a port",
-        "Opens a port and prints the Bottles that come in, one a line, until Ctrl-C.", hub=False,
+        verbs, "read", _ended_by_signals(_read), "print the messages that a port receives",
+        "Opens a port and prints the Bottles that it receives, one per line, until Ctrl-C.", hub=False,
     )  # fmt: skip
-    read.add_argument("port", help="the name of the port to be opened ('...': the name server chooses one)")
-    read.add_argument("source", nargs="?", help="a port to be read from; without it, others connect to this one")
+    read.add_argument("port", help="name of the port to open ('...': the name server chooses one)")
+    read.add_argument("source", nargs="?", help="the port to read from; without it, others connect to this one")
     read.add_argument("--carrier", default="", help="how to connect to it: tcp (default), fast_tcp, udp, ...")
-    read.add_argument("--count", type=int, metavar="N", help="end after so many messages")
+    read.add_argument("--count", type=int, metavar="N", help="exit after N messages")
     read.add_argument("--envelope", action="store_true", help="print each message's envelope (its stamp) before it")
-    read.add_argument("--json", action="store_true", help="one JSON object a line: from, envelope, text")
+    read.add_argument("--json", action="store_true", help="one JSON object per line: from, envelope, text")
     write = add_verb(
         verbs, "write", _ended_by_signals(_write), "write lines as Bottles",
         "Opens a port and writes each line of the standard input (or each --message) as a Bottle.",
         example="midspan yarp write ... /reader --message 'set speed 0.5'", hub=False,
     )  # fmt: skip
-    write.add_argument("port", help="the name of the port to be opened ('...': the name server chooses one)")
+    write.add_argument("port", help="name of the port to open ('...': the name server chooses one)")
     write.add_argument("targets", nargs="*", metavar="target", help="ports to write to: /reader, udp://reader")
-    write.add_argument("--wait", action="store_true", help="wait until somebody is connected before the first message")
+    write.add_argument("--wait", action="store_true", help="wait for a connection before the first message")
     rpc = add_verb(
-        verbs, "rpc", _rpc, "send commands to a port and print its answers",
-        "Sends each line of the standard input (or each --message) to a port and prints what it answers.",
+        verbs, "rpc", _rpc, "send commands to a port and print its replies",
+        "Sends each line of the standard input (or each --message) to a port and prints the replies.",
         example="midspan yarp rpc /robot/rpc --message 'get enc 0'", hub=False,
     )  # fmt: skip
-    rpc.add_argument("port", help="the port that answers")
-    rpc.add_argument("--admin", action="store_true", help="to the port itself rather than to its owner ('[help]')")
+    rpc.add_argument("port", help="the port to call")
+    rpc.add_argument("--admin", action="store_true", help="call the port itself rather than its owner ('[help]')")
     for parser in (write, rpc):
         parser.add_argument(
             "-m", "--message", action="append", metavar="TEXT", help="a message, instead of the standard input's lines"
         )
     for parser in (read, write):
         parser.add_argument(
-            "--yarp4", action="store_true", help="write as YARP 4 to peers that do not say which they are (default: 3)"
+            "--yarp4", action="store_true", help="write as YARP 4 to peers of unknown version (default: YARP 3)"
         )
         add_server_arguments(parser)
     add_server_arguments(rpc, _RPC_TIMEOUT)
@@ -73,7 +73,7 @@ def _read(args: argparse.Namespace) -> int:
     came: queue.Queue[PortMessage] = queue.Queue(_WAITING)
     missed = 0
 
-    def take(message: PortMessage) -> None:
+    def on_message(message: PortMessage) -> None:
         nonlocal missed
         try:
             came.put_nowait(message)
@@ -82,13 +82,13 @@ def _read(args: argparse.Namespace) -> int:
 
     names = client(args)
     _refuse_taken(args)
-    port = PortCore(args.port, on_message=take, naming=names, is_output=False, profile=_profile(args))
+    port = PortCore(args.port, on_message=on_message, naming=names, is_output=False, profile=_profile(args))
     port.open()
     try:
         if args.source:
             connections.connect(names, args.source, port.name, args.carrier, timeout=args.timeout)
         else:
-            print(f"{port.name} is open: connect it by 'midspan yarp connect /source {port.name}'", file=sys.stderr)
+            print(f"{port.name} is open: connect it with 'midspan yarp connect /source {port.name}'", file=sys.stderr)
         shown = 0
         while shown < (math.inf if args.count is None else args.count):
             print(_shown(args, came.get()), flush=True)
@@ -98,7 +98,7 @@ def _read(args: argparse.Namespace) -> int:
     finally:
         port.close()
         if missed:
-            print(f"{missed} messages were not shown: they come faster than they can be printed", file=sys.stderr)
+            print(f"{missed} messages were not shown: they arrive faster than they can be printed", file=sys.stderr)
     return 0
 
 
@@ -106,7 +106,7 @@ def _shown(args: argparse.Namespace, message: PortMessage) -> str:
     try:
         text = to_text(decode(message.payload, message.peer.profile))
     except WireError as err:
-        text = f"# {len(message.payload)} bytes that are no Bottle: {err}"
+        text = f"# {len(message.payload)} bytes that are not a Bottle: {err}"
     if args.json:
         return json_line({"from": message.peer.route.source, "envelope": message.envelope, "text": text})
     return clean(f"[{message.envelope}] {text}" if args.envelope else text)
@@ -127,9 +127,9 @@ def _write(args: argparse.Namespace) -> int:
         for line in _lines(args):
             reached = port.write(partial(encode, _values(line)), wait=True, timeout=args.timeout)
             if not reached and not args.targets:
-                print("nobody is connected: not sent", file=sys.stderr)
+                print("no port is connected: not sent", file=sys.stderr)
             elif reached < len(args.targets):
-                raise CliError(f"{len(args.targets) - reached} of {len(args.targets)} targets did not take it")
+                raise CliError(f"{len(args.targets) - reached} of {len(args.targets)} targets did not accept it")
     except KeyboardInterrupt:
         pass
     finally:
@@ -140,7 +140,7 @@ def _write(args: argparse.Namespace) -> int:
 def _rpc(args: argparse.Namespace) -> int:
     contact = client(args).query(args.port)
     if contact is None:
-        raise CliError(clean(f"there is no port {args.port} at the name server"))
+        raise CliError(clean(f"port {args.port} is not registered with the name server"))
     for line in _lines(args):
         answer = text_client.ask(contact, _values(line), admin=args.admin, timeout=args.timeout)
         for text in answer:
@@ -161,13 +161,13 @@ def _values(line: str) -> list[Any]:
     try:
         return from_text(line)
     except WireError as err:
-        raise CliError(f"that is no Bottle: {err}") from None
+        raise CliError(f"not a Bottle: {err}") from None
 
 
 def _refuse_taken(args: argparse.Namespace) -> None:
-    """A name in use is not taken from its port: the name server would let us."""
+    """Refuse a name that is in use, since the name server would reassign it."""
     if args.port != "..." and connections.exists(client(args), args.port, timeout=args.timeout):
-        raise PortError(clean(f"{args.port} is in use by another program; '...' opens a port with a name of its own"))
+        raise PortError(clean(f"{args.port} is in use by another program; '...' opens a port with a unique name"))
 
 
 def _profile(args: argparse.Namespace) -> Profile:
@@ -175,7 +175,7 @@ def _profile(args: argparse.Namespace) -> Profile:
 
 
 def _ended_by_signals(verb: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
-    """Have SIGTERM end a verb as Ctrl-C does, so that its port is unregistered."""
+    """Make SIGTERM end a verb like Ctrl-C, so that its port is unregistered."""
 
     def run(args: argparse.Namespace) -> int:
         former = signal.signal(signal.SIGTERM, signal.default_int_handler)

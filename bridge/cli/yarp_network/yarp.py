@@ -1,4 +1,4 @@
-"""``midspan yarp``: YARP's own tool, for machines that have no YARP; and a name server."""
+"""``midspan yarp``: the functions of YARP's tool for machines without YARP, and a name server."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from yarp_compat.naming.config import Address
 from yarp_compat.naming.server import GC_SECONDS, NameServer
 
 _EPILOG = """\
-The name server is the one of yarp.conf (where YARP's own programs find it), or --server's. Options stand behind the
-verb: midspan yarp list --server 192.168.1.2:10000
+The name server is the one in yarp.conf (which YARP's own programs use), or --server's. Options follow the verb:
+midspan yarp list --server 192.168.1.2:10000
 """
 
 
@@ -27,7 +27,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     verbs = add_verbs(
         parser,
-        "Shows, connects, reads and writes ports of a YARP network where YARP is not installed; runs a name server.",
+        "Shows, connects, reads and writes ports of a YARP network without an installed YARP; runs a name server.",
     )
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -39,19 +39,19 @@ def register(parser: argparse.ArgumentParser) -> None:
 def _register_server(verbs: Any) -> None:
     parser = add_verb(
         verbs, "server", _server, "run a name server",
-        "Runs a name server like yarpserver until Ctrl-C. It remembers ports and persistent connections over a restart,"
-        " and listens on loopback unless --host says otherwise.", hub=False,
+        "Runs a name server like yarpserver until Ctrl-C. It stores ports and persistent connections over restarts,"
+        " and listens on loopback unless --host is given.", hub=False,
     )  # fmt: skip
     parser.add_argument(
         "--host", metavar="ADDRESS", help="address of this machine to listen at (default: yarp.conf's, else 127.0.0.1)"
     )
     parser.add_argument("--port", type=int, metavar="N", help=f"TCP port (default: yarp.conf's, {config.DEFAULT_PORT})")
     parser.add_argument("--write", action="store_true", help="write the address to yarp.conf, for programs to find")
-    parser.add_argument("--state", type=Path, metavar="FILE", help="its memory (default: names.json beside yarp.conf)")
-    parser.add_argument("--forget", action="store_true", help="remember nothing over a restart")
+    parser.add_argument("--state", type=Path, metavar="FILE", help="its state (default: names.json next to yarp.conf)")
+    parser.add_argument("--forget", action="store_true", help="store nothing over restarts")
     parser.add_argument(
         "--gc", type=float, default=GC_SECONDS, metavar="SECONDS",
-        help="how often to look for dead ports (default %(default)g; 0: never)",
+        help="seconds between checks for dead ports (default %(default)g; 0: never)",
     )  # fmt: skip
 
 
@@ -60,7 +60,7 @@ def _server(args: argparse.Namespace) -> int:
     given = config.read() or Address("127.0.0.1", config.DEFAULT_PORT)
     address = Address(args.host or given.host, given.port if args.port is None else args.port)
     if not 0 < address.port <= 0xFFFF:
-        raise CliError("--port takes a number from 1 to 65535")
+        raise CliError("--port must be a number from 1 to 65535")
     space = config.namespace()
     state = None if args.forget else args.state or config.file().with_suffix(".names.json")
     stop = threading.Event()
@@ -70,8 +70,8 @@ def _server(args: argparse.Namespace) -> int:
         if args.write:
             print(f"wrote {config.write(address)}")
         elif given != address:
-            print(f"programs find it when {config.file()} says '{address.host} {address.port} yarp' (--write does it)")
-        print(f"{space} at {address.host} port {address.port}; to be browsed at http://{address.host}:{address.port}/")
+            print(f"programs find it if {config.file()} has '{address.host} {address.port} yarp' (--write writes it)")
+        print(f"{space} at {address.host} port {address.port}; web page: http://{address.host}:{address.port}/")
         sys.stdout.flush()
         while not stop.wait(3600):
             pass

@@ -114,9 +114,9 @@ def test_a_call_prints_the_reply(midspan: Midspan, robot: Robot) -> None:
     [
         (["/lamp", "{dta: true}"], "dta"),
         (["/lamp", "std_srvs/Trigger"], "is std_srvs/srv/SetBool on the hub"),
-        (["/lamp", "{data: true}", "std_srvs/SetBool"], "is no type"),
+        (["/lamp", "{data: true}", "std_srvs/SetBool"], "is not a type"),
         (["/lamp", "{data: false}", "--timeout", "0.2"], "has not answered in 0.2 s"),
-        (["/nowhere"], "serves /nowhere"),
+        (["/nowhere"], "/nowhere has no server"),
         (["/lamp", "[1]"], "must be a map"),
     ],
 )

@@ -127,7 +127,7 @@ def test_maps_in_three_dimensions_come_and_go(midspan: Midspan, store: Store) ->
         assert load_cloud(file).size() == occupied
     assert midspan("map", "import", "house.pcd", "--name", "cloud").code == 0
     assert store.names(MAP3D) == ["cloud", "house"]
-    assert "which one? there are 2 maps in 3D: cloud, house" in midspan("map", "export", "x.bt").err
+    assert "name one of the 2 3D maps: cloud, house" in midspan("map", "export", "x.bt").err
     assert midspan("map", "export", "cloud.ot", "cloud", "--resolution", "0.1").code == 0
     assert midspan("map", "delete", "house", "--3d").out == "house is deleted\n"
     assert "no map3d 'house' is stored; those that are: cloud" in midspan("map", "delete", "house", "--3d").err
@@ -137,7 +137,7 @@ def test_maps_in_three_dimensions_come_and_go(midspan: Midspan, store: Store) ->
 
 def test_a_slice_of_an_octomap_is_drawn_as_a_grid(midspan: Midspan, store: Store) -> None:
     """A wall in a pruned leaf of 2 cells, one occupied cell, a free row, and a gap of which nothing is known."""
-    assert "no map in 3D is stored; 'midspan map import" in midspan("map", "show", "--layer", "0.3").err
+    assert "no 3D map is stored; 'midspan map import" in midspan("map", "show", "--layer", "0.3").err
     cells = [[32_768, 32_768, 32_770], [32_774, 32_769, 32_771], [32_768, 32_771, 32_771], [32_769, 32_771, 32_771]]
     tree = OcTree.of(cells, [1.0, 1.0, -1.0, -1.0], [15, 16, 16, 16], resolution=0.1)
     store.put(MAP3D, "room", Octomap.of(tree))
@@ -150,7 +150,7 @@ def test_a_slice_of_an_octomap_is_drawn_as_a_grid(midspan: Midspan, store: Store
         assert picture.size == (7, 4)
     store.put(MAP3D, "points", PointCloud.of(np.ones(3, LAYOUTS[PointType.XYZ])))
     for words, told in (
-        (["room", "--layer", "9"], "nothing is known of 'room' at 9 m; its heights in metres: 0.2 to 0.4"),
+        (["room", "--layer", "9"], "'room' has no data at 9 m; its heights in meters: 0.2 to 0.4"),
         (["room", "--layer", "nan"], "--layer is a height in metres, not nan"),
         (["points", "--layer", "1"], "'points' is a cloud, which knows no free space"),
         (["attic", "--layer", "1"], "no map3d 'attic' is stored; those that are: points, room"),
@@ -203,17 +203,17 @@ def test_all_kinds_are_listed_and_removed(midspan: Midspan, store: Store) -> Non
         (["map", "show", "hose"], "no map 'hose' is stored; the store has none"),
         (["map", "use", "house"], "no map 'house'"),
         (["map", "import", "nowhere.yaml"], "nowhere.yaml"),
-        (["map", "import", "house.yaml", "house.yaml"], "in the files twice"),
+        (["map", "import", "house.yaml", "house.yaml"], "twice in the files"),
         (["map", "import", "house.yaml", "--name", "a/b"], "has /"),
         (["map", "import", "--use", "locations.ini"], "the files have none"),
         (["map", "export", "house.txt"], "no map is in use"),
-        (["map", "edit-flags"], "say what to change"),
+        (["map", "edit-flags"], "nothing to change"),
         (["map", "edit-flags", "--flag", "wall"], "go together"),
         (["location", "add", "a"], "or --here"),
         (["location", "add", "a", "1", "2", "--here"], "or --here"),
         (["location", "add", "a/b", "1", "2"], "has /"),
         (["location", "add", "a", "1", "2"], "no map is in use"),
-        (["location", "export", "x.txt"], "give it .ini"),
+        (["location", "export", "x.txt"], "use the ending .ini"),
     ],
     ids=lambda each: "_".join(each) if isinstance(each, list) else "",
 )
@@ -233,7 +233,7 @@ def test_nothing_is_overwritten_unasked(midspan: Midspan, store: Store) -> None:
     before = store.replica.versions()
     done = midspan("map", "import", "house.yaml")
     assert done.code == 1
-    assert "map 'house' is stored already" in done.err
+    assert "map 'house' is already stored" in done.err
     assert midspan("location", "add", "a", "1", "1").code == 1
     assert midspan("map", "edit-flags", "--flag", "wall", "--points", "90,90", "91,90", "91,91").code == 1
     assert midspan("map", "edit-flags", "--flag", "wall", "--area", "zone").code == 1

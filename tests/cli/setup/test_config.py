@@ -66,12 +66,12 @@ def test_migrate_writes_the_file_and_keeps_the_former(tmp_path: Path, capsys: py
     assert main(["config", "migrate", str(file)]) == 0
     assert (file.read_text(), (tmp_path / "old.yaml.old").read_text()) == (said.out, text)
     assert file.stat().st_mode & 0o777 == 0o640
-    assert "as it was" in capsys.readouterr().out
+    assert "the former file is" in capsys.readouterr().out
     assert main(["config", "migrate", str(file)]) == 0
-    assert capsys.readouterr().out == f"{file}: is of today's format\n"
+    assert capsys.readouterr().out == f"{file}: already has the current format\n"
     file.write_text(text)
     assert main(["config", "migrate", str(file)]) == 1
-    assert "is there already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert file.read_text() == text
 
 

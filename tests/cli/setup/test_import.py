@@ -241,7 +241,7 @@ def test_written_to_files_and_never_over_others(tmp_path: Path, capsys: pytest.C
     files[1].write_text("mine")
     again = Imported(capsys, file, "domain_bridge", "-o", str(folder))
     assert again.code == 1
-    assert "is there already; --force overwrites" in again.notes[0]
+    assert "file exists; --force overwrites" in again.notes[0]
     assert files[1].read_text() == "mine"
     assert Imported(capsys, file, "domain_bridge", "-o", str(folder), "--force").code == 0
     assert files[1].read_text() != "mine"

@@ -84,7 +84,7 @@ def fixture_owners(server: NameServer) -> Iterator[Callable[[str], Owner]]:
 def test_where(yarp: Yarp, server: NameServer, tmp_path: Path) -> None:
     """Address, file, and whether it answers; exit code 1 and the cure where it does not."""
     done = yarp("where")
-    assert (done.code, done.out.splitlines()[0]) == (0, f"/root at 127.0.0.1 port {server.address.port}, answers")
+    assert (done.code, done.out.splitlines()[0]) == (0, f"/root at 127.0.0.1 port {server.address.port}, responds")
     assert str(tmp_path / "yarp.conf") in done.out
     port = free_port()
     said = yarp("where", "--json", "--server", f"127.0.0.1:{port}")
@@ -116,10 +116,10 @@ def test_names(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -
     assert yarp("name", "query", "/c").out == f"{server.registry.find('/c').registration}\n"  # type: ignore[union-attr]
     assert yarp("name", "unsubscribe", "/a", "/b").out == "[ok]\n"
     assert (yarp("exists", "/c").code, yarp("exists", "/d").code) == (0, 1)
-    assert "not there" in yarp("exists", "/d").err
+    assert "is not registered" in yarp("exists", "/d").err
     assert "This is /c at tcp://127.0.0.1" in yarp("ping", "/c").out
     done = yarp("ping", "/a")
-    assert (done.code, done.err) == (1, "midspan: there is no port /a at the name server; did you mean /a/b?\n")
+    assert (done.code, done.err) == (1, "midspan: port /a is not registered with the name server; did you mean /a/b?\n")
 
 
 def test_connecting(yarp: Yarp, owners: Callable[[str], Owner]) -> None:
@@ -135,7 +135,7 @@ def test_connecting(yarp: Yarp, owners: Callable[[str], Owner]) -> None:
         (("disconnect", "/w", "/r"), "there is no connection from /w to /r"),
         (("connect", "/w", "/rr"), "did you mean /r"),
         (("connect", "/w", "/r", "smoke"), "could not connect to /r"),
-        (("connect", "w", "/r"), "no port w"),
+        (("connect", "w", "/r"), "port w is not registered"),
     ):
         done = yarp(*words)
         assert done.code == 1
@@ -158,7 +158,7 @@ def test_clean(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -
     owners("/live")
     NameClient(server.address).register("/dead", "127.0.0.1", free_port())
     done = yarp("clean", "--timeout", "1")
-    assert "/dead does not answer" in done.out
+    assert "/dead does not respond" in done.out
     assert [line.split()[0] for line in yarp("list").out.splitlines()] == ["/live", "/root"]
     assert yarp("clean").out == "all registered ports answer\n"
 
@@ -179,7 +179,7 @@ def test_writing(yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest
     assert done.code == 1
     assert "/one is in use" in done.err
     assert "Do not know how to connect" in yarp("write", "...", "/none", "-m", "x").err
-    assert "nobody is connected" in yarp("write", "/w", "-m", "x").err
+    assert "no port is connected" in yarp("write", "/w", "-m", "x").err
 
 
 def test_reading(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
@@ -250,7 +250,7 @@ def test_wrong_usage(words: tuple[str, ...]) -> None:
 def test_impatience(yarp: Yarp) -> None:
     """A time limit is more than nothing."""
     for seconds in ("0", "-1", "nan", "inf"):
-        assert "--timeout takes seconds" in yarp("list", "--timeout", seconds).err
+        assert "--timeout must be more than" in yarp("list", "--timeout", seconds).err
 
 
 def test_a_server_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -263,7 +263,7 @@ def test_a_server_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     for turn in range(2):
         server = Process(args, os.environ)
         try:
-            until(lambda server=server: "to be browsed at" in server.output(), "it serves", seconds=30.0)
+            until(lambda server=server: "web page: " in server.output(), "it serves", seconds=30.0)
             assert (tmp_path / "yarp.conf").read_text() == f"127.0.0.1 {port} yarp\n"
             if turn == 0:
                 names.register("/p")
@@ -278,4 +278,4 @@ def test_a_server_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_a_server_that_cannot_be(yarp: Yarp, server: NameServer) -> None:
     """Its place is taken; its number is none."""
     assert "Is another one running there" in yarp("server").err
-    assert "--port takes a number" in yarp("server", "--port", "70000").err
+    assert "--port must be a number" in yarp("server", "--port", "70000").err
