@@ -37,18 +37,18 @@ class VerbParser(argparse.ArgumentParser):
 
     def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
         """Parse as argparse does; unknown arguments are errors of the verb that they were given to."""
-        words = list(sys.argv[1:] if args is None else args)
-        self._refuse_before_verb(words)
-        parsed, unknown = self.parse_known_args(words, namespace)
+        arguments = list(sys.argv[1:] if args is None else args)
+        self._refuse_before_verb(arguments)
+        parsed, unknown = self.parse_known_args(arguments, namespace)
         if unknown:
-            self._of_verb(words)._refuse(unknown)
+            self._of_verb(arguments)._refuse(unknown)
         return parsed
 
     def _refuse_before_verb(self, words: Sequence[str]) -> None:
         """Refuse a verb's option that precedes the verb: argparse would read the option's value as the verb."""
         option = words[0].partition("=")[0] if words else ""
         known = any(name.startswith(option) for name in self._option_string_actions)
-        verb = next((word for word in words if self._of_verb([word]) is not self), None)
+        verb = next((argument for argument in words if self._of_verb([argument]) is not self), None)
         if (
             option.startswith("-")
             and not known
@@ -60,15 +60,15 @@ class VerbParser(argparse.ArgumentParser):
     def _of_verb(self, words: Iterable[str]) -> VerbParser:
         """Return the parser of the verb, or of its subverb, that a command line names."""
         parser = self
-        for word in words:
+        for argument in words:
             below = next((a for a in parser._actions if isinstance(a, argparse._SubParsersAction)), None)
-            if below is not None and word in below.choices:
-                parser = below.choices[word]
+            if below is not None and argument in below.choices:
+                parser = below.choices[argument]
         return parser
 
     def _refuse(self, unknown: Sequence[str]) -> NoReturn:
         options = {option for option in self._option_string_actions if option.startswith("--")}
-        hints = [_meant(word.partition("=")[0], options) for word in unknown if word.startswith("--")]
+        hints = [_meant(argument.partition("=")[0], options) for argument in unknown if argument.startswith("--")]
         self.error(f"unrecognized arguments: {' '.join(unknown)}{next(filter(None, hints), '')}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
@@ -85,13 +85,13 @@ class VerbParser(argparse.ArgumentParser):
 
     def _split(self, words: Iterable[str]) -> Iterator[str]:
         options = True
-        for word in words:
-            options = options and word != "--"
-            option, equals, value = word.partition("=")
+        for argument in words:
+            options = options and argument != "--"
+            option, equals, value = argument.partition("=")
             if options and equals and option.startswith("--") and self._takes_several(option):
                 yield from (option, value)
             else:
-                yield word
+                yield argument
 
     def _takes_several(self, option: str) -> bool:
         """Whether an option, or the one that it abbreviates, takes several values."""
@@ -111,13 +111,13 @@ def _meant(text: str, known: Iterable[str], described: Mapping[str, str] | None 
     """
     from bridge.cli.output import near  # needed only here
 
-    word = text.lower()
-    if len(word) < 3:
+    lowered = text.lower()
+    if len(lowered) < 3:
         return ""
-    verbs = [verb for verb, about in (described or {}).items() if word in re.findall(r"\w+", about)]
+    verbs = [verb for verb, about in (described or {}).items() if lowered in re.findall(r"\w+", about)]
     known = list(known)
-    same = [name for name in known if name.lower() == word]
-    names = list(dict.fromkeys([*same, *verbs, *near(word, known, 2)]))[:3]
+    same = [name for name in known if name.lower() == lowered]
+    names = list(dict.fromkeys([*same, *verbs, *near(lowered, known, 2)]))[:3]
     return f". Did you mean {', '.join(names)}?" if names else ""
 
 
@@ -197,10 +197,10 @@ def expression(text: str) -> str:
 
 def span(text: str) -> float:
     """The type of an argument that takes a time: ``10m``, ``90s``, ``1.5h``, ``30`` (seconds)."""
-    found = _SPAN.fullmatch(text.strip())
-    if found is None:
+    match = _SPAN.fullmatch(text.strip())
+    if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a time: write it as 30s, 10m or 1h")
-    seconds = float(found[1]) * _SECONDS[found[2].lower()]
+    seconds = float(match[1]) * _SECONDS[match[2].lower()]
     if seconds > _LONGEST:
         raise argparse.ArgumentTypeError(f"{text[:40]} is too long: {_LONGEST:g} seconds at most")
     return seconds

@@ -47,13 +47,13 @@ def _errors(routes: Iterable[Document]) -> dict[int, str]:
     for route in routes:
         if route.get("error"):
             groups.setdefault(cause(str(route["error"])), []).append(route)
-    found = {}
+    errors = {}
     for first, *others in groups.values():
         topics = list(
             dict.fromkeys(str(route.get("topic")) for route in others if route.get("topic") != first.get("topic"))
         )
-        found[id(first)] = str(first["error"]) + same_for(topics)
-    return found
+        errors[id(first)] = str(first["error"]) + same_for(topics)
+    return errors
 
 
 def route_list(document: Document) -> list[Document]:
@@ -86,11 +86,11 @@ def topic_text(route: Document) -> str:
 
 def way_text(route: Document) -> str:
     """``by the lane``, or ``over zenoh, as ...``; "" if nothing crosses the hub."""
-    way, why = route.get("way"), clean(route.get("why", ""))
-    if way == "lane":
+    transport, reason = route.get("way"), clean(route.get("why", ""))
+    if transport == "lane":
         return "by the lane"
-    because = f", as {why}" if why else ""
-    return {"zenoh": f"over zenoh{because}", "both": f"by the lane and over zenoh{because}"}.get(str(way), "")
+    because = f", as {reason}" if reason else ""
+    return {"zenoh": f"over zenoh{because}", "both": f"by the lane and over zenoh{because}"}.get(str(transport), "")
 
 
 def drops_text(route: Document) -> str:
@@ -139,14 +139,14 @@ def port_list(document: Document) -> list[Document]:
 
 def content_text(port: Document) -> str:
     """``sensor_msgs/msg/LaserScan as YARP's own type, YARP 3's bytes``; "" if that is unknown."""
-    said = []
+    parts = []
     if port.get("type") and port.get("carries"):
-        said.append(f"{port['type']} as {_form(port['carries'])}")
+        parts.append(f"{port['type']} as {_form(port['carries'])}")
     if port.get("replies"):
-        said.append(f"answered by {_form(port['replies'])}")
+        parts.append(f"answered by {_form(port['replies'])}")
     if port.get("profile"):
-        said.append(_bytes(port))
-    return clean(", ".join(said))
+        parts.append(_bytes(port))
+    return clean(", ".join(parts))
 
 
 def _form(carries: object) -> str:
@@ -157,13 +157,13 @@ def port_lines(port: Document) -> list[str]:
     """Sentences on one port, a line for each of its peers."""
     does = _DOES.get(str(port.get("direction")), "answers calls")
     content, peers = content_text(port), dicts(port.get("peers"))
-    who = plural(len(peers), "port") + " connected" if peers else "no connection"
-    lines = [f"YARP port {clean(port.get('port', '?'))} {does}: {content + '; ' if content else ''}{who}."]
+    connected = plural(len(peers), "port") + " connected" if peers else "no connection"
+    lines = [f"YARP port {clean(port.get('port', '?'))} {does}: {content + '; ' if content else ''}{connected}."]
     for peer in peers:
-        said = [f"{_bytes(peer)} ({peer.get('profile_why')})"] if peer.get("profile") else []
+        details = [f"{_bytes(peer)} ({peer.get('profile_why')})"] if peer.get("profile") else []
         if peer.get("generation"):
-            said.append(f"its calls are answered as YARP {peer['generation']} does ({peer.get('generation_why')})")
-        lines.append(clean(f"    {_peer(peer)}: {'; '.join(said)}"))
+            details.append(f"its calls are answered as YARP {peer['generation']} does ({peer.get('generation_why')})")
+        lines.append(clean(f"    {_peer(peer)}: {'; '.join(details)}"))
         if peer.get("generation_cure"):
             lines.append(clean(f"        cure: {peer['generation_cure']}"))
     return lines
@@ -177,8 +177,8 @@ def connected_lines(ports: Iterable[Document]) -> list[str]:
         idle += not peers
         if peers:
             mark = "->" if port.get("direction") == "out" else "<-"
-            who = ", ".join(map(_peer, peers))
-            lines.append(clean(f"{port.get('port')}: {content_text(port)} {mark} {who}"))
+            names = ", ".join(map(_peer, peers))
+            lines.append(clean(f"{port.get('port')}: {content_text(port)} {mark} {names}"))
     if idle:
         lines.append(f"{plural(idle, 'port')} without a connection")
     return lines

@@ -6,9 +6,8 @@ import warnings
 from pathlib import PureWindowsPath
 
 HIDE = """
-import asyncio, concurrent.futures, http.client, logging.handlers, multiprocessing, numpy, os, select, selectors import
-shutil, signal, socket, subprocess, sys, tempfile, time, urllib.request, uuid  # imported first: their code for Windows
-differs
+import asyncio, concurrent.futures, http.client, logging.handlers, multiprocessing, numpy, os, select, selectors
+import shutil, signal, socket, subprocess, sys, tempfile, time, urllib.request, uuid  # before they are hidden
 
 for name in ("fcntl", "pwd", "grp", "resource", "termios", "tty", "pty", "syslog", "posix", "_posixsubprocess"):
     sys.modules[name] = None

@@ -310,8 +310,8 @@ def _report(args: argparse.Namespace, done: Copied, seconds: float, left_out: tu
     for name, count in done.refused.items():
         print(f"left out: {plural(count, 'message')} of {clean(name)} that do not match their type")
     for name, topic in done.undefined.items():
-        what = f"{plural(topic.messages, 'message')} of {clean(name)} ({clean(topic.type_name)})"
-        print(f"copied without a definition, so that readers cannot decode it: {what}: {clean(topic.reason)}")
+        text = f"{plural(topic.messages, 'message')} of {clean(name)} ({clean(topic.type_name)})"
+        print(f"copied without a definition, so that readers cannot decode it: {text}: {clean(topic.reason)}")
         print(f"    cure: {clean(topic.cure)}")
     for name, fields in done.lost.items():
         print(f"ROS 2 has no place for {clean(', '.join(fields))} of {clean(name)}")

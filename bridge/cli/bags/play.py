@@ -52,14 +52,14 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="bags; several are played as one, by time")
-    what = parser.add_argument_group("what")
-    what.add_argument("--topics", nargs="+", action="extend", metavar="TOPIC", help="names or globs, as '/camera/**'")
-    add_exclude(what)
-    what.add_argument(
+    group = parser.add_argument_group("what")
+    group.add_argument("--topics", nargs="+", action="extend", metavar="TOPIC", help="names or globs, as '/camera/**'")
+    add_exclude(group)
+    group.add_argument(
         "--remap", action="append", default=[], type=remapping, metavar="OLD:=NEW",
         help="another name for a topic; may be repeated",
     )  # fmt: skip
-    what.add_argument(
+    group.add_argument(
         "--commands", action="store_true",
         help="play velocities, goals and cancels too: THE ROBOT MOVES. Late ones are dropped; zero ends them",
     )  # fmt: skip
@@ -108,9 +108,9 @@ def _opened(files: list[Path], stack: ExitStack) -> list[Bag]:
     bags = [stack.enter_context(open_bag(file)) for file in files]
     for bag in bags:
         if bag.trouble is not None:
-            _say(str(bag.trouble))
+            _print_note(str(bag.trouble))
         for name in bag.left_out:
-            _say(f"{bag.path}: {name} is left out")
+            _print_note(f"{bag.path}: {name} is left out")
     return bags
 
 
@@ -150,9 +150,11 @@ def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: t
     if moves:
         warn_of_refusals(client, moving)
     services = PlayServices(client.hub, registry, timeline, commands=moves)
-    player = Player(source, output, timeline, loop=args.loop, tell=_say)
+    player = Player(source, output, timeline, loop=args.loop, tell=_print_note)
     if services.taken:
-        _say("another player is on the hub: a call of /midspan/play/pause or /midspan/play/step reaches one of them")
+        _print_note(
+            "another player is on the hub: a call of /midspan/play/pause or /midspan/play/step reaches one of them"
+        )
     failed: BaseException | None = None
     try:
         _begin(args, output, ended)
@@ -176,16 +178,16 @@ def _play(args: argparse.Namespace, client: CliClient, bags: list[Bag], ended: t
 def _tell_choice(topics: list[PlayTopic], left: list[LeftOut], rate: float) -> None:
     from bridge.bags.play.topics import twice
 
-    for each in left:
-        _say(f"{each.name} ({each.type_name}) is left out: {each.why}")
+    for other in left:
+        _print_note(f"{other.name} ({other.type_name}) is left out: {other.why}")
     if not topics:
         raise CliError("there is nothing to play: no topic is left" + ("" if left else " by --topics and --exclude"))
     for name in sorted(twice(topics)):
-        _say(f"{name} has several types in the bags: a subscriber receives one of them")
+        _print_note(f"{name} has several types in the bags: a subscriber receives one of them")
     if moving := sorted({topic.name for topic in topics if topic.command}):
-        _say(f"commands are played, the robot may move: {', '.join(moving)}")
+        _print_note(f"commands are played, the robot may move: {', '.join(moving)}")
         if rate != 1.0:
-            _say(
+            _print_note(
                 f"at a rate of {rate:g} each velocity lasts {1 / rate:.2g} times as long: the robot drives another path"
             )
 
@@ -193,7 +195,7 @@ def _tell_choice(topics: list[PlayTopic], left: list[LeftOut], rate: float) -> N
 def _begin(args: argparse.Namespace, output: Any, ended: threading.Event) -> None:
     """Warn of a live robot, and let listeners connect."""
     for name, nodes in output.others().items():
-        _say(
+        _print_note(
             f"{name} has a publisher already, {', '.join(sorted(set(nodes)))}: subscribers receive both (a live robot?)"
         )
     if output.await_listeners(MATCH_SECONDS, ended):
@@ -221,7 +223,7 @@ def _follow(
     with Screen(player, source, keys=keys, progress=progress) as screen:
         thread.start()
         while thread.is_alive() and not ended.is_set():
-            if screen.look(_LOOK_SECONDS, ended):
+            if screen.poll(_LOOK_SECONDS, ended):
                 break
         player.timeline.stop()
         thread.join(_END_SECONDS)
@@ -244,6 +246,6 @@ def _tell_end(player: Player) -> None:
     print(f"played {plural(player.played.total(), 'message')}{drops and f', dropped: {drops[2:]}'}{late}")
 
 
-def _say(text: str) -> None:
+def _print_note(text: str) -> None:
     over = "\r\x1b[K" if sys.stderr.isatty() else ""  # the line of progress
     print(f"{over}{clean(text)}", file=sys.stderr, flush=True)

@@ -34,7 +34,7 @@ class Screen:
         if self._progress:
             print(_CLEAR, end="", file=sys.stderr, flush=True)
 
-    def look(self, seconds: float, ended: threading.Event) -> bool:
+    def poll(self, seconds: float, ended: threading.Event) -> bool:
         """Wait up to ``seconds`` for keys, and show the progress; return whether to quit."""
         if self._progress:
             print(f"{_CLEAR}{self.line()}", end="", file=sys.stderr, flush=True)
@@ -57,9 +57,9 @@ class Screen:
         source, timeline = self._source, self._player.timeline
         at = max(0.0, (timeline.now_ns() - source.begin_ns) / 1e9)
         whole = (source.end_ns - source.begin_ns) / 1e9
-        words = [f"{at:.1f} of {whole:.1f} s", f"rate {timeline.rate:g}", f"{self._player.played.total()} messages"]
+        parts = [f"{at:.1f} of {whole:.1f} s", f"rate {timeline.rate:g}", f"{self._player.played.total()} messages"]
         if dropped := self._player.dropped.total():
-            words.append(f"{dropped} dropped")
+            parts.append(f"{dropped} dropped")
         if timeline.paused:
-            words.append("paused")
-        return ", ".join(words)
+            parts.append("paused")
+        return ", ".join(parts)

@@ -41,10 +41,10 @@ _LOOK_SECONDS = 0.2
 
 def megabytes(text: str) -> int:
     """``1GB``, ``500 MB``, ``64`` (megabytes); each unit is 1,024 of the one below."""
-    found = _SIZE.fullmatch(text.strip())
-    if found is None:
+    match = _SIZE.fullmatch(text.strip())
+    if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a size: write it as 500MB or 1GB")
-    value = float(found[1]) * 1024.0 ** ({"k": -1, "": 0, "m": 0, "g": 1, "t": 2}[found[2].lower()])
+    value = float(match[1]) * 1024.0 ** ({"k": -1, "": 0, "m": 0, "g": 1, "t": 2}[match[2].lower()])
     if value < 1.0:
         raise argparse.ArgumentTypeError(f"{text!r} is less than a megabyte")
     return int(value)
@@ -59,15 +59,15 @@ def register(parser: argparse.ArgumentParser) -> None:
     )
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    what = parser.add_argument_group("what")
-    what.add_argument("topics", nargs="*", metavar="TOPIC", help="names or globs, as /camera/**")
-    what.add_argument("-a", "--all", action="store_true", help="all topics")
-    add_exclude(what)
-    what.add_argument(
+    group = parser.add_argument_group("what")
+    group.add_argument("topics", nargs="*", metavar="TOPIC", help="names or globs, as /camera/**")
+    group.add_argument("-a", "--all", action="store_true", help="all topics")
+    add_exclude(group)
+    group.add_argument(
         "--side", action="append", default=[], metavar="SIDE",
         help="only from this side, and of it also what does not cross: ros1, ros2, yarp, zenoh ...; may be repeated",
     )  # fmt: skip
-    what.add_argument("--duration", type=span, metavar="TIME", help="exit after this time, as 30s or 10m")
+    group.add_argument("--duration", type=span, metavar="TIME", help="exit after this time, as 30s or 10m")
     where = parser.add_argument_group("where")
     where.add_argument("-o", "--output", type=Path, metavar="FILE", help="default midspan_<time>.mcap, here")
     where.add_argument(
@@ -111,8 +111,8 @@ def run(args: argparse.Namespace) -> int:
     from bridge.record.places import stamp
 
     output: Path = args.output or Path("." if args.ring else f"midspan_{stamp()}.mcap")
-    if why := forbidden(output.name):
-        raise CliError(f"{output} {why}")
+    if reason := forbidden(output.name):
+        raise CliError(f"{output} {reason}")
     warn_of_daemon(args, config)
     return _record(args, config, section, output)
 
@@ -122,17 +122,19 @@ def _tell_daemon(client: CliClient, args: argparse.Namespace) -> int:
     if not answers:
         missing = client.daemon().why_missing("record", client.config)
         raise CliError(f"no recorder answers: {missing or _NO_RECORDER}")
-    told: list[dict[str, Any]] = []
+    statuses: list[dict[str, Any]] = []
     for answer in answers:
         if answer.error:
             raise CliError(f"the recorder of {answer.daemon}: {answer.error}")
         file = str(answer.value.get("file", "")) if isinstance(answer.value, dict) else ""
-        told.append({"daemon": answer.daemon, "done": args.daemon, "file": file})
+        statuses.append({"daemon": answer.daemon, "done": args.daemon, "file": file})
         if not args.json:
-            word = {"start": "records into", "trigger": "the ring is in"}.get(args.daemon, "closed")
-            print(f"{clean(answer.daemon)}: {word} {clean(file)}" if file else f"{clean(answer.daemon)}: nothing to do")
+            prefix = {"start": "records into", "trigger": "the ring is in"}.get(args.daemon, "closed")
+            print(
+                f"{clean(answer.daemon)}: {prefix} {clean(file)}" if file else f"{clean(answer.daemon)}: nothing to do"
+            )
     if args.json:
-        print_json(told)
+        print_json(statuses)
     return 0
 
 
@@ -196,12 +198,12 @@ def _record(args: argparse.Namespace, config: Config, section: RecordSection, ou
         recording.close()
         for number, handler in before.items():
             signal.signal(number, handler)
-    told = recording.recorder.status()
+    status = recording.recorder.status()
     if args.json:
-        print_json(told)
+        print_json(status)
     else:
-        _print(told)
-    return 1 if told["error"] else 0
+        _print(status)
+    return 1 if status["error"] else 0
 
 
 def _await_hub(recording: Recording, config: Config, ended: threading.Event) -> None:
@@ -224,10 +226,12 @@ def _follow(recording: Recording, duration: float | None, ended: threading.Event
             recording.recorder.computes()
         except (RuntimeError, TimeoutError) as err:
             raise CliError(f"recording ends: {err}") from None
-        told = recording.recorder.status()
-        if told["error"] != trouble:
-            trouble = told["error"]
-            print(f"not recording: {trouble}" if trouble else f"recording again, into {told['file']}", file=sys.stderr)
+        status = recording.recorder.status()
+        if status["error"] != trouble:
+            trouble = status["error"]
+            print(
+                f"not recording: {trouble}" if trouble else f"recording again, into {status['file']}", file=sys.stderr
+            )
         if end is not None and time.monotonic() >= end:
             return
 

@@ -43,8 +43,8 @@ def run(args: argparse.Namespace) -> int:
     from bridge.daemon.workers import worker_kinds
 
     kind = worker_kinds()["sim"]
-    if why := kind.missing(config):
-        raise CliError(why)
+    if reason := kind.missing(config):
+        raise CliError(reason)
     return run_alone(kind, config, lambda: _config(args))
 
 

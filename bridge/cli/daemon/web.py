@@ -26,9 +26,9 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     add_config(parser)
-    one = parser.add_mutually_exclusive_group()
-    one.add_argument("--open", action="store_true", help="open it in this machine's browser")
-    one.add_argument("--token", metavar="NAME", help="make a token for a person or a program, and print it this once")
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--open", action="store_true", help="open it in this machine's browser")
+    group.add_argument("--token", metavar="NAME", help="make a token for a person or a program, and print it this once")
     parser.add_argument("--role", choices=["watch", "drive"], default="drive", help="of the token (default drive)")
     parser.set_defaults(run=run)
 
@@ -74,13 +74,13 @@ def _how_to_get_in(config: Config) -> str:
     from bridge.hub.security.door import key_files
 
     people = ", ".join(f"{name} ({token.role})" for name, token in config.web.tokens.items())
-    ways = [
+    hints = [
         f"- the browser must know the authority: import {key_files(config).ca} there",
         f"- log in with a token of {people}" if people else "",
         "- or show a certificate of that authority" + _drivers(config.web.trusted),
         "- another token: midspan web --token NAME",
     ]
-    return "\n".join(["To get in:", *filter(None, ways)])
+    return "\n".join(["To get in:", *filter(None, hints)])
 
 
 def _drivers(trusted: tuple[str, ...]) -> str:

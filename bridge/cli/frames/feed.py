@@ -61,10 +61,10 @@ class FrameMeter:
 
     def copy(self) -> Self:
         """As it is now."""
-        made = type(self)()
-        made.count, made.arrived = self.count, self.arrived
-        made._arrivals, made._delays = self._arrivals.copy(), self._delays.copy()
-        return made
+        copy = type(self)()
+        copy.count, copy.arrived = self.count, self.arrived
+        copy._arrivals, copy._delays = self._arrivals.copy(), self._delays.copy()
+        return copy
 
 
 QUIET, MOST = 0.15, 1.0
@@ -136,10 +136,10 @@ class TransformListener:
     def _all_spoke(self) -> bool:
         """Whether each publisher has sent a transform; False if one bridges a side, which may have many programs."""
         with self._lock:
-            heard = {gid for _, _, gid in self._known}
+            received = {gid for _, _, gid in self._known}
         topics = {feed.topic for feed in self._feeds}
         others = [e for e in self.client.hub.graph.publishers() if e.topic in topics and not e.own]
-        return all(e.origin is None and not e.pending and e.gid in heard for e in others)
+        return all(e.origin is None and not e.pending and e.gid in received for e in others)
 
     def refresh(self) -> None:
         """Subscribe to new publishers."""
@@ -187,7 +187,7 @@ class TransformListener:
         for feed in self._feeds:
             feed.close()
         if refused := self.buffer.refused:  # the first of each kind was logged in words
-            print("refused: " + ", ".join(f"{why} {count}" for why, count in refused.items()), file=sys.stderr)
+            print("refused: " + ", ".join(f"{reason} {count}" for reason, count in refused.items()), file=sys.stderr)
         if self._bad:
             print(clean(self._bad), file=sys.stderr)
         if lost := sum(feed.lost for feed in self._feeds):

@@ -153,18 +153,18 @@ def _echo(args: argparse.Namespace) -> int:
 def _next(args: argparse.Namespace, listener: TransformListener) -> Transform:
     """Wait for a transform, and print why there is none; raises `CliError` after the timeout."""
     end = math.inf if args.timeout is None else time.monotonic() + args.timeout
-    told = ""
+    printed = ""
     while True:
         left = max(0.0, end - time.monotonic())
         try:
             return listener.buffer.lookup_transform(args.reference, args.frame, timeout=min(left, _LOOK_SECONDS))
         except TransformError as err:
-            why = clean(err).strip()
+            reason = clean(err).strip()
             if left <= _LOOK_SECONDS or isinstance(err, InvalidArgumentError):
-                raise CliError(why) from None
-        if why != told:
-            print(f"waiting: {why}", file=sys.stderr, flush=True)
-            told = why
+                raise CliError(reason) from None
+        if reason != printed:
+            print(f"waiting: {reason}", file=sys.stderr, flush=True)
+            printed = reason
         listener.refresh()
 
 
@@ -245,27 +245,27 @@ def way(frames: Mapping[str, FrameInfo], one: str, other: str) -> list[str]:
 def _print_meters(args: argparse.Namespace, listener: TransformListener) -> None:
     meters, now = listener.meters(), time.monotonic()
     frames = {info.name: info for info in listener.buffer.frames() if info.name in meters}
-    said = ""
+    age = ""
     if args.frames:
-        one, other = (name.lstrip("/") for name in args.frames)
-        said = _age_text(listener, one, other)
-        frames = {name: frames[name] for name in sorted(way(frames, one, other))}
+        first, other = (name.lstrip("/") for name in args.frames)
+        age = _age_text(listener, first, other)
+        frames = {name: frames[name] for name in sorted(way(frames, first, other))}
     if args.json:
         print_json([_meter_json(info, meters[info.name], now) for info in frames.values()], lines=True)
         return
     make_console().print(_meter_table(frames.values(), meters, now))
-    if said:
-        print(said, flush=True)
+    if age:
+        print(age, flush=True)
 
 
 def _age_text(listener: TransformListener, one: str, other: str) -> str:
     try:
-        found = listener.buffer.lookup_transform(one, other)
+        transform = listener.buffer.lookup_transform(one, other)
     except TransformError as err:
         return clean(err).strip()
-    if not found.stamp:
+    if not transform.stamp:
         return f"{one} to {other}: static"
-    return f"{one} to {other}: newest {(listener.clock.now_ns() - found.stamp) / 1e9:.3f} s old"
+    return f"{one} to {other}: newest {(listener.clock.now_ns() - transform.stamp) / 1e9:.3f} s old"
 
 
 def _meter_json(info: FrameInfo, meter: FrameMeter, now: float) -> dict[str, Any]:

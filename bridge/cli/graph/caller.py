@@ -111,8 +111,8 @@ def _served(client: CliClient, name: str, wanted: str) -> tuple[str, str]:
     unwatch = client.hub.graph.watch(changed.set)
     try:
         while True:
-            found = {(e.type_name, e.type_hash) for e in client.hub.graph.servers(name)}
-            fitting = sorted(entry for entry in found if wanted in ("", entry[0]))
+            served = {(e.type_name, e.type_hash) for e in client.hub.graph.servers(name)}
+            fitting = sorted(entry for entry in served if wanted in ("", entry[0]))
             if len(fitting) > 1 and not wanted:
                 raise CliError(f"{name} is served with several types: {', '.join(t for t, _ in fitting)}; name one")
             if fitting:
@@ -122,6 +122,6 @@ def _served(client: CliClient, name: str, wanted: str) -> tuple[str, str]:
             changed.clear()
     finally:
         unwatch()
-    if found:
-        raise CliError(f"{name} is {', '.join(sorted(t for t, _ in found))} on the hub, not {wanted}")
+    if served:
+        raise CliError(f"{name} is {', '.join(sorted(t for t, _ in served))} on the hub, not {wanted}")
     raise CliError(f"{name} has no server on the hub; 'midspan explain {name}' shows why")

@@ -132,13 +132,13 @@ class TopicFeed:
             return
         topic, type_name, type_hash = key
 
-        def heard(sample: HubSample) -> None:
+        def on_sample(sample: HubSample) -> None:
             origin = self._client.hub.graph.origin_of(sample.zid)
             side = "zenoh" if origin is None else origin.side
             if self._side in (None, side):
                 self.on_sample(sample, type_name, type_hash, side)
 
-        self._subscriptions[key] = self._client.hub.subscription(topic, type_name, type_hash, qos, heard)
+        self._subscriptions[key] = self._client.hub.subscription(topic, type_name, type_hash, qos, on_sample)
 
     def _tap(self) -> None:
         if time.monotonic() < self._tap_due:
@@ -156,8 +156,8 @@ class TopicFeed:
         decisions = ask_decisions(self._client, self.topic)
         if not decisions:
             return unknown("topic", self.topic, all_topics(self._client))
-        words = "; ".join(f"{side_name(d.worker)}: {d.decision}: {d.why}" for d in decisions)
-        return f"nothing of {self.topic} can be received now ({words}); wait for it with --timeout SECONDS"
+        reasons = "; ".join(f"{side_name(d.worker)}: {d.decision}: {d.why}" for d in decisions)
+        return f"nothing of {self.topic} can be received now ({reasons}); wait for it with --timeout SECONDS"
 
 
 def add_feed_arguments(parser: argparse.ArgumentParser) -> None:

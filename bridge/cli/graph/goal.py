@@ -170,9 +170,9 @@ class FollowedGoal:
         except Interrupted as err:
             if err.number != signal.SIGINT:
                 return self._give_up(err.number.name)._replace(code=err.code)
-            why, code = "Ctrl-C", err.code
+            reason, code = "Ctrl-C", err.code
         except TimeoutError:
-            why, code = f"{timeout:g} s are over", 0
+            reason, code = f"{timeout:g} s are over", 0
         except CliError:
             raise
         except BaseException as err:  # without its client a robot would drive on, here for example after `| head`
@@ -180,7 +180,7 @@ class FollowedGoal:
             raise
         self.cancel()
         before_cancel()
-        print(f"{why}: the goal is being canceled; Ctrl-C again does not wait", file=sys.stderr)
+        print(f"{reason}: the goal is being canceled; Ctrl-C again does not wait", file=sys.stderr)
         return self._ended(self.follow(None, show, each), code)
 
     def _give_up(self, why: str) -> GoalEnd:

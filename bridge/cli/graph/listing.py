@@ -39,13 +39,13 @@ def register(verbs: Any, kind: Kind, views: Callable[[CliClient], Views]) -> Non
 
 def _list(args: argparse.Namespace, views: Callable[[CliClient], Views], kind: Kind) -> int:
     with open_client(args, watches=True) as client:
-        found = sorted(views(client).values(), key=lambda view: view.name)
+        topics = sorted(views(client).values(), key=lambda view: view.name)
     if args.json:
-        print_json([view.as_dict() for view in found])
+        print_json([view.as_dict() for view in topics])
     elif args.verbose:
-        make_console().print(_table(found, kind))
+        make_console().print(_table(topics, kind))
     else:
-        for view in found:
+        for view in topics:
             print(clean(view.name))
     return 0
 
@@ -58,8 +58,8 @@ def _info(args: argparse.Namespace, views: Callable[[CliClient], Views], kind: K
         return 0
     print(f"{kind}: {clean(view.name)}")
     print(f"type: {clean(', '.join(sorted(view.types)))}")
-    for word, endpoints in view.ends.items():
-        print(f"{word} on the hub: {len(endpoints)}")
+    for role, endpoints in view.ends.items():
+        print(f"{role} on the hub: {len(endpoints)}")
         for endpoint in endpoints:
             print(f"  {endpoint_text(endpoint)}")
     if view.decisions:
@@ -70,7 +70,7 @@ def _info(args: argparse.Namespace, views: Callable[[CliClient], Views], kind: K
 
 
 def _as_json(view: GraphView) -> dict[str, Any]:
-    document = view.as_dict() | {word: [endpoint_json(e) for e in found] for word, found in view.ends.items()}
+    document = view.as_dict() | {role: [endpoint_json(e) for e in ends] for role, ends in view.ends.items()}
     left_out = ("from", "state") if view.kind == "topic" else ()
     return {name: value for name, value in document.items() if name not in left_out}
 

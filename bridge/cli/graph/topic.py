@@ -194,8 +194,8 @@ def _await_listeners(client: CliClient, publisher: HubPublisher, topic: str, set
         print(f"{topic} has no subscriber on the hub yet", file=sys.stderr)
     for decision in ask_decisions(client, topic):
         if decision.direction == "out" and decision.decision in ("denied", "private", "refused"):
-            why = f"{decision.decision}: {decision.why}"
-            print(f"it does not reach {side_name(decision.worker)}: {clean(why)}", file=sys.stderr)
+            reason = f"{decision.decision}: {decision.why}"
+            print(f"it does not reach {side_name(decision.worker)}: {clean(reason)}", file=sys.stderr)
 
 
 def _warn_of_other_types(client: CliClient, topic: str, name: str) -> None:

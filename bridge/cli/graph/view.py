@@ -88,7 +88,7 @@ class GraphView:
             self.kind: self.name,
             "types": sorted(self.types),
             "from": self.sides,
-            **{word: len(endpoints) for word, endpoints in self.ends.items()},
+            **{role: len(endpoints) for role, endpoints in self.ends.items()},
             "state": self.state,
             "decisions": [decision.as_dict() for decision in self.decisions],
         }
@@ -198,10 +198,10 @@ def unknown(kind: Kind, name: str, names: Iterable[str]) -> str:
 def endpoint_text(endpoint: HubEndpoint) -> str:
     """Return one endpoint as text."""
     if endpoint.origin is None:
-        who = "maker not known yet" if endpoint.pending else "zenoh, on the hub itself"
+        owner = "maker not known yet" if endpoint.pending else "zenoh, on the hub itself"
     else:
-        who = f"for {side_name(endpoint.origin.side)}, daemon {endpoint.origin.daemon}"
-    return f"{clean(node_name(endpoint))} ({clean(who)}), {qos_text(endpoint.qos)}, {clean(endpoint.type_name)}"
+        owner = f"for {side_name(endpoint.origin.side)}, daemon {endpoint.origin.daemon}"
+    return f"{clean(node_name(endpoint))} ({clean(owner)}), {qos_text(endpoint.qos)}, {clean(endpoint.type_name)}"
 
 
 def endpoint_json(endpoint: HubEndpoint) -> dict[str, Any]:

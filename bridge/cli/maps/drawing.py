@@ -113,7 +113,7 @@ def lines(
     chosen: NDArray[np.uint8] = colours(grid).reshape(grid.width() * grid.height(), 3)[shown]
     marks = _area_marks(grid, areas, step) | _line_marks(grid, path, step, "o", PATH_COLOUR)
     marks |= _location_marks(grid, locations, step)
-    found = []
+    rows = []
     for row in range(0, shown.shape[0], 2):
         line = Text()
         for column in range(shown.shape[1]):
@@ -123,10 +123,10 @@ def lines(
                 dots = [chosen[at, column] for at in range(row, min(row + 2, shown.shape[0]))]
                 line.append_text(_dots(dots, mark))
             else:
-                flag = max((MapFlag(int(each)) for each in flags), key=_RANK.__getitem__)
+                flag = max((MapFlag(int(value)) for value in flags), key=_RANK.__getitem__)
                 line.append(mark[0] if mark else _LETTERS[flag])
-        found.append(line if coloured else Text(line.plain.rstrip()))
-    return [*found, *_legend(grid, locations, areas, coloured=coloured)]
+        rows.append(line if coloured else Text(line.plain.rstrip()))
+    return [*rows, *_legend(grid, locations, areas, coloured=coloured)]
 
 
 def _reduced(grid: MapGrid2D, step: int) -> NDArray[np.intp]:
@@ -139,8 +139,8 @@ def _reduced(grid: MapGrid2D, step: int) -> NDArray[np.intp]:
     rows, columns = np.divmod(blocks.argmax(axis=2), step)
     rows = rows + np.arange(height)[:, None] * step
     columns = columns + np.arange(width)[None, :] * step
-    found: NDArray[np.intp] = rows * grid.width() + columns
-    return found
+    indexes: NDArray[np.intp] = rows * grid.width() + columns
+    return indexes
 
 
 def _dots(dots: list[NDArray[np.uint8]], mark: tuple[str, tuple[int, int, int]] | None) -> Text:
@@ -196,11 +196,11 @@ def _line_marks(
 def _legend(
     grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], *, coloured: bool
 ) -> list[Text]:
-    there = [flag for flag in MapFlag if (grid.flags == flag).any()]
-    words = [flag.name.lower().replace("_", " ") for flag in there]
-    found = [] if coloured else [Text(", ".join(f"'{_LETTERS[f]}' {w}" for f, w in zip(there, words, strict=True)))]
+    present = [flag for flag in MapFlag if (grid.flags == flag).any()]
+    names = [flag.name.lower().replace("_", " ") for flag in present]
+    entries = [] if coloured else [Text(", ".join(f"'{_LETTERS[f]}' {w}" for f, w in zip(present, names, strict=True)))]
     for number, (name, place) in enumerate(locations.items()):
         mark = _MARKS[number % len(_MARKS)]
-        found.append(Text(f"{mark} {clean(name)}: {place.x:g}, {place.y:g} m, {place.theta:g} degrees"))
-    found += [Text(f"· {clean(name)}: area of {len(area.points)} corners") for name, area in areas.items()]
-    return found
+        entries.append(Text(f"{mark} {clean(name)}: {place.x:g}, {place.y:g} m, {place.theta:g} degrees"))
+    entries += [Text(f"· {clean(name)}: area of {len(area.points)} corners") for name, area in areas.items()]
+    return entries

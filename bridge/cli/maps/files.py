@@ -125,7 +125,9 @@ def _export_locations(args: argparse.Namespace) -> int:
         elif form == ".geojson":
             write(args.file, to_geojson(places, extras.behaviours, extras.links, map_name))
         else:
-            chosen = {name: each for name, each in places.locations.items() if map_name in ("", each.map_id)}
+            chosen = {
+                name: location for name, location in places.locations.items() if map_name in ("", location.map_id)
+            }
             write(args.file, to_waypoints(chosen))
     except MapFileError as err:
         raise CliError(str(err)) from None

@@ -95,12 +95,12 @@ def _corners(args: argparse.Namespace, stored: StoreClient, grid: MapGrid2D) -> 
 
 def _numbers(text: str, count: int) -> list[float]:
     try:
-        found = [float(part) for part in text.split(",")]
+        numbers = [float(part) for part in text.split(",")]
     except ValueError:
-        found = []
-    if len(found) != count or not all(map(math.isfinite, found)):
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
         raise argparse.ArgumentTypeError(f"{text!r} is not {count} comma-separated numbers")
-    return found
+    return numbers
 
 
 def _point(text: str) -> list[float]:
@@ -108,7 +108,7 @@ def _point(text: str) -> list[float]:
 
 
 def _circle(text: str) -> list[float]:
-    found = _numbers(text, 3)
-    if found[2] <= 0:
-        raise argparse.ArgumentTypeError(f"a circle's radius is above 0, not {found[2]:g}")
-    return found
+    numbers = _numbers(text, 3)
+    if numbers[2] <= 0:
+        raise argparse.ArgumentTypeError(f"a circle's radius is above 0, not {numbers[2]:g}")
+    return numbers

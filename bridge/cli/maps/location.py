@@ -100,11 +100,11 @@ def _rows(stored: StoreClient, only: str | None) -> list[dict[str, Any]]:
     for name, kind in KINDS.items():
         if only not in (None, name):
             continue
-        for each, value in (locations if kind is kinds.LOCATION else stored.all(kind)).items():
-            told = dict(_JSON[name](value))
-            row: dict[str, Any] = {"kind": name, "name": each, "maps": _maps(name, told, locations), "value": told}
-            if name == "area" and each in behaviours:
-                row["behaviour"] = dict(kinds.behaviour_json(behaviours[each]))
+        for key, value in (locations if kind is kinds.LOCATION else stored.all(kind)).items():
+            entry = dict(_JSON[name](value))
+            row: dict[str, Any] = {"kind": name, "name": key, "maps": _maps(name, entry, locations), "value": entry}
+            if name == "area" and key in behaviours:
+                row["behaviour"] = dict(kinds.behaviour_json(behaviours[key]))
             rows.append(row)
     return rows
 
@@ -132,12 +132,12 @@ def _where(kind: str, value: dict[str, Any]) -> str:
 def _behavior(found: dict[str, Any] | None) -> str:
     if found is None:
         return ""
-    words = [] if found["max_speed"] is None else [f"up to {found['max_speed']:g} m/s"]
+    parts = [] if found["max_speed"] is None else [f"up to {found['max_speed']:g} m/s"]
     if found["on_obstacle"]:
-        words.append(f"obstacle: {found['on_obstacle']}")
+        parts.append(f"obstacle: {found['on_obstacle']}")
     if found["keep_out"]:
-        words.append("keep out")
-    return ", ".join(words)
+        parts.append("keep out")
+    return ", ".join(parts)
 
 
 PATIENCE = 5.0
@@ -182,16 +182,16 @@ def _add(args: argparse.Namespace) -> int:
 
 def robot_pose(client: CliClient, map_frame: str, base_frame: str) -> tuple[float, float, float]:
     """Return the robot's pose in meters and degrees; raises `CliError` if it is unknown."""
-    heard = TransformListener(client)
+    transforms = TransformListener(client)
     try:
-        heard.open()
-        heard.wait()
-        found = heard.buffer.lookup_transform(map_frame, base_frame, timeout=PATIENCE)
+        transforms.open()
+        transforms.wait()
+        pose = transforms.buffer.lookup_transform(map_frame, base_frame, timeout=PATIENCE)
     except TransformError as err:
         raise CliError(f"the robot's pose is unknown: {clean(err).strip()}") from None
     finally:
-        heard.close()
-    age = (heard.clock.now_ns() - found.stamp) / 1e9 if found.stamp else 0.0
+        transforms.close()
+    age = (transforms.clock.now_ns() - pose.stamp) / 1e9 if pose.stamp else 0.0
     if age > _OLD:
         raise CliError(f"the robot's pose was last published {age:.1f} s ago; is its localizer running?")
-    return found.translation[0], found.translation[1], math.degrees(angles_of(found.rotation)[2])
+    return pose.translation[0], pose.translation[1], math.degrees(angles_of(pose.rotation)[2])

@@ -27,9 +27,9 @@ def register(parser: argparse.ArgumentParser) -> None:
     show.register(verbs)
     files.register_map_files(verbs)
     flags.register(verbs)
-    gone = add_verb(verbs, "delete", _delete, "delete a map", "Deletes a map from the store, on all machines.")
-    gone.add_argument("name", help="the map's name")
-    gone.add_argument("--3d", dest="three", action="store_true", help="the one in three dimensions")
+    delete = add_verb(verbs, "delete", _delete, "delete a map", "Deletes a map from the store, on all machines.")
+    delete.add_argument("name", help="the map's name")
+    delete.add_argument("--3d", dest="three", action="store_true", help="the one in three dimensions")
 
 
 def _list(args: argparse.Namespace) -> int:

@@ -24,34 +24,34 @@ def described(name: str, value: Map3D) -> dict[str, Any]:
     """Describe a map: its form, its counts, and its bounds in meters (null if it is empty)."""
     if isinstance(value, PointCloud):
         kind = PointType(value.getPointType()).name.lower().replace("_", " ")
-        found = {"form": "cloud", "type": kind, "points": value.size()}
+        description = {"form": "cloud", "type": kind, "points": value.size()}
         places = value.numpy()
         corners = np.stack([places[axis] for axis in "xyz"], axis=1)
         corners = corners[np.isfinite(corners).all(axis=1)]
         low, high = (corners, corners)
     else:
         voxels = value.voxels()
-        found = {
+        description = {
             "form": "octomap", "type": value.id, "binary": value.binary, "resolution": value.resolution,
             "leaves": len(voxels.sizes), "occupied": int(voxels.occupied.sum()),
         }  # fmt: skip
         half = voxels.sizes[:, None] / 2
         low, high = voxels.centers - half, voxels.centers + half
     bounds = [[round(float(n), 3) for n in part] for part in (low.min(axis=0), high.max(axis=0))] if len(low) else None
-    return {"name": name, **found, "bounds": bounds}
+    return {"name": name, **description, "bounds": bounds}
 
 
-def line(found: dict[str, Any]) -> str:
+def line(description: dict[str, Any]) -> str:
     """Format a description as one line."""
-    if found["form"] == "cloud":
-        what = f"cloud of {found['points']} points ({found['type']})"
+    if description["form"] == "cloud":
+        text = f"cloud of {description['points']} points ({description['type']})"
     else:
-        form = "free or occupied" if found["binary"] else "probabilities"
-        what = f"{found['type']} of {found['leaves']} leaves, {found['occupied']} occupied ({form})"
-        what += f", cells of {found['resolution']:g} m"
-    bounds = found["bounds"]
+        form = "free or occupied" if description["binary"] else "probabilities"
+        text = f"{description['type']} of {description['leaves']} leaves, {description['occupied']} occupied ({form})"
+        text += f", cells of {description['resolution']:g} m"
+    bounds = description["bounds"]
     where = " to ".join(", ".join(f"{number:g}" for number in corner) for corner in bounds) if bounds else "empty"
-    return f"3D {clean(found['name'])}: {what}; {where}" + (" m" if bounds else "")
+    return f"3D {clean(description['name'])}: {text}; {where}" + (" m" if bounds else "")
 
 
 def show(args: argparse.Namespace) -> int:
@@ -85,8 +85,8 @@ def layer(name: str, value: Map3D, height: float) -> MapGrid2D:
     flags = np.empty((rows, width), np.uint8)
     middle = (wanted - MIDDLE + 0.5) * edge
     for row, y in enumerate(up[::-1]):
-        found = tree.search(across, y, middle)
-        flags[row] = np.where(np.isnan(found), MapFlag.UNKNOWN, np.where(found > 0, MapFlag.WALL, MapFlag.FREE))
+        leaves = tree.search(across, y, middle)
+        flags[row] = np.where(np.isnan(leaves), MapFlag.UNKNOWN, np.where(leaves > 0, MapFlag.WALL, MapFlag.FREE))
     return MapGrid2D.of(flags, name=name, resolution=edge, origin=(*((first - MIDDLE) * edge).tolist(), 0.0))
 
 

@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         except CliError as err:
             raise CliError(f"{err}\n{no_answer(client)}") from None
         progress = GoalProgress(sent.id, as_json=args.json)
-        status = LatestMessage(client, types, STATUS_TOPIC, STATUS, progress.take)
+        status = LatestMessage(client, types, STATUS_TOPIC, STATUS, progress.update)
         try:
             return _drive(sent, goal, progress, args.timeout)
         finally:
@@ -79,7 +79,7 @@ def _numbers(words: list[str]) -> list[float] | None:
     if len(words) == 1:
         return None
     try:
-        numbers = [float(word) for word in words]
+        numbers = [float(argument) for argument in words]
     except ValueError:
         numbers = []
     if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
@@ -117,7 +117,7 @@ class GoalProgress:
         self._left: float | None = None
         self._due = 0.0
 
-    def take(self, status: dict[str, Any]) -> None:
+    def update(self, status: dict[str, Any]) -> None:
         """Store a ``NavigationStatus`` for `refresh`; called on a thread of zenoh."""
         if status["goal_id"] == self._goal:
             self._news.append(status)
@@ -169,18 +169,18 @@ def _drive(sent: FollowedGoal, goal: dict[str, Any], progress: GoalProgress, tim
         progress.end()
         raise
     state, code = STATES.get(end.status, "unknown"), int(end.result.get("error_code", 0))
-    why = reason_text(str(end.result.get("error_msg", "")), code)
+    reason = reason_text(str(end.result.get("error_msg", "")), code)
     if end.code in _TERMINATED:  # `FollowedGoal` has reported the end
         with contextlib.suppress(OSError):  # the terminal may be closed
             if progress.as_json:
-                print_json({"status": state, "reason": why, "code": code}, lines=True)
+                print_json({"status": state, "reason": reason, "code": code}, lines=True)
         return end.code
     progress.refresh()
     progress.end()
     if progress.as_json:
-        print_json({"status": state, "reason": why, "code": code}, lines=True)
+        print_json({"status": state, "reason": reason, "code": code}, lines=True)
     elif end.status == SUCCEEDED:
         print("arrived")
     else:
-        print(f"midspan: {state}" + (f": {clean(why)}" if why else ""), file=sys.stderr)
+        print(f"midspan: {state}" + (f": {clean(reason)}" if reason else ""), file=sys.stderr)
     return end.code or (0 if end.status == SUCCEEDED else 1)

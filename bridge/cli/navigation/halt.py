@@ -85,23 +85,23 @@ def run(args: argparse.Namespace) -> int:
     """Halt everything; return 1 if something did not answer."""
     with open_client(args, warn=False) as client:
         client.settle()
-        found = halt(client, Types(client), args.seconds)
-        refused = warn_of_refusals(client, found.published)
+        result = halt(client, Types(client), args.seconds)
+        refused = warn_of_refusals(client, result.published)
         warn_of_daemon(args, client.config, workers=False)  # not before: a daemon that hangs takes a second to ask
     if args.json:
-        errors = {cancel.name: cancel.error for cancel in found.failed}
-        errors |= {base: why for base, why in found.bases.items() if why}
-        errors |= {"navigation": found.trouble} if found.trouble else {}
-        goals = {cancel.name: cancel.found for cancel in found.cancels}
-        stands = {base: not why for base, why in found.bases.items()}
-        print_json({"topics": found.topics, "goals": goals, "bases": stands, "errors": errors})
+        errors = {cancel.name: cancel.error for cancel in result.failed}
+        errors |= {base: reason for base, reason in result.bases.items() if reason}
+        errors |= {"navigation": result.trouble} if result.trouble else {}
+        goals = {cancel.name: cancel.found for cancel in result.cancels}
+        stands = {base: not reason for base, reason in result.bases.items()}
+        print_json({"topics": result.topics, "goals": goals, "bases": stands, "errors": errors})
     else:
-        _tell(found.topics, found.cancels, found.bases)
-    if found.trouble:
-        raise CliError(found.trouble)
-    if not (found.topics or found.cancels or found.bases):
+        _print_result(result.topics, result.cancels, result.bases)
+    if result.trouble:
+        raise CliError(result.trouble)
+    if not (result.topics or result.cancels or result.bases):
         raise CliError("nothing to halt: the hub has no topic of velocities, no action and no BaseControl")
-    return 1 if found.failed or any(found.bases.values()) or refused else 0
+    return 1 if result.failed or any(result.bases.values()) or refused else 0
 
 
 def halt(client: CliClient, types: Types, seconds: float = DEFAULT_SECONDS) -> Halted:
@@ -147,11 +147,11 @@ class ZeroVelocities:
         graph = client.hub.graph
         self._graph = graph
         ends = [*graph.publishers(), *graph.subscriptions()]
-        found = sorted({(e.topic, e.type_name, e.type_hash) for e in ends if e.type_name in VELOCITIES})
-        self.published = found
-        self.topics = [topic for topic, _, _ in found]
+        topics = sorted({(e.topic, e.type_name, e.type_hash) for e in ends if e.type_name in VELOCITIES})
+        self.published = topics
+        self.topics = [topic for topic, _, _ in topics]
         self._publishers: list[tuple[HubPublisher, bytes]] = []
-        for topic, name, type_hash in found:
+        for topic, name, type_hash in topics:
             publisher = client.hub.publisher(topic, name, type_hash, Qos(depth=1), priority="command")
             self._publishers.append((publisher, from_json(types.registry, name, {})))
 
@@ -193,11 +193,11 @@ def _halted(client: CliClient) -> dict[str, str]:
     return {f"{a.worker} of {a.daemon}": a.error for a in answers if a.value != RECORDED}
 
 
-def _tell(topics: dict[str, int], cancels: list[GoalCancellation], bases: dict[str, str]) -> None:
+def _print_result(topics: dict[str, int], cancels: list[GoalCancellation], bases: dict[str, str]) -> None:
     for topic, listeners in topics.items():
         print(f"{clean(topic)}: zero velocity, {plural(listeners, 'listener')} on the hub")
-    for base, why in bases.items():
-        print(f"{clean(base)}: {clean(why) or 'stands still'}")
+    for base, reason in bases.items():
+        print(f"{clean(base)}: {clean(reason) or 'stands still'}")
     for cancel in cancels:
-        told = f"not cancelled: {clean(cancel.error)}" if cancel.error else f"{plural(cancel.found, 'goal')} cancelled"
-        print(f"{clean(cancel.name)}: {told}")
+        text = f"not cancelled: {clean(cancel.error)}" if cancel.error else f"{plural(cancel.found, 'goal')} cancelled"
+        print(f"{clean(cancel.name)}: {text}")

@@ -62,8 +62,8 @@ def run(args: argparse.Namespace) -> int:
         if args.nav_verb == "path":
             return _path(client, types, args)
         if args.nav_verb == "show":
-            told, way = told_status(client, types), waypoints(client, types)
-            return _draw(client, told, way, args)
+            status, path = told_status(client, types), waypoints(client, types)
+            return _draw(client, status, path, args)
         return _ask(client, types, args.nav_verb)
 
 
@@ -104,9 +104,9 @@ def _stop_itself(client: CliClient, types: Types, why: str) -> int:
 
 
 def _status(client: CliClient, types: Types, args: argparse.Namespace) -> int:
-    told, gateway = told_status(client, types), gateway_status(client)
+    status, gateway = told_status(client, types), gateway_status(client)
     away = planner_away(client, gateway)
-    goal = told["goal"] if told["goal"]["header"]["frame_id"] else None
+    goal = status["goal"] if status["goal"]["header"]["frame_id"] else None
     if args.json:
         place = None if goal is None else dict(zip(("frame", "x", "y", "theta_deg"), place_of(goal), strict=True))
         shown = {
@@ -115,19 +115,19 @@ def _status(client: CliClient, types: Types, args: argparse.Namespace) -> int:
         waits = {"waits": "" if away is None else away.text, "cure": "" if away is None else away.cure}
         print_json(
             {
-                "state": told["state"],
-                "reason": told["reason"],
-                "error_code": told["error_code"],
+                "state": status["state"],
+                "reason": status["reason"],
+                "error_code": status["error_code"],
                 "goal": place,
                 **shown,
                 **waits,
             }
         )
         return 0
-    print(clean(state_text(told)))
+    print(clean(state_text(status)))
     if goal is not None and gateway.get("goals"):
-        who = gateway.get("client")
-        print(f"goal     {clean(place_text(goal))}" + (f", of {clean(who)}" if who else ""))
+        client_name = gateway.get("client")
+        print(f"goal     {clean(place_text(goal))}" + (f", of {clean(client_name)}" if client_name else ""))
         more = int(gateway["goals"]) - 1
         if more > 0:
             print(f"         and {plural(more, 'more place')} after it")
@@ -145,8 +145,8 @@ def _status(client: CliClient, types: Types, args: argparse.Namespace) -> int:
 
 
 def _path(client: CliClient, types: Types, args: argparse.Namespace) -> int:
-    way = waypoints(client, types)
-    rows = [dict(zip(("frame", "x", "y", "theta_deg"), place_of(pose), strict=True)) for pose in way]
+    path = waypoints(client, types)
+    rows = [dict(zip(("frame", "x", "y", "theta_deg"), place_of(pose), strict=True)) for pose in path]
     if args.json:
         print_json(rows)
         return 0
@@ -165,8 +165,8 @@ def waypoints(client: CliClient, types: Types) -> list[dict[str, Any]]:
     client.settle()
     if planner not in OURS and not client.hub.graph.publishers(topic):
         return []
-    found = latest_message(client, types, topic, PATH, _PATH_SECONDS)
-    return [] if found is None else list(found["poses"])
+    message = latest_message(client, types, topic, PATH, _PATH_SECONDS)
+    return [] if message is None else list(message["poses"])
 
 
 def _draw(client: CliClient, told: dict[str, Any], way: list[dict[str, Any]], args: argparse.Namespace) -> int:

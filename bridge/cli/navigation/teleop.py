@@ -74,10 +74,10 @@ class Keys:
 
     def twist(self, now: float) -> dict[str, Any]:
         """The velocity to command at a time: zero unless a key is held."""
-        wish = self._wish if now <= self._until and not self.ended else HeldKeys()
+        held = self._wish if now <= self._until and not self.ended else HeldKeys()
         return {
-            "linear": {"x": wish.forward * self.speed, "y": wish.left * self.speed},
-            "angular": {"z": wish.turn * self.turn},
+            "linear": {"x": held.forward * self.speed, "y": held.left * self.speed},
+            "angular": {"z": held.turn * self.turn},
         }
 
 

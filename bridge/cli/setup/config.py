@@ -136,9 +136,9 @@ def register_import(parser: argparse.ArgumentParser) -> None:
     domain = add_verb(
         peers, "domain_bridge", run_import, "domain_bridge's file: one configuration for each of its domains", hub=False
     )
-    for peer, what, meta in ((ros1, "file", "FILE"), (domain, "folder", "FOLDER")):
+    for peer, kind, meta in ((ros1, "file", "FILE"), (domain, "folder", "FOLDER")):
         peer.add_argument("file", type=Path, metavar="FILE", help="the other bridge's file")
-        peer.add_argument("-o", "--output", type=Path, metavar=meta, help=f"the {what} to write to (default: print)")
+        peer.add_argument("-o", "--output", type=Path, metavar=meta, help=f"the {kind} to write to (default: print)")
         peer.add_argument("--force", action="store_true", help="overwrite existing files")
 
 
@@ -182,9 +182,9 @@ def _check(drafts: Sequence[Draft]) -> None:
 def _write(drafts: Sequence[Draft], files: Sequence[Path], *, force: bool) -> None:
     from bridge.cli.output import CliError
 
-    there = [str(file) for file in files if file.exists()]
-    if there and not force:
-        raise CliError(f"{', '.join(there)}: file exists; --force overwrites")
+    existing = [str(file) for file in files if file.exists()]
+    if existing and not force:
+        raise CliError(f"{', '.join(existing)}: file exists; --force overwrites")
     for draft, file in zip(drafts, files, strict=True):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(draft.text(), encoding="utf-8")

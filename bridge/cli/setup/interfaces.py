@@ -31,9 +31,9 @@ def register(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     make.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help="a package's folder, or a folder of such")
     show = add_verb(verbs, "list", run, "list the message packages that are installed or built", hub=False)
-    for each in (make, show):
-        each.add_argument("--cache", type=Path, metavar="FOLDER", help="the cache to use")
-        each.add_argument("--json", action="store_true", help="print the result as JSON")
+    for verb in (make, show):
+        verb.add_argument("--cache", type=Path, metavar="FOLDER", help="the cache to use")
+        verb.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -73,17 +73,17 @@ def _report(line: str) -> None:
 def _list(args: argparse.Namespace) -> int:
     installed = Ros2.find().packages
     rows = [
-        {"package": name, "state": "installed", "version": each.version, "prefix": str(each.prefix)}
-        for name, each in installed.items()
+        {"package": name, "state": "installed", "version": package.version, "prefix": str(package.prefix)}
+        for name, package in installed.items()
     ]
     for prefix in BuildCache(args.cache or default_cache()).packages():
         name, _, key = prefix.name.rpartition("-")
         rows.append({"package": name, "state": "built", "version": key, "prefix": str(prefix)})
-    there = {row["package"] for row in rows}
+    listed = {row["package"] for row in rows}
     rows += [
         {"package": name, "state": "missing", "version": "", "prefix": ""}
         for name in bundled_packages()
-        if name not in there
+        if name not in listed
     ]
     rows.sort(key=lambda row: (row["package"], row["state"]))
     if args.json:

@@ -79,12 +79,12 @@ def _make(folder: Path, args: argparse.Namespace) -> None:
     general_names(args.name, args.addresses)  # a mistake in the first call makes no authority
     authority = Authority(folder)
     if not authority.exists():
-        made = authority.make()
-        print(f"made the authority: {made.file}, valid until {made.until:%Y-%m-%d}")
+        certificate = authority.make()
+        print(f"made the authority: {certificate.file}, valid until {certificate.until:%Y-%m-%d}")
         print(f"  keep {folder}/ca.key here and safe, and never copy it: it makes certificates of any name\n")
-    made = authority.issue(args.name, args.addresses, args.days, replace=args.replace)
+    certificate = authority.issue(args.name, args.addresses, args.days, replace=args.replace)
     print(f"made {args.name}.pem and {args.name}.key in {folder}")
-    print(f"  valid until {made.until:%Y-%m-%d}, for connecting to {', '.join(made.names)}\n")
+    print(f"  valid until {certificate.until:%Y-%m-%d}, for connecting to {', '.join(certificate.names)}\n")
     print(_next_steps(folder, args.name, connects=not args.addresses))
 
 
@@ -122,12 +122,20 @@ def _snippet(folder: Path, name: str) -> str:
     others: list[Certificate] = []
     for file in sorted(folder.glob("*.pem")):
         with contextlib.suppress(CertificateError):  # a file that is not a certificate is nothing to connect to
-            others += [each for each in _certificates(file) if not each.authority and each.name not in ("", name)]
-    listening = [each for each in others if set(each.names) - {each.name, f"{each.name}.local"}]
+            others += [
+                certificate
+                for certificate in _certificates(file)
+                if not certificate.authority and certificate.name not in ("", name)
+            ]
+    listening = [
+        certificate
+        for certificate in others
+        if set(certificate.names) - {certificate.name, f"{certificate.name}.local"}
+    ]
     if not listening:
         return _EITHER
-    places = ", ".join(_endpoint(each) for each in listening)
-    names = ", ".join(each.name for each in listening)
+    places = ", ".join(_endpoint(certificate) for certificate in listening)
+    names = ", ".join(certificate.name for certificate in listening)
     return f"""\
       connect: [{places}]
       trusted: [{names}]
@@ -136,23 +144,23 @@ and on {names}, so that it may command there: hub.open.trusted: [{name}]"""
 
 def _endpoint(certificate: Certificate) -> str:
     """Return the endpoint of a listening machine by its first given address; IPv6 has brackets and quotes."""
-    own = (certificate.name, f"{certificate.name}.local")
-    address = next(name for name in certificate.names if name not in own)
+    names = (certificate.name, f"{certificate.name}.local")
+    address = next(name for name in certificate.names if name not in names)
     return f"'tls/[{address}]:7448'" if ":" in address else f"tls/{address}:7448"
 
 
 def _show(places: list[Path], *, as_json: bool) -> int:
-    found = [certificate for place in places for certificate in _certificates(place)]
-    invalid = any(certificate.days_left() < 0 or certificate.begins_later() for certificate in found)
+    shown = [certificate for place in places for certificate in _certificates(place)]
+    invalid = any(certificate.days_left() < 0 or certificate.begins_later() for certificate in shown)
     if as_json:
-        print(json.dumps([_document(certificate) for certificate in found], indent=2))
+        print(json.dumps([_document(certificate) for certificate in shown], indent=2))
         return int(invalid)
-    if not found:
+    if not shown:
         raise CliError(f"no certificates in {', '.join(map(str, places))}; 'midspan keys make NAME' makes them")
-    rows = [("NAME", "VALID UNTIL", "LEFT", "CONNECT BY", "FILE"), *(_row(each) for each in found)]
+    rows = [("NAME", "VALID UNTIL", "LEFT", "CONNECT BY", "FILE"), *(_row(entry) for entry in shown)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     for row in rows:
-        print("  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip())
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
     return int(invalid)
 
 

@@ -106,9 +106,9 @@ def _where(args: argparse.Namespace) -> int:
 
 
 def _name(args: argparse.Namespace) -> int:
-    words = from_text(" ".join(args.words))
+    values = from_text(" ".join(args.words))
     # unlike the usual carrier of name clients, this one preserves quotes
-    for line in text_client.ask(client(args).contact, words, timeout=args.timeout):
+    for line in text_client.ask(client(args).contact, values, timeout=args.timeout):
         if not line.startswith("*** "):
             print(clean(line))
     return 0
@@ -127,14 +127,14 @@ def _list(args: argparse.Namespace) -> int:
 def _exists(args: argparse.Namespace) -> int:
     names = client(args)
     if args.target is None:
-        found = connections.exists(names, args.port, timeout=args.timeout)
-        text = f"{args.port} {'responds' if found else 'is not registered, or does not respond'}"
+        connected = connections.exists(names, args.port, timeout=args.timeout)
+        text = f"{args.port} {'responds' if connected else 'is not registered, or does not respond'}"
     else:
         carrier = connections.carrier_between(names, args.port, args.target, timeout=args.timeout)
-        found = bool(carrier)
-        text = f"{args.port} is {'' if found else 'not '}connected to {args.target}{carrier and f' by {carrier}'}"
-    print(clean(text), file=sys.stdout if found else sys.stderr)
-    return 0 if found else 1
+        connected = bool(carrier)
+        text = f"{args.port} is {'' if connected else 'not '}connected to {args.target}{carrier and f' by {carrier}'}"
+    print(clean(text), file=sys.stdout if connected else sys.stderr)
+    return 0 if connected else 1
 
 
 def _ping(args: argparse.Namespace) -> int:
@@ -173,16 +173,16 @@ def _disconnect(args: argparse.Namespace) -> int:
 
 def _clean(args: argparse.Namespace) -> int:
     names = client(args)
-    gone = 0
+    removed = 0
     for contact in names.list():
         if contact.carrier in ("mcast", "topic") or contact.name == config.namespace():
             continue
         if not connections.responds(contact, timeout=args.timeout):
             names.unregister(contact.name)
-            gone += 1
+            removed += 1
             print(clean(f"{contact.name} does not respond at {contact.uri}: unregistered"))
     names.lines(["gc"])
-    print(f"{gone} of the registered ports were dead" if gone else "all registered ports respond")
+    print(f"{removed} of the registered ports were dead" if removed else "all registered ports respond")
     return 0
 
 

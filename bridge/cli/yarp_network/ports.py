@@ -70,13 +70,13 @@ def register(verbs: Any) -> None:
 
 
 def _read(args: argparse.Namespace) -> int:
-    came: queue.Queue[PortMessage] = queue.Queue(_WAITING)
+    received: queue.Queue[PortMessage] = queue.Queue(_WAITING)
     missed = 0
 
     def on_message(message: PortMessage) -> None:
         nonlocal missed
         try:
-            came.put_nowait(message)
+            received.put_nowait(message)
         except queue.Full:
             missed += 1
 
@@ -91,7 +91,7 @@ def _read(args: argparse.Namespace) -> int:
             print(f"{port.name} is open: connect it with 'midspan yarp connect /source {port.name}'", file=sys.stderr)
         shown = 0
         while shown < (math.inf if args.count is None else args.count):
-            print(_shown(args, came.get()), flush=True)
+            print(_shown(args, received.get()), flush=True)
             shown += 1
     except KeyboardInterrupt:
         pass
@@ -119,9 +119,9 @@ def _write(args: argparse.Namespace) -> int:
     port.open()
     try:
         for target in args.targets:
-            done, words = port.add_output(target)
+            done, reply = port.add_output(target)
             if not done:
-                raise CliError(clean(words))
+                raise CliError(clean(reply))
         while args.wait and not port.outputs():
             time.sleep(0.05)
         for line in _lines(args):

@@ -105,7 +105,7 @@ def test_progress_tells_each_change_with_its_reason(capsys: pytest.CaptureFixtur
         (mine, "waiting_obstacle", "a chair is ahead"),
         (mine, "moving", ""),
     ):
-        progress.take({"goal_id": goal, "state": state, "reason": reason})
+        progress.update({"goal_id": goal, "state": state, "reason": reason})
     progress.feedback({"distance_remaining": 3.25})
     progress.refresh()
     progress.refresh()
@@ -132,7 +132,7 @@ def test_no_distance_is_printed_before_it_is_known(
 
     def printed(state: str, **distance: Any) -> str:
         progress.feedback(distance)
-        progress.take({"goal_id": goal, "state": state, "reason": ""})
+        progress.update({"goal_id": goal, "state": state, "reason": ""})
         progress.refresh()
         return capsys.readouterr().out
 

@@ -201,7 +201,7 @@ def _samples() -> Subject:
             count += 1
             if how in (b"c", b"d", b"a"):
                 {
-                    b"c": subscription.came,
+                    b"c": subscription.on_stored,
                     b"d": lambda _: subscription.done("0"),
                     b"a": lambda _: subscription.asked("0"),
                 }[how](sample)  # type: ignore[operator]
