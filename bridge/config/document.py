@@ -180,11 +180,11 @@ def parse(file: Path, text: str, *, repeating: Collection[KeyPath] = ()) -> Docu
     except yaml.MarkedYAMLError as err:
         mark = err.problem_mark or err.context_mark
         place = Place(mark.line + 1, mark.column + 1) if mark is not None else Place(0, 0)
-        what = " ".join(part for part in (err.context, err.problem) if part)
-        raise ConfigError([Problem(file, *place, "", f"not valid YAML: {what}")]) from err
+        fault = " ".join(part for part in (err.context, err.problem) if part)
+        raise ConfigError([Problem(file, *place, "", f"not valid YAML: {fault}")]) from err
     except (yaml.YAMLError, RecursionError) as err:
-        what = "nested too deeply" if isinstance(err, RecursionError) else str(err).splitlines()[0]
-        raise ConfigError([Problem(file, 0, 0, "", f"not valid YAML: {what}")]) from err
+        fault = "nested too deeply" if isinstance(err, RecursionError) else str(err).splitlines()[0]
+        raise ConfigError([Problem(file, 0, 0, "", f"not valid YAML: {fault}")]) from err
     document = Document(file)
     reader = _Reader(loader, document, repeating)
     if root is not None:
@@ -233,8 +233,8 @@ class _Reader:
         for key, child in pairs:
             line, column = key.start_mark.line + 1, key.start_mark.column + 1
             if not isinstance(key, ScalarNode) or key.tag == f"{_TAG}merge":
-                what = "merge keys (<<) are not supported" if isinstance(key, ScalarNode) else "a key must be text"
-                self.problems.append(Problem(self._document.file, line, column, key_text(path), what))
+                fault = "merge keys (<<) are not supported" if isinstance(key, ScalarNode) else "a key must be text"
+                self.problems.append(Problem(self._document.file, line, column, key_text(path), fault))
                 continue
             name = key.value
             if name in seen:

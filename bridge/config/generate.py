@@ -49,8 +49,8 @@ def keys(model: type[BaseModel]) -> Iterator[Key]:
 
 
 def _section_text(section: type[BaseModel], *, is_list: bool) -> str:
-    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", section.__name__).lower()
-    return f"list of {words}s" if is_list else "section"
+    title = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", section.__name__).lower()
+    return f"list of {title}s" if is_list else "section"
 
 
 def _default(info: FieldInfo) -> str | None:
@@ -82,8 +82,8 @@ def _annotation_text(annotation: Any) -> str:
     if origin in {typing.Union, types.UnionType}:
         return " or ".join(_annotation_text(a) for a in arguments if a is not type(None))
     if origin is tuple:
-        words = _annotation_text(arguments[0])
-        return f"list of {words}s" if not words.startswith("list of ") else f"list of lists{words.removeprefix('list')}"
+        text = _annotation_text(arguments[0])
+        return f"list of {text}s" if not text.startswith("list of ") else f"list of lists{text.removeprefix('list')}"
     if origin is dict:
         return "map"
     if origin is typing.Annotated:
@@ -114,7 +114,7 @@ def schema() -> str:
 def _either_form(node: Any, name: str = "") -> Any:
     """Let a list of texts be one text, and a ``listen`` a list of one, as `Section` accepts them."""
     if isinstance(node, list):
-        return [_either_form(each) for each in node]
+        return [_either_form(item) for item in node]
     if not isinstance(node, dict):
         return node
     node = {key: _either_form(value, key) for key, value in node.items()}

@@ -59,14 +59,14 @@ def listeners(config: Config) -> Iterator[Listener]:
 def listener_problems(document: Document, config: Config) -> list[Problem]:
     """Return a problem for each address whose port an earlier listener of the configuration has."""
     problems: dict[KeyPath, Problem] = {}
-    for one, other in combinations(listeners(config), 2):
+    for earlier, other in combinations(listeners(config), 2):
         # the default of a key that the file lacks has no line there
-        if other.path[:2] in document.values or one.path[:2] not in document.values:
-            first, second = one, other
+        if other.path[:2] in document.values or earlier.path[:2] not in document.values:
+            first, second = earlier, other
         else:
-            first, second = other, one
+            first, second = other, earlier
         text = f"{second.text} has the port of {key_text(first.path)} ({first.text}); set another port in one of them"
-        if one.excludes(other):
+        if earlier.excludes(other):
             problems.setdefault(second.path, document.problem(second.path, text))
     return list(problems.values())
 

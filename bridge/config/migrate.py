@@ -1,10 +1,10 @@
-"""Brings the text of an older configuration file to today's keys, with its comments.
+"""Updates the text of an older configuration file to the current keys, with its comments.
 
-A file says its format by ``version``. Until format 1 no file said any, so one that says none may be of any age: it is
-read as today's, and what only older ones had is an error that names ``midspan config migrate``.
+``version`` is the format of a file. Files before format 1 have none, so a file without it may be of any age: it is read
+as the current format, and a key that only older formats had is an error that names ``midspan config migrate``.
 
-What goes stays in the file as a comment, and so do the comments around it: the text is edited where YAML's parser says
-that a key stands, and is otherwise left as it is.
+Removed keys stay in the file as comments, like the comments around them: the text is edited at the keys' positions
+from YAML's parser, and is otherwise unchanged.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ _CERTIFICATES = {"ca": "root_ca_certificate", "certificate": "listen_certificate
 REMOVED: dict[KeyPath, str] = {
     ("ros2", "build"): "message packages are built wherever there is a compiler",
 }
-"""Keys that older files have, and why none took their place."""
+"""Keys of older files without a replacement, and the reasons."""
 
 
 def too_new(document: Document) -> Problem | None:
-    """What is said of a file whose format this Midspan does not know, None where it does."""
+    """Return the problem of a file with a newer format, None for a known one."""
     data = document.data
     version = data.get("version") if isinstance(data, dict) else None
     if isinstance(version, bool) or not isinstance(version, int) or version <= FORMAT:
         return None
-    text = f"this file is of format {version}, and this Midspan reads up to {FORMAT}; update Midspan"
+    text = f"this file has format {version}, and this Midspan reads up to {FORMAT}; update Midspan"
     return document.problem(("version",), f"{text}, or use the file from before the update")
 
 
 @dataclass
 class Migration:
-    """What became of a file's text: ``done`` and ``left`` say in words what changed, and what is left to people."""
+    """The result of a migration: the text, the changes (``done``), and the remaining problems (``left``)."""
 
     text: str
     done: list[str] = field(default_factory=list)
@@ -54,16 +54,16 @@ class Migration:
 
 
 def migrate(text: str, file: Path) -> Migration:
-    """Bring a file's text to today's format; raises `ConfigError` where it is no YAML, or of a format to come."""
+    """Migrate a file's text to the current format; raises `ConfigError` if it is not YAML, or has a newer format."""
     document = parse(file, text)
     if document.data is not None and not isinstance(document.data, dict):
         raise ConfigError([document.problem((), "must be a map of sections, for example 'hub:'")])
     if newer := too_new(document):
         raise ConfigError([newer])
     migration = Migration(text)
-    for path, why in REMOVED.items():
+    for path, reason in REMOVED.items():
         if path in document.keys:
-            _replace(migration, document, path, f"{key_text(path)} is gone: {why}")
+            _replace(migration, document, path, f"{key_text(path)} was removed: {reason}")
     _open_door(migration, document)
     if ("version",) not in document.keys:
         migration.text = _with_version(migration.text)
@@ -72,19 +72,19 @@ def migrate(text: str, file: Path) -> Migration:
 
 
 def _open_door(migration: Migration, document: Document) -> None:
-    """A router that listened to other machines is a door of its own since, with names of who may command."""
+    """Move a router's listener for other machines to ``hub.open``, which also names the trusted machines."""
     data = document.data
     listen = _value(data, _LISTEN)
     if not isinstance(listen, str) or "/" not in listen or is_loopback(listen):
         return
     if _OPEN in document.keys:
-        text = "is open to other machines; add it to 'hub.open.listen', and leave this one out"
+        text = "is open to other machines; add it to 'hub.open.listen', and remove it here"
         migration.left.append(document.problem(_LISTEN, text))
         return
     tls = _value(data, _ROUTER_TLS)
     files = {key: tls[old] for key, old in _CERTIFICATES.items() if old in tls} if isinstance(tls, dict) else {}
-    words = "".join(f", {key}: {_quoted(value)}" for key, value in files.items())
-    door = [f"open: {{listen: [{_quoted(listen)}]{words}}}"]
+    keys = "".join(f", {key}: {_quoted(value)}" for key, value in files.items())
+    door = [f"open: {{listen: [{_quoted(listen)}]{keys}}}"]
     done = "hub.listen is hub.open.listen"
     if same_port(listen, _INDOORS):  # other machines connect to it, and go on to
         door.append(f"listen: {_BESIDE}")
@@ -95,9 +95,9 @@ def _open_door(migration: Migration, document: Document) -> None:
         for section in ("router_zenoh", "zenoh"):
             path = "hub", section, *_TLS
             if isinstance(_value(data, path), dict):
-                why = f"{key_text(path)} is gone: only the door speaks TLS, with files of its own"
-                _replace(migration, document, _alone(data, path), why)
-    text = "says no more who may command; 'hub.open.trusted' names the machines, see docs/operate/security.md"
+                reason = f"{key_text(path)} was removed: only hub.open uses TLS, with its own files"
+                _replace(migration, document, _alone(data, path), reason)
+    text = "no longer defines who may command; 'hub.open.trusted' names the machines, see docs/operate/security.md"
     migration.left.append(document.problem(_LISTEN, text))
 
 
@@ -112,14 +112,14 @@ def _value(data: Any, path: KeyPath) -> Any:
 
 
 def _alone(data: Any, path: KeyPath) -> KeyPath:
-    """The outermost map, but for sections, in which there is nothing but this part."""
+    """Return the outermost map below the sections that has only this part."""
     while len(path) > 2 and len(_value(data, path[:-1])) == 1:
         path = path[:-1]
     return path
 
 
 def _with_version(text: str) -> str:
-    """With ``version`` as the first key."""
+    """Return the text with ``version`` as the first key."""
     line = f"version: {FORMAT}\n"
     root = Yaml12Loader(text).get_single_node()
     if not isinstance(root, MappingNode):
@@ -137,12 +137,12 @@ def _with_version(text: str) -> str:
 
 
 def _replace(migration: Migration, document: Document, path: KeyPath, done: str, *instead: str) -> bool:
-    """Take a pair out, and note it; False where the text cannot be edited, as where others refer to the value."""
+    """Remove a pair, and note it; return False if the text cannot be edited, for example if an anchor is in it."""
     try:
         text = _edited(migration.text, path, instead)
         parse(document.file, text)
     except ConfigError:
-        migration.left.append(document.problem(path, f"{done}; it is in the way of an anchor, take it out by hand"))
+        migration.left.append(document.problem(path, f"{done}; it has an anchor or alias, remove it by hand"))
         return False
     migration.text = text
     migration.done.append(done)
@@ -150,7 +150,7 @@ def _replace(migration: Migration, document: Document, path: KeyPath, done: str,
 
 
 def _edited(text: str, path: KeyPath, instead: tuple[str, ...]) -> str:
-    """With a pair as a comment, after what stands instead; in braces, where no comment ends, it is left out."""
+    """Return the text with the pair as a comment after its replacement; within braces the pair is only removed."""
     around, key, value = _pair(text, path)
     start = key.start_mark.index
     end = start + len(text[start : _end(key, value)].rstrip())
@@ -161,13 +161,13 @@ def _edited(text: str, path: KeyPath, instead: tuple[str, ...]) -> str:
             start, end = (start, comma.end()) if comma else (before.start() if before else start, end)
         return text[:start] + ", ".join(instead) + text[end:]
     indent = " " * key.start_mark.column
-    first, *rest = text[start:end].split("\n")
-    gone = [f"# {first}", *(f"# {line[len(indent) :]}" for line in rest)]
-    return text[:start] + f"\n{indent}".join([*instead, *gone]) + text[end:]
+    first, *lines = text[start:end].split("\n")
+    removed = [f"# {first}", *(f"# {line[len(indent) :]}" for line in lines)]
+    return text[:start] + f"\n{indent}".join([*instead, *removed]) + text[end:]
 
 
 def _pair(text: str, path: KeyPath) -> tuple[MappingNode, Node, Node]:
-    """The map around a pair, its key and its value."""
+    """Return the map around a pair, its key and its value."""
     node: Any = Yaml12Loader(text).get_single_node()
     for part in path:
         around = node
@@ -176,7 +176,7 @@ def _pair(text: str, path: KeyPath) -> tuple[MappingNode, Node, Node]:
 
 
 def _end(key: Node, value: Node) -> int:
-    """Where a pair ends: a block's own end is behind the comments that follow it."""
+    """Return the end of a pair; YAML's end of a block is after the comments that follow it."""
     return max(at for at in (key.end_mark.index, *_ends(value)) if at >= key.end_mark.index)
 
 

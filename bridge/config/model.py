@@ -108,11 +108,11 @@ class Config(Section):
     @property
     def hosted(self) -> dict[str, Section]:
         """The sections of all modules that run, by name; ``navigation`` supplies the values that they leave out."""
-        found = self.modules.sections
+        sections = self.modules.sections
         if self.navigation.planner:
-            found["gateway"] = self.navigation
+            sections["gateway"] = self.navigation
         defaults = {"map": self.navigation.map, "source": self.navigation.localizer}
-        return {name: _filled(section, defaults) for name, section in found.items()}
+        return {name: _filled(section, defaults) for name, section in sections.items()}
 
 
 def _filled(section: Section, defaults: dict[str, str | None]) -> Section:

@@ -25,8 +25,8 @@ def model_of(annotation: Any) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     if typing.get_origin(annotation) in {tuple, list, typing.Union, types.UnionType}:
-        found = (model_of(argument) for argument in typing.get_args(annotation))
-        return next((model for model in found if model is not None), None)
+        models = (model_of(argument) for argument in typing.get_args(annotation))
+        return next((model for model in models if model is not None), None)
     return None
 
 
@@ -41,15 +41,15 @@ def all_keys(model: type[BaseModel], path: KeyPath = ()) -> Iterator[KeyPath]:
 
 
 def _model_at(model: type[BaseModel], path: KeyPath) -> type[BaseModel] | None:
-    found: type[BaseModel] | None = model
+    current: type[BaseModel] | None = model
     for part in path:
         if isinstance(part, int):
             continue
-        fields = {key_name(name, info): info for name, info in found.model_fields.items()} if found else {}
+        fields = {key_name(name, info): info for name, info in current.model_fields.items()} if current else {}
         if part not in fields:
             return None
-        found = model_of(fields[part].annotation)
-    return found
+        current = model_of(fields[part].annotation)
+    return current
 
 
 def _field_at(model: type[BaseModel], path: KeyPath) -> FieldInfo | None:
@@ -102,19 +102,19 @@ def _in_data(data: Any, location: tuple[str | int, ...]) -> KeyPath:
 
 def problems(document: Document, model: type[BaseModel], errors: list[Any]) -> list[Problem]:
     """Problems of a file, from `pydantic.ValidationError.errors`; the arms of a union make one problem."""
-    found: dict[tuple[KeyPath, bool], list[str]] = {}
+    messages: dict[tuple[KeyPath, bool], list[str]] = {}
     lengths = _fixed_lengths(errors)
     for error in errors:
         unknown = error["type"] == "extra_forbidden"
         path = tuple(error["loc"]) if unknown else _in_data(document.data, error["loc"])
-        texts = found.setdefault((path, unknown), [])
+        texts = messages.setdefault((path, unknown), [])
         if unknown:
             text = _unknown_key(model, path)
         else:
             text = _wrong_length(error, lengths, _field_at(model, path)) or _text(error)
         if text not in texts:
             texts.append(text)
-    return [document.problem(path, ", or ".join(texts), at_key=key) for (path, key), texts in found.items()]
+    return [document.problem(path, ", or ".join(texts), at_key=key) for (path, key), texts in messages.items()]
 
 
 def _fixed_lengths(errors: list[Any]) -> dict[KeyPath, int]:
@@ -153,7 +153,7 @@ def _values(count: int) -> str:
 
 def _exact_lengths(field: FieldInfo) -> set[int]:
     """The lengths of lists of a fixed length in a field's type, and the one that its limits leave."""
-    limits = [getattr(each, name, None) for name in ("min_length", "max_length") for each in field.metadata]
+    limits = [getattr(constraint, name, None) for name in ("min_length", "max_length") for constraint in field.metadata]
     known = [limit for limit in limits if limit is not None]
     return _tuple_lengths(field.annotation) | ({known[0]} if len(known) == 2 and known[0] == known[1] else set())
 

@@ -106,12 +106,12 @@ def examine(context: CheckContext, checks: Sequence[Check]) -> list[Report]:
 
 def _run(context: CheckContext, report: Report) -> None:
     try:
-        found = report.check.look(context)
+        findings = report.check.look(context)
     except Exception as err:
         _log.debug("check %s failed", report.check.id, exc_info=err)
-        found = fail(f"the check itself failed: {type(err).__name__}: {err}")
+        findings = fail(f"the check itself failed: {type(err).__name__}: {err}")
     if not report.done.is_set():
-        report.findings = merged([found] if isinstance(found, Finding) else found)
+        report.findings = merged([findings] if isinstance(findings, Finding) else findings)
         report.done.set()
 
 

@@ -35,11 +35,11 @@ def measure(ask: Callable[[], int | None], times: int = 5) -> Offset | None:
     best: Offset | None = None
     for _ in range(times):
         started, before = time.monotonic_ns(), time.time_ns()  # in this order a pause in between is in the round trip
-        told = ask()
+        reported = ask()
         round_trip = time.monotonic_ns() - started
-        if told is None:
+        if reported is None:
             continue
-        offset = Offset((told - before - round_trip / 2) / 1e9, round_trip / 2e9)
+        offset = Offset((reported - before - round_trip / 2) / 1e9, round_trip / 2e9)
         if best is None or offset.error < best.error:
             best = offset
     return best
@@ -87,10 +87,10 @@ class CheckContext:
     def look_at_master(self) -> MasterState | Ros1Error:
         """The master's state, or why it does not answer; asked once."""
         with self._lock:
-            return self._look
+            return self._query_master
 
     @cached_property
-    def _look(self) -> MasterState | Ros1Error:
+    def _query_master(self) -> MasterState | Ros1Error:
         return read_master(self.master)
 
     def process(self, document: Document) -> psutil.Process | None:
@@ -100,10 +100,10 @@ class CheckContext:
             return None
         try:
             process = psutil.Process(pid)
-            words = process.cmdline()[:4]  # interpreter, its flags, program
+            arguments = process.cmdline()[:4]  # interpreter, its flags, program
         except psutil.Error:
             return None
-        return process if any(w.startswith("bridge.") or Path(w).name == "midspan" for w in words) else None
+        return process if any(w.startswith("bridge.") or Path(w).name == "midspan" for w in arguments) else None
 
 
 def read_master(uri: str) -> MasterState | Ros1Error:

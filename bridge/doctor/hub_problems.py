@@ -34,31 +34,29 @@ def conflicts(endpoints: Iterable[HubEndpoint]) -> list[Note]:
             hashes = topics.setdefault(endpoint.topic, {}).setdefault(endpoint.type_name, {})
             if endpoint.type_hash != UNKNOWN_HASH:
                 hashes.setdefault(endpoint.type_hash, []).append(endpoint)
-    found: list[Note] = []
+    notes: list[Note] = []
     for topic, types in sorted(topics.items()):
         if len(types) > 1 and not _all_heard(ends[topic]):
             text = f"{topic} has {len(types)} types on the hub ({', '.join(sorted(types))}) that do not match"
-            found.append(Note(text, "give one of them another name, or rename it by a rule"))
+            notes.append(Note(text, "give one of them another name, or rename it by a rule"))
         for type_name, hashes in sorted(types.items()):
             if len(hashes) > 1:
-                who = "; ".join(f"{nodes(e)} {h[:17]}..." for h, e in sorted(hashes.items()))
-                text = (
-                    f"{topic}: the definitions of {type_name} differ ({who}); they do not receive each other's messages"
-                )
-                found.append(Note(text, CURE))
-    return found
+                holders = "; ".join(f"{nodes(e)} {h[:17]}..." for h, e in sorted(hashes.items()))
+                text = f"{topic}: the definitions of {type_name} differ ({holders}); they do not receive each other's messages"
+                notes.append(Note(text, CURE))
+    return notes
 
 
 def _all_heard(endpoints: Iterable[HubEndpoint]) -> bool:
     """Whether each subscribing node receives every publisher of a topic with several types."""
     published: set[str] = set()
-    heard: dict[tuple[str, str, str], set[str]] = {}
+    publishers: dict[tuple[str, str, str], set[str]] = {}
     for e in endpoints:
         if e.kind is EndpointKind.PUBLISHER:
             published.add(e.type_name)
         else:
-            heard.setdefault((e.zid, e.namespace, e.node), set()).add(e.type_name)
-    common = set.intersection(*heard.values()) if heard else set()
+            publishers.setdefault((e.zid, e.namespace, e.node), set()).add(e.type_name)
+    common = set.intersection(*publishers.values()) if publishers else set()
     return bool(common) and published <= common
 
 
@@ -81,8 +79,8 @@ def absence(
     action = section.at(planner)
     if any(e.kind is EndpointKind.SERVER and split(e.topic)[0] == action for e in endpoints):
         return None
-    why, cure = _of_module(planner) if planner in OURS else _of_program(section.others[planner], documents)
-    return Note(f"the planner {planner} is not there: {why}", cure)
+    reason, cure = _of_module(planner) if planner in OURS else _of_program(section.others[planner], documents)
+    return Note(f"the planner {planner} is not there: {reason}", cure)
 
 
 def _of_module(planner: str) -> tuple[str, str]:
@@ -98,7 +96,7 @@ def _of_program(planner: Planner, documents: Sequence[Document]) -> tuple[str, s
     if side in _CHECKS and not workers:
         return f"no worker of the {where} side answers", f"see the checks {_CHECKS[side]}, and 'midspan status'"
     if side in _CHECKS and all(document.get("state") == "waiting" for document in workers):
-        return f"its side, {where}, is away", f"see the checks {_CHECKS[side]}"
+        return f"its side, {where}, is unavailable", f"see the checks {_CHECKS[side]}"
     for document in workers:
         for entry in document.get("refused") or ():
             if entry.get("direction") == "in" and str(entry.get("topic")).startswith(f"{planner.action}/"):

@@ -116,7 +116,7 @@ def test_an_old_key_is_an_error_that_names_the_cure() -> None:
 def test_a_format_to_come_is_refused_in_one_line() -> None:
     text = f"version: {FORMAT + 1}\nunheard: of\n"
     said = (
-        f"midspan.yaml:1:10: version: this file is of format {FORMAT + 1}, and this Midspan reads up to {FORMAT};"
+        f"midspan.yaml:1:10: version: this file has format {FORMAT + 1}, and this Midspan reads up to {FORMAT};"
         " update Midspan, or use the file from before the update"
     )
     for refuse in (lambda: loads(text, FILE), lambda: migrate(text, FILE)):

@@ -43,7 +43,7 @@ def test_files_that_are_missing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("days", "mode", "names", "seen"),
     [(400, 0o600, [], "browsers find the console as robot1"), (10, 0o600, [], "expires in"),
-     (0, 0o600, [], "expired on"), (400, 0o644, [], "other users may use"),
+     (0, 0o600, [], "expired on"), (400, 0o644, [], "other users can read"),
      (400, 0o600, ["tablet"], "browsers warn of tablet")],
 )  # fmt: skip
 def test_files_that_are_there(tmp_path: Path, days: int, mode: int, names: list[str], seen: str) -> None:

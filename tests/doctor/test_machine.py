@@ -109,7 +109,7 @@ def test_the_state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     full = look(tmp_path)
     assert full.result is Result.FAIL
     assert full.seen.startswith(f"the state folder {tmp_path} has ")
-    assert full.cure == "make room on that disk"
+    assert full.cure == "free space on that disk"
 
 
 def shm_file(folder: Path, name: str, size: int = 4096, age: float = 60.0) -> Path:

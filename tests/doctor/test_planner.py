@@ -33,7 +33,7 @@ def server(action: str) -> HubEndpoint:
     [
         ("move_base", [ROS1], "no node serves its action /move_base on ROS 1", "start move_base there"),
         ("move_base", [], "no worker of the ROS 1 side answers", "ros1-master"),
-        ("move_base", [{**ROS1, "state": "waiting"}], "its side, ROS 1, is away", "ros1-master"),
+        ("move_base", [{**ROS1, "state": "waiting"}], "its side, ROS 1, is unavailable", "ros1-master"),
         ("nav2", [ROS1, {"side": "ros2", "state": "running"}], "/navigate_to_pose on ROS 2", "start nav2 there"),
         ("robot_goto", [ROS1], "its module does not run", "modules.robot_goto.enabled: true"),
     ],

@@ -32,7 +32,7 @@ _VERDICTS = {
     "private": "does not cross",
     "refused": "cannot cross",
     "unseen": "has nothing to cross",
-    "own": "is not taken up",
+    "own": "is not routed",
     "standby": "is not carried here",
 }
 
@@ -206,9 +206,9 @@ def _worker_notes(
             continue  # a module, the router, the console: they decide on no topic
         name = f"{side_name(document.get('side') or who[1])} (daemon {clean(who[0])})"
         if document.get("state") == "waiting":
-            notes.append(Note(f"{name} is away: nothing crosses to or from it now"))
+            notes.append(Note(f"{name} is unavailable: nothing crosses to or from it now"))
         elif document.get("state") == "standby":
-            notes.append(Note(f"{name} stands by: another daemon is active on that network"))
+            notes.append(Note(f"{name} is on standby: another daemon is active on that network"))
         elif who not in decided:
             notes.append(Note(f"{name} has decided nothing of it: it is not published there, and nothing leads there"))
     return notes

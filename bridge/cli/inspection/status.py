@@ -225,7 +225,7 @@ def _figures(document: Document) -> str:
     if document.get("network"):
         parts.append(f"{side_name(document.get('side'))} network {clean(document['network'])}")
     elif document.get("state") == "waiting" and document.get("side"):  # a module waits for something else
-        parts.append(f"{side_name(document.get('side'))} is away")
+        parts.append(f"{side_name(document.get('side'))} is unavailable")
     if document.get("text"):
         parts.append(clean(document["text"]))
     if document.get("listen"):

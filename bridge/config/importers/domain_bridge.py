@@ -124,15 +124,15 @@ def drafts(file: Path) -> tuple[list[Draft], list[Problem]]:
         raise ConfigError([document.problem((), f"has none of domain_bridge's keys: {', '.join(_KEYS)}")])
     job = _Import(document, *checked(document, (), Top))
     _remarks(job)
-    ways = _once(job, list(_ways(job)))
-    if not ways and not job.problems:
+    routes = _once(job, list(_ways(job)))
+    if not routes and not job.problems:
         text = "has no topic, service or action that goes from one domain to another"
         job.problems.append(document.problem(("topics",), text))
     if job.problems:
         raise ConfigError(job.problems)
-    domains = sorted({domain for way in ways for domain in (way.origin, way.target)})
+    domains = sorted({domain for route in routes for domain in (route.origin, route.target)})
     notes = sorted((*job.notes, *(n for ns in job.by_way.values() for n in ns)), key=lambda n: (n.line, n.column))
-    return [_draft(job, domain, domains, ways) for domain in domains], notes
+    return [_draft(job, domain, domains, routes) for domain in domains], notes
 
 
 def _remarks(job: _Import) -> None:
@@ -192,8 +192,8 @@ def _expanded(job: _Import, name: str) -> str:
 
 
 def _domain(job: _Import, path: KeyPath, entry: DomainBridgeTopic, key: str) -> int:
-    own, general = getattr(entry, key), getattr(job.top, key)
-    domain: int | None = general if own is None else own
+    specific, general = getattr(entry, key), getattr(job.top, key)
+    domain: int | None = general if specific is None else specific
     if domain is None:
         raise ConfigError([job.document.problem(path, f"has no {key}; give it here or at the file's top", at_key=True)])
     return domain
@@ -210,12 +210,12 @@ def _options(qos: DomainBridgeQos) -> dict[str, Any]:
 def _once(job: _Import, ways: list[_Way]) -> list[_Way]:
     """Return the ways without those that would bring a topic to the same domain a second time."""
     kept: dict[tuple[str, str, str, int, int], _Way] = {}
-    for way in ways:
-        first = kept.setdefault((way.kind, way.topic, way.type, way.origin, way.target), way)
-        if first is not way:
+    for route in ways:
+        first = kept.setdefault((route.kind, route.topic, route.type, route.origin, route.target), route)
+        if first is not route:
             line = job.document.keys[first.path].line
-            text = f"{way.topic} goes from domain {way.origin} to {way.target} already, by line {line}"
-            job.notes.append(job.note(way.path, text))
+            text = f"{route.topic} goes from domain {route.origin} to {route.target} already, by line {line}"
+            job.notes.append(job.note(route.path, text))
     return list(kept.values())
 
 
@@ -240,18 +240,20 @@ def _draft(job: _Import, domain: int, domains: list[int], ways: list[_Way]) -> D
 def _entering(job: _Import, domain: int, ways: list[_Way]) -> Iterator[RuleDraft]:
     """Yield the rules from the domain to the hub, one for each name, even if it goes to several domains."""
     seen: set[tuple[str, str, str]] = set()
-    for way in ways:
-        if way.origin == domain and (way.kind, way.topic, way.type) not in seen:
-            seen.add((way.kind, way.topic, way.type))
-            yield RuleDraft(_source(job, way), {**way.matching(way.topic), "to": "zenoh", "rename": way.hub_topic})
+    for route in ways:
+        if route.origin == domain and (route.kind, route.topic, route.type) not in seen:
+            seen.add((route.kind, route.topic, route.type))
+            yield RuleDraft(
+                _source(job, route), {**route.matching(route.topic), "to": "zenoh", "rename": route.hub_topic}
+            )
 
 
 def _leaving(job: _Import, domain: int, ways: list[_Way]) -> Iterator[RuleDraft]:
     """Yield the rules from the hub to the domain."""
-    for way in ways:
-        if way.target == domain:
-            rule = {**way.matching(way.hub_topic), "to": "ros2", "rename": way.new_name, **way.rule}
-            yield RuleDraft(_source(job, way), rule, job.by_way[way.path])
+    for route in ways:
+        if route.target == domain:
+            rule = {**route.matching(route.hub_topic), "to": "ros2", "rename": route.new_name, **route.rule}
+            yield RuleDraft(_source(job, route), rule, job.by_way[route.path])
 
 
 def _source(job: _Import, way: _Way) -> str:

@@ -64,12 +64,12 @@ class Draft:
 
 def comment(text: str, indent: str = "") -> list[str]:
     """Return a text as lines of comment."""
-    rest = f"{indent}#   " if text.startswith("- ") else f"{indent}# "
+    continuation = f"{indent}#   " if text.startswith("- ") else f"{indent}# "
     return textwrap.wrap(
         text,
         WIDTH,
         initial_indent=f"{indent}# ",
-        subsequent_indent=rest,
+        subsequent_indent=continuation,
         break_long_words=False,
         break_on_hyphens=False,
     )
@@ -117,11 +117,11 @@ def checked(document: Document, path: KeyPath, model: type[M]) -> tuple[M, list[
     if len(unknown) < len(errors):
         wrong = [e for e in errors if e not in unknown]
         raise ConfigError(_prefixed(path, problems(part, model, wrong)))
-    rest = copy.deepcopy(part.data)
+    data = copy.deepcopy(part.data)
     for error in unknown:
-        _remove(rest, error["loc"])
+        _remove(data, error["loc"])
     notes = [replace(p, text=f"{p.text}; {NOT_CARRIED}") for p in problems(part, model, unknown)]
-    return model.model_validate(rest), _prefixed(path, notes)
+    return model.model_validate(data), _prefixed(path, notes)
 
 
 def _part(document: Document, path: KeyPath) -> Document:
@@ -158,7 +158,7 @@ def topic_name(document: Document, path: KeyPath, name: str, kind: Kind = "topic
 
 def type_name(document: Document, path: KeyPath, name: str, kind: Kind = "topic") -> str:
     """Return a type of this kind as ROS 2 spells it; raises `ConfigError` for an invalid type."""
-    match, (folder, word, example) = _TYPE.fullmatch(name), _TYPES[kind]
+    match, (folder, noun, example) = _TYPE.fullmatch(name), _TYPES[kind]
     if match is None or match[2] not in (None, folder):
-        raise ConfigError([document.problem(path, f"{name!r} is not {word} type, such as {example}")])
+        raise ConfigError([document.problem(path, f"{name!r} is not {noun} type, such as {example}")])
     return f"{match[1]}/{folder}/{match[3]}"

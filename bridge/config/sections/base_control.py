@@ -93,5 +93,5 @@ class BaseControlSection(ModuleSection):
     @field_validator("inputs")
     @classmethod
     def _names_differ(cls, value: tuple[BaseInput, ...]) -> tuple[BaseInput, ...]:
-        differ([one.name for one in value], "two inputs have the name")
+        differ([item.name for item in value], "two inputs have the name")
         return value

@@ -147,10 +147,10 @@ class NavigationSection(Section):
     @property
     def others(self) -> dict[str, Planner]:
         """The planners of this deployment that are not part of Midspan, by name."""
-        found = {planner.name: planner for planner in self.planners}
+        planners = {planner.name: planner for planner in self.planners}
         if self.planner in KNOWN:
-            found.setdefault(self.planner, KNOWN[self.planner])
-        return found
+            planners.setdefault(self.planner, KNOWN[self.planner])
+        return planners
 
     @property
     def choices(self) -> tuple[str, ...]:

@@ -128,10 +128,10 @@ def zenoh_endpoint(endpoint: str) -> str:
     if not re.fullmatch(r"[a-z][a-z0-9_-]*/\S+", endpoint):
         mistake = "is not a zenoh endpoint; give protocol and address, for example tcp/127.0.0.1:7447"
         raise ValueError(f"{endpoint!r} {mistake}")
-    protocol, _, rest = endpoint.partition("/")
+    protocol, _, place = endpoint.partition("/")
     if protocol not in {"tcp", "udp", "tls", "quic", "ws"}:
         return endpoint
-    address = re.fullmatch(r"(\[.+\]|[^:\[\]]*)(?::(\w*))?", re.split(r"[?#]", rest)[0])
+    address = re.fullmatch(r"(\[.+\]|[^:\[\]]*)(?::(\w*))?", re.split(r"[?#]", place)[0])
     if address is None:
         raise ValueError(
             f"{endpoint!r} has no valid address; write it like {protocol}/robot1:7447 or {protocol}/[::1]:7447"
@@ -173,10 +173,10 @@ MasterUri = Annotated[str, AfterValidator(_master_uri)]
 
 def is_loopback(endpoint: str) -> bool:
     """Whether only programs of this machine reach what listens at a zenoh endpoint."""
-    protocol, _, rest = endpoint.partition("/")
+    protocol, _, address = endpoint.partition("/")
     if protocol.startswith(("unixsock", "unixpipe")):
         return True
-    host = re.split(r"[?#]", rest)[0].rpartition(":")[0].strip("[]")
+    host = re.split(r"[?#]", address)[0].rpartition(":")[0].strip("[]")
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

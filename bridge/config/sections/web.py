@@ -123,11 +123,11 @@ class WebSection(Section):
 
 def split(listen: str) -> tuple[str, int]:
     """Address and port; raises `ValueError`."""
-    found = _ADDRESS.fullmatch(listen)
-    if found is None or int(found["port"]) > 65535:
+    match = _ADDRESS.fullmatch(listen)
+    if match is None or int(match["port"]) > 65535:
         msg = f"{listen!r} is not an address with a port: write it as 127.0.0.1:8480 or [::1]:8480"
         raise ValueError(msg)
-    return found["six"] or found["name"], int(found["port"])
+    return match["six"] or match["name"], int(match["port"])
 
 
 def is_loopback_address(address: str) -> bool:

@@ -255,8 +255,8 @@ class YarpSection(SideSection):
     def _ports_are_a_range(cls, value: str | None) -> str | None:
         if value is None or value == "server":
             return value
-        found = _NUMBERS.fullmatch(value)
-        if found is None or not 1024 <= int(found[1]) <= int(found[2]) <= 0xFFFF:
+        match = _NUMBERS.fullmatch(value)
+        if match is None or not 1024 <= int(match[1]) <= int(match[2]) <= 0xFFFF:
             msg = f"{value!r} is neither 'server' nor a range of port numbers from 1024 to 65535, such as 20000-29999"
             raise ValueError(msg)
         return value

@@ -1,4 +1,4 @@
-"""Is another bridge on the same networks? Two that carry the same topics make each message come twice, or loop."""
+"""Other bridges on the same networks: two that carry the same topics duplicate messages, or create loops."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from bridge.doctor.context import CheckContext
 from bridge.state_file import state_folder
 
 FOREIGN = re.compile(r"(ros1?|ros_1|dynamic|static|parameter|simple)_bridge(_.*)?|ros1_to_ros2.*|.*zenoh_bridge.*")
-"""Last part of the names of other bridges' nodes: ros1_bridge calls its nodes ``ros_bridge`` on both sides."""
+"""Last parts of other bridges' node names: ros1_bridge names its nodes ``ros_bridge`` on both sides."""
 
-_CURE_FOREIGN = "stop the other bridge, or deny in routing.rules what it carries"
+_CURE_FOREIGN = "stop the other bridge, or deny its topics in routing.rules"
 
 
 def look(context: CheckContext) -> Findings:
-    """On the hub, on ROS 1, on ROS 2."""
+    """Check the hub, ROS 1 and ROS 2."""
     findings = [*_on_hub(context), *_on_ros1(context), *_on_ros2(context)]
     if any(finding.result in ("warn", "fail") for finding in findings):
         return [finding for finding in findings if finding.result != "ok"]
@@ -63,10 +63,10 @@ def _on_ros1(context: CheckContext) -> list[Finding]:
             continue
         if is_alive("/midspan_doctor", entry):
             seen = f"ROS 1: Midspan daemon {entry.daemon} is on this master too ({entry.node} at {entry.uri})"
-            cure = "if that is not meant, set ros1.enabled: false in one of them; one is active, the other stands by"
+            cure = "if unintended, set ros1.enabled: false in one of them; one is active, the other is on standby"
         else:
             seen = f"ROS 1: {entry.node} of Midspan daemon {entry.daemon} is dead, and still registered"
-            cure = f"it goes when {entry.daemon} is started again; 'rosnode cleanup' removes its registrations"
+            cure = f"it disappears when {entry.daemon} is restarted; 'rosnode cleanup' removes its registrations"
         findings.append(warn(seen, cure))
     return findings or [ok("ROS 1: no other bridge")]
 
@@ -84,18 +84,18 @@ def _on_ros2(context: CheckContext) -> list[Finding]:
     try:
         return of_dds(context, look_at_dds(context.config, context.environ))
     except LookError as err:
-        return [warn(f"ROS 2: the network could not be looked at: {err}")]
+        return [warn(f"ROS 2: the network could not be checked: {err}")]
 
 
 def of_dds(context: CheckContext, view: DdsView) -> list[Finding]:
-    """What is to be said of a ROS 2 network."""
+    """Return the findings on a ROS 2 network."""
     findings = _foreign("ROS 2", view.nodes)
     ours = {str(d.get("network")) for d in context.hub.of_side("ros2", context.config.name)}
     others = view.midspans - ours
     if others:
         mine = "besides this daemon's " if view.midspans & ours else ""
         seen = f"ROS 2: {mine}{len(others)} Midspan participant(s) on this domain: {', '.join(sorted(others))}"
-        cure = "if that is not meant, give the daemons different ros2.domain, or turn one's ROS 2 side off"
+        cure = "if unintended, give the daemons different ros2.domain, or disable one's ROS 2 side"
         findings.append(warn(seen, cure))
     return findings or [ok("ROS 2: no other bridge")]
 
@@ -111,19 +111,19 @@ _SECONDS = 12.0
 
 
 class LookError(Exception):
-    """The ROS 2 network could not be looked at."""
+    """The ROS 2 network could not be checked."""
 
 
 @dataclass(frozen=True, slots=True)
 class DdsView:
-    """The ROS 2 network: GUID prefixes (hex) of other Midspans' participants, and nodes with endpoints."""
+    """The ROS 2 network: GUID prefixes (hex) of other Midspan participants, and nodes with endpoints."""
 
     midspans: frozenset[str]
     nodes: frozenset[str]
 
 
 def look_at_dds(config: Config, environ: Mapping[str, str]) -> DdsView:
-    """Join the network for a moment; raises `LookError`."""
+    """Join the network briefly; raises `LookError`."""
     if reason := available(config):
         raise LookError(reason)
     env = worker_kinds({})["ros2"].child_environment(config, environ)
@@ -133,11 +133,11 @@ def look_at_dds(config: Config, environ: Mapping[str, str]) -> DdsView:
             command, input=config.model_dump_json(by_alias=True), env=env, capture_output=True, text=True,
             timeout=_SECONDS, check=False,
         )  # fmt: skip
-        found = json.loads(done.stdout.splitlines()[-1])
-        marked = frozenset(p for p in map(str, found["participants"]) if is_marked(bytes.fromhex(p)))
-        return DdsView(marked, frozenset(map(str, found["nodes"])))
+        document = json.loads(done.stdout.splitlines()[-1])
+        marked = frozenset(p for p in map(str, document["participants"]) if is_marked(bytes.fromhex(p)))
+        return DdsView(marked, frozenset(map(str, document["nodes"])))
     except subprocess.TimeoutExpired:
-        raise LookError(f"no answer within {_SECONDS:g} s") from None
+        raise LookError(f"no response within {_SECONDS:g} s") from None
     except (IndexError, KeyError, TypeError, ValueError):
         last = done.stderr.strip().splitlines()[-1:] or ["it printed nothing"]
         raise LookError(last[0]) from None

@@ -39,10 +39,13 @@ def look_at_connections(context: CheckContext) -> Findings:
         identity = None
     reported = _reported(context)
     if has_tls(opened) and identity is None:
-        return [*findings, *(_of_router(one) for one in reported.values() if not _good(one))]
+        return [*findings, *(_of_router(state) for state in reported.values() if not _good(state))]
     ends = [("connect", endpoint) for endpoint in opened.connect] + [("listen", endpoint) for endpoint in opened.listen]
     pool = WorkerPool(_AT_ONCE, "doctor-endpoints")  # daemon threads: the resolver may hang at the command's end
-    tests = [pool.submit(partial(_tested, way, place, identity, reported.get((way, place)))) for way, place in ends]
+    tests = [
+        pool.submit(partial(_tested, direction, place, identity, reported.get((direction, place))))
+        for direction, place in ends
+    ]
     return [*findings, *(test.result() for test in tests)]
 
 
@@ -74,12 +77,12 @@ def _finding(seen: str, reason: Reason) -> Finding:
 def _reported(context: CheckContext) -> dict[tuple[str, str], Mapping[str, Any]]:
     """Return the endpoints in the status document of this daemon's router."""
     documents = context.hub.of_side("router", context.config.name)
-    endpoints = [one for document in documents for one in _dicts(document.get("endpoints"))]
-    return {(str(one.get("way")), str(one.get("endpoint"))): one for one in endpoints}
+    endpoints = [endpoint for document in documents for endpoint in _dicts(document.get("endpoints"))]
+    return {(str(endpoint.get("way")), str(endpoint.get("endpoint"))): endpoint for endpoint in endpoints}
 
 
 def _dicts(value: object) -> Sequence[Mapping[str, Any]]:
-    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []
+    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
 
 
 def _good(one: Mapping[str, Any]) -> bool:

@@ -1,4 +1,4 @@
-"""The console: whether others can come in to it, where they should."""
+"""The console: its certificate, and access from other machines."""
 
 from __future__ import annotations
 
@@ -15,28 +15,30 @@ _MAKE = "'midspan keys make' makes the files; see docs/operate/console.md"
 
 
 def look_at_certificate(context: CheckContext) -> Findings:
-    """The files of the console's TLS: there, readable, of one authority, valid for a while, and nobody else's."""
+    """Check the files of the console's TLS: present, readable, of one authority, valid, and protected."""
     web, metrics = context.config.web, context.config.metrics
     if not (web.enabled and web.guarded) and not (metrics.enabled and metrics.reached):
-        return skip("console and metrics are on this machine's loopback alone, or off: no certificate is needed")
+        return skip("console and metrics only listen on loopback, or are off: no certificate is needed")
     files = key_files(context.config)
-    why = trouble(files)
-    if why:
-        return fail(f"{'the console' if web.enabled else 'the worker metrics'} cannot start: {why}", _MAKE)
-    own = read_certificate(files.certificate)
+    reason = trouble(files)
+    if reason:
+        return fail(f"{'the console' if web.enabled else 'the worker metrics'} cannot start: {reason}", _MAKE)
+    certificate = read_certificate(files.certificate)
     findings: list[Finding] = []
-    if own.begins_later():
-        seen = f"{own.file} is not valid before {own.since:%Y-%m-%d %H:%M} UTC: browsers refuse it"
+    if certificate.begins_later():
+        seen = f"{certificate.file} is not valid before {certificate.since:%Y-%m-%d %H:%M} UTC: browsers refuse it"
         findings.append(fail(seen, early_cure()))
-    elif own.days_left() < SOON_DAYS:
-        cure = "'midspan keys make NAME --replace', and copy the files; the console takes them up by itself"
-        findings.append(warn(f"{own.file} expires in {own.days_left()} days, and browsers refuse it then", cure))
+    elif certificate.days_left() < SOON_DAYS:
+        cure = "'midspan keys make NAME --replace', and copy the files; the console loads them by itself"
+        findings.append(
+            warn(f"{certificate.file} expires in {certificate.days_left()} days, and browsers refuse it then", cure)
+        )
     if files.key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        findings.append(warn(f"other users may use {files.key}, and pass for this console", f"chmod 600 {files.key}"))
-    strange = [name for name in web.names if name not in own.names]
+        findings.append(warn(f"other users can read {files.key}, and pose as this console", f"chmod 600 {files.key}"))
+    strange = [name for name in web.names if name not in certificate.names]
     if strange:
-        cure = f"'midspan keys make {own.name} {' '.join(web.names)} --replace'"
-        findings.append(warn(f"browsers warn of {', '.join(strange)}: not in {own.file}", cure))
+        cure = f"'midspan keys make {certificate.name} {' '.join(web.names)} --replace'"
+        findings.append(warn(f"browsers warn of {', '.join(strange)}: not in {certificate.file}", cure))
     return findings or ok(
-        f"browsers find the console as {', '.join(web.names or own.names)}, until {own.until:%Y-%m-%d}"
+        f"browsers find the console as {', '.join(web.names or certificate.names)}, until {certificate.until:%Y-%m-%d}"
     )

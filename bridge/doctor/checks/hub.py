@@ -67,7 +67,9 @@ def _shared_settings(configs: Mapping[str, Config]) -> Iterator[Finding]:
     """Yield a finding for each name and address that several daemons have, except a hub that they share."""
     claims: dict[tuple[str, str], list[str]] = {}
     for unit, config in configs.items():
-        places = [(each.key, each.text) for each in listeners(config) if each.port and each.key != _HUB]
+        places = [
+            (listener.key, listener.text) for listener in listeners(config) if listener.port and listener.key != _HUB
+        ]
         for claim in dict.fromkeys([("name", config.name), *places]):
             claims.setdefault(claim, []).append(unit)
     for (key, value), owners in claims.items():
@@ -78,27 +80,29 @@ def _shared_settings(configs: Mapping[str, Config]) -> Iterator[Finding]:
 
 def _shared_ports(configs: Mapping[str, Config]) -> Iterator[Finding]:
     """Yield a finding for each two addresses of two daemons that have one port, except the same setting twice."""
-    for (one, first), (other, second) in combinations(configs.items(), 2):
+    for (first_unit, first), (other, second) in combinations(configs.items(), 2):
         for place, taken in product(listeners(second), listeners(first)):
             alike = place.key == taken.key and (place.text == taken.text or place.key == _HUB)
             if place.excludes(taken) and not alike:
-                seen = f"{place.key} of {other} ({place.text}) has the port of {taken.key} of {one} ({taken.text})"
+                seen = (
+                    f"{place.key} of {other} ({place.text}) has the port of {taken.key} of {first_unit} ({taken.text})"
+                )
                 yield fail(seen, "set another port in one of them")
 
 
 def look_at_workers(context: CheckContext) -> Findings:
     """The daemon itself, and the state of each worker."""
     hub, state = context.hub, context.daemon
-    gone = [fail(state.trouble, state.cure)] if state.trouble else []
+    missing = [fail(state.trouble, state.cure)] if state.trouble else []
     if hub.error:
         absent = [_worker(context, document) for document in hub.documents]
-        cure = "" if absent or gone else start_hint(state.unit)
-        return [*gone, warn(hub.error.splitlines()[0], cure), *absent]
+        cure = "" if absent or missing else start_hint(state.unit)
+        return [*missing, warn(hub.error.splitlines()[0], cure), *absent]
     if not hub.documents:
         listen, domain = context.config.hub.listen, context.config.hub.domain
         seen = f"a router answers at {listen}, but no worker does in domain {domain}"
-        return [*gone, warn(seen, "start the daemon: midspan run; if it runs, compare hub.domain")]
-    findings = list(gone)
+        return [*missing, warn(seen, "start the daemon: midspan run; if it runs, compare hub.domain")]
+    findings = list(missing)
     for daemon in dict.fromkeys(str(document.get("daemon")) for document in hub.documents):
         workers = [document for document in hub.documents if str(document.get("daemon")) == daemon]
         common = shared({str(document.get("worker")): warnings_of(document) for document in workers})
@@ -149,7 +153,7 @@ def _worker(context: CheckContext, document: Document, elsewhere: Container[str]
 def _waiting(context: CheckContext, document: Document, name: str) -> Finding:
     """A side waits for its network; a module reports what it waits for."""
     if not document.get("module"):
-        return warn(f"{name} waits: its network is away", "see the checks of that side")
+        return warn(f"{name} waits: its network is unavailable", "see the checks of that side")
     hub = context.hub
     if document.get("worker") == "gateway" and document.get("daemon") == context.config.name:
         away = absence(context.config.navigation, str(document.get("planner")), hub.endpoints, hub.documents)
@@ -203,17 +207,25 @@ def look_at_keys(context: CheckContext) -> Findings:
     files = key_files(context.config)
     try:
         files.check()
-        own, authority = read_certificate(files.certificate), read_certificate(files.ca)
+        certificate, authority = read_certificate(files.certificate), read_certificate(files.ca)
         signed = signed_by(files.certificate, files.ca)
     except (HubConfigError, CertificateError) as err:
         return fail(str(err), "'midspan keys make' makes the files; see docs/operate/security.md")
-    findings = [*_validity(own), *_validity(authority), *_fit(files), *_mode(files), *_distrust(own.name, context)]
+    findings = [
+        *_validity(certificate),
+        *_validity(authority),
+        *_fit(files),
+        *_mode(files),
+        *_distrust(certificate.name, context),
+    ]
     if not signed:
         cure = "copy both from the same folder of 'midspan keys'"
         findings.append(fail(f"{files.certificate} was not signed by {files.ca}", cure))
-    if own.name != context.config.name:
-        findings.append(warn(f"this machine's certificate names it {own.name!r}: others trust that name", "see 'name'"))
-    return findings or ok(f"this machine is {own.name} to others, until {own.until:%Y-%m-%d}")
+    if certificate.name != context.config.name:
+        findings.append(
+            warn(f"this machine's certificate names it {certificate.name!r}: others trust that name", "see 'name'")
+        )
+    return findings or ok(f"this machine is {certificate.name} to others, until {certificate.until:%Y-%m-%d}")
 
 
 def _distrust(name: str, context: CheckContext) -> list[Finding]:

@@ -61,10 +61,10 @@ def look_at_state(context: CheckContext) -> Findings:
 
 def look_at_kernels(_around: CheckContext) -> Findings:
     """Whether what computes is compiled, of the sources that lie here."""
-    found = kernels.state()
-    if found.missing:
-        return fail(f"{found}; messages are converted slowly, and nothing drives", kernels.CURE)
-    return warn(str(found), kernels.REBUILD) if found.stale else ok(str(found))
+    state = kernels.state()
+    if state.missing:
+        return fail(f"{state}; messages are converted slowly, and nothing drives", kernels.CURE)
+    return warn(str(state), kernels.REBUILD) if state.stale else ok(str(state))
 
 
 WARN_SECONDS = 0.02
@@ -88,8 +88,10 @@ def look_at_clocks(context: CheckContext) -> Findings:
             daemons[daemon] = (offset.seconds, offset.error)
     for daemon, (seconds, error) in sorted(daemons.items()):
         sure = max(abs(seconds) - error, 0.0)
-        way = "ahead of" if seconds > 0 else "behind"
-        text = f"{daemon}'s clock is {abs(seconds) * 1e3:.1f} ms {way} this machine's (within {error * 1e3:.1f} ms)"
+        relation = "ahead of" if seconds > 0 else "behind"
+        text = (
+            f"{daemon}'s clock is {abs(seconds) * 1e3:.1f} ms {relation} this machine's (within {error * 1e3:.1f} ms)"
+        )
         if sure > FAIL_SECONDS:
             findings.append(fail(text, _CURE_CLOCK))
         elif sure > WARN_SECONDS:
@@ -137,16 +139,16 @@ def compare(context: CheckContext, requirements: Sequence[str], environment: Map
 
 def left_out(requirements: Sequence[str], environment: Mapping[str, str]) -> dict[str, list[str]]:
     """By extra, the requirements whose markers leave them out on a system, as lists of names."""
-    found: dict[str, list[str]] = {}
+    missing: dict[str, list[str]] = {}
     for requirement in map(Requirement, requirements):
         marker = requirement.marker
         extra = extra_of(str(marker)) if marker is not None else ""
         if marker is not None and not marker.evaluate({**environment, "extra": extra}):
-            found.setdefault(extra, []).append(requirement.name)
-    return found
+            missing.setdefault(extra, []).append(requirement.name)
+    return missing
 
 
 def extra_of(marker: str) -> str:
     """The extra that a requirement in a package's metadata belongs to, "" where to none."""
-    _, _, rest = marker.partition('extra == "')
-    return rest.partition('"')[0]
+    _, _, condition = marker.partition('extra == "')
+    return condition.partition('"')[0]

@@ -1,7 +1,8 @@
-"""ROS 1: its packages, its master, this shell against the daemon, and ROS 1's classic: names that do not resolve.
+"""ROS 1: its packages, its master, this shell against the daemon, and the classic problem of names that do not resolve.
 
-Every ROS 1 node tells the master its address by ROS_HOSTNAME, ROS_IP or the machine's name (rosgraph.network), and
-whoever wants its data must reach it under that name. Where host names resolve elsewhere, data go one way only.
+Every ROS 1 node registers its address from ROS_HOSTNAME, ROS_IP or the machine's name (rosgraph.network) with the
+master, and its subscribers must reach it under that name. If host names do not resolve alike on all machines, data flow
+in only one direction.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ _SECONDS = 2.0
 
 
 def look_at_packages(context: CheckContext) -> Findings:
-    """Is rospy installed?"""
+    """Check that rospy is installed."""
     return packages("ros1", "rospy", context.config.ros1.enabled, available(context.config, context.environ))
 
 
 def why_not(context: CheckContext) -> str:
-    """Why there is no ROS 1 side to look at, "" where there is."""
+    """Return why there is no ROS 1 side to check, "" if there is one."""
     if context.config.ros1.enabled is False:
         return "ros1.enabled is false"
     if available(context.config, context.environ) and not context.hub.of_side("ros1"):
@@ -39,7 +40,7 @@ def why_not(context: CheckContext) -> str:
 
 
 def look_at_master(context: CheckContext) -> Findings:
-    """Does the master's name resolve, and does it answer?"""
+    """Check that the master's name resolves, and that it responds."""
     if reason := why_not(context):
         return skip(reason)
     uri = context.master
@@ -59,7 +60,7 @@ def look_at_master(context: CheckContext) -> Findings:
 
 
 def look_at_environment(context: CheckContext) -> Findings:
-    """Do the programs of this shell and the daemon talk to the same master?"""
+    """Check that this shell's programs and the daemon use the same master."""
     if reason := why_not(context):
         return skip(reason)
     shell = context.environ.get("ROS_MASTER_URI")
@@ -69,16 +70,16 @@ def look_at_environment(context: CheckContext) -> Findings:
         cure = "set both alike: export ROS_MASTER_URI, or change ros1.master"
         findings.append(warn(f"this shell's ROS_MASTER_URI is {shell}, but ros1.master is {config}", cure))
     findings += _against_worker(context, shell or master_uri(context.config, {}))
-    return findings or ok(f"this shell and the daemon mean {shell or context.master}")
+    return findings or ok(f"this shell and the daemon use {shell or context.master}")
 
 
 def _against_worker(context: CheckContext, shell: str) -> list[Finding]:
-    """Whether the network that this shell's programs would join is the one that the running daemon is on."""
+    """Check that this shell's programs would join the running daemon's network."""
     mine = next((d for d in context.hub.of_side("ros1", context.config.name) if d.get("network")), None)
     if mine is None:
         return []
-    here = _network(shell)
-    if here is None or here == mine["network"]:
+    network = _network(shell)
+    if network is None or network == mine["network"]:
         return []
     theirs = environment_of(context.process(mine)).get("ROS_MASTER_URI", "another master")
     cure = f"export ROS_MASTER_URI={theirs}" if "://" in theirs else "start the daemon with this shell's ROS_MASTER_URI"
@@ -109,7 +110,7 @@ _SHOWN = 5
 
 
 def look_at_address(context: CheckContext) -> Findings:
-    """Is what this machine tells ROS 1 peers as its address really its own, and of use to them?"""
+    """Check that the address announced to ROS 1 peers belongs to this machine, and is reachable for them."""
     if reason := why_not(context):
         return skip(reason)
     name, value = _announced(context)
@@ -123,10 +124,10 @@ def look_at_address(context: CheckContext) -> Findings:
     except OSError:
         cure = f"set ROS_IP to this machine's address, or add {value} to /etc/hosts"
         return fail(f"{name} is '{value}', which does not resolve", cure)
-    own = _own_addresses()
-    if not addresses & own:
-        seen = f"{name} is '{value}' ({', '.join(sorted(addresses))}), which is no address of this machine"
-        return fail(seen, f"set it to one of {', '.join(sorted(a for a in own if ':' not in a))}")
+    local = _own_addresses()
+    if not addresses & local:
+        seen = f"{name} is '{value}' ({', '.join(sorted(addresses))}), which is not an address of this machine"
+        return fail(seen, f"set it to one of {', '.join(sorted(a for a in local if ':' not in a))}")
     if remote and all(ipaddress.ip_address(a).is_loopback for a in addresses):
         seen = f"the master is on another machine, but {name} '{value}' resolves to {', '.join(sorted(addresses))} here"
         return fail(f"{seen}: its nodes cannot reach this machine", "set ros1.ip (ROS_IP) to its address there")
@@ -134,7 +135,7 @@ def look_at_address(context: CheckContext) -> Findings:
 
 
 def look_at_nodes(context: CheckContext) -> Findings:
-    """Can each node that the master knows be reached from here under the address that it gave?"""
+    """Check that each registered node can be reached from here under its registered address."""
     if reason := why_not(context):
         return skip(reason)
     look = context.look_at_master()
@@ -157,22 +158,22 @@ def _trouble(uri: str, *, remote: bool) -> Finding | None:
         parts = urlsplit(uri)
         host, port = parts.hostname or "", parts.port or 80
     except ValueError:
-        return fail(f"the address {uri!r} is no address")
+        return fail(f"the address {uri!r} is invalid")
     try:
         addresses = _resolve(host)
     except OSError:
-        cure = f"add '{host}' with its address to /etc/hosts of this machine, or set ROS_IP where they run"
-        return fail(f"the host name '{host}' that they gave does not resolve here", cure)
+        cure = f"add '{host}' with its address to /etc/hosts of this machine, or set ROS_IP on their machine"
+        return fail(f"their registered host name '{host}' does not resolve here", cure)
     shown = ", ".join(sorted(addresses))
     named = host != "localhost" and not _is_address(host)
     if remote and named and all(ipaddress.ip_address(a).is_loopback for a in addresses):
-        seen = f"the host name '{host}' that they gave resolves to {shown}, this very machine"
+        seen = f"their registered host name '{host}' resolves to {shown}, this machine"
         return fail(seen, f"correct '{host}' in /etc/hosts of this machine")
     try:
         socket.create_connection((host, port), _CONNECT_SECONDS).close()
     except ConnectionRefusedError:
-        cure = "they are dead ('rosnode cleanup' takes them off the master), or the name leads elsewhere from here"
-        return warn(f"nothing answers at {host} ({shown}) under the port that they gave", cure)
+        cure = "they are dead ('rosnode cleanup' unregisters them), or the name resolves differently here"
+        return warn(f"nothing responds at {host} ({shown}) on their registered port", cure)
     except OSError as err:
         cure = "check route and firewall; ROS 1 nodes use any port"
         return fail(f"{host} ({shown}) cannot be reached: {err}", cure)
@@ -185,7 +186,7 @@ def _named(finding: Finding, nodes: Sequence[str]) -> Finding:
 
 
 def _announced(context: CheckContext) -> tuple[str, str]:
-    """What is set as this machine's address for ROS 1, and by what."""
+    """Return the configured address of this machine for ROS 1, and its source."""
     ros1, environ = context.config.ros1, context.environ
     configured: Mapping[str, str | None] = {"ros1.hostname": ros1.hostname, "ros1.ip": ros1.ip}
     inherited = {name: environ.get(name) for name in ("ROS_HOSTNAME", "ROS_IP")}
@@ -196,10 +197,10 @@ def _announced(context: CheckContext) -> tuple[str, str]:
 
 
 def _resolve(host: str) -> set[str]:
-    """Addresses of a host; raises `OSError`."""
+    """Resolve a host's addresses; raises `OSError`."""
     try:
         return {str(info[4][0]).partition("%")[0] for info in socket.getaddrinfo(host, None)}
-    except UnicodeError as err:  # a name that cannot be one
+    except UnicodeError as err:  # an invalid name
         raise OSError(str(err)) from None
 
 
@@ -213,14 +214,14 @@ def _is_address(host: str) -> bool:
 
 def _own_addresses() -> set[str]:
     interfaces = psutil.net_if_addrs().values()
-    found = {
+    own = {
         a.address.partition("%")[0]
         for addresses in interfaces
         for a in addresses
         if a.family in (socket.AF_INET, socket.AF_INET6)
     }
-    # the whole of 127/8 is this machine's, Debian's 127.0.1.1 for the machine's name among it
-    return found | {"127.0.0.1", "127.0.1.1", "::1"}
+    # all of 127/8 belongs to this machine, including Debian's 127.0.1.1 for the machine's name
+    return own | {"127.0.0.1", "127.0.1.1", "::1"}
 
 
 Item = TypeVar("Item")
@@ -228,10 +229,10 @@ Outcome = TypeVar("Outcome")
 
 
 def in_parallel(work: Callable[[Item], Outcome], items: Sequence[Item], threads: int) -> list[Outcome]:
-    """``work`` of each item, in the items' order; it must not raise.
+    """Apply ``work``, which must not raise, to each item; return the results in the items' order.
 
-    Unlike those of `concurrent.futures` the threads are not waited for when the process ends: the system's resolver has
-    no time limit of ours.
+    Unlike those of `concurrent.futures`, the threads do not delay the exit of the process: the system's resolver has no
+    configurable timeout.
     """
     waiting: queue.SimpleQueue[int] = queue.SimpleQueue()
     done: queue.SimpleQueue[tuple[int, Outcome]] = queue.SimpleQueue()

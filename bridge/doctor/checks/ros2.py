@@ -1,4 +1,4 @@
-"""ROS 2: are its packages here, and does this shell use the same domain and middleware as the daemon?"""
+"""ROS 2: its packages, and whether this shell uses the daemon's domain and middleware."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _KNOWN_RMW = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cp
 
 
 def look_at_packages(context: CheckContext) -> Findings:
-    """Is rclpy installed?"""
+    """Check that rclpy is installed."""
     return packages("ros2", "rclpy", context.config.ros2.enabled, available(context.config))
 
 
 def look_at_environment(context: CheckContext) -> Findings:
-    """Are this shell's programs in the daemon's domain, and do they look as far?"""
+    """Check that this shell's programs use the daemon's domain and discovery range."""
     if context.config.ros2.enabled is False:
         return skip("ros2.enabled is false")
     text = context.environ.get("ROS_DOMAIN_ID") or "0"
@@ -26,7 +26,7 @@ def look_at_environment(context: CheckContext) -> Findings:
     findings: list[Finding] = []
     meant, by = _daemons_domain(context)
     if int(text) != meant:
-        seen = f"this shell's ROS_DOMAIN_ID is {text}, {by} uses {meant}: its ROS 2 programs do not hear the daemon"
+        seen = f"this shell's ROS_DOMAIN_ID is {text}, {by} uses {meant}: its ROS 2 programs do not see the daemon"
         findings.append(warn(seen, f"export ROS_DOMAIN_ID={meant}, or set ros2.domain to {text}"))
     findings += _range(context)
     set_to = (context.environ.get(f"{dds}_DEFAULT_PROFILES_FILE") for dds in ("FASTRTPS", "FASTDDS"))
@@ -37,21 +37,21 @@ def look_at_environment(context: CheckContext) -> Findings:
 
 
 def look_at_rmw(context: CheckContext) -> Findings:
-    """Do this shell's ROS 2 programs speak DDS, as the ROS 2 side does?"""
+    """Check that this shell's ROS 2 programs use DDS, like the ROS 2 side."""
     name = context.environ.get("RMW_IMPLEMENTATION", "")
     if not name or name.startswith("rmw_fastrtps"):
         return ok(f"RMW_IMPLEMENTATION is {name or 'not set (Fast DDS)'}")
     if name == "rmw_zenoh_cpp":
-        cure = "nothing to do if that is meant; else unset RMW_IMPLEMENTATION"
+        cure = "nothing to do if that is intended; else unset RMW_IMPLEMENTATION"
         return warn("RMW_IMPLEMENTATION is rmw_zenoh_cpp: this shell's programs are on the hub, not on DDS", cure)
     if name in _KNOWN_RMW:
-        cure = "nothing to do for topics; Fast DDS (rmw_fastrtps_cpp) on both ends is what is tested"
-        return warn(f"RMW_IMPLEMENTATION is {name}: other DDS than Midspan's; large messages go over UDP", cure)
-    return fail(f"RMW_IMPLEMENTATION is {name}, which is no middleware of ROS 2's", "unset it")
+        cure = "nothing to do for topics; only Fast DDS (rmw_fastrtps_cpp) on both ends is tested"
+        return warn(f"RMW_IMPLEMENTATION is {name}: not Midspan's DDS; large messages use UDP", cure)
+    return fail(f"RMW_IMPLEMENTATION is {name}, which is not a ROS 2 middleware", "unset it")
 
 
 def _daemons_domain(context: CheckContext) -> tuple[int, str]:
-    """The running worker's domain where it can be read, else the configuration's."""
+    """Return the running worker's domain if it can be read, else the configuration's; and its source."""
     for document in context.hub.of_side("ros2", context.config.name):
         running = environment_of(context.process(document)).get("ROS_DOMAIN_ID", "")
         if running.isdigit():
@@ -62,15 +62,15 @@ def _daemons_domain(context: CheckContext) -> tuple[int, str]:
 
 
 def _range(context: CheckContext) -> list[Finding]:
-    """Programs that look on this machine alone do not hear another machine's, and the other way round."""
+    """Check the discovery range: programs limited to this machine do not discover other machines', and vice versa."""
     environ, local = context.environ, context.config.ros2.localhost_only
     reach = environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
     if reach == "OFF":
-        return [fail("ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: this shell's ROS 2 programs find nobody", "unset it")]
+        return [fail("ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: this shell's ROS 2 programs discover nothing", "unset it")]
     shell_local = environ.get("ROS_LOCALHOST_ONLY") == "1" or reach == "LOCALHOST"
     if shell_local and not local:
         cure = "unset ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE, or set ros2.localhost_only: true"
-        return [warn("this shell's ROS 2 programs look on this machine only, ros2.localhost_only is false", cure)]
+        return [warn("this shell's ROS 2 programs only discover this machine, ros2.localhost_only is false", cure)]
     return []
 
 

@@ -1,8 +1,8 @@
-"""Shared memory: other users' Fast DDS, too little space, litter of dead processes.
+"""Shared memory: other users' Fast DDS, too little space, leftovers of dead processes.
 
-Fast DDS 2.14 makes segments ``fastrtps_<16 hex>`` and ports ``fastrtps_port<n>``; whoever uses one holds its lock file
-``<name>_el`` locked (flock). zenoh 1.10 makes ``<number>.zenoh`` and holds the file itself locked. Linux tells in
-``/proc/locks`` which files are locked, also by other users (seen with both).
+Fast DDS 2.14 creates segments ``fastrtps_<16 hex>`` and ports ``fastrtps_port<n>``; their users hold a lock (flock) on
+the file ``<name>_el``. zenoh 1.10 creates ``<number>.zenoh`` and locks the file itself. On Linux ``/proc/locks`` lists
+the locked files, also those of other users (verified for both).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bridge.doctor.context import CheckContext
 from bridge.hub.shared_memory import NAME, is_locked
 
 SMALL_BYTES = 128 * 1024 * 1024
-"""Fast DDS takes half a megabyte for a stock participant; Midspan's wants an eighth of what is free, up to 64 MiB."""
+"""Fast DDS needs half a megabyte for a default participant; Midspan uses an eighth of the free space, up to 64 MiB."""
 FULL_BYTES = 8 * 1024 * 1024
 LITTER_BYTES = 16 * 1024 * 1024
 LITTER_FILES = 20
@@ -29,7 +29,7 @@ _CURE_SIZE = "give it more: docker run --shm-size=1g, or mount -o remount,size=1
 
 
 def look_at_users(context: CheckContext) -> Findings:
-    """Fast DDS's shared memory between different users delivers nothing, while the graph looks perfect."""
+    """Check for other users: Fast DDS's shared memory delivers nothing to them, although the graph looks complete."""
     if context.config.ros2.enabled is False or not context.shm.is_dir():
         return skip("ROS 2 over shared memory is not used here")
     mine = {_daemons_user(context)}
@@ -40,7 +40,7 @@ def look_at_users(context: CheckContext) -> Findings:
     names = ", ".join(sorted(_user_name(uid) for uid in others))
     seen = (
         f"ROS 2 programs of other users than {_user_name(next(iter(mine)))} share {context.shm}: {names}; Fast DDS's"
-        " shared memory delivers nothing between users, and says nothing"
+        " shared memory silently delivers nothing between users"
     )
     cure = "run them as the same user, or with FASTDDS_BUILTIN_TRANSPORTS=UDPv4"
     transport = context.config.ros2.transport
@@ -48,25 +48,25 @@ def look_at_users(context: CheckContext) -> Findings:
         return fail(seen, f"set ros2.transport to auto or udp; or {cure}")
     if transport == "udp":
         return ok(f"other users' ROS 2 programs are here ({names}); ros2.transport is udp, which reaches them")
-    return warn(seen, f"Midspan (ros2.transport: auto) turns to UDP by itself; among themselves: {cure}")
+    return warn(seen, f"Midspan (ros2.transport: auto) switches to UDP by itself; for the other programs: {cure}")
 
 
 def look_at_size(context: CheckContext) -> Findings:
-    """How much room there is."""
+    """Check the free space."""
     if not context.shm.is_dir():
         return skip(f"no {context.shm} here")
     stat = os.statvfs(context.shm)
     whole, free = stat.f_blocks * stat.f_frsize, stat.f_bavail * stat.f_frsize
     text = f"{context.shm}: {free / 1e6:.0f} MB free of {whole / 1e6:.0f} MB"
     if free < FULL_BYTES:
-        return fail(f"{text}; large messages fall back to slower ways, and programs fail to start", _CURE_SIZE)
+        return fail(f"{text}; large messages use slower transports, and programs fail to start", _CURE_SIZE)
     if whole < SMALL_BYTES:
-        return warn(f"{text}; large messages of ROS 2 go in pieces or over UDP", _CURE_SIZE)
+        return warn(f"{text}; large ROS 2 messages are fragmented or use UDP", _CURE_SIZE)
     return ok(text)
 
 
 def look_at_litter(context: CheckContext) -> Findings:
-    """Segments of processes that were killed."""
+    """Check for segments of killed processes."""
     if not context.shm.is_dir():
         return skip(f"no {context.shm} here")
     left = [f for f in shared_files(context.shm, context.proc) if f.held is False and not f.young and not f.port]
@@ -79,12 +79,12 @@ def look_at_litter(context: CheckContext) -> Findings:
         cures.append("'fastdds shm clean', or a restart of Midspan's ros2 worker, removes Fast DDS's")
     if zenoh:
         cures.append(f"rm {' '.join(str(f.path) for f in zenoh[:3])}{' ...' if len(zenoh) > 3 else ''}")
-    seen = f"{len(left)} files ({size / 1e6:.0f} MB) in {context.shm} belong to no process any more: theirs were killed"
+    seen = f"{len(left)} files ({size / 1e6:.0f} MB) in {context.shm} belong to processes that were killed"
     return warn(seen, "; ".join(cures))
 
 
 def _daemons_user(context: CheckContext) -> int:
-    """The running ros2 worker's user; where none runs, ours, who would start it."""
+    """Return the user of the running ros2 worker, else the current user, who would start it."""
     for document in context.hub.of_side("ros2"):
         process = context.process(document)
         if process is not None:
@@ -105,7 +105,7 @@ _SEGMENT = re.compile(r"fastrtps_[0-9a-f]{16}")
 _PORT = re.compile(r"fastrtps_port\d+")
 _LOCK = re.compile(r"FLOCK .* ([0-9a-f]+):([0-9a-f]+):(\d+) ")
 _YOUNG_SECONDS = 10.0
-"""A file so young may be just made, and not yet locked."""
+"""A younger file may not be locked yet."""
 
 _Lock = tuple[int, int, int]
 """Device (major, minor) and inode of a locked file."""
@@ -113,7 +113,7 @@ _Lock = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class SharedFile:
-    """One file; ``held``: a living process uses it, None where that is unknown; ``young``: made just now."""
+    """One file; ``held``: a living process uses it, None if unknown; ``young``: just created."""
 
     path: Path
     uid: int
@@ -123,26 +123,26 @@ class SharedFile:
 
     @property
     def fast_dds(self) -> bool:
-        """Whether Fast DDS made it."""
+        """Whether it belongs to Fast DDS."""
         return not NAME.fullmatch(self.path.name)
 
     @property
     def port(self) -> bool:
-        """Whether it is a port of Fast DDS's; a dead one is taken over when its number comes up again."""
+        """Whether it is a port of Fast DDS, which reuses a dead one when its number is used again."""
         return _PORT.fullmatch(self.path.name) is not None
 
 
 def shared_files(folder: Path, proc: Path) -> list[SharedFile]:
-    """Segments and ports of Fast DDS and pools of zenoh in ``/dev/shm``."""
+    """Return the segments and ports of Fast DDS and the pools of zenoh in ``/dev/shm``."""
     locks = _locks(proc)
-    found: list[SharedFile] = []
+    files: list[SharedFile] = []
     for path in sorted(_entries(folder)):
         with contextlib.suppress(OSError):
             stat = path.stat()
             lock = path if NAME.fullmatch(path.name) else path.with_name(f"{path.name}_el")
             young = time.time() - stat.st_mtime < _YOUNG_SECONDS
-            found.append(SharedFile(path, stat.st_uid, stat.st_blocks * 512, _is_held(lock, locks), young))
-    return found
+            files.append(SharedFile(path, stat.st_uid, stat.st_blocks * 512, _is_held(lock, locks), young))
+    return files
 
 
 def _entries(folder: Path) -> Iterator[Path]:
@@ -165,7 +165,7 @@ def _is_held(lock: Path, locks: set[_Lock]) -> bool | None:
         return False
     if (os.major(stat.st_dev), os.minor(stat.st_dev), stat.st_ino) in locks:
         return True
-    # in a container the list does not have the locks of other containers: try it
+    # in a container the list lacks the locks of other containers: try to lock
     try:
         return is_locked(lock)
     except OSError:

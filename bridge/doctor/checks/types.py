@@ -45,30 +45,30 @@ def look_at_compiler(context: CheckContext) -> Findings:
 
 
 def _refusals(context: CheckContext, *, differing: bool) -> list[Finding]:
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for document in context.hub.documents:
         refused = document.get("refused")
         for entry in refused if isinstance(refused, list) else ():
             reason = str(entry.get("reason", ""))
-            if any(word in reason for word in _DIFFERS) is differing and not _of_map_server(context, entry):
-                found.append(_refusal(document, entry, reason))
-    found = merged(found)
-    more = len(found) - _SHOWN
-    return found[:_SHOWN] + ([fail(f"and {more} more", "'midspan status' shows all")] if more > 0 else [])
+            if any(phrase in reason for phrase in _DIFFERS) is differing and not _of_map_server(context, entry):
+                findings.append(_refusal(document, entry, reason))
+    findings = merged(findings)
+    more = len(findings) - _SHOWN
+    return findings[:_SHOWN] + ([fail(f"and {more} more", "'midspan status' shows all")] if more > 0 else [])
 
 
 def _map_services(context: CheckContext) -> list[Finding]:
     """What a real map server and Map2DServer both serve."""
-    found = {
+    services = {
         (str(document.get("side")), str(entry.get("topic")))
         for document in context.hub.documents
         for entry in document.get("refused") or ()
         if _of_map_server(context, entry)
     }
     return [
-        ok(f"{', '.join(name for at, name in sorted(found) if at == side)}: the map server there answers on {side},"
+        ok(f"{', '.join(name for at, name in sorted(services) if at == side)}: the map server there answers on {side},"
            " Map2DServer, which takes its map, everywhere else")
-        for side in sorted({side for side, _ in found})
+        for side in sorted({side for side, _ in services})
     ]  # fmt: skip
 
 
@@ -86,10 +86,10 @@ def _of_map_server(context: CheckContext, entry: Document) -> bool:
 
 
 def _warnings(context: CheckContext) -> list[str]:
-    found = (document.get("warnings") for document in context.hub.documents)
-    return [str(text) for texts in found if isinstance(texts, list) for text in texts]
+    warnings = (document.get("warnings") for document in context.hub.documents)
+    return [str(text) for texts in warnings if isinstance(texts, list) for text in texts]
 
 
 def _refusal(document: Document, entry: Document, reason: str) -> Finding:
-    way = f"{document.get('side')} -> hub" if entry.get("direction") == "in" else f"hub -> {document.get('side')}"
-    return fail(f"{entry.get('topic')} ({entry.get('type')}, {way}): {reason}", str(entry.get("cure", "")))
+    direction = f"{document.get('side')} -> hub" if entry.get("direction") == "in" else f"hub -> {document.get('side')}"
+    return fail(f"{entry.get('topic')} ({entry.get('type')}, {direction}): {reason}", str(entry.get("cure", "")))

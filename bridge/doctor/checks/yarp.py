@@ -36,18 +36,18 @@ def look_at_environment(context: CheckContext) -> Findings:
     if reason := _why_not(context):
         return skip(reason)
     try:
-        told = conf.read(section.namespace, context.environ)
+        configured = conf.read(section.namespace, context.environ)
     except NamingConfigError as err:
         return fail(str(err), f"write a line such as '127.0.0.1 10000 yarp' into {_file(context)}")
     wanted = address_of(section)
-    if told is None:
+    if configured is None:
         place = wanted or Address("127.0.0.1", conf.DEFAULT_PORT)
         cure = f"for programs of this user: echo '{place.host} {place.port} yarp' > {_file(context)}"
         return warn(f"there is no {_file(context)}: YARP programs of this shell find no name server", cure)
-    if wanted is not None and (wanted.host, wanted.port) != (told.host, told.port):
-        seen = f"yarp.address is {wanted.host}:{wanted.port}, {_file(context)} has {told.host}:{told.port}"
+    if wanted is not None and (wanted.host, wanted.port) != (configured.host, configured.port):
+        seen = f"yarp.address is {wanted.host}:{wanted.port}, {_file(context)} has {configured.host}:{configured.port}"
         return warn(seen, "set both alike, unless they are one machine's two names")
-    return ok(f"{_file(context)} has {told.host} port {told.port}")
+    return ok(f"{_file(context)} has {configured.host} port {configured.port}")
 
 
 def look_at_releases(context: CheckContext) -> Findings:

@@ -169,7 +169,7 @@ def test_the_traffic_of_a_route_is_shown(midspan: Midspan, network: HubNetwork, 
     for text in (
         "100 messages, 9.8 msg/s",
         "last error: too short",
-        "ROS 1 (daemon robot1) is away",
+        "ROS 1 (daemon robot1) is unavailable",
         f"Note: ROS 2: {odd}",
     ):
         assert text in words

@@ -37,7 +37,13 @@ def test_status_shows_each_worker_and_route(midspan: Midspan) -> None:
     done = midspan("status")
     assert done.code == 0
     words = done.out
-    for text in ("robot1", "network net-1", "ROS 2 is away", "3 sessions", "refused ROS 1 -> hub /odd (odd_msgs/Odd)"):
+    for text in (
+        "robot1",
+        "network net-1",
+        "ROS 2 is unavailable",
+        "3 sessions",
+        "refused ROS 1 -> hub /odd (odd_msgs/Odd)",
+    ):
         assert text in words
     assert "gateway  waiting  the planner is not there" in words
     for text in ("cure: get it", "hub -> ROS 2", "queue 3, bad 1", "9.8", "12", "idle", "up 3 min", "cpu 3 %", "52 MB"):

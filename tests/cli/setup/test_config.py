@@ -61,7 +61,7 @@ def test_migrate_writes_the_file_and_keeps_the_former(tmp_path: Path, capsys: py
     assert main(["config", "migrate", str(file), "--print"]) == 0
     said = capsys.readouterr()
     assert said.out == "# robot\nversion: 1\nros2:\n  # build: true # long ago\n"
-    assert "ros2.build is gone" in said.err
+    assert "ros2.build was removed" in said.err
     assert file.read_text() == text
     assert main(["config", "migrate", str(file)]) == 0
     assert (file.read_text(), (tmp_path / "old.yaml.old").read_text()) == (said.out, text)
