@@ -42,7 +42,7 @@ def conflicts(endpoints: Iterable[HubEndpoint]) -> list[Note]:
         for type_name, hashes in sorted(types.items()):
             if len(hashes) > 1:
                 holders = "; ".join(f"{nodes(e)} {h[:17]}..." for h, e in sorted(hashes.items()))
-                text = f"{topic}: the definitions of {type_name} differ ({holders}); they do not receive each other's messages"
+                text = f"{topic}: the definitions of {type_name} differ ({holders}); no messages are exchanged"
                 notes.append(Note(text, CURE))
     return notes
 

@@ -50,5 +50,5 @@ def test_a_module_that_is_not_switched_on_is_refused_with_those_that_are(tmp_pat
     command = [*COMMAND, "nothing", "--config", str(_config(tmp_path, "tcp/127.0.0.1:9"))]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=100, check=False)
     assert done.returncode == 1
-    assert "modules.nothing is not switched on" in done.stderr
+    assert "modules.nothing is not enabled" in done.stderr
     assert "echo" in done.stderr

@@ -95,7 +95,7 @@ def test_answers_of_the_control_plane(network: HubNetwork) -> None:
         assert [(a.value, a.error) for a in here.ask("later", {})] == [(7, "")]
         (refused,) = here.ask("next", {})
         assert refused.value is None
-        assert refused.error.startswith(f"far/worker cannot be understood: it speaks version {NEXT}")
+        assert refused.error.startswith(f"far/worker cannot be understood: it uses version {NEXT}")
         for queryable in kept:
             queryable.undeclare()
 
