@@ -383,7 +383,7 @@ def test_a_store_of_another_major_is_not_taken(hub: QuickHub, tmp_path: Path, ca
         with caplog.at_level(logging.WARNING):
             token = session.liveliness().declare_token(f"midspan/store/0/@sync/alive/{zid}/far")
             until(lambda: "the store of far is not taken" in caplog.text, "it is refused", SECONDS)
-        assert caplog.text.count("the store of far is not taken: it speaks version 2.0") == 1
+        assert caplog.text.count("the store of far is not taken: it uses version 2.0") == 1
         assert json.loads(asked[0])["wire"] == WIRE
         version = {"ns": 7, "replica": "aa", "origin": "far", "seen": {}}
         for name, wire in (("strange", "2.0"), ("later", "1.7")):
@@ -391,11 +391,11 @@ def test_a_store_of_another_major_is_not_taken(hub: QuickHub, tmp_path: Path, ca
             session.put(f"midspan/store/0/location/{name}", b"{}", attachment=attached)
         until(lambda: names(one), "that of a later minor is taken", SECONDS)
         assert names(one) == ["later"]
-        assert "location/strange is not taken: it speaks version 2.0" in caplog.text
+        assert "location/strange is not taken: it uses version 2.0" in caplog.text
         assert one.hub is not None
         question = f"midspan/store/0/@sync/digest/{one.hub.zid}"
         (refused,) = session.get(question, payload=b'{"wire": "2.0", "digests": []}')
-        assert b"speaks version 2.0" in refused.err.payload.to_bytes()
+        assert b"uses version 2.0" in refused.err.payload.to_bytes()
         (taken,) = session.get(question, payload=b'{"wire": "1.7", "digests": [], "more": 1}')
         assert json.loads(taken.ok.payload.to_bytes())["wire"] == WIRE
         for declared in (kept, token):
