@@ -1,4 +1,4 @@
-"""A hub of its own for each test that asks for one."""
+"""A separate hub for each test that requests one."""
 
 from __future__ import annotations
 

@@ -21,12 +21,12 @@ BEST_EFFORT_LATCHED = Qos(Reliability.BEST_EFFORT, Durability.TRANSIENT_LOCAL, d
 
 
 def endpoint(topic: str, gid: bytes, qos: Qos = STREAM) -> HubEndpoint:
-    """A publisher as the graph tells of it."""
+    """A publisher as the graph reports it."""
     return HubEndpoint("1", "node", "/", EndpointKind.PUBLISHER, topic, TYPE, HASH, qos, gid, None, False, False)
 
 
 class Heard:
-    """Collects what one subscription hears."""
+    """Collects the messages of one subscription."""
 
     def __init__(self, hub: Hub, topic: str, qos: Qos = STREAM, type_hash: str = HASH) -> None:
         self.samples: list[HubSample] = []
@@ -49,7 +49,7 @@ class Heard:
 
 
 def talk(hub: Hub, topic: str, qos: Qos = STREAM, *texts: str, **more: Any) -> HubPublisher:
-    """A publisher that has said ``texts``."""
+    """Return a publisher that has published ``texts``."""
     publisher = hub.publisher(topic, TYPE, HASH, qos, **more)
     for text in texts:
         publisher.put(text.encode())
@@ -64,5 +64,5 @@ def see_each_other(*hubs: Hub) -> None:
 
 
 def matched(publisher: HubPublisher) -> None:
-    """Wait until somebody subscribes."""
+    """Wait for a subscriber."""
     until(publisher.matched, "the publisher is matched")

@@ -49,7 +49,7 @@ def test_a_link_that_alone_was_cut_is_made_again(hubs: QuickHub) -> None:
 
 
 def test_a_link_that_was_never_made_is_made(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
-    """There is no event for it, so the session compares its links with the router's peers."""
+    """Without an event for it, the session compares its links with the router's peers."""
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.3)
     monkeypatch.setattr(links.Mesh, "_on_event", lambda *_: None)
     with Hub.open(hubs.settings("one")) as one, Hub.open(hubs.settings("two", "two")) as two:

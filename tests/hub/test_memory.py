@@ -54,7 +54,7 @@ def segments(pid: int) -> set[Path]:
 
 
 def send_big(network: HubNetwork, number: signal.Signals) -> set[Path]:
-    """One session sends a big message to another, both in processes of their own; the sender's end and its segments."""
+    """One session sends a large message to another, in two processes; check the sender's exit and its segments."""
     with network.hub_peer("listener") as listener, network.hub_peer("sender") as sender:
         heard = listener.ask("subscription", topic="/image")["id"]
         publisher = sender.ask("publisher", topic="/image", latched=False)["id"]
@@ -117,5 +117,5 @@ def test_publishers_that_come_and_go_leave_nothing_in_a_subscription(qos: Qos):
             publisher.close()
         assert len(heard.subscription.sources) < 200
         stays.put(b"still")
-        until(lambda: heard.texts()[-1] == "still", "the one that stays is heard")
+        until(lambda: heard.texts()[-1] == "still", "the remaining one is received")
         assert heard.subscription.lost == 0

@@ -1,4 +1,4 @@
-"""The threads of zenoh's library: what comes in never stops what is under way elsewhere."""
+"""The threads of zenoh's library: incoming messages never block calls on other threads."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ with one, two:
 
     def heard(sample):
         busy.set()
-        sum(range(20_000))  # long enough for another thread to take Python's lock
+        sum(range(20_000))  # long enough for another thread to get the GIL
 
     subscription = one.subscription("/flood", "std_msgs/msg/Empty", HASH, Qos(), heard)
     publisher = two.publisher("/flood", "std_msgs/msg/Empty", HASH, Qos())
@@ -31,7 +31,7 @@ with one, two:
             publisher.put(b"x")
             time.sleep(0.0002)
 
-    def join():  # zenoh tells what it knows of the publishers on another of its threads
+    def join():  # zenoh reports the known publishers on another of its threads
         while not done.is_set():
             one.subscription("/map", "std_msgs/msg/Empty", HASH, LATCHED, heard).close()
             time.sleep(0.002)

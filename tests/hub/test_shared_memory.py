@@ -60,7 +60,7 @@ def test_more_pools_than_living_holders_are_orphans(tmp_path: Path, holders: lis
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and /dev/shm")
 def test_a_killed_sender_leaves_an_orphan_with_its_listener(tmp_path: Path) -> None:
-    """The very reason for `pools.orphans`: should a later zenoh let go of the dead's memory, it is needed no more."""
+    """The reason for `pools.orphans`: if a later zenoh releases the memory of dead processes, it is obsolete."""
     with HubNetwork() as network, network.hub_peer("listener") as listener:
         heard = listener.ask("subscription", topic="/image")["id"]
         for number in range(1, 4):
@@ -75,7 +75,7 @@ def test_a_killed_sender_leaves_an_orphan_with_its_listener(tmp_path: Path) -> N
 
                 until(holds, "the listener has the sender's pool")
                 sender.stop(0)
-        # by the locks of the listener alone: other programs of this machine come and go
+        # only by the listener's locks, since other programs of this machine start and exit
         locks = Path("/proc/locks").read_text().splitlines(keepends=True)
         (tmp_path / "locks").write_text("".join(line for line in locks if f" {listener.pid} " in line))
         assert shared_memory.orphans(proc=tmp_path) >= 2

@@ -1,4 +1,4 @@
-"""Several nodes on one session: each has its own name and ends, hears the others once, and goes alone."""
+"""Several nodes on one session: each has its name and endpoints, receives others once, and closes independently."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_late_joiners_get_what_the_others_keep_and_not_their_own(qos: Qos, sessi
     for publisher in says:
         publisher.put(b"new")
     for each, count in zip(heard, (2, 2, 2, 3), strict=True):
-        until(lambda each=each, count=count: each.texts().count("new") == count, "the next is heard")
+        until(lambda each=each, count=count: each.texts().count("new") == count, "the next message arrives")
 
 
 def test_a_history_and_what_follows_it_without_a_gap_or_a_double(one: Hub, two: Hub) -> None:
@@ -100,7 +100,7 @@ def test_a_history_and_what_follows_it_without_a_gap_or_a_double(one: Hub, two: 
     joiners += [Heard(two, "/map", deep) for _ in range(5)]
     saying.join()
     for joiner in joiners:
-        until(lambda joiner=joiner: joiner.samples and joiner.texts()[-1] == "199", "the last is heard")
+        until(lambda joiner=joiner: joiner.samples and joiner.texts()[-1] == "199", "the last message arrives")
         assert joiner.texts() == [str(n) for n in range(200)]
         assert joiner.subscription.lost == 0
 
@@ -167,7 +167,7 @@ def test_callers_and_servers_that_leave_are_noticed(session: HubSession) -> None
     two.close()
     until(lambda: serving.abandoned == [b"two"], "its node has left")
     abandon()
-    until(lambda: serving.abandoned == [b"two", b"one"], "it waits no more")
+    until(lambda: serving.abandoned == [b"two", b"one"], "it no longer waits")
     assert first.ends == []
     last, _ = call(client(one), b"last")
     server.close()

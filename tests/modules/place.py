@@ -54,7 +54,7 @@ class Place:
         return found
 
     def hears(self, said: str, heard: int, text: str) -> None:
-        """Say something on ``/heard`` until the answer is there."""
+        """Publish on ``/heard`` until the reply arrives."""
         out = self.far.advertise("/heard", STRING)
 
         def once() -> bool:

@@ -1,4 +1,4 @@
-"""Callers of a module's RPC ports when its process is killed: told at once, and served again when it is back."""
+"""Clients of a module's RPC ports after its process is killed: their calls fail at once, and they reconnect later."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_a_native_client_is_served_again_when_the_module_is_back(
             until(lambda: client.call(HELLO) == SAID, "it is served again")
     finally:
         client.close()
-    until(lambda: not _kept(config), "one that leaves is kept no more")
+    until(lambda: not _kept(config), "a client that leaves is no longer stored")
 
 
 def test_one_that_did_not_call_meanwhile_is_served_too(config: Config, names: NameClient, modules: Modules) -> None:

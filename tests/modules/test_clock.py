@@ -45,7 +45,7 @@ def test_timers_and_stamps_follow_the_simulation(place: Place) -> None:  # noqa:
         sec, nanosec = divmod(round(seconds * 1e9), 1_000_000_000)
         place.far.publish(out, {"clock": {"sec": sec, "nanosec": nanosec}})
 
-    until(lambda: (say(10.5), place.worker.health(), Ticking.host.clock.now_ns() > 0)[2], "the clock is heard")
+    until(lambda: (say(10.5), place.worker.health(), Ticking.host.clock.now_ns() > 0)[2], "the clock is received")
     for second in (11, 12, 13):
         for tenth in range(6, 16):
             say(second - 1 + tenth / 10)
@@ -54,7 +54,7 @@ def test_timers_and_stamps_follow_the_simulation(place: Place) -> None:  # noqa:
     until(lambda: place.far.wait(done, 1)[-1]["stamp"]["sec"] == 13, "the module is done with the time")
     assert place.far.wait(done, 1)[-1]["frame_id"] == "ticking"
     say(2.0)
-    until(lambda: "back" in Ticking.seen, "the jump is told")
+    until(lambda: "back" in Ticking.seen, "the jump is reported")
     say(3.0)
     until(lambda: Ticking.seen[-1:] == ["3"], "it goes on")
 

@@ -1,4 +1,4 @@
-"""A module's publisher makes only what somebody gets; what is heard at once does not wait for the module."""
+"""A module's publisher creates messages only for subscribers; ``at_once`` callbacks do not wait for the module."""
 
 from __future__ import annotations
 
@@ -100,8 +100,8 @@ def test_what_is_heard_at_once_does_not_wait_for_the_module(node: ModuleNode, fa
         far.publish(out, {"data": "x"})
         return bool(at_once)
 
-    until(heard, "it is heard while the module is busy")
+    until(heard, "it arrives while the module is busy")
     assert not later
     release.set()
-    until(lambda: later, "the module hears it, too")
+    until(lambda: later, "the module receives it, too")
     assert not set(at_once) & set(later)

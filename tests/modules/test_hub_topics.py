@@ -1,4 +1,4 @@
-"""Who follows the hub's topics sees all of them with their publishers, and hears chosen ones as they came."""
+"""`HubTopics` lists all topics with their publishers, and delivers chosen ones unchanged."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_a_latched_publisher_beside_one_that_is_not_gives_what_it_keeps_once(far
     plain.put(text("plain"))
     until(lambda: heard == [text("plain")], "the plain one came")
     kept = far.publisher(*key, LATCHED)
-    kept.put(text("kept"))  # which both subscriptions hear: the first one live, the second from what is kept
+    kept.put(text("kept"))  # which both subscriptions receive: the first one live, the second from the cache
     wait_for(topics, key, 2)
     until(lambda: text("kept") in heard, "the kept one came")
     plain.put(text("last"))
@@ -133,7 +133,7 @@ def test_definitions_are_those_installed_or_those_that_a_worker_tells(far: Hub, 
     kind = elsewhere.ros2(OWN_TYPE)
     told = {"name": OWN_TYPE, "hash": kind.type_id, "definition": kind.definition}
     far.serve("type", lambda _: told)
-    told_here = until(lambda: topics.definitions.find(OWN_TYPE, kind.type_id, 2.0), "the worker tells it", every=0.1)
+    told_here = until(lambda: topics.definitions.find(OWN_TYPE, kind.type_id, 2.0), "the worker sends it", every=0.1)
     assert "float32 joy" in told_here
     assert "MSG: std_msgs/Header" in told_here
     assert topics.definitions.find(OWN_TYPE, "RIHS01_" + "0" * 64, 2.0) is None

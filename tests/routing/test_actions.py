@@ -30,7 +30,7 @@ def gate(*rules: dict, parts: tuple[str, ...] = tuple(PARTS), **section: object)
 
 
 def decided(gate: EntryGate) -> dict[str, str | None]:
-    """Each part's name beyond the gate, None where it is kept back."""
+    """Return each part's name beyond the gate, None if it is withheld."""
     found: dict[str, str | None] = {}
     for part, (kind, type_name) in PARTS.items():
         of = "service" if kind is Kind.SERVER else "topic"

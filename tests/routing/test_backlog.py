@@ -34,7 +34,7 @@ def test_the_oldest_make_room_by_bytes_and_the_newest_has_its_place() -> None:
     line.backlog.add("source", "map", 1000)
     assert (line.dropped, line.taken()) == (3, ["map"])
     line.backlog.add("source", "d", 25)
-    assert (line.dropped, line.taken()) == (3, ["d"]), "what was taken out leaves its room"
+    assert (line.dropped, line.taken()) == (3, ["d"]), "removed messages free their space"
 
 
 def test_a_publisher_keeps_its_newest() -> None:

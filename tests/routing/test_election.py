@@ -177,7 +177,7 @@ def test_hubs_apart_carry_to_what_only_one_of_them_has(world: World) -> None:
     for network in "XYZ":
         world.add(f"B/{network}", network, "j")
     world.until(lambda: world.reached() == pairs("XYZ"), 5)
-    assert all(w.active for w in world.workers), "each hub's own programs are heard everywhere"
+    assert all(w.active for w in world.workers), "each hub's own programs reach every network"
 
 
 @pytest.mark.parametrize("hubs", ["hh", "ij"])
@@ -248,7 +248,7 @@ def test_after_a_standstill_only_what_was_said_since_counts() -> None:
     assert not turn(1.0, standby(0))
     assert turn(1.2, standby(1))
     election.lapse(5.0)
-    assert not turn(5.0, standby(2)), "it may have taken over meanwhile, and this was said before"
+    assert not turn(5.0, standby(2)), "it may have taken over since this record"
     assert turn(5.2, standby(3))
 
 
@@ -298,7 +298,7 @@ def test_while_it_is_unknown_whether_hubs_are_joined_nothing_crosses() -> None:
     assert "share this hub" in election.outcome.waiting
     assert turn(2.0, HubView(frozenset("ab"))) == (False, "A")
     assert turn(2.0 + CUT / 2, HubView()) == (False, "A"), "a link may break and come again"
-    assert turn(2.0 + CUT, HubView()) == (True, ""), "another hub now, whose programs nobody else serves"
+    assert turn(2.0 + CUT, HubView()) == (True, ""), "another hub now, whose programs no other worker serves"
 
 
 def test_hubs_that_meet_agree_on_one(world: World) -> None:

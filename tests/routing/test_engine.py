@@ -31,7 +31,7 @@ class SlowEdge(FakeEdge):
 
 
 def test_a_busy_loop_is_no_standstill(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands that come while hundreds of routes are made would be taken for old ones, and dropped."""
+    """Commands that arrive during the creation of hundreds of routes would count as old, and be dropped."""
     beats, beat = list[None](), StallDetector.beat
     monkeypatch.setattr(StallDetector, "beat", lambda detector: beats.append(beat(detector)))
     with HubNetwork() as hubs, Hub.open(hubs.settings("busy")) as hub:

@@ -1,4 +1,4 @@
-"""Velocities of a planner that was stopped do not enter the hub, whatever the planner does."""
+"""Velocities of a stopped planner do not enter the hub."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def hubs() -> Iterator[QuickHub]:
 
 
 class Gateway:
-    """What says whether velocities are held."""
+    """The publisher of holds."""
 
     def __init__(self, hubs: QuickHub) -> None:
         self.hub = Hub.open(hubs.settings("gateway"))
@@ -78,7 +78,7 @@ def test_velocities_enter_the_hub_only_while_no_gateway_holds_them(hubs: QuickHu
     far.subscription("/cmd_vel", TWIST, "*", Qos(depth=1), heard.append)
     until(lambda: hub.graph.publishers(HOLD), "the gateway is seen")
     hold = Hold(hub, {"/cmd_vel"})
-    assert hold.held, "one that has said nothing yet may want it"
+    assert hold.held, "a gateway without a message yet may want it"
     engine = Engine(FakeEdge(network, REGISTRY), hub, RoutingSection(), "test", pytest.fail, REGISTRY, hold)
     engine.start()
     try:
@@ -92,7 +92,7 @@ def test_velocities_enter_the_hub_only_while_no_gateway_holds_them(hubs: QuickHu
             network.write(looks, velocity)
             return {row["topic"]: row for row in engine.status()["routes"]}["/cmd_vel"]["drops"].get("held", 0)
 
-        until(drop, "it is dropped before the gateway has said anything")
+        until(drop, "it is dropped before the gateway's first message")
         gateway.say(held=False)
         until(lambda: drop() and heard, "it crosses")
         gateway.say(held=True)

@@ -118,4 +118,4 @@ def test_who_was_alone_gives_its_routes_up_where_another_came(monkeypatch: pytes
     world.settled, world.b_lives = True, False
     world.run(2.0)
     assert world.watch.outcome.active
-    assert world.watch.outcome.term > before.term, "its routes are made anew"
+    assert world.watch.outcome.term > before.term, "its routes are created again"

@@ -1,4 +1,4 @@
-"""Whether another worker's process still runs, told by its name."""
+"""Detection by its name whether another worker's process still runs."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def test_migrate_tells_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["config", "migrate", str(file)]) == 3
     said = capsys.readouterr().err
     assert "hub.listen is hub.open.listen" in said
-    assert f"{file}:1:15: hub.listen: says no more who may command" in said
+    assert f"{file}:1:15: hub.listen: no longer defines who may command" in said
     assert "has no TLS" in said
     file.write_text("version: 7\n")
     assert main(["config", "migrate", str(file)]) == 1

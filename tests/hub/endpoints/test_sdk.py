@@ -1,4 +1,4 @@
-"""zenoh-ros2-sdk, an independent program in a process of its own, on the same hub: both ways."""
+"""zenoh-ros2-sdk, an independent program in a separate process on the same hub, in both directions."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_it_sees_our_endpoints(hub: Hub, sdk: Peer):
     )
     hub.subscription("/robot/chatter", STRING, STRING_HASH, STREAM, lambda _sample: None)
 
-    def seen_by_sdk() -> dict[str, Any] | None:  # each time it asks the network anew, and takes what came in time
+    def seen_by_sdk() -> dict[str, Any] | None:  # it queries the network each time, and uses the replies in time
         info: dict[str, Any] | None = sdk.ask("topic_info", topic="/robot/chatter")["info"]
         return info if info and len(info["publishers"]) == len(info["subscribers"]) == 1 else None
 
@@ -87,10 +87,10 @@ def test_we_hear_it(hub: Hub, sdk: Peer):
     talker = sdk.advertise("/chatter", "std_msgs/String")
     until(lambda: hub.graph.publishers("/chatter"), "seen")
     before = time.time_ns()
-    # the SDK cannot tell when it is matched: it says the first word until it is heard
-    until(lambda: sdk.publish(talker, {"data": "first"}) or heard, "the first word is heard")
+    # the SDK does not report a match: it repeats the first message until it is received
+    until(lambda: sdk.publish(talker, {"data": "first"}) or heard, "the first message arrives")
     sdk.publish(talker, {"data": "second"})
-    until(lambda: heard[-1].data() == cdr("second"), "the second is heard")
+    until(lambda: heard[-1].data() == cdr("second"), "the second message arrives")
     assert {sample.data() for sample in heard} == {cdr("first"), cdr("second")}
     assert [b.sequence - a.sequence for a, b in itertools.pairwise(heard)] == [1] * (len(heard) - 1)
     assert before <= heard[0].source_time_ns <= time.time_ns()
@@ -108,12 +108,12 @@ def test_it_gets_what_our_latched_publishers_keep(hub: Hub, sdk: Peer, network: 
         until(lambda: len(sdk.graph()["publishers"].get("/map", ())) == 2, "it sees both")
 
         def asked() -> list[str]:
-            """What a new listener gets. It asks once, and whom zenoh's router has told it of by then."""
+            """Return what a new subscriber gets: it queries once, those that zenoh's router has announced by then."""
             listener = sdk.subscribe("/map", "std_msgs/String", latched=True)
             return sorted(m["data"] for m in sdk.wait(listener, 2, 2.0))
 
         first = until(asked, "the caches are known to it")
-        assert set(first) <= {"one", "two"}, "the newest alone"
+        assert set(first) <= {"one", "two"}, "only the newest"
         until(lambda: asked() == ["one", "two"], "both answer")
 
 

@@ -40,7 +40,7 @@ class Called:
 
 
 class Serving:
-    """A server that answers what a test says: at once by ``answer``, or later by `held`."""
+    """A server that replies as a test requests: at once with ``answer``, or later with `held`."""
 
     def __init__(
         self,

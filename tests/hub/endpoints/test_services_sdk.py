@@ -1,4 +1,4 @@
-"""Services with zenoh-ros2-sdk, an independent program in a process of its own: both ways."""
+"""Services with zenoh-ros2-sdk, an independent program in a separate process, in both directions."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def test_matched_tells_whether_anybody_listens(network: HubNetwork):
         again = Heard(b, "/chatter")
         until(lambda: not publisher.pass_over(), "the next listener is noticed")
         again.subscription.close()
-        until(publisher.pass_over, "nobody listens again")
+        until(publisher.pass_over, "there is no subscriber again")
 
 
 def test_who_was_there_before_the_publisher_is_noticed(network: HubNetwork):
@@ -123,7 +123,7 @@ def test_what_nobody_gets_is_numbered_without_being_encoded(network: HubNetwork)
         heard.expect("x")
         assert [sample.sequence for sample in heard.samples] == [3]
         heard.subscription.close()
-        until(lambda: not publisher.matched(), "nobody listens any more")
+        until(lambda: not publisher.matched(), "there is no subscriber any longer")
         assert publisher.pass_over()
         publisher.close()
         with pytest.raises(HubClosedError, match="/chatter is closed"):
@@ -179,7 +179,7 @@ def test_what_is_too_large_for_the_shared_memory_waits_for_a_busy_program(networ
         assert busy.begun.wait(20)
         sending = threading.Thread(target=publisher.put, args=[bytes(LARGE + 1)])
         sending.start()
-        time.sleep(0.3)  # it fills the link meanwhile, of which nothing tells
+        time.sleep(0.3)  # it fills the link meanwhile, which is not observable
         small.put(b"meanwhile")
         assert sending.is_alive()  # and the small one did not wait for it
         busy.goes_on.set()

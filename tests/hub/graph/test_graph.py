@@ -1,4 +1,4 @@
-"""The graph: who is on the hub, and where they come from."""
+"""The graph: the participants of the hub, and their origins."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_watch(network: HubNetwork):
         calls: list[int] = []
         stop = a.graph.watch(lambda: calls.append(1))
         publisher = talk(b, "/chatter")
-        until(lambda: len(calls) == 1, "told of the publisher")
+        until(lambda: len(calls) == 1, "notified of the publisher")
         publisher.close()
         until(lambda: len(calls) == 2, "told of its end")
         stop()
@@ -133,7 +133,7 @@ def test_a_killed_node_vanishes(network: HubNetwork):
 
 
 def test_a_node_that_stands_still_vanishes_and_comes_back(network: HubNetwork):
-    """No socket closes: the lease tells."""
+    """No socket closes, so only the lease reveals it."""
     with Hub.open(network.settings("a")) as a, network.hub_peer("victim") as victim:
         publisher = victim.ask("publisher", topic="/map", latched=True)["id"]
         until(lambda: a.graph.publishers("/map"), "seen")

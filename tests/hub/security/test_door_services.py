@@ -66,7 +66,7 @@ def test_a_machine_calls(machines: Machines, name: str, commands: bool, monkeypa
 
 @pytest.mark.parametrize("name", ["friend", "guest"])
 def test_a_machine_answers(machines: Machines, name: str) -> None:
-    """Also whether it takes a goal: what it serves is its own."""
+    """Its replies to goal requests pass, too, as the service is its own."""
     with Hub.open(machines.network.settings("robot")) as robot, machines.hub(name) as other:
         for service, type_name in {**QUESTIONS, **COMMANDS}.items():
             assert called(other, robot, service, type_name) == (b"yes", True)
@@ -74,7 +74,7 @@ def test_a_machine_answers(machines: Machines, name: str) -> None:
 
 @pytest.mark.parametrize(("name", "works"), [("friend", True), ("guest", False)])
 def test_only_a_trusted_machine_could_abandon_the_calls_of_others(machines: Machines, name: str, works: bool) -> None:
-    """What abandons a call is said beside the service's own key."""
+    """Abandoned calls are announced on a separate key next to the service's."""
     service, type_name = "/stop", COMMANDS["/stop"]
     with (
         Hub.open(machines.network.settings("robot")) as robot,
@@ -92,7 +92,7 @@ def test_only_a_trusted_machine_could_abandon_the_calls_of_others(machines: Mach
         key = abandon_key(topic_key(other.domain, service, type_name, HASH))
         abandon = pack_attachment(1, 1, client.gid)
         other._session.put(key, abandon)
-        until(lambda: last.put(b"end") or heard.samples, "the last word is heard")
-        # what is said before the way to who hears it is known is lost
+        until(lambda: last.put(b"end") or heard.samples, "the last message arrives")
+        # messages sent before the route to the subscriber is known are lost
         until(lambda: not works or other._session.put(key, abandon) or serving.abandoned, "abandoned")
         assert bool(serving.abandoned) == works

@@ -1,4 +1,4 @@
-"""A door without TLS: nobody has a name, so commands come from this machine alone."""
+"""An external listener without TLS: machines have no names, so commands are accepted only from this machine."""
 
 from __future__ import annotations
 

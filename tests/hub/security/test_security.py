@@ -1,4 +1,4 @@
-"""TLS, access control and other shapes of network, all by zenoh configuration alone."""
+"""TLS, access control and other network topologies, only by zenoh's configuration."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_tls(certificates: Path):
             until(
                 lambda: {x.dst.split("/")[0] for x in c._session.info.links()} == {"tls", "tcp"}, "both kinds of link"
             )
-        # signed by nobody that the router trusts
+        # signed by an authority that the router does not trust
         with pytest.raises(HubError, match="cannot join the hub"):
             Hub.open(network.settings("c", zenoh=stranger))
         found = probe_router(network.endpoint, robot1)
@@ -139,7 +139,7 @@ def test_access_control(certificates: Path):
 
 
 def test_two_machines_join_by_their_routers():
-    """Each machine's sessions know their own router alone; data and state cross all the same."""
+    """Each machine's sessions only know their own router; data and state cross nevertheless."""
     with (
         HubNetwork() as one,
         HubNetwork(router_zenoh={"connect": {"endpoints": [one.endpoint]}}) as two,
@@ -164,7 +164,7 @@ def test_two_machines_join_by_their_routers():
 
 
 def test_without_a_router():
-    """Two peers, one of which listens where the other connects."""
+    """Two peers, one of which listens at the address to which the other connects."""
     network = HubNetwork(run=False)
     listens = network.settings("a", router=None, zenoh={"listen": {"endpoints": [network.endpoint]}})
     with Hub.open(listens) as a, Hub.open(network.settings("b")) as b:

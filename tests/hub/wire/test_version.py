@@ -1,4 +1,4 @@
-"""Who speaks another version on the hub: a minor goes on, a major is refused with a line that says so."""
+"""Peers with another protocol version on the hub: a minor one is accepted, a major one refused and logged."""
 
 from __future__ import annotations
 
