@@ -1,4 +1,4 @@
-"""The command line runs on any OS: here with all hidden that Windows does not have, in a process of its own."""
+"""The command line runs on any OS: here in a separate process with everything hidden that Windows lacks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The examples of the documentation, and what it says of the doctor."""
+"""The examples of the documentation, and its table of the doctor's findings."""
 
 from __future__ import annotations
 

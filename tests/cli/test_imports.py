@@ -1,4 +1,4 @@
-"""What the command line and the workers load: no more than what they use."""
+"""The command line and the workers import only what they use."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _WORKERS = {
 def test_a_worker_loads_neither_the_command_lines_libraries_nor_another_sides(worker: str) -> None:
     others = {"rospy", "rclpy", "dartpy", "rich", "PIL", "cryptography", "yaml", "bridge.config.load"}
     if worker != "sim":
-        others |= {"yaml", "rosbags"}  # mapping rules of one's own, static transforms, types that no package has
+        others |= {"yaml", "rosbags"}  # for user-defined mapping rules, static transforms, types without a package
     if worker in ("modules", "sim"):
         others |= {"bridge.routing.engine", "bridge.adapters.worker"}
     if worker == "sim":

@@ -25,7 +25,7 @@ def verbs_of(parser: argparse.ArgumentParser) -> list[Any]:
 
 
 def leaves(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
-    """The parsers below one that have no verbs of their own, unless they share a function that it names."""
+    """Yield the parsers below one that have no verbs, unless they share a function that it names."""
     below = [child for action in verbs_of(parser) for child in action.choices.values()]
     if not below or parser.get_default("run"):
         return [parser]

@@ -1,4 +1,4 @@
-"""The section ``yarp``: what is refused, with what words, and what counts as said."""
+"""The section ``yarp``: invalid values, their errors, and values that count as given."""
 
 from __future__ import annotations
 

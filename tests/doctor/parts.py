@@ -32,5 +32,5 @@ def only(findings: Findings) -> Finding:
 
 
 def every(findings: Findings) -> Sequence[Finding]:
-    """The findings, of which a check may return one alone."""
+    """Return the findings as a list, also if a check returns only one."""
     return [findings] if isinstance(findings, Finding) else findings

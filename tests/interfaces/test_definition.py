@@ -1,4 +1,4 @@
-"""What the builder takes as a definition, and how it says what is wrong with one."""
+"""The definitions that the builder accepts, and its errors for invalid ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is built, what is taken as installed, and what cannot be resolved."""
+"""Packages that are built, used as installed, or cannot be resolved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Real genpy and real rclpy, asked in processes of their own for what they make of sample messages."""
+"""Real genpy and real rclpy, in separate processes, which encode and decode sample messages."""
 
 from __future__ import annotations
 

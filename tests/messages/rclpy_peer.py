@@ -1,9 +1,9 @@
-"""Run by the venv's Python: what real rclpy makes of sample messages.
+"""Run by the venv's Python: sample messages encoded and decoded by real rclpy.
 
-Reads one JSON list from standard input: ``{"type", "values", "cdr"}`` with the base64 bytes that were made here. Writes
-for each ``{"bytes", "same"}``: rclpy's own bytes of the same values (with the slack that it leaves behind them), and
-whether it reads the given bytes as the same message; ``{"missing"}`` where it has no such type; or ``{"error"}``. For
-``{"hash"}``, a service, an action or a service of an action, ``{"hash"}`` as its type support has it.
+Reads one JSON list from standard input: ``{"type", "values", "cdr"}`` with the test's base64 bytes. Writes for each
+``{"bytes", "same"}``: rclpy's own bytes for the same values (with trailing slack), and whether it decodes the given
+bytes to the same message; ``{"missing"}`` for an unknown type; or ``{"error"}``. For ``{"hash"}``, a service, an action
+or a service of an action, ``{"hash"}`` from its type support.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def message_class(name: str) -> Any:
 
 
 def type_hash(name: str) -> str:
-    """What the C type support says: the address of the function is a word of its structure."""
+    """Return the hash of the C type support: the address of the function is a word of its structure."""
     package, kind, short = name.split("/")
     base, _, part = short.partition("_")
     found = getattr(importlib.import_module(f"{package}.{kind}"), base)

@@ -54,7 +54,7 @@ def test_ros1_bytes_are_those_of_genpy(registry: Registry):
 
 
 def derivable(registry: Registry) -> list[str]:
-    """ROS 1 names made from types that ROS 2 alone has, of which genpy builds classes from the definition."""
+    """ROS 1 names derived from types that only ROS 2 has; genpy builds classes from their definitions."""
     names = []
     for name in ros2_names():
         if wide(registry, name):

@@ -28,7 +28,7 @@ QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
 
 @contextmanager
 def told(worker: EngineWorker, topic: str, *frames: tuple[str, str], late: float = 0.0) -> Iterator[None]:
-    """A program of the side that says where frames are, 1 m apart, fifty times a second."""
+    """A program of the side that publishes frames, 1 m apart, fifty times a second."""
     stop = threading.Event()
     writer = worker.advertise(topic, TF)
 

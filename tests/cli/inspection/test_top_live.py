@@ -51,7 +51,7 @@ def test_it_stays_until_ctrl_c(tmp_path: Path, network: HubNetwork, closing: lis
             return top.poll() is not None
 
         try:
-            until(showing, "the table is drawn anew")
+            until(showing, "the table is redrawn")
             top.send_signal(signal.SIGINT)
             until(ended, "it ends")
         finally:

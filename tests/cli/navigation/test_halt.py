@@ -1,4 +1,4 @@
-"""``midspan halt`` on a real hub: listeners hear zero, goals are cancelled, a base is asked."""
+"""``midspan halt`` on a real hub: subscribers receive zero, goals are canceled, a base is queried."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def fixture_yarp(capsys: pytest.CaptureFixture[str]) -> Yarp:
 
 
 class Owner:
-    """A port that keeps what it gets, and answers with it behind ``got``."""
+    """A port that stores what it receives, and replies with it after ``got``."""
 
     def __init__(self, name: str, server: NameServer) -> None:
         self.came: list[list[object]] = []
@@ -82,7 +82,7 @@ def fixture_owners(server: NameServer) -> Iterator[Callable[[str], Owner]]:
 
 
 def test_where(yarp: Yarp, server: NameServer, tmp_path: Path) -> None:
-    """Address, file, and whether it answers; exit code 1 and the cure where it does not."""
+    """Address, file, and whether it responds; exit code 1 and the cure if it does not."""
     done = yarp("where")
     assert (done.code, done.out.splitlines()[0]) == (0, f"/root at 127.0.0.1 port {server.address.port}, responds")
     assert str(tmp_path / "yarp.conf") in done.out
@@ -123,7 +123,7 @@ def test_names(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -
 
 
 def test_connecting(yarp: Yarp, owners: Callable[[str], Owner]) -> None:
-    """Connect, look, disconnect; by another carrier; what is not there."""
+    """Connect, check, disconnect; with another carrier; missing ports."""
     writer, _ = owners("/w"), owners("/r")
     assert yarp("exists", "/w", "/r").code == 1
     assert yarp("connect", "/w", "/r").out == "Added connection from /w to tcp://r\n"
@@ -207,7 +207,7 @@ def test_reading(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner])
 
 
 def test_an_end_by_a_signal(server: NameServer) -> None:
-    """A reader that is told to end gives its name back."""
+    """A terminated reader unregisters its name."""
     names = NameClient(server.address)
     reader = Process([sys.executable, "-m", "bridge.cli.main", "yarp", "read", "/in"], os.environ)
     try:

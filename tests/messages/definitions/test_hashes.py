@@ -41,7 +41,7 @@ def test_hashes_are_those_of_the_installed_packages(registry: Registry):
 
 @pytest.mark.parametrize("world", list(World))
 def test_the_stores_agree_with_what_is_installed(registry: Registry, world: World):
-    """Rosbags' own definitions serve where a package is not installed; both must be the same type."""
+    """Rosbags' own definitions replace those of missing packages; both must be the same type."""
     bare = Registry(ros1_packages=Path("/nonexistent"))
     for name in store_names("sensor_msgs", world):
         if world is World.ROS1:

@@ -98,9 +98,9 @@ def test_pairs_hold_both_ways(ros1: str, ros2: str, registry: Registry):
 
 @needs_genpy
 def test_ros1_bytes_are_those_of_genpy(registry: Registry):
-    """Genpy writes the parts as ROS 2 structures them, for pairs of the same fields and what is derived either way.
+    """Genpy writes the parts with ROS 2's structure, for pairs of equal fields and for derived ones in both directions.
 
-    The status's text, which genpy's results have not, stands behind the state: empty here.
+    The status's text, which genpy's results lack, follows the state: empty here.
     """
     text_field, no_text = f"string {STATUS_TEXT}\n", bytes(4)
     items, cdrs, backs = [], [], []
@@ -283,7 +283,7 @@ def test_an_action_of_ros1_alone_is_derived(folders: Path):
 
 
 def test_an_action_known_from_headers_alone_is_derived(folders: Path):
-    """A connection header tells what wraps a goal; the goal itself is nested in it."""
+    """A connection header has the type that wraps a goal, with the goal nested in it."""
     topics = Registry(folders=[folders]).ros1_action("my_acts/count_up")
     registry = Registry()
     for topic in (topics.goal, topics.result):

@@ -1,4 +1,4 @@
-"""Bad bytes never get further than a ConversionError, whatever they are."""
+"""Any invalid bytes end in a ConversionError."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_noise_is_refused_or_converts(case: tuple[str, str], noise: bytes):
 
 
 def assert_refused_or_converted(convert: Callable[[bytes], bytes], message: bytes) -> None:
-    """Convert, or be refused with an error that says where."""
+    """Convert, or raise an error that names the position."""
     try:
         outcome: bytes | ConversionError = convert(message)
     except ConversionError as err:

@@ -1,4 +1,4 @@
-"""The machine, compiled and as the Python that it is compiled from, where an access out of bounds is an IndexError."""
+"""The virtual machine, compiled and as Python, in which an access out of bounds is an IndexError."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def ready(form: Any, program: ConversionProgram) -> Any:
 
 
 def made(form: Any, program: ConversionProgram, message: bytes, way: str) -> bytes | str:
-    """What comes of a message; what is said of it where it is refused."""
+    """Return the converted message, or the error's text."""
     try:
         converted: bytes = getattr(ready(form, program), way)(message)
     except ValueError as err:
@@ -102,7 +102,7 @@ def test_large_messages_are_converted_while_other_threads_run():
     thread = threading.Thread(target=lambda: go.wait() and ran.set(), name="other")
     thread.start()
     try:
-        sys.setswitchinterval(100.0)  # nobody takes the lock from this thread: it must give it away
+        sys.setswitchinterval(100.0)  # no thread can request the GIL from this one: it must release it
         go.set()
         for _ in range(200):
             convert(message)

@@ -81,7 +81,7 @@ def test_every_field_there_and_back(name: str, profile: Profile, length: int) ->
     bottle = b"".join(known.to_yarp(cdr).payload)
     assert known.to_hub(bottle, profile, None) == cdr
     values = binary.decode(bottle, profile)
-    if not _has_empty_list(values):  # which profile is no matter then
+    if not _has_empty_list(values):  # the profile does not matter then
         assert known.to_hub(binary.encode(values, profile), profile, None) == cdr
     assert codec(name, _other(profile)).to_hub(bottle, profile, None) == cdr
 

@@ -102,7 +102,7 @@ def test_an_image_of_a_real_yarp_byte_for_byte() -> None:
 @pytest.mark.parametrize("profile", Profile)
 def test_images_there_and_back(encoding: str, kind: type[image.Image] | None, profile: Profile) -> None:
     pixel = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "bayer_grbg8": 1, "32FC1": 4}.get(encoding, 2)
-    width, height, step = 5, 3, 5 * pixel + 3  # rows with something behind them
+    width, height, step = 5, 3, 5 * pixel + 3  # rows with padding
     rows = np.arange(height * step, dtype=np.uint8).reshape(height, step)
     message = {"header": HEADER, "width": width, "height": height, "encoding": encoding, "step": step,
                "data": rows.tobytes()}  # fmt: skip
@@ -400,7 +400,7 @@ ANY = [name for name in KINDS if name not in ("sensor_msgs/msg/Image", CLOUD, GR
 @pytest.mark.parametrize("name", ANY)
 @pytest.mark.parametrize("profile", Profile)
 def test_there_and_back_says_the_same_again(name: str, profile: Profile) -> None:
-    """What YARP's type does not say is lost the first time, and no more is the second time."""
+    """Values that YARP's type lacks are lost the first time, and nothing else the second time."""
     first = out(name, _small(sample(REGISTRY.schema(name))), profile)
     again = out(name, back(name, first, profile), profile)
     assert _near(values(again, profile), values(first, profile))
