@@ -13,10 +13,10 @@ from bridge.config.model import Config
 
 
 def value(text: str, *path: str) -> Any:
-    found: Any = load.loads(text)
+    result: Any = load.loads(text)
     for name in path:
-        found = getattr(found, name)
-    return found
+        result = getattr(result, name)
+    return result
 
 
 @pytest.mark.parametrize(
@@ -70,14 +70,14 @@ def test_what_is_neither(text: str, problem: str) -> None:
 
 def test_a_list_in_an_item_of_a_list() -> None:
     planner = "{name: mine, side: ros1, action: /go, motion_actions: /spin}"
-    (found,) = value(f"navigation: {{planners: [{planner}], planner: mine}}", "navigation", "planners")
-    assert found.motion_actions == ("/spin",)
+    (result,) = value(f"navigation: {{planners: [{planner}], planner: mine}}", "navigation", "planners")
+    assert result.motion_actions == ("/spin",)
 
 
 def test_the_schema_has_both_forms() -> None:
-    found = json.loads(generate.schema())["$defs"]
-    hub, opened = found["HubSection"]["properties"], found["OpenSection"]["properties"]
+    result = json.loads(generate.schema())["$defs"]
+    hub, opened = result["HubSection"]["properties"], result["OpenSection"]["properties"]
     assert [arm["type"] for arm in hub["listen"]["anyOf"]] == ["string", "array"]
     assert hub["listen"]["default"] == Config().hub.listen
     assert [arm["type"] for arm in opened["trusted"]["anyOf"]] == ["array", "string"]
-    assert found["RoutingSection"]["properties"]["rules"]["type"] == "array"
+    assert result["RoutingSection"]["properties"]["rules"]["type"] == "array"

@@ -49,8 +49,8 @@ from bridge.config.load import loads
 def test_two_listeners_of_one_port_are_a_problem(text: str, problem: str) -> None:
     with pytest.raises(ConfigError) as caught:
         loads(text, Path("a.yaml"))
-    (found,) = caught.value.problems
-    assert str(found) == f"a.yaml:{problem}; set another port in one of them"
+    (result,) = caught.value.problems
+    assert str(result) == f"a.yaml:{problem}; set another port in one of them"
 
 
 @pytest.mark.parametrize(

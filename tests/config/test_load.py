@@ -312,13 +312,13 @@ def test_file_that_cannot_be_used(tmp_path: Path) -> None:
     large.write_bytes(b"#" * (MAX_BYTES + 1))
     latin = tmp_path / "latin.yaml"
     latin.write_bytes("log:\n  level: 'gr\u00fcn'".encode("latin-1"))
-    for file, said in [
+    for file, fault in [
         (tmp_path / "missing.yaml", "no such file"),
         (tmp_path, "is not a file"),
         (large, "is larger than"),
         (latin, "latin.yaml:2:13: is not UTF-8: byte 0xfc"),
     ]:
-        with pytest.raises(ConfigError, match=said):
+        with pytest.raises(ConfigError, match=fault):
             load(file)
 
 

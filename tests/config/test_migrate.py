@@ -109,20 +109,20 @@ def test_a_key_that_is_gone_becomes_a_comment(old: str, new: str) -> None:
 def test_an_old_key_is_an_error_that_names_the_cure() -> None:
     with pytest.raises(ConfigError) as caught:
         loads("ros2:\n  build: true\n", FILE)
-    said = "is a key of an older Midspan; 'midspan config migrate' brings the file to today's"
-    assert str(caught.value) == f"midspan.yaml:2:3: ros2.build: {said}"
+    fault = "is a key of an older Midspan; 'midspan config migrate' brings the file to today's"
+    assert str(caught.value) == f"midspan.yaml:2:3: ros2.build: {fault}"
 
 
 def test_a_format_to_come_is_refused_in_one_line() -> None:
     text = f"version: {FORMAT + 1}\nunheard: of\n"
-    said = (
+    fault = (
         f"midspan.yaml:1:10: version: this file has format {FORMAT + 1}, and this Midspan reads up to {FORMAT};"
         " update Midspan, or use the file from before the update"
     )
     for refuse in (lambda: loads(text, FILE), lambda: migrate(text, FILE)):
         with pytest.raises(ConfigError) as caught:
             refuse()
-        assert str(caught.value) == said
+        assert str(caught.value) == fault
     with pytest.raises(ConfigError, match="version: input should be greater than or equal to 1"):
         loads("version: 0")
 

@@ -146,8 +146,8 @@ def test_invalid_sections_are_rejected(section: dict[str, Any], error: str) -> N
 
 
 def test_modules_inherit_the_map_of_the_section() -> None:
-    for own, expected in (({}, "/map"), ({"map": "/mine"}, "/mine")):
-        modules = {"robot_path_planner": {"enabled": True, **own}}
+    for section, expected in (({}, "/map"), ({"map": "/mine"}, "/mine")):
+        modules = {"robot_path_planner": {"enabled": True, **section}}
         config = Config.model_validate({"navigation": {"map": "/map"}, "modules": modules})
         assert config.hosted["robot_path_planner"].model_dump()["map"] == expected
 

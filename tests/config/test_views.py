@@ -16,7 +16,9 @@ def test_yarpmanager_connects_ports_that_there_are() -> None:
     for prefix in (modules.robot_path_planner.prefix, modules.mapper2d.prefix):
         ports |= {f"{prefix}/map:o", f"{prefix}/yarpviewTarget:i"}
     for module in application.iter("module"):
-        words = (module.findtext("parameters") or "").split()
-        ports |= {words[words.index("--name") + 1], words[words.index("--out") + 1]}
-    named = {end.text for one in application.iter("connection") for end in one if end.tag in ("from", "to")}
+        texts = (module.findtext("parameters") or "").split()
+        ports |= {texts[texts.index("--name") + 1], texts[texts.index("--out") + 1]}
+    named = {
+        end.text for connection in application.iter("connection") for end in connection if end.tag in ("from", "to")
+    }
     assert named == ports

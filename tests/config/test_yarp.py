@@ -56,8 +56,8 @@ def test_what_is_taken() -> None:
 
 def test_what_was_said_is_told_from_defaults_after_a_way_through_json() -> None:
     assert not Config.model_validate_json(Config().model_dump_json(by_alias=True)).yarp.configured
-    said = loads("yarp: {poll: 1}")
-    assert Config.model_validate_json(said.model_dump_json(by_alias=True)).yarp.configured
+    parsed = loads("yarp: {poll: 1}")
+    assert Config.model_validate_json(parsed.model_dump_json(by_alias=True)).yarp.configured
     assert not loads("yarp: {enabled: true}").yarp.configured
 
 

@@ -39,9 +39,9 @@ def test_who_is_answered_how(
     section: dict[str, Any], peer: str, profile: Profile | None, generation: str, why: str
 ) -> None:
     decided = YarpSection.model_validate(section).generations().of(peer, profile)
-    said = decided.as_dict()
-    cure = said.pop("generation_cure", "")
-    assert said == {"generation": generation, "generation_why": why}
+    parsed = decided.as_dict()
+    cure = parsed.pop("generation_cure", "")
+    assert parsed == {"generation": generation, "generation_why": why}
     assert ("guess" in why) is (cure != "")
     assert not cure or ("yarp.peers: [{port: /any, release: '3.9'}]" in cure and "yarp.release: '3.9'" in cure)
 
@@ -49,14 +49,14 @@ def test_who_is_answered_how(
 def test_a_release_restarts_nothing_and_what_leads_elsewhere_does() -> None:
     """By what the workers compare on a reload."""
     old = Config.model_validate({"yarp": {"address": "robot:10000"}})
-    said = Config.model_validate({"yarp": {"address": "robot:10000", "release": "3.9", "peers": RULES}})
+    parsed = Config.model_validate({"yarp": {"address": "robot:10000", "release": "3.9", "peers": RULES}})
     topics = Config.model_validate({"yarp": {"address": "robot:10000", "topics": [{"topic": "/x", "as": "natural"}]}})
     moved = Config.model_validate({"yarp": {"address": "other:10000"}})
     joined = BridgeWorker("yarp")
     joined.config, joined.bridges = old, [Mock()]
     other = BridgeWorker("ros1")
     other.config, other.bridges = old, [Mock()]
-    for new, stays_joined, stays_open in ((said, True, True), (topics, False, True), (moved, False, False)):
+    for new, stays_joined, stays_open in ((parsed, True, True), (topics, False, True), (moved, False, False)):
         joined.config = other.config = old
         assert joined.reload(new) is stays_joined
         assert new.yarp.opens_as(old.yarp) is stays_open
@@ -64,10 +64,10 @@ def test_a_release_restarts_nothing_and_what_leads_elsewhere_does() -> None:
 
 
 def test_what_a_peer_told_itself_outweighs_the_rules() -> None:
-    made = YarpSection.model_validate({"peers": RULES}).generations()
-    made.introduced("/old/one")
-    assert made.of("/old/one").generation is Generation.YARP_4
-    assert made.of("/old/two").generation is Generation.YARP_3_6
+    generations = YarpSection.model_validate({"peers": RULES}).generations()
+    generations.introduced("/old/one")
+    assert generations.of("/old/one").generation is Generation.YARP_4
+    assert generations.of("/old/two").generation is Generation.YARP_3_6
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ class Daemon:
 
     def pids(self, worker: str) -> list[int]:
         """Return the process ids of all starts of a worker so far."""
-        return [int(words[1]) for words in self.events(worker, "start")]
+        return [int(fields[1]) for fields in self.events(worker, "start")]
 
     def wait_started(self, worker: str, count: int = 1, seconds: float = 40.0) -> int:
         """Return the process id of a worker's start number ``count``."""

@@ -40,19 +40,19 @@ def test_installs_units_configuration_and_user(tmp_path: Path, capsys: pytest.Ca
 
 def test_own_files_are_kept_and_the_rest_is_updated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["install", "--root", str(tmp_path)])
-    own = tmp_path / "etc/midspan/midspan.yaml"
-    own.write_text("name: mine\n")
+    own_file = tmp_path / "etc/midspan/midspan.yaml"
+    own_file.write_text("name: mine\n")
     unit = tmp_path / UNIT_FOLDER / "midspan.service"
     unit.write_text("old")
     capsys.readouterr()
     main(["install", "--root", str(tmp_path)])
     printed = capsys.readouterr().out
-    assert own.read_text() == "name: mine\n"
-    assert f"kept       {own}" in printed
+    assert own_file.read_text() == "name: mine\n"
+    assert f"kept       {own_file}" in printed
     assert re.search(rf"replaced +{unit}", printed)
     assert f"unchanged  {tmp_path / UNIT_FOLDER / 'midspan-router.service'}" in printed
     main(["install", "--root", str(tmp_path), "--uninstall"])
-    assert own.exists()
+    assert own_file.exists()
     assert not unit.exists()
     assert not (tmp_path / "etc/sysusers.d/midspan.conf").exists()
 
@@ -81,14 +81,14 @@ def test_an_instance_runs_the_configuration_of_its_name(tmp_path: Path) -> None:
     main(["install", "--root", str(tmp_path)])
     folder = tmp_path / UNIT_FOLDER
     for template, single in TEMPLATES.items():
-        own, others = (
+        own_lines, others = (
             {line for line in (folder / name).read_text().splitlines() if not line.startswith(("#", "Description="))}
             for name in (template, single)
         )
-        command = next(line for line in own if line.startswith("ExecStart="))
+        command = next(line for line in own_lines if line.startswith("ExecStart="))
         router = "router" in template
         assert command.endswith(f"--config /etc/midspan/%i.yaml{'' if router else ' --adopt router'}")
-        assert own - others - {command} == {
+        assert own_lines - others - {command} == {
             "AssertPathExists=/etc/midspan/%i.yaml",
             "EnvironmentFile=-/etc/midspan/%i.environment",
             "LogsDirectory=midspan/%i",
@@ -99,10 +99,10 @@ def test_an_instance_runs_the_configuration_of_its_name(tmp_path: Path) -> None:
                 else (f"{key}=network-online.target midspan-router@%i.service" for key in ("Wants", "After"))
             ),
         }
-        assert {line.partition("=")[0] for line in others - own} <= {
+        assert {line.partition("=")[0] for line in others - own_lines} <= {
             "ExecStart", "LogsDirectory", "Environment", "RuntimeDirectory", "Wants", "After",
         }  # fmt: skip
-        assert "EnvironmentFile=-/etc/midspan/environment" in own & others
+        assert "EnvironmentFile=-/etc/midspan/environment" in own_lines & others
 
 
 def test_the_services_name_all_four_sides(tmp_path: Path) -> None:
@@ -128,12 +128,12 @@ def test_uninstall_names_the_instances_to_disable(tmp_path: Path, capsys: pytest
     wants.mkdir()
     for name in ("midspan@robot2", "midspan-router@robot2", "midspan"):
         (wants / f"{name}.service").symlink_to("/nowhere")
-    own = tmp_path / "etc/midspan/robot2.yaml"
-    own.write_text("name: robot2\n")
+    own_file = tmp_path / "etc/midspan/robot2.yaml"
+    own_file.write_text("name: robot2\n")
     main(["install", "--root", str(tmp_path), "--uninstall"])
     printed = capsys.readouterr().out
     assert "systemctl disable --now midspan midspan-router midspan@robot2 midspan-router@robot2" in printed
-    assert own.exists()
+    assert own_file.exists()
     assert not list((tmp_path / UNIT_FOLDER).glob("midspan*@*"))
 
 

@@ -53,8 +53,8 @@ class System:
         return file
 
     def findings(self) -> list[tuple[Result, str, str]]:
-        found = every(look_at_services(around(root=self.root)))
-        return [(finding.result, finding.seen, finding.cure) for finding in found]
+        result = every(look_at_services(around(root=self.root)))
+        return [(finding.result, finding.seen, finding.cure) for finding in result]
 
 
 @pytest.fixture
@@ -223,17 +223,17 @@ def both(robot: RobotDaemon) -> bool:
 def test_a_configured_state_folder_replaces_that_of_the_services(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[Path | None] = []
-    monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda config: asked.append(config.state))
+    requests: list[Path | None] = []
+    monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda config: requests.append(config.state))
     file = tmp_path / "midspan.yaml"
     file.write_text(json.dumps({"name": "a", "state": str(tmp_path / "mine")}))
     daemon_state(load(file))
-    assert asked == [tmp_path / "mine"]
-    asked.clear()
+    assert requests == [tmp_path / "mine"]
+    requests.clear()
     file.write_text(json.dumps({"name": "a"}))
     monkeypatch.setenv("STATE_DIRECTORY", str(units.STATE))
     daemon_state(load(file))
-    assert asked == [units.STATE]
+    assert requests == [units.STATE]
 
 
 BRIDGE = """

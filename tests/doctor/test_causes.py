@@ -46,8 +46,8 @@ def test_other_causes_stay_apart(one: str, other: str) -> None:
 
 def test_causes_of_several_owners() -> None:
     full = "the state folder /var/lib/midspan: no space left on device"
-    found = shared({"ros1": [full, "/a: odd"], "ros2": [full], "yarp": ["its own"], "zenoh": ["/b: odd"]})
-    assert list(found.values()) == [(full, ["ros1", "ros2"]), ("/a: odd (the same for /b)", ["ros1", "zenoh"])]
+    finding = shared({"ros1": [full, "/a: odd"], "ros2": [full], "yarp": ["its own"], "zenoh": ["/b: odd"]})
+    assert list(finding.values()) == [(full, ["ros1", "ros2"]), ("/a: odd (the same for /b)", ["ros1", "zenoh"])]
 
 
 def test_findings_of_one_cause_and_cure_are_merged() -> None:

@@ -41,8 +41,8 @@ def test_a_closed_hub_is_skipped() -> None:
 def test_it_connects(keys: Path) -> None:
     place, wrong = f"tls/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"
     with Machine("operator1", keys / "a", listen=[place]):
-        own, good, bad = looked_at(keys / "a", connect=[place, wrong])
-        assert own.result is good.result is Result.OK
+        own_status, good, bad = looked_at(keys / "a", connect=[place, wrong])
+        assert own_status.result is good.result is Result.OK
         assert good.seen == f"hub.open.connect {place}: TLS with operator1 succeeds"
         assert (bad.result, bad.seen.startswith(f"hub.open.connect {wrong}: not answering: nothing listens")) == (
             Result.WARN, True,

@@ -29,15 +29,15 @@ def test_a_console_on_loopback_needs_none() -> None:
 def test_metrics_that_others_reach_need_one_without_a_console(tmp_path: Path) -> None:
     open_to_all = {"enabled": True, "listen": "0.0.0.0:9480"}
     config = {"hub": {"open": {"keys": str(tmp_path)}}, "web": {"tokens": TOKENS}, "metrics": open_to_all}
-    found = only(look_at_certificate(around(config)))
-    assert found.result is Result.FAIL
-    assert "the worker metrics cannot start" in found.seen
+    finding = only(look_at_certificate(around(config)))
+    assert finding.result is Result.FAIL
+    assert "the worker metrics cannot start" in finding.seen
 
 
 def test_files_that_are_missing(tmp_path: Path) -> None:
-    found = only(look_at_certificate(place(tmp_path)))
-    assert found.result is Result.FAIL
-    assert "there is no" in found.seen
+    finding = only(look_at_certificate(place(tmp_path)))
+    assert finding.result is Result.FAIL
+    assert "there is no" in finding.seen
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_a_certificate_that_is_not_valid_yet(tmp_path: Path, monkeypatch: pytest
     Authority(tmp_path).make()
     monkeypatch.setattr(certificates, "_EARLIER", timedelta(hours=-6))
     Authority(tmp_path).issue("robot1")
-    found = only(look_at_certificate(place(tmp_path)))
-    assert found.result is Result.FAIL
-    assert "is not valid before" in found.seen
-    assert "clock" in found.cure
+    finding = only(look_at_certificate(place(tmp_path)))
+    assert finding.result is Result.FAIL
+    assert "is not valid before" in finding.seen
+    assert "clock" in finding.cure

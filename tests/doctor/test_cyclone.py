@@ -15,13 +15,13 @@ def test_nodes_and_what_does_not_work_are_named() -> None:
     report = {"nodes": ["/lamp", "/planner"], "served": ["/switch", "/go"], "called": ["/map"]}
     finding = only(cyclone.look_at_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert finding.result is Result.WARN
-    for words in (
+    for texts in (
         "/lamp, /planner on Cyclone DDS",
         "topics cross",
         "cannot be called (/switch, /go)",
         "not answered (/map)",
     ):
-        assert words in finding.seen
+        assert texts in finding.seen
     assert "rmw_fastrtps_cpp" in finding.cure
 
 

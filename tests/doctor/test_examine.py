@@ -26,15 +26,15 @@ def test_one_that_hangs_and_one_that_breaks_leave_the_others_alone() -> None:
         Check("breaks", "", break_),  # type: ignore[arg-type]
         Check("works", "", lambda _around: [ok("fine")]),
     ]
-    found = {report.check.id: report.findings[0] for report in examine(around(), checks)}
+    result = {report.check.id: report.findings[0] for report in examine(around(), checks)}
     never.set()
-    assert {name: finding.result for name, finding in found.items()} == {
+    assert {name: finding.result for name, finding in result.items()} == {
         "hangs": Result.FAIL,
         "breaks": Result.FAIL,
         "works": Result.OK,
     }
-    assert "hangs" in found["hangs"].seen
-    assert "boom" in found["breaks"].seen
+    assert "hangs" in result["hangs"].seen
+    assert "boom" in result["breaks"].seen
 
 
 def test_ids_are_unique() -> None:

@@ -62,10 +62,10 @@ def test_workers() -> None:
         {"worker": "sim", "state": "starting", "text": "importing dartpy (4 s)"},
         {"worker": "modules", "state": "cannot work", "text": "no module is there"},
     )
-    found = hub_checks.look_at_workers(around(hub=view))
-    assert results(found) == [Result.OK, Result.WARN, Result.WARN, Result.FAIL, Result.WARN, Result.FAIL]
-    assert found[-2].seen == "robot1/sim is starting: importing dartpy (4 s)"
-    assert found[-1].seen == "robot1/modules cannot work: no module is there"
+    finding = hub_checks.look_at_workers(around(hub=view))
+    assert results(finding) == [Result.OK, Result.WARN, Result.WARN, Result.FAIL, Result.WARN, Result.FAIL]
+    assert finding[-2].seen == "robot1/sim is starting: importing dartpy (4 s)"
+    assert finding[-1].seen == "robot1/modules cannot work: no module is there"
     for nobody in (HubSnapshot("nothing answers"), HubSnapshot()):
         assert only(hub_checks.look_at_workers(around(hub=nobody))).result is Result.WARN
 
@@ -173,21 +173,21 @@ def test_bridged_endpoints_are_named_by_their_side() -> None:
 
 def test_a_node_that_hears_several_types_conflicts_with_none_of_them() -> None:
     # as BaseControl, which subscribes to /cmd_vel as Twist and as TwistStamped
-    one, two = endpoint("one", "a/msg/A", "1"), endpoint("two", "a/msg/B", "2")
-    both = [endpoint("base", e.type_name, e.type_hash[7], EndpointKind.SUBSCRIPTION) for e in (one, two)]
-    assert conflicts(both) == conflicts([*both, one]) == conflicts([*both, one, two]) == []
+    first, second = endpoint("one", "a/msg/A", "1"), endpoint("two", "a/msg/B", "2")
+    both = [endpoint("base", e.type_name, e.type_hash[7], EndpointKind.SUBSCRIPTION) for e in (first, second)]
+    assert conflicts(both) == conflicts([*both, first]) == conflicts([*both, first, second]) == []
     deaf = endpoint("deaf", "a/msg/A", "1", EndpointKind.SUBSCRIPTION)
-    assert conflicts([*both, one, deaf]) == []
-    assert len(conflicts([*both, two, deaf])) == 1
+    assert conflicts([*both, first, deaf]) == []
+    assert len(conflicts([*both, second, deaf])) == 1
 
 
 def test_a_map_server_of_ros_beside_map2d_server() -> None:
     # refused by the ros1 worker next to a real map_server (navigation 1.17.3), which serves both
     def refused(service: str, *, reason: str = "") -> list[dict[str, Any]]:
         entry = {"kind": "service", "topic": service, "hub_topic": service, "type": "nav_msgs/srv/GetMap"}
-        there = reason or f"/map_server serves {service} there already"
+        refusal = reason or f"/map_server serves {service} there already"
         ours = reason or f"map2d_server serves {service} on the hub already"
-        return [{**entry, "direction": "out", "reason": there}, {**entry, "direction": "in", "reason": ours}]
+        return [{**entry, "direction": "out", "reason": refusal}, {**entry, "direction": "in", "reason": ours}]
 
     def look(taken: dict[str, int], entries: list[dict[str, Any]]) -> list[Any]:
         server = {"worker": "map2d_server", "module": True, "zid": "ab", "taken": taken}
@@ -197,9 +197,9 @@ def test_a_map_server_of_ros_beside_map2d_server() -> None:
         return list(types.look_at_refused(around(hub=view)))
 
     both = [*refused("/static_map"), *refused("/change_map")]
-    found = look({"/map": 1}, both)
-    assert results(found) == [Result.OK, Result.OK]
-    assert found[1].seen.startswith("/change_map, /static_map: the map server there answers on ros1")
+    finding = look({"/map": 1}, both)
+    assert results(finding) == [Result.OK, Result.OK]
+    assert finding[1].seen.startswith("/change_map, /static_map: the map server there answers on ros1")
     assert set(results(look({}, both))) == {Result.FAIL}  # it serves other maps than that one
     assert set(results(look({"/map": 1}, refused("/static_map", reason="no definition")))) == {Result.FAIL}
     assert set(results(look({"/map": 1}, refused("/other")))) == {Result.FAIL}

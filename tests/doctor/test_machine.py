@@ -44,9 +44,9 @@ def test_the_quickest_answer_counts(monkeypatch: pytest.MonkeyPatch) -> None:
         wait = next(answers)
         if wait is None:
             return None
-        told = now[0]
+        reported = now[0]
         now[0] += wait  # a slow reply looks like a clock that is late
-        return told
+        return reported
 
     monkeypatch.setattr(context, "time", SimpleNamespace(time_ns=lambda: now[0], monotonic_ns=lambda: now[0]))
     assert context.measure(ask, 4) == Offset(-0.001, 0.001)
@@ -78,10 +78,10 @@ def test_simulated_time_without_a_publisher(
 ) -> None:
     ends: Any = [SimpleNamespace(topic="/clock", kind=kind) for kind in kinds]
     view = replace(hub({"worker": "ros1", "side": "ros1"}, clocks=clocks), endpoints=ends)
-    found = only(machine.look_at_clocks(around({"clock": {"source": source}}, hub=view)))
-    assert (found.result is Result.FAIL) is missing
-    assert ("/clock has no publisher" in found.seen) is missing
-    assert ("midspan play --clock" in found.cure) is missing
+    finding = only(machine.look_at_clocks(around({"clock": {"source": source}}, hub=view)))
+    assert (finding.result is Result.FAIL) is missing
+    assert ("/clock has no publisher" in finding.seen) is missing
+    assert ("midspan play --clock" in finding.cure) is missing
 
 
 def test_a_worker_that_runs_out_of_descriptors() -> None:
@@ -94,9 +94,9 @@ def test_a_worker_that_runs_out_of_descriptors() -> None:
             assert process.popen.stdout is not None
             assert process.popen.stdout.readline() == "ready\n"
             document = {"worker": "ros1", "side": "ros1", "pid": process.pid}
-            found = machine.look_at_descriptors(around(hub=hub(document)))
-            assert result in results(found), found
-            assert (Result.FAIL in results(found)) is (result is Result.FAIL)
+            finding = machine.look_at_descriptors(around(hub=hub(document)))
+            assert result in results(finding), finding
+            assert (Result.FAIL in results(finding)) is (result is Result.FAIL)
 
 
 def test_the_state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -139,11 +139,11 @@ def test_who_holds_a_shared_file(tmp_path: Path, proc: Path) -> None:
     locks = {name: shm_file(tmp_path, name) for name in names}
     shm_file(tmp_path, "99.zenoh", age=0.0)
     with locked(locks[SEGMENT], fcntl.LOCK_EX), locked(locks["12345.zenoh"], fcntl.LOCK_SH):
-        found = {f.path.name: f for f in shared_files(tmp_path, proc)}
-    assert found.keys() == {*names, "99.zenoh"} - {"somebody_elses"}
-    assert {name for name, f in found.items() if f.held} == {SEGMENT, "12345.zenoh"}
-    assert {name for name, f in found.items() if f.young} == {"99.zenoh"}
-    assert {name for name, f in found.items() if f.port} == {"fastrtps_port7410"}
+        finding = {f.path.name: f for f in shared_files(tmp_path, proc)}
+    assert finding.keys() == {*names, "99.zenoh"} - {"somebody_elses"}
+    assert {name for name, f in finding.items() if f.held} == {SEGMENT, "12345.zenoh"}
+    assert {name for name, f in finding.items() if f.young} == {"99.zenoh"}
+    assert {name for name, f in finding.items() if f.port} == {"fastrtps_port7410"}
 
 
 def test_litter(tmp_path: Path) -> None:

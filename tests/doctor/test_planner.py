@@ -39,18 +39,18 @@ def server(action: str) -> HubEndpoint:
     ],
 )
 def test_each_reason_has_its_cure(planner: str, documents: list[dict[str, Any]], why: str, cure: str) -> None:
-    found = absence(NavigationSection(planner=planner), planner, [], documents)
-    assert found is not None
-    assert found.text.startswith(f"the planner {planner} is not there: ")
-    assert why in found.text
-    assert cure in found.cure
+    finding = absence(NavigationSection(planner=planner), planner, [], documents)
+    assert finding is not None
+    assert finding.text.startswith(f"the planner {planner} is not there: ")
+    assert why in finding.text
+    assert cure in finding.cure
 
 
 def test_one_whose_action_is_refused() -> None:
     entry = {"direction": "in", "topic": "/move_base/goal", "reason": "no definition", "cure": "install it"}
-    found = absence(NavigationSection(planner="move_base"), "move_base", [], [{**ROS1, "refused": [entry]}])
-    assert found is not None
-    assert ("cannot cross: no definition" in found.text, found.cure) == (True, "install it")
+    finding = absence(NavigationSection(planner="move_base"), "move_base", [], [{**ROS1, "refused": [entry]}])
+    assert finding is not None
+    assert ("cannot cross: no definition" in finding.text, finding.cure) == (True, "install it")
 
 
 def test_one_that_is_there_or_is_not_known() -> None:
@@ -65,8 +65,8 @@ def test_the_doctor_says_it_of_its_own_gateway() -> None:
     mine = only(hub_checks.look_at_workers(around(config, hub=view)))
     assert (mine.result, "start" in mine.cure or "ros1-master" in mine.cure) == (Result.WARN, True)
     assert "robot1/gateway waits: the planner move_base is not there: no worker of the ROS 1 side" in mine.seen
-    there = hub({**GATEWAY, "planner": "move_base"}, endpoints=[server(MOVE_BASE)])
-    for other in (hub({**GATEWAY, "daemon": "robot2", "planner": "move_base"}), there):
+    with_gateway = hub({**GATEWAY, "planner": "move_base"}, endpoints=[server(MOVE_BASE)])
+    for other in (hub({**GATEWAY, "daemon": "robot2", "planner": "move_base"}), with_gateway):
         finding = only(hub_checks.look_at_workers(around(config, hub=other)))
         assert (finding.seen.partition(" ")[2], finding.cure) == ("waits: the planner p is not there", "")
 

@@ -99,15 +99,15 @@ def test_nodes_that_cannot_be_reached(master: RosMaster) -> None:
     register(master, "/lost_too", f"http://{NOWHERE}:4712/")
     register(master, "/dead", f"http://127.0.0.1:{dead}/")
     register(master, "/strange", f"http://{'x' * 70}.y:1/")
-    found = ros1.look_at_nodes(around({"ros1": {"master": master.uri}}, hub=hub(WORKER)))
-    lost = next(f for f in found if NOWHERE in f.seen)
+    finding = ros1.look_at_nodes(around({"ros1": {"master": master.uri}}, hub=hub(WORKER)))
+    lost = next(f for f in finding if NOWHERE in f.seen)
     assert lost.result is Result.FAIL
     assert "/lost, /lost_too: " in lost.seen
     assert "/etc/hosts" in lost.cure
-    gone = next(f for f in found if f.result is Result.WARN)
-    assert gone.seen.startswith("/dead: ")
-    assert any(f.seen.startswith("/strange: ") for f in found)
-    assert len(found) == 3
+    unreachable = next(f for f in finding if f.result is Result.WARN)
+    assert unreachable.seen.startswith("/dead: ")
+    assert any(f.seen.startswith("/strange: ") for f in finding)
+    assert len(finding) == 3
 
 
 @pytest.mark.parametrize(
@@ -174,13 +174,13 @@ def test_other_bridges_on_the_master(master: RosMaster, living: str, tmp_path: P
 
     entry = {"owner": "x", "daemon": "robot2", "node": "/midspan", "uri": living, "pid": 4711}
     dead = {**entry, "node": "/midspan_dead", "uri": f"http://127.0.0.1:{free_port()}/"}
-    own = {**entry, "node": "/midspan_own", "daemon": "robot1", "pid": 99}
-    for name, value in (("other", entry), ("dead", dead), ("own", own)):
+    own_entry = {**entry, "node": "/midspan_own", "daemon": "robot1", "pid": 99}
+    for name, value in (("other", entry), ("dead", dead), ("own", own_entry)):
         master.call("setParam", f"/midspan/nodes/{name}", value)
     register(master, "/ros_bridge", living)
-    found = bridges.look(place())
-    words = {f.seen: f.result for f in found if f.result is not Result.SKIP}
-    assert sorted(words.values()) == [Result.FAIL, Result.WARN, Result.WARN], words
-    assert any("/ros_bridge looks like another bridge" in seen for seen in words)
-    assert any("daemon robot2 is on this master too (/midspan at" in seen for seen in words)
-    assert any("/midspan_dead of Midspan daemon robot2 is dead" in seen for seen in words)
+    finding = bridges.look(place())
+    texts = {f.seen: f.result for f in finding if f.result is not Result.SKIP}
+    assert sorted(texts.values()) == [Result.FAIL, Result.WARN, Result.WARN], texts
+    assert any("/ros_bridge looks like another bridge" in seen for seen in texts)
+    assert any("daemon robot2 is on this master too (/midspan at" in seen for seen in texts)
+    assert any("/midspan_dead of Midspan daemon robot2 is dead" in seen for seen in texts)

@@ -100,7 +100,7 @@ def test_other_bridges_on_dds(tmp_path: Path) -> None:
         view = until(seen, "both are seen")
     assert view is not None
     assert view.midspans == {prefix}
-    found = bridges.of_dds(around(), view)
-    assert sorted(results(found)) == [Result.FAIL, Result.WARN], found
+    finding = bridges.of_dds(around(), view)
+    assert sorted(results(finding)) == [Result.FAIL, Result.WARN], finding
     ours = hub({"worker": "ros2", "side": "ros2", "network": prefix})
     assert results(bridges.of_dds(around(hub=ours), view)) == [Result.FAIL]

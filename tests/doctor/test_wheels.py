@@ -24,12 +24,14 @@ def requirements() -> list[str]:
     """Midspan's own, as the metadata of its wheel has them."""
     file = Path(__file__).parents[2] / "pyproject.toml"
     project = tomllib.loads(file.read_text(encoding="utf-8"))["project"]
-    told: list[str] = list(project["dependencies"])
+    requirements_text: list[str] = list(project["dependencies"])
     for extra, texts in project["optional-dependencies"].items():
         for text in texts:
             name, _, marker = text.partition(" ; ")
-            told.append(f"{name} ; " + (f'({marker}) and extra == "{extra}"' if marker else f'extra == "{extra}"'))
-    return told
+            requirements_text.append(
+                f"{name} ; " + (f'({marker}) and extra == "{extra}"' if marker else f'extra == "{extra}"')
+            )
+    return requirements_text
 
 
 def test_nothing_is_left_out_on_linux(requirements: list[str]) -> None:

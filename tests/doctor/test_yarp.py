@@ -16,14 +16,14 @@ from tests.support.yarp_programs import Names
 
 @pytest.fixture
 def names() -> Iterator[Names]:
-    made = Names()
-    yield made
-    made.stop()
+    name_servers = Names()
+    yield name_servers
+    name_servers.stop()
 
 
 def test_the_name_server(names: Names) -> None:
-    there = around({"yarp": {"address": names.endpoint, "nameserver": "site"}})
-    assert only(yarp.look_at_name_server(there)).result is Result.OK
+    reachable = around({"yarp": {"address": names.endpoint, "nameserver": "site"}})
+    assert only(yarp.look_at_name_server(reachable)).result is Result.OK
     address = f"127.0.0.1:{free_port()}"
     site = only(yarp.look_at_name_server(around({"yarp": {"address": address, "nameserver": "site"}})))
     assert (site.result, "start yarpserver" in site.cure) == (Result.FAIL, True)

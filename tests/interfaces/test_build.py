@@ -48,9 +48,9 @@ def test_a_program_uses_what_was_built(built: Path) -> None:
 
 
 def test_a_second_build_does_nothing(built: Path, cache: Path) -> None:
-    told: list[str] = []
-    assert build(PACKAGES, cache, told.append) == built
-    assert told == []
+    reported: list[str] = []
+    assert build(PACKAGES, cache, reported.append) == built
+    assert reported == []
 
 
 def test_the_prefix_is_a_ros2_prefix(built: Path) -> None:
@@ -72,9 +72,9 @@ def test_two_programs_exchange_a_built_type(built: Path) -> None:
     type_ = "midspan_whole_msgs/Whole"
     part = {"triple": [7, 8, 9], "values": [1.25], "names": ["n"], "on": False}
     with Peer(ROS2_PEER, ros2_python(), env) as listener, Peer(ROS2_PEER, ros2_python(), env) as talker:
-        heard = listener.subscribe("/built", type_, latched=True)
+        received = listener.subscribe("/built", type_, latched=True)
         talker.publish(talker.advertise("/built", type_, latched=True), {"parts": [part]})
-        (message,) = listener.wait(heard, 1)
+        (message,) = listener.wait(received, 1)
     assert message["parts"][0].items() >= part.items()
 
 

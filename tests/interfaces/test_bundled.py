@@ -27,12 +27,12 @@ PUBLISHED = {
 @pytest.fixture(scope="module")
 def hashes() -> dict[str, str]:
     """The hash of every type of the built packages, as ROS 2's own generator wrote it."""
-    found: dict[str, str] = {}
+    hashes_by_name: dict[str, str] = {}
     for name, folder in members(build_bundled()).items():
         for file in (folder / "share" / name).glob("*/*.json"):
             entries = json.loads(file.read_text(encoding="utf-8"))["type_hashes"]
-            found |= {entry["type_name"]: entry["hash_string"] for entry in entries}
-    return found
+            hashes_by_name |= {entry["type_name"]: entry["hash_string"] for entry in entries}
+    return hashes_by_name
 
 
 def test_published_hashes(hashes: dict[str, str]) -> None:

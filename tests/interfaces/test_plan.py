@@ -21,10 +21,10 @@ def steps(given: Packages) -> dict[str, BuildStep]:
 
 
 def test_needed_packages_come_first() -> None:
-    found = steps({"a_msgs": {"msg/A.msg": "b_msgs/B b\ntf2_msgs/TFMessage tf"}, "b_msgs": {"msg/B.msg": "int8 b"}})
-    assert list(found)[-1] == "a_msgs"
-    assert set(found) == {"a_msgs", "b_msgs", "tf2_msgs"}
-    assert {step.package for step in found["a_msgs"].needs} == {"b_msgs", "tf2_msgs"}
+    planned = steps({"a_msgs": {"msg/A.msg": "b_msgs/B b\ntf2_msgs/TFMessage tf"}, "b_msgs": {"msg/B.msg": "int8 b"}})
+    assert list(planned)[-1] == "a_msgs"
+    assert set(planned) == {"a_msgs", "b_msgs", "tf2_msgs"}
+    assert {step.package for step in planned["a_msgs"].needs} == {"b_msgs", "tf2_msgs"}
 
 
 def test_installed_packages_are_not_built() -> None:

@@ -49,9 +49,9 @@ class Place:
 
     def answer(self, name: str) -> dict[str, Any]:
         """The status of a module that runs; one that is busy may not answer at once."""
-        found = until(lambda: self.status(name), f"{name} answers")
-        assert found is not None
-        return found
+        result = until(lambda: self.status(name), f"{name} answers")
+        assert result is not None
+        return result
 
     def hears(self, said: str, heard: int, text: str) -> None:
         """Publish on ``/heard`` until the reply arrives."""

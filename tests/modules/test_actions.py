@@ -138,8 +138,8 @@ class Sent:
         )
 
     def ended(self) -> tuple[GoalState, Any, str]:
-        goal, result, why = until(lambda: self.ends, "the goal ends")[0]
-        return goal.status, result, why
+        goal, result, reason = until(lambda: self.ends, "the goal ends")[0]
+        return goal.status, result, reason
 
 
 def test_goals_end_as_their_server_decides(two: Two) -> None:
@@ -263,17 +263,17 @@ def test_a_request_to_cancel_all_goals_is_repeated_until_a_goal_is_sent(
 
 
 def test_goals_abort_when_their_server_closes(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked, ask = list[None](), Goal.ask
-    monkeypatch.setattr(Goal, "ask", lambda goal, answer: asked.append(ask(goal, answer)))
+    requests, ask = list[None](), Goal.ask
+    monkeypatch.setattr(Goal, "ask", lambda goal, answer: requests.append(ask(goal, answer)))
     Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
     until(lambda: client.ready, "the action is available")
     sent = Sent(two, client, "wait")
-    until(lambda: asked, "the result is requested")
+    until(lambda: requests, "the result is requested")
     two.server.close()
-    status, _, why = sent.ended()
+    status, _, reason = sent.ended()
     assert status is GoalState.ABORTED
-    assert "left" in why
+    assert "left" in reason
 
 
 def test_a_cancellation_by_time_covers_goals_of_before_the_clock_was_set_back(two: Two) -> None:

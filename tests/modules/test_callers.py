@@ -72,10 +72,10 @@ class Modules:
 
 @pytest.fixture
 def modules(config: Config) -> Iterator[Modules]:
-    made = Modules(config)
-    made.start()
-    yield made
-    made.kill()
+    running = Modules(config)
+    running.start()
+    yield running
+    running.kill()
 
 
 def _kept(config: Config) -> list[str]:

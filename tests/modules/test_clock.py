@@ -32,8 +32,8 @@ class Ticking(Module):
 
 
 def config(place: Place, source: str) -> Any:  # noqa: F811
-    own = {"name": "ticking", "factory": "tests.modules.test_clock:Ticking"}
-    return place.config(own, clock={"source": source})
+    module = {"name": "ticking", "factory": "tests.modules.test_clock:Ticking"}
+    return place.config(module, clock={"source": source})
 
 
 def test_timers_and_stamps_follow_the_simulation(place: Place) -> None:  # noqa: F811

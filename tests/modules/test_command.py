@@ -20,9 +20,15 @@ COMMAND = [sys.executable, "-m", "bridge.cli.main", "module"]
 
 def _config(folder: Path, endpoint: str) -> Path:
     file = folder / "midspan.yaml"
-    own = [{"name": "echo", "factory": "tests.modules.echo:Echo"}]
+    modules = [{"name": "echo", "factory": "tests.modules.echo:Echo"}]
     yarp = {"address": "127.0.0.1:9"}
-    tree = {"name": "here", "state": str(folder), "hub": {"listen": endpoint}, "modules": {"own": own}, "yarp": yarp}
+    tree = {
+        "name": "here",
+        "state": str(folder),
+        "hub": {"listen": endpoint},
+        "modules": {"own": modules},
+        "yarp": yarp,
+    }
     file.write_text(yaml.safe_dump(tree))
     return file
 

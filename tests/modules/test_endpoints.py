@@ -23,9 +23,9 @@ STRING = "std_msgs/msg/String"
 
 @pytest.fixture
 def hubs() -> Iterator[QuickHub]:
-    made = QuickHub()
-    yield made
-    made.stop_router()
+    network = QuickHub()
+    yield network
+    network.stop_router()
 
 
 @pytest.fixture
@@ -33,52 +33,52 @@ def node(hubs: QuickHub) -> Iterator[ModuleNode]:
     loop = EventLoop("test")
     hub = Hub.open(hubs.settings("near"))
     loop.start()
-    made = ModuleNode(hub, Registry(), loop, RunClock())
-    yield made
-    made.close()
+    module_node = ModuleNode(hub, Registry(), loop, RunClock())
+    yield module_node
+    module_node.close()
     loop.close()
     hub.close()
 
 
 @pytest.fixture
 def far(hubs: QuickHub) -> Iterator[HubSide]:
-    made = HubSide(Hub.open(hubs.settings("far")), Registry())
-    yield made
-    made.hub.close()
+    side = HubSide(Hub.open(hubs.settings("far")), Registry())
+    yield side
+    side.hub.close()
 
 
 def test_a_message_is_made_where_somebody_gets_it(node: ModuleNode, far: HubSide) -> None:
     publisher = node.publisher("/said", STRING)
-    made: list[str] = []
+    created: list[str] = []
 
     def make(text: str) -> bytes:
-        made.append(text)
+        created.append(text)
         return publisher.encoded({"data": text})
 
     publisher.offer(lambda: make("nobody"))
-    assert not made
+    assert not created
     assert (publisher.counters.messages, publisher.counters.bytes) == (1, 0)
-    heard = far.subscribe("/said", "std_msgs/String")
+    received = far.subscribe("/said", "std_msgs/String")
 
     def arrived() -> list[dict[str, Any]]:
         publisher.offer(lambda: make("you"))
-        return far.wait(heard, 1, 0.2)
+        return far.wait(received, 1, 0.2)
 
     assert until(arrived, "it is heard")[0] == {"data": "you"}
-    assert set(made) == {"you"}
+    assert set(created) == {"you"}
     assert publisher.counters.bytes > 0
 
 
 def test_a_latched_message_is_made_for_those_who_come_later(node: ModuleNode) -> None:
-    made: list[bytes] = []
+    created: list[bytes] = []
     publisher = node.publisher("/kept", STRING, Qos(durability=Durability.TRANSIENT_LOCAL, depth=1))
 
     def make() -> bytes:
-        made.append(publisher.encoded({"data": "kept"}))
-        return made[0]
+        created.append(publisher.encoded({"data": "kept"}))
+        return created[0]
 
     publisher.offer(make)
-    assert len(made) == 1
+    assert len(created) == 1
 
 
 def test_what_is_heard_at_once_does_not_wait_for_the_module(node: ModuleNode, far: HubSide) -> None:

@@ -22,9 +22,9 @@ OWN_TYPE = "robot_msgs/msg/Mood"
 
 @pytest.fixture(scope="module")
 def hubs() -> Iterator[QuickHub]:
-    made = QuickHub()
-    yield made
-    made.stop_router()
+    network = QuickHub()
+    yield network
+    network.stop_router()
 
 
 @pytest.fixture
@@ -46,9 +46,9 @@ def changed() -> Event:
 
 @pytest.fixture
 def topics(near: Hub, changed: Event) -> Iterator[HubTopics]:
-    made = HubTopics(near, Registry(), changed.set)
-    yield made
-    made.close()
+    hub_topics = HubTopics(near, Registry(), changed.set)
+    yield hub_topics
+    hub_topics.close()
 
 
 def text(words: str) -> bytes:
@@ -83,16 +83,16 @@ def test_topics_come_with_their_sides_and_go(far: Hub, topics: HubTopics, change
 def test_messages_are_heard_as_they_came(far: Hub, topics: HubTopics) -> None:
     key = string_key("/said")
     publisher = far.publisher(*key, Qos())
-    heard: list[HubSample] = []
-    end = topics.subscribe(wait_for(topics, key), heard.append)
+    received: list[HubSample] = []
+    end = topics.subscribe(wait_for(topics, key), received.append)
     until(publisher.matched, "it is heard")
     publisher.put(text("one"), 1_000)
     publisher.put(text("two"), 2_000)
-    until(lambda: len(heard) == 2, "both came")
-    assert [(each.sequence, each.source_time_ns, each.data()) for each in heard] == [
+    until(lambda: len(received) == 2, "both came")
+    assert [(item.sequence, item.source_time_ns, item.data()) for item in received] == [
         (1, 1_000, text("one")), (2, 2_000, text("two")),
     ]  # fmt: skip
-    assert {each.gid for each in heard} == {publisher.gid}
+    assert {item.gid for item in received} == {publisher.gid}
     assert (end.lost, end.refused, end.trouble) == (0, 0, "")
     topics.unsubscribe(key)
     until(lambda: not publisher.matched(), "nobody hears it")
@@ -101,18 +101,18 @@ def test_messages_are_heard_as_they_came(far: Hub, topics: HubTopics) -> None:
 def test_a_latched_publisher_beside_one_that_is_not_gives_what_it_keeps_once(far: Hub, topics: HubTopics) -> None:
     key = string_key("/both")
     plain = far.publisher(*key, Qos())
-    heard: list[bytes] = []
-    topics.subscribe(wait_for(topics, key), lambda sample: heard.append(sample.data()))
+    received: list[bytes] = []
+    topics.subscribe(wait_for(topics, key), lambda sample: received.append(sample.data()))
     until(plain.matched, "it is heard")
     plain.put(text("plain"))
-    until(lambda: heard == [text("plain")], "the plain one came")
+    until(lambda: received == [text("plain")], "the plain one came")
     kept = far.publisher(*key, LATCHED)
     kept.put(text("kept"))  # which both subscriptions receive: the first one live, the second from the cache
     wait_for(topics, key, 2)
-    until(lambda: text("kept") in heard, "the kept one came")
+    until(lambda: text("kept") in received, "the kept one came")
     plain.put(text("last"))
-    until(lambda: text("last") in heard, "the last one came")
-    assert heard == [text("plain"), text("kept"), text("last")]
+    until(lambda: text("last") in received, "the last one came")
+    assert received == [text("plain"), text("kept"), text("last")]
 
 
 def test_a_name_that_is_no_zenoh_key_is_told_not_raised(far: Hub, topics: HubTopics) -> None:
@@ -125,14 +125,14 @@ def test_a_name_that_is_no_zenoh_key_is_told_not_raised(far: Hub, topics: HubTop
 
 def test_definitions_are_those_installed_or_those_that_a_worker_tells(far: Hub, topics: HubTopics) -> None:
     key = string_key("/said")
-    found = topics.definitions.find(*key[1:])
-    assert found is not None
-    assert "string data" in found
+    result = topics.definitions.find(*key[1:])
+    assert result is not None
+    assert "string data" in result
     elsewhere = Registry()
     elsewhere.learn_ros2(OWN_TYPE, "std_msgs/Header header\nfloat32 joy\n")
     kind = elsewhere.ros2(OWN_TYPE)
-    told = {"name": OWN_TYPE, "hash": kind.type_id, "definition": kind.definition}
-    far.serve("type", lambda _: told)
+    reported = {"name": OWN_TYPE, "hash": kind.type_id, "definition": kind.definition}
+    far.serve("type", lambda _: reported)
     told_here = until(lambda: topics.definitions.find(OWN_TYPE, kind.type_id, 2.0), "the worker sends it", every=0.1)
     assert "float32 joy" in told_here
     assert "MSG: std_msgs/Header" in told_here

@@ -15,10 +15,10 @@ from tests.support.wait import until
 
 @pytest.fixture
 def loop() -> Iterator[EventLoop]:
-    made = EventLoop("a loop", limit=0.5)
-    made.start()
-    yield made
-    made.close()
+    event_loop = EventLoop("a loop", limit=0.5)
+    event_loop.start()
+    yield event_loop
+    event_loop.close()
 
 
 def test_actions_run_in_order_on_one_thread(loop: EventLoop) -> None:
@@ -49,10 +49,10 @@ def test_a_timer_leaves_out_the_times_that_were_missed(loop: EventLoop) -> None:
         assert ran.acquire(timeout=40)
 
     def counted() -> int:
-        found = 0
+        count = 0
         while ran.acquire(blocking=False):
-            found += 1
-        return found
+            count += 1
+        return count
 
     def hold() -> float:
         counted()

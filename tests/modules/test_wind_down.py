@@ -23,9 +23,9 @@ ECHO = {"name": "echo", "factory": "tests.modules.echo:Echo"}
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    with Place(tmp_path) as made:
-        made.worker.start(made.config(ECHO))
-        yield made
+    with Place(tmp_path) as running:
+        running.worker.start(running.config(ECHO))
+        yield running
 
 
 class WindDown:

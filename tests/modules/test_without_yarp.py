@@ -71,8 +71,8 @@ def test_a_missing_server_is_reported_if_yarp_is_used(no_conf: Path, yarp: dict[
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    with Place(tmp_path) as made:
-        yield made
+    with Place(tmp_path) as running:
+        yield running
 
 
 def test_a_reload_switches_the_ports_of_modules(place: Place) -> None:

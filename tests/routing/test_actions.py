@@ -31,12 +31,12 @@ def gate(*rules: dict, parts: tuple[str, ...] = tuple(PARTS), **section: object)
 
 def decided(gate: EntryGate) -> dict[str, str | None]:
     """Return each part's name beyond the gate, None if it is withheld."""
-    found: dict[str, str | None] = {}
+    result: dict[str, str | None] = {}
     for part, (kind, type_name) in PARTS.items():
         of = "service" if kind is Kind.SERVER else "topic"
         policy = gate.decide(of, f"/robot/go/_action/{part}", type_name)
-        found[part] = policy.name if policy.allowed else None
-    return found
+        result[part] = policy.name if policy.allowed else None
+    return result
 
 
 @pytest.mark.parametrize(
@@ -86,15 +86,15 @@ def test_a_default_of_deny_is_of_actions_too() -> None:
 
 def test_a_part_without_its_siblings_waits_for_them() -> None:
     lone = gate(parts=("status", "cancel_goal"))
-    found = lone.decide("topic", "/robot/go/_action/status", PARTS["status"][1])
-    assert (found.allowed, found.settled) == (False, True)
-    assert "its type is unknown" in found.why
+    policy = lone.decide("topic", "/robot/go/_action/status", PARTS["status"][1])
+    assert (policy.allowed, policy.settled) == (False, True)
+    assert "its type is unknown" in policy.why
 
 
 def test_nothing_of_a_rule_but_its_name_holds_for_parts_of_an_action() -> None:
     rule = {"topic": "/robot/**", "rate": 1, "priority": "command", "depth": 1}
-    found = gate(rule).decide("topic", "/robot/go/_action/feedback", PARTS["feedback"][1])
-    assert (found.allowed, found.rate, found.priority, found.depth) == (True, None, "", None)
+    policy = gate(rule).decide("topic", "/robot/go/_action/feedback", PARTS["feedback"][1])
+    assert (policy.allowed, policy.rate, policy.priority, policy.depth) == (True, None, "", None)
 
 
 @pytest.mark.parametrize(

@@ -39,8 +39,8 @@ def test_the_oldest_make_room_by_bytes_and_the_newest_has_its_place() -> None:
 
 def test_a_publisher_keeps_its_newest() -> None:
     line = Line(most=100, room=30)
-    gone = [line.backlog.keep(source, message, 10, depth=2) for source, message in ("xa", "yb", "xc", "xd")]
-    assert (gone, line.dropped, line.taken()) == ([0, 0, 0, 1], 0, ["b", "c", "d"])
+    removed = [line.backlog.keep(source, message, 10, depth=2) for source, message in ("xa", "yb", "xc", "xd")]
+    assert (removed, line.dropped, line.taken()) == ([0, 0, 0, 1], 0, ["b", "c", "d"])
 
 
 def test_only_what_is_wanted_is_taken_and_what_is_put_back_keeps_its_age() -> None:

@@ -125,13 +125,13 @@ class World:
 
     def check(self) -> None:
         """No message has two ways to a network, nor into a hub."""
-        ways = [way[:2] for way in self.paths()]
-        assert len(ways) == len(set(ways)), sorted(self.paths())
+        paths = [path[:2] for path in self.paths()]
+        assert len(paths) == len(set(paths)), sorted(self.paths())
         entries = [(w, v) for w, v in itertools.combinations(self.workers, 2) if w.active and v.active]
         assert not [(w.name, v.name) for w, v in entries if w.network == v.network and self.same_hub(w, v)]
 
     def reached(self) -> set[tuple[str, str]]:
-        return {way[:2] for way in self.paths()}
+        return {path[:2] for path in self.paths()}
 
 
 @pytest.fixture
@@ -188,7 +188,7 @@ def test_the_successor_takes_over_and_keeps(world: World, hubs: str, known_gone:
     for network in "XY":
         world.add(f"B/{network}", network, hubs[1], known_gone=known_gone)
     world.run(5)
-    assert all("A/" in way[2] and "B/" not in way[2] for way in world.paths())
+    assert all("A/" in path[2] and "B/" not in path[2] for path in world.paths())
     for worker in first:
         world.kill(worker)
     taken = world.until(lambda: world.reached() == pairs("XY"), 5)
@@ -196,7 +196,7 @@ def test_the_successor_takes_over_and_keeps(world: World, hubs: str, known_gone:
     for network in "XY":
         world.add(f"A2/{network}", network, hubs[0], skew=-3600 * NS)
     world.run(5)
-    assert all("B/" in way[2] and "A2/" not in way[2] for way in world.paths()), "nothing is handed back"
+    assert all("B/" in path[2] and "A2/" not in path[2] for path in world.paths()), "nothing is handed back"
 
 
 @pytest.mark.parametrize("hubs", ["hh", "ij"])
@@ -364,5 +364,5 @@ def test_a_record_with_a_bad_part_is_none(key: str, value: object) -> None:
 
 
 def test_networks_that_overlap_are_one() -> None:
-    told = {"a": frozenset("ab"), "c": frozenset("bc"), "d": frozenset("d"), "e": frozenset("ec")}
-    assert sorted(map(sorted, join(told))) == [["a", "b", "c", "e"], ["d"]]
+    announced = {"a": frozenset("ab"), "c": frozenset("bc"), "d": frozenset("d"), "e": frozenset("ec")}
+    assert sorted(map(sorted, join(announced))) == [["a", "b", "c", "e"], ["d"]]

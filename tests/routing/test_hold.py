@@ -28,8 +28,8 @@ REGISTRY = Registry()
 
 @pytest.fixture
 def hubs() -> Iterator[QuickHub]:
-    with QuickHub() as made:
-        yield made
+    with QuickHub() as network:
+        yield network
 
 
 class Gateway:
@@ -51,8 +51,8 @@ def test_only_velocities_of_the_planners_side_are_held() -> None:
 
 
 def test_what_a_gateway_says_counts_also_where_it_comes_before_the_graph_knows_it() -> None:
-    looks, hears, there = list[Callable[[], None]](), list[Callable[[Any], None]](), list[Any]()
-    graph = SimpleNamespace(watch=looks.append, publishers=lambda _topic: there)
+    looks, hears, present = list[Callable[[], None]](), list[Callable[[Any], None]](), list[Any]()
+    graph = SimpleNamespace(watch=looks.append, publishers=lambda _topic: present)
     hub = SimpleNamespace(graph=graph, subscription=lambda *given: hears.append(given[-1]))
     hold = Hold(cast("Any", hub), {"/cmd_vel"})
     (look,), (hear,) = looks, hears
@@ -60,13 +60,13 @@ def test_what_a_gateway_says_counts_also_where_it_comes_before_the_graph_knows_i
     for gid, held in ((b"first", True), (b"second", False)):
         data = from_json(REGISTRY, HOLD_TYPE, {"data": held})
         hear(SimpleNamespace(gid=gid, data=lambda data=data: data))
-    there.append(SimpleNamespace(gid=b"second"))
+    present.append(SimpleNamespace(gid=b"second"))
     look()
     assert not hold.held
-    there.append(SimpleNamespace(gid=b"first"))
+    present.append(SimpleNamespace(gid=b"first"))
     look()
     assert hold.held
-    there.pop()
+    present.pop()
     look()
     assert not hold.held
 
@@ -74,8 +74,8 @@ def test_what_a_gateway_says_counts_also_where_it_comes_before_the_graph_knows_i
 def test_velocities_enter_the_hub_only_while_no_gateway_holds_them(hubs: QuickHub) -> None:
     network, gateway = FakeNetwork(), Gateway(hubs)
     far, hub = Hub.open(hubs.settings("far")), Hub.open(hubs.settings("midspan_fake"))
-    heard: list[Any] = []
-    far.subscription("/cmd_vel", TWIST, "*", Qos(depth=1), heard.append)
+    received: list[Any] = []
+    far.subscription("/cmd_vel", TWIST, "*", Qos(depth=1), received.append)
     until(lambda: hub.graph.publishers(HOLD), "the gateway is seen")
     hold = Hold(hub, {"/cmd_vel"})
     assert hold.held, "a gateway without a message yet may want it"
@@ -94,16 +94,16 @@ def test_velocities_enter_the_hub_only_while_no_gateway_holds_them(hubs: QuickHu
 
         until(drop, "it is dropped before the gateway's first message")
         gateway.say(held=False)
-        until(lambda: drop() and heard, "it crosses")
+        until(lambda: drop() and received, "it crosses")
         gateway.say(held=True)
         until(lambda: hold.held, "it is held")
         before = drop()
-        heard.clear()
+        received.clear()
         assert drop() == before + 1
-        assert not heard
+        assert not received
         gateway.hub.close()  # a gateway that is gone wants nothing; its goals are cancelled
         until(lambda: not hold.held, "it is free again")
-        until(lambda: drop() and heard, "it crosses again")
+        until(lambda: drop() and received, "it crosses again")
     finally:
         engine.stop()
         hold.close()

@@ -58,9 +58,9 @@ def test_zeros_become_what_rviz_gives(frame: str) -> None:
 
 @pytest.mark.parametrize("place", [0, 7, 35, 1])
 def test_what_tells_any_stays(place: int) -> None:
-    told = [0.0] * 36
-    told[place] = 1e-12
-    assert filled_in(message(told)) == message(told)
+    covariance = [0.0] * 36
+    covariance[place] = 1e-12
+    assert filled_in(message(covariance)) == message(covariance)
 
 
 @pytest.mark.parametrize("length", [0, 4, 15, 16, 60, 100, 300])

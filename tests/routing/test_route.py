@@ -111,11 +111,11 @@ def test_age_is_waiting_time_whatever_the_clock_offset(monkeypatch: pytest.Monke
 
 def ages(clock: Clock, gate: stall.AgeGate, offset: float, count: int = 20) -> list[float]:
     """Ages of messages at 20 Hz that arrive at once from a source whose clock differs."""
-    found = []
+    seconds = []
     for _ in range(count):
         clock.now += 0.05
-        found.append(gate.age(int((clock.now + offset) * 1e9)))
-    return found
+        seconds.append(gate.age(int((clock.now + offset) * 1e9)))
+    return seconds
 
 
 @pytest.mark.parametrize("jump", [-3600.0, -1.0, 3600.0])
@@ -182,12 +182,12 @@ def test_a_worker_that_stood_still_says_so(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_the_pulse_tells_of_a_standstill_once_the_process_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, told = Clock(monkeypatch), queue.SimpleQueue[float]()
-    stall_detector = stall.StallDetector(told.put)
+    clock, reported = Clock(monkeypatch), queue.SimpleQueue[float]()
+    stall_detector = stall.StallDetector(reported.put)
     stall_detector.start()
     try:
         clock.now += 20.0
-        assert told.get(timeout=40) == pytest.approx(20.0)
+        assert reported.get(timeout=40) == pytest.approx(20.0)
         assert stall_detector.stood_still(0.5), "what piled up is still being read"
     finally:
         stall_detector.stop()
@@ -211,11 +211,11 @@ def test_the_pulse_rests_where_nobody_asks_and_is_quick_again_at_once(monkeypatc
 def transforms(*children: str, x: float = 0.0) -> bytes:
     types = STORE.types
     time_ = types["builtin_interfaces/msg/Time"](1, 2)
-    one = types["geometry_msgs/msg/Transform"](
+    transform = types["geometry_msgs/msg/Transform"](
         types["geometry_msgs/msg/Vector3"](x, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
     )
     header = types["std_msgs/msg/Header"](time_, "base")
-    stamped = [types["geometry_msgs/msg/TransformStamped"](header, child, one) for child in children]
+    stamped = [types["geometry_msgs/msg/TransformStamped"](header, child, transform) for child in children]
     return bytes(STORE.serialize_cdr(types[TF_TYPE](stamped), TF_TYPE))
 
 
@@ -444,8 +444,8 @@ def test_a_rate_means_the_same_in_both_directions(priority: str, latched: bool, 
         for number in range(3):
             to_side.received(HubSample(zenoh.ZBytes(line("here")), number, number, GID, "z"))
         to_side.close()
-    for made in (to_hub, to_side):
-        assert (made.counters.messages, made.counters.drops["rate"]) == ((1, 2) if thinned else (3, 0))
+    for route in (to_hub, to_side):
+        assert (route.counters.messages, route.counters.drops["rate"]) == ((1, 2) if thinned else (3, 0))
 
 
 def test_what_never_came_is_told_with_its_place() -> None:

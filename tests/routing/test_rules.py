@@ -89,8 +89,8 @@ def test_the_cure_of_a_denied_topic_names_each_rule_that_denies(entries: list[di
 
 
 def test_the_cure_of_a_rule_that_a_section_makes_names_the_section() -> None:
-    made = MadeRule.model_validate({"of": "navigation (move_base has /move_base there itself)", **DENY})
-    section = RoutingSection().model_copy(update={"rules": (made, Rule.model_validate(DENY))})
+    rule = MadeRule.model_validate({"of": "navigation (move_base has /move_base there itself)", **DENY})
+    section = RoutingSection().model_copy(update={"rules": (rule, Rule.model_validate(DENY))})
     policy = RuleSet(section).enter("ros1", "/scan", STRING)
     assert policy.why == "the section navigation (move_base has /move_base there itself) and rule 1 deny it"
     assert policy.cure.startswith("change navigation, which makes that rule and remove or narrow rule 1")
