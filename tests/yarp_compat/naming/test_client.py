@@ -190,7 +190,7 @@ def test_names_that_cannot_be() -> None:
 @pytest.mark.parametrize("greeting", [b"HTTP/1.1 400 Bad Request\r\n", b""])
 def test_what_is_no_port(greeting: bytes) -> None:
     """The address of a port belongs to another kind of server."""
-    problem = "no YARP port: it says 'HTTP" if greeting else "closed before"
+    problem = "not a YARP port: it answers 'HTTP" if greeting else "closed before"
     with Scripted([(2, greeting)]) as other, pytest.raises(PortError, match=problem):
         connections.ping(client(1), f"tcp://127.0.0.1:{other.port}/p")
 
@@ -198,6 +198,6 @@ def test_what_is_no_port(greeting: bytes) -> None:
 def test_a_port_that_answers_what_is_no_bottle() -> None:
     with (
         Scripted([(3, b"Welcome admin\r\n" + b"(" * 200 + b"\r\n<ACK>\r\n")]) as peer,
-        pytest.raises(PortError, match="no Bottle"),
+        pytest.raises(PortError, match="not a Bottle"),
     ):
         text_client.admin(PortContact("/odd", "127.0.0.1", peer.port), ["list"], 20.0)
