@@ -69,11 +69,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(params=list(SIDES))
 def side(request: pytest.FixtureRequest, hubs: HubNetwork) -> Iterator[Side]:
-    made = SIDES[request.param](hubs)
+    created = SIDES[request.param](hubs)
     try:
-        yield made
+        yield created
     finally:
-        made.close()
+        created.close()
 
 
 @pytest.fixture

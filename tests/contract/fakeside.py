@@ -43,13 +43,13 @@ class FakePeer:
 
     def subscribe(self, topic: str, type_: str, *, latched: bool = False, **_: Any) -> int:
         number = next(self._ids)
-        heard: list[dict[str, Any]] = []
-        self._heard[number] = heard
+        received: list[dict[str, Any]] = []
+        self._heard[number] = received
         name = ros2_name(type_)
 
         def deliver(payload: bytes, _source: str, _time: int | None) -> None:
             with self._changed:
-                heard.append(to_json(self._registry, name, payload))
+                received.append(to_json(self._registry, name, payload))
                 self._changed.notify_all()
 
         reader = self._network.read_from(topic, name, _qos(latched=latched), MadeBy.NATIVE, self._node, deliver)

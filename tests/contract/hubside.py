@@ -52,14 +52,14 @@ class HubSide:
         name = ros2_name(type_)
         qos = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE, depth=depth)
         self._next += 1
-        heard: list[dict[str, Any]] = []
+        received: list[dict[str, Any]] = []
 
         def receive(payload: bytes) -> None:
             with self._changed:
-                heard.append(to_json(self.registry, name, payload))
+                received.append(to_json(self.registry, name, payload))
                 self._changed.notify_all()
 
-        self._heard[self._next] = heard
+        self._heard[self._next] = received
         type_hash = self.registry.ros2(name).type_id
         self._subscriptions[self._next] = self._subscription(topic, name, type_hash, qos, receive)
         return self._next
@@ -154,8 +154,8 @@ class HubSide:
     def takes(self, topic: str, direction: str, *, lane: bool) -> bool:
         """Return whether all messages of a route have crossed the hub by the lane, or all over zenoh."""
         routes = [r for r in self.status()["routes"] if (r["hub_topic"], r["direction"]) == (topic, direction)]
-        way = "lane" if lane else "zenoh"
-        return bool(routes and routes[0]["way"] == way and routes[0]["ways"][way])
+        transport = "lane" if lane else "zenoh"
+        return bool(routes and routes[0]["way"] == transport and routes[0]["ways"][transport])
 
     def until_route(self, topic: str, direction: str, seconds: float = 15) -> dict[str, Any]:
         return until(lambda: self.route(topic, direction), f"a route {direction} for {topic}", seconds, every=0.1)

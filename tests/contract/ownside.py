@@ -48,11 +48,11 @@ class OwnPeer:
 
     def subscribe(self, topic: str, type_: str, *, latched: bool = False, **_: Any) -> int:
         number, name = next(self._numbers), ros2_name(type_)
-        heard = self._heard[number] = []
+        received = self._heard[number] = []
 
         def take(message: bytes, _publisher: str) -> None:
             with self._changed:
-                heard.append(self._whole(name, json.loads(message)))
+                received.append(self._whole(name, json.loads(message)))
                 self._changed.notify_all()
 
         self._ends[number] = self._node.open("sub", topic, name, latched=latched, take=take)
@@ -75,11 +75,11 @@ class OwnPeer:
         self._node.close_end(self._ends.pop(endpoint))
 
     def graph(self) -> dict[str, Any]:
-        found: dict[str, dict[str, list[str]]] = {"pub": {}, "sub": {}}
+        result: dict[str, dict[str, list[str]]] = {"pub": {}, "sub": {}}
         for program in list(self._node.programs.values()):
             for end in program.ends.values():
-                found[end.kind].setdefault(end.topic, []).append(program.node)
-        return {"publishers": found["pub"], "subscriptions": found["sub"]}
+                result[end.kind].setdefault(end.topic, []).append(program.node)
+        return {"publishers": result["pub"], "subscriptions": result["sub"]}
 
     def ask(self, do: str, **params: Any) -> dict[str, Any]:
         raise NotImplementedError

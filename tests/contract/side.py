@@ -122,10 +122,10 @@ class WorkerProcess:
         while True:
             line = pipe.readline()
             assert line, f"worker ended: {self.process.output()[-4000:]}"
-            said: dict[str, Any] = json.loads(line)
-            assert "restart" not in said, said
-            if "busy" not in said:
-                return said
+            text: dict[str, Any] = json.loads(line)
+            assert "restart" not in text, text
+            if "busy" not in text:
+                return text
 
     def reload(self, config: Config) -> None:
         """Send another configuration."""

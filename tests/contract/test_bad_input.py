@@ -12,9 +12,9 @@ STRING = "std_msgs/String"
 
 def test_junk_on_the_hub_is_counted_and_the_route_goes_on(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
-    heard = peer.subscribe("/maybe_junk", STRING)
+    subscription = peer.subscribe("/maybe_junk", STRING)
     out = far.advertise("/maybe_junk", STRING)
-    far.hub_publish_until(out, {"data": "probe"}, lambda: peer.wait(heard, 1, 0.2))
+    far.hub_publish_until(out, {"data": "probe"}, lambda: peer.wait(subscription, 1, 0.2))
     for junk in (
         b"",
         b"\x00",
@@ -24,7 +24,7 @@ def test_junk_on_the_hub_is_counted_and_the_route_goes_on(side: Side, bridge: Br
     ):
         far.publish_raw(out, junk)
     far.publish(out, {"data": "good"})
-    got = until(lambda: [m for m in peer.wait(heard, 1, 0.2) if m["data"] != "probe"], "the good one", 10)
+    got = until(lambda: [m for m in peer.wait(subscription, 1, 0.2) if m["data"] != "probe"], "the good one", 10)
     assert got == [{"data": "good"}]
     route = far.route("/maybe_junk", "out")
     assert route["drops"]["bad"] == 5

@@ -18,10 +18,10 @@ def test_a_route_goes_with_its_publisher_and_comes_again(side: Side, bridge: Bri
     peer.drop(out)
     far.until_unpublished("/coming")
     again = peer.advertise("/coming", STRING)
-    heard = far.subscribe("/coming", STRING)
+    subscription = far.subscribe("/coming", STRING)
     far.until_route("/coming", "in")
-    far.publish_until(peer, again, {"data": "again"}, lambda: far.wait(heard, 1, 0.2))
-    assert far.wait(heard, 1)[0] == {"data": "again"}
+    far.publish_until(peer, again, {"data": "again"}, lambda: far.wait(subscription, 1, 0.2))
+    assert far.wait(subscription, 1)[0] == {"data": "again"}
 
 
 def test_a_route_out_goes_with_its_publisher(side: Side, bridge: Bridge, far: HubSide) -> None:
@@ -51,10 +51,10 @@ def test_the_network_dies_and_returns(side: Side, bridge: Bridge, far: HubSide) 
     far.until_unpublished("/before", 30)
     peer = side.peer()
     out = peer.advertise("/after", STRING)
-    heard = far.subscribe("/after", STRING)
+    subscription = far.subscribe("/after", STRING)
     far.until_published("/after", seconds=30)
-    far.publish_until(peer, out, {"data": "after"}, lambda: far.wait(heard, 1, 0.2))
-    assert far.wait(heard, 1)[0] == {"data": "after"}
+    far.publish_until(peer, out, {"data": "after"}, lambda: far.wait(subscription, 1, 0.2))
+    assert far.wait(subscription, 1)[0] == {"data": "after"}
     heard_kept = peer.subscribe("/kept", STRING, latched=True)
     assert peer.wait(heard_kept, 1, 20) == [{"data": "kept"}]
 
@@ -82,10 +82,10 @@ def test_killed_and_started_again(side: Side, far: HubSide, config) -> None:
     until(lambda: peer.graph()["publishers"].get("/from_hub"), "published on the side", 15)
     bridge.kill()
     side.bridge(config())
-    heard = far.subscribe("/survivor", STRING)
+    subscription = far.subscribe("/survivor", STRING)
     far.until_route("/survivor", "in")
-    far.publish_until(peer, out, {"data": "still"}, lambda: far.wait(heard, 1, 0.2))
-    assert {m["data"] for m in far.wait(heard, 1)} == {"still"}
+    far.publish_until(peer, out, {"data": "still"}, lambda: far.wait(subscription, 1, 0.2))
+    assert {m["data"] for m in far.wait(subscription, 1)} == {"still"}
     far.drop(far_out)
     until(lambda: not peer.graph()["publishers"].get("/from_hub"), "the endpoints of the killed bridge are gone", 30)
 

@@ -55,10 +55,10 @@ def test_latched_before_the_bridge_started(side: Side, far: HubSide, config) -> 
     far_out = far.advertise("/early_hub", STRING, latched=True, depth=1)
     far.publish(far_out, {"data": "early hub"})
     side.bridge(config())
-    heard = far.subscribe("/early", STRING, latched=True)
-    assert far.wait(heard, 1, 15) == [{"data": "early"}]
-    heard = peer.subscribe("/early_hub", STRING, latched=True)
-    assert peer.wait(heard, 1, 15) == [{"data": "early hub"}]
+    subscription = far.subscribe("/early", STRING, latched=True)
+    assert far.wait(subscription, 1, 15) == [{"data": "early"}]
+    subscription = peer.subscribe("/early_hub", STRING, latched=True)
+    assert peer.wait(subscription, 1, 15) == [{"data": "early hub"}]
     route = far.route("/early_hub", "out")
     assert route is not None
     assert route["latency_ms"] == {}
@@ -89,7 +89,7 @@ def test_static_transforms_of_three_broadcasters_to_the_side(side: Side, bridge:
 
 def test_transforms_that_are_not_latched_pass_beside_static_ones(side: Side, bridge: Bridge, far: HubSide) -> None:
     moving, fixed = side.peer(), side.peer()
-    heard = far.subscribe("/robot/tf", "tf2_msgs/TFMessage")
+    subscription = far.subscribe("/robot/tf", "tf2_msgs/TFMessage")
     out = moving.advertise("/robot/tf", "tf2_msgs/TFMessage")
     far.until_published("/robot/tf", 1)
     fixed.publish(fixed.advertise("/robot/tf", "tf2_msgs/TFMessage", latched=True, depth=1), _transforms("fixed"))
@@ -97,7 +97,7 @@ def test_transforms_that_are_not_latched_pass_beside_static_ones(side: Side, bri
 
     def alone() -> bool:
         moving.publish(out, _transforms("moving"))
-        return _frames(far.wait(heard, 10_000, 0.2)) == ["moving"]
+        return _frames(far.wait(subscription, 10_000, 0.2)) == ["moving"]
 
     until(alone, "only the moving one arrives", 15)
     assert _frames(_late_tf(far, "/robot/tf")) == ["fixed"]
@@ -112,11 +112,11 @@ def test_a_program_that_advertises_anew_without_latching_and_with(side: Side, br
             until(lambda t=text: _late(far, "/mode", 1) == [t], f"{text} is kept", 20)
         else:
             until(lambda: [p.qos.latched for p in far.publishers("/mode")] == [False], "no longer latched", 20)
-            heard = far.subscribe("/mode", STRING)
+            subscription = far.subscribe("/mode", STRING)
 
-            def crossed(out: int = out, heard: int = heard, text: str = text) -> bool:
+            def crossed(out: int = out, subscription: int = subscription, text: str = text) -> bool:
                 peer.publish(out, {"data": text})
-                return {"data": text} in far.wait(heard, 1, 0.2)
+                return {"data": text} in far.wait(subscription, 1, 0.2)
 
             until(crossed, "it is received", 15)
             # the lane is faster than zenoh, over which the first late one may receive it live; retained messages reach
@@ -126,36 +126,36 @@ def test_a_program_that_advertises_anew_without_latching_and_with(side: Side, br
 
 
 def _late(far: HubSide, topic: str, count: int) -> list[str]:
-    heard = far.subscribe(topic, STRING, latched=True)
-    far.wait(heard, count)
-    got = far.wait(heard, count + 1, 0.5)
-    far.drop(heard)
+    subscription = far.subscribe(topic, STRING, latched=True)
+    far.wait(subscription, count)
+    got = far.wait(subscription, count + 1, 0.5)
+    far.drop(subscription)
     return sorted(m["data"] for m in got)
 
 
 def _late_peer(side: Side, topic: str, count: int) -> list[str]:
     peer = side.peer()
-    heard = peer.subscribe(topic, STRING, latched=True, depth=100)
-    peer.wait(heard, count)
-    return sorted(m["data"] for m in peer.wait(heard, count + 1, 0.5))
+    subscription = peer.subscribe(topic, STRING, latched=True, depth=100)
+    peer.wait(subscription, count)
+    return sorted(m["data"] for m in peer.wait(subscription, count + 1, 0.5))
 
 
 def _transforms(*children: str) -> dict:
-    one = {"translation": {"x": 1.0, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
-    return {"transforms": [{"header": {"frame_id": "base"}, "child_frame_id": c, "transform": one} for c in children]}
+    item = {"translation": {"x": 1.0, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    return {"transforms": [{"header": {"frame_id": "base"}, "child_frame_id": c, "transform": item} for c in children]}
 
 
 def _late_tf(far: HubSide, topic: str = "/tf_static") -> list[dict]:
-    heard = far.subscribe(topic, "tf2_msgs/TFMessage", latched=True)
-    got = far.wait(heard, 1)
-    far.drop(heard)
+    subscription = far.subscribe(topic, "tf2_msgs/TFMessage", latched=True)
+    got = far.wait(subscription, 1)
+    far.drop(subscription)
     return got
 
 
 def _late_peer_tf(side: Side) -> list[dict]:
     peer = side.peer()
-    heard = peer.subscribe("/tf_static", "tf2_msgs/TFMessage", latched=True, depth=100)
-    return peer.wait(heard, 1)
+    subscription = peer.subscribe("/tf_static", "tf2_msgs/TFMessage", latched=True, depth=100)
+    return peer.wait(subscription, 1)
 
 
 def _frames(messages: list[dict]) -> list[str]:

@@ -14,27 +14,27 @@ from tests.support.wait import until
 def test_latched_heard_both_ways_comes_once() -> None:
     """Received live and from the cache, in either order; an older message after a newer one is dropped."""
     group = free_group()
-    heard: list[str] = []
+    received: list[str] = []
     node = Node(group, "127.0.0.1", "/listener")
     address, _, port = group.partition(":")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as publisher:
         publisher.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
-        node.open("sub", "/mode", "t", latched=True, take=lambda message, _: heard.append(json.loads(message)))
+        node.open("sub", "/mode", "t", latched=True, take=lambda message, _: received.append(json.loads(message)))
         for source, number in (("", 2), ("", 2), ("", 1), ("b", 1), ("", 3), ("b", 1)):
             text = f"{source}{number}"
-            said = {"from": "ab.1", "topic": "/mode", "message": text, "source": source, "number": number}
-            publisher.sendto(json.dumps(said).encode(), (address, int(port)))
-        said = {"from": "ab.2", "topic": "/mode", "message": "end"}
-        publisher.sendto(json.dumps(said).encode(), (address, int(port)))
-        until(lambda: "end" in heard, "all are received")
+            sent = {"from": "ab.1", "topic": "/mode", "message": text, "source": source, "number": number}
+            publisher.sendto(json.dumps(sent).encode(), (address, int(port)))
+        sent = {"from": "ab.2", "topic": "/mode", "message": "end"}
+        publisher.sendto(json.dumps(sent).encode(), (address, int(port)))
+        until(lambda: "end" in received, "all are received")
     node.close()
-    assert heard == ["2", "b1", "3", "end"]
+    assert received == ["2", "b1", "3", "end"]
 
 
 def test_a_latched_message_that_was_lost_is_asked_for_again() -> None:
     """A datagram can be lost; a program that only one side considers dead is received again by that side."""
     group = free_group()
-    heard: list[str] = []
+    received: list[str] = []
     node = Node(group, "127.0.0.1", "/listener")
     address, _, port = group.partition(":")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as publisher:
@@ -43,19 +43,19 @@ def test_a_latched_message_that_was_lost_is_asked_for_again() -> None:
 
         def hello(numbers: list[int]) -> None:
             ends = {"ab.1": ["pub", "/mode", "t", True, numbers]}
-            said = {"hello": "ab", "node": "/publisher", "by": "", "record": "", "ends": ends}
-            publisher.sendto(json.dumps(said).encode(), (address, int(port)))
+            text = {"hello": "ab", "node": "/publisher", "by": "", "record": "", "ends": ends}
+            publisher.sendto(json.dumps(text).encode(), (address, int(port)))
 
-        node.open("sub", "/mode", "t", latched=True, take=lambda message, _: heard.append(json.loads(message)))
+        node.open("sub", "/mode", "t", latched=True, take=lambda message, _: received.append(json.loads(message)))
         hello([7])  # its datagram was lost
-        asked, listener = publisher.recvfrom(65536)
-        assert json.loads(asked) == {"again": ["ab.1"]}
-        said = {"from": "ab.1", "topic": "/mode", "message": "on", "source": "", "number": 7}
-        publisher.sendto(json.dumps(said).encode(), listener)
-        until(lambda: heard == ["on"], "the requested message is received")
+        request, listener = publisher.recvfrom(65536)
+        assert json.loads(request) == {"again": ["ab.1"]}
+        sent = {"from": "ab.1", "topic": "/mode", "message": "on", "source": "", "number": 7}
+        publisher.sendto(json.dumps(sent).encode(), listener)
+        until(lambda: received == ["on"], "the requested message is received")
         hello([7])
         hello([7, 9])
-        assert publisher.recvfrom(65536)[0] == asked
+        assert publisher.recvfrom(65536)[0] == request
         node.close()
         publisher.setblocking(False)
         with pytest.raises(BlockingIOError):

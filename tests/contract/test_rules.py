@@ -63,10 +63,10 @@ def test_reload_touches_only_what_changed(side: Side, far: HubSide, config) -> N
     bridge = side.bridge(config())
     peer = side.peer()
     kept, closed = peer.advertise("/kept", STRING), peer.advertise("/closed", STRING)
-    heard = far.subscribe("/kept", STRING)
+    subscription = far.subscribe("/kept", STRING)
     far.until_published("/kept")
     far.until_published("/closed")
-    far.publish_until(peer, kept, {"data": "one"}, lambda: far.wait(heard, 1, 0.2))
+    far.publish_until(peer, kept, {"data": "one"}, lambda: far.wait(subscription, 1, 0.2))
     gid = far.publishers("/kept")[0].gid
     other = "ros2" if side.name == "ros1" else "ros1"
     elsewhere = {other: Config.model_validate({other: {"node": "renamed"}}).model_dump()[other]}
@@ -74,10 +74,12 @@ def test_reload_touches_only_what_changed(side: Side, far: HubSide, config) -> N
     bridge.reload(Config.model_validate({**rules, **elsewhere}))
     far.until_unpublished("/closed")
     peer.publish(kept, {"data": "two"})
-    assert [m["data"] for m in far.wait_without(heard, "one", 1)] == ["two"]
+    assert [m["data"] for m in far.wait_without(subscription, "one", 1)] == ["two"]
     assert far.publishers("/kept")[0].gid == gid
     # more may have crossed than were received: the first ones, before the far end's subscription was known
-    until(lambda: far.route("/kept", "in")["messages"] >= len(far.wait(heard, 2)), "the route continues to count")
+    until(
+        lambda: far.route("/kept", "in")["messages"] >= len(far.wait(subscription, 2)), "the route continues to count"
+    )
     peer.publish(closed, {"data": "unheard"})
 
 

@@ -140,7 +140,7 @@ def test_a_name_that_is_served_on_both_stays_apart(side: Side, bridge: Bridge, f
     far.serve("/do", SET, reply=YES)
     far.until_route("/do", "out", 60)
     peer = side.peer()
-    own = peer.ask("serve", service="/do", type=SET, reply={"success": False, "message": "own"})["id"]
+    local = peer.ask("serve", service="/do", type=SET, reply={"success": False, "message": "own"})["id"]
 
     def refused() -> bool:
         lines = far.explain("/do")
@@ -155,4 +155,4 @@ def test_a_name_that_is_served_on_both_stays_apart(side: Side, bridge: Bridge, f
     far.servers["/do"].close()
     until(lambda: [s for s in far.hub.graph.servers("/do") if not s.own], "the side's own service is offered", 30)
     assert far.call("/do", SET).result()["reply"]["message"] == "own"
-    assert peer.ask("requests", id=own, count=1)["requests"]
+    assert peer.ask("requests", id=local, count=1)["requests"]

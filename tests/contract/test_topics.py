@@ -13,13 +13,13 @@ STRING = "std_msgs/String"
 def test_side_to_hub(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) -> None:
     peer = side.peer()
     out = peer.advertise("/chatter", STRING, depth=100)
-    heard = far.subscribe("/chatter", STRING)
+    subscription = far.subscribe("/chatter", STRING)
     far.until_route("/chatter", "in")
-    far.publish_until(peer, out, {"data": "probe"}, lambda: far.wait(heard, 1, 0.2))
+    far.publish_until(peer, out, {"data": "probe"}, lambda: far.wait(subscription, 1, 0.2))
     for n in range(50):
         peer.publish(out, {"data": f"number {n}"})
     expected = [f"number {n}" for n in range(50)]
-    assert [m["data"] for m in far.wait_without(heard, "probe", 50)] == expected
+    assert [m["data"] for m in far.wait_without(subscription, "probe", 50)] == expected
     until(
         lambda: peer.publish(out, {"data": "probe"}) or far.takes("/chatter", "in", lane=lane),
         "its transport",
@@ -29,13 +29,13 @@ def test_side_to_hub(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) ->
 
 def test_hub_to_side(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) -> None:
     peer = side.peer()
-    heard = peer.subscribe("/orders", STRING, depth=100)
+    subscription = peer.subscribe("/orders", STRING, depth=100)
     out = far.advertise("/orders", STRING)
-    _until_heard(far, out, peer, heard)
+    _until_heard(far, out, peer, subscription)
     for n in range(50):
         far.publish(out, {"data": f"number {n}"})
-    until(lambda: {"data": "number 49"} in peer.wait(heard, 51, 0.2), "the last one")
-    got = [m["data"] for m in peer.wait(heard, 51) if m["data"] != "probe"]
+    until(lambda: {"data": "number 49"} in peer.wait(subscription, 51, 0.2), "the last one")
+    got = [m["data"] for m in peer.wait(subscription, 51) if m["data"] != "probe"]
     assert got == [f"number {n}" for n in range(50)]
     until(
         lambda: far.publish(out, {"data": "probe"}) or far.takes("/orders", "out", lane=lane),
@@ -61,18 +61,18 @@ def test_same_topic_both_ways_does_not_loop(side: Side, bridge: Bridge, far: Hub
     expected = [f"peer {n}" for n in range(10)]
     assert [m["data"] for m in far.wait_without(at_far, "probe", 11)] == [*expected, "end"]
     until(lambda: [m["data"] for m in peer.wait(at_peer, 22, 0.2)].count("end") == 2, "both ends")
-    heard = [m["data"] for m in peer.wait(at_peer, 23, 0.5)]
-    assert [m for m in heard if m.startswith("far")] == [f"far {n}" for n in range(10)]
-    assert [m for m in heard if m.startswith("peer")] == expected
+    received = [m["data"] for m in peer.wait(at_peer, 23, 0.5)]
+    assert [m for m in received if m.startswith("far")] == [f"far {n}" for n in range(10)]
+    assert [m for m in received if m.startswith("peer")] == expected
 
 
 def test_two_types_of_messages(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
     twist = {"linear": {"x": 1.0, "y": 2.0, "z": 3.0}, "angular": {"x": 4.0, "y": 5.0, "z": 6.0}}
     out = peer.advertise("/speed", "geometry_msgs/Twist")
-    heard = far.subscribe("/speed", "geometry_msgs/Twist")
-    far.publish_until(peer, out, twist, lambda: far.wait(heard, 1, 0.2))
-    assert far.wait(heard, 1)[0] == twist
+    subscription = far.subscribe("/speed", "geometry_msgs/Twist")
+    far.publish_until(peer, out, twist, lambda: far.wait(subscription, 1, 0.2))
+    assert far.wait(subscription, 1)[0] == twist
 
 
 def test_custom_type_both_ways(side: Side, bridge: Bridge, far: HubSide) -> None:
@@ -85,10 +85,10 @@ def test_custom_type_both_ways(side: Side, bridge: Bridge, far: HubSide) -> None
     }
     peer = side.peer()
     out = peer.advertise("/things", "contract_msgs/Thing")
-    heard = far.subscribe("/things", "contract_msgs/Thing")
+    subscription = far.subscribe("/things", "contract_msgs/Thing")
     far.until_route("/things", "in", 90)
-    far.publish_until(peer, out, thing, lambda: far.wait(heard, 1, 0.2))
-    assert _without_stamp(far.wait(heard, 1))[0] == thing
+    far.publish_until(peer, out, thing, lambda: far.wait(subscription, 1, 0.2))
+    assert _without_stamp(far.wait(subscription, 1))[0] == thing
     back = far.advertise("/things_back", "contract_msgs/Thing")
     heard_back = peer.subscribe("/things_back", "contract_msgs/Thing")
     far.until_route("/things_back", "out", 90)
@@ -127,8 +127,8 @@ def test_octomap_from_a_folder(side: Side, bridge: Bridge, far: HubSide) -> None
         return bool(far.until_route("/octomap_binary", "in")["messages"])
 
     until(crossed, "it crosses", 20, every=0.5)
-    heard = far.subscribe("/octomap_binary", "octomap_msgs/Octomap", latched=True)
-    got = _without_stamp(far.wait(heard, 1))
+    subscription = far.subscribe("/octomap_binary", "octomap_msgs/Octomap", latched=True)
+    got = _without_stamp(far.wait(subscription, 1))
     assert got == [tree] * max(len(got), 1)
 
 

@@ -92,16 +92,16 @@ def link(tmp_path: Path) -> Iterator[Link]:
     ):
         engine = EngineWorker(robot, Registry(), rules=rules)
         try:
-            made = Link(proxy, robot, engine, sticks)
-            until(made.drives, "commands arrive")
-            yield made
+            link = Link(proxy, robot, engine, sticks)
+            until(link.drives, "commands arrive")
+            yield link
         finally:
             engine.close()
 
 
 @pytest.mark.alone
 def test_commands_from_a_stalled_link_are_not_executed(link: Link) -> None:
-    heard, mouth = Heard(link.engine.hub, "/chat"), talk(link.operator, "/chat")
+    subscription, mouth = Heard(link.engine.hub, "/chat"), talk(link.operator, "/chat")
     until(mouth.matched, "the other topic")
     link.command(0.5)
     for seconds in (0.2, 1.0):
@@ -112,21 +112,21 @@ def test_commands_from_a_stalled_link_are_not_executed(link: Link) -> None:
         until(link.drives, "commands arrive again")
     assert link.latest() < LATE
     assert link.dropped() > 10
-    heard.expect("0.2", "1")
+    subscription.expect("0.2", "1")
 
 
 def test_a_lossy_link_delivers_state_but_no_late_commands(link: Link) -> None:
-    heard, mouth = Heard(link.engine.hub, "/chat"), talk(link.operator, "/chat")
+    subscription, mouth = Heard(link.engine.hub, "/chat"), talk(link.operator, "/chat")
     until(mouth.matched, "the other topic")
     link.proxy.loss = 0.05
-    words = [str(number) for number in range(10)]
-    for word in words:
-        mouth.put(word.encode())
+    texts = [str(number) for number in range(10)]
+    for name in texts:
+        mouth.put(name.encode())
         link.command(0.2)
     until(lambda: link.proxy.lost or link.command(0.1), "something is lost")
     link.proxy.loss = 0.0
     until(link.drives, "commands arrive")
-    heard.expect(*words)
+    subscription.expect(*texts)
     assert link.latest() < LATE
 
 
@@ -161,8 +161,8 @@ def test_a_half_open_connection_is_closed_and_reconnected(link: Link, direction:
 
 def test_cut_connections_are_restored_with_all_state(link: Link) -> None:
     talk(link.engine.hub, "/map", LATCHED, "first")
-    heard = Heard(link.operator, "/map", LATCHED)
-    heard.expect("first")
+    subscription = Heard(link.operator, "/map", LATCHED)
+    subscription.expect("first")
     changing = talk(link.engine.hub, "/plan", LATCHED, "old")
     plan = Heard(link.operator, "/plan", LATCHED)
     plan.expect("old")
@@ -174,7 +174,7 @@ def test_cut_connections_are_restored_with_all_state(link: Link) -> None:
     print(f"cut three times: {time.monotonic() - started:.1f} s")
     changing.put(b"newest")
     until(lambda: plan.texts()[-1] == "newest", "the state is complete")
-    assert set(heard.texts()) == {"first"}
+    assert set(subscription.texts()) == {"first"}
     Heard(link.operator, "/map", LATCHED).expect("first")
     assert link.latest() < LATE
 
@@ -185,12 +185,12 @@ def test_a_slow_link_does_not_delay_other_subscribers(link: Link) -> None:
     qos = Qos(Reliability.RELIABLE, depth=5)
     arrived: list[float] = []
 
-    def take(sample: HubSample) -> None:
+    def on_sample(sample: HubSample) -> None:
         arrived.append(time.monotonic() - struct.unpack_from("<d", sample.payload.to_bytes())[0])
 
     far: list[HubSample] = []
     with Hub.open(link.robot.settings("local")) as local:
-        local.subscription("/image", IMAGE, HASH, qos, take)
+        local.subscription("/image", IMAGE, HASH, qos, on_sample)
         link.operator.subscription("/image", IMAGE, HASH, qos, far.append)
         camera = link.engine.hub.publisher("/image", IMAGE, HASH, qos)
         see_each_other(local, link.engine.hub, link.operator)
@@ -221,5 +221,5 @@ def test_state_arrives_over_a_slow_link(link: Link) -> None:
     link.proxy.rate = 200e3
     big = talk(link.engine.hub, "/map", LATCHED)
     big.put(b"m" * 400_000)
-    heard = Heard(link.operator, "/map", LATCHED)
-    until(lambda: heard.texts() == ["m" * 400_000], "the map", 30)
+    subscription = Heard(link.operator, "/map", LATCHED)
+    until(lambda: subscription.texts() == ["m" * 400_000], "the map", 30)

@@ -42,9 +42,9 @@ class Fields:
 
 @pytest.fixture(scope="module")
 def fields() -> Iterator[Fields]:
-    made = Fields()
-    yield made
-    made.close()
+    fields = Fields()
+    yield fields
+    fields.close()
 
 
 LOSSES: dict[str, Callable[[Field], Outcome]] = {

@@ -89,8 +89,8 @@ class RosServices:
 
     def call(self, service: str, *, data: bool) -> dict[str, Any]:
         call = self._peer.ask("call", service=service, type=SERVICE, request={"data": data})["id"]
-        told = self._peer.ask("result", id=call, seconds=SECONDS)
-        return told["reply"] or {}
+        reported = self._peer.ask("result", id=call, seconds=SECONDS)
+        return reported["reply"] or {}
 
 
 class YarpServices:
@@ -159,24 +159,24 @@ class Pair:
 
     def act(self, name: str, **more: Any) -> int:
         """Serve an action."""
-        asked = {"action": name, "type": self.type(0), "feedback": [self.feedback()], **more}
-        return int(self.server.ask("act", **asked)["id"])
+        request = {"action": name, "type": self.type(0), "feedback": [self.feedback()], **more}
+        return int(self.server.ask("act", **request)["id"])
 
     def send(self, name: str, **more: Any) -> int:
         """Send a goal."""
-        asked = {"action": name, "type": self.type(1), "goal": self.sent(), "seconds": SECONDS, **more}
-        return int(self.client.ask("send_goal", **asked)["id"])
+        request = {"action": name, "type": self.type(1), "goal": self.sent(), "seconds": SECONDS, **more}
+        return int(self.client.ask("send_goal", **request)["id"])
 
     def goal(self, goal: int, **wanted: Any) -> dict[str, Any]:
         """Return the client's state of a goal, once it has these fields."""
-        return self.told(goal, SECONDS, **wanted)
+        return self.goal_within(goal, SECONDS, **wanted)
 
-    def told(self, goal: int, seconds: float, **wanted: Any) -> dict[str, Any]:
+    def goal_within(self, goal: int, seconds: float, **wanted: Any) -> dict[str, Any]:
         """Return the client's state of a goal like `goal`, with a given time limit."""
-        found: dict[str, Any] = self.client.ask("goal", id=goal, until=wanted, seconds=seconds)
-        seen = {k: len(found[k]) if k == "feedback" else found[k] for k in wanted}
+        result: dict[str, Any] = self.client.ask("goal", id=goal, until=wanted, seconds=seconds)
+        seen = {k: len(result[k]) if k == "feedback" else result[k] for k in wanted}
         assert seen == wanted, f"{seen}, not {wanted}"
-        return found
+        return result
 
     # -- messages ------------------------------------------------------------------------------------------------------
 
@@ -197,16 +197,15 @@ class Pair:
         assert place(seen[FIELDS[self.sides[0]][0]]) == ("map", 3.5)
         assert place(heard[FIELDS[self.sides[1]][1]]) == ("map", 1.5)
 
-    # -- parts of an action
-    # ---------------------------------------------------------------------------------------------
+    # -- parts of an action --------------------------------------------------------------------------------------------
 
     def goal_and_result(self) -> None:
         """Send a goal; check its feedback and its result."""
         acting = self.act(self.name("held"), held=True)
         goal = self.send(self.name("held"))
-        heard = self.goal(goal, accepted=True, feedback=1)
+        answer = self.goal(goal, accepted=True, feedback=1)
         (seen,) = self.server.ask("goals", id=acting)["goals"]
-        self.check(seen, heard["feedback"][0])
+        self.check(seen, answer["feedback"][0])
         self.server.ask("release", id=acting)
         assert self.goal(goal, status=SUCCEEDED)["result"] is not None
 
@@ -357,8 +356,8 @@ def main() -> int:
         lines = list(table(deployment))
     print(text(lines))
     if args.json:
-        args.json.write_text(json.dumps([asdict(one) for one in lines], indent=2) + "\n")
-    return int(not all(one.good for one in lines))
+        args.json.write_text(json.dumps([asdict(item) for item in lines], indent=2) + "\n")
+    return int(not all(item.good for item in lines))
 
 
 if __name__ == "__main__":

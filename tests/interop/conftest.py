@@ -13,8 +13,8 @@ from tests.interop.deployment import Deployment
 @pytest.fixture
 def deployment(tmp_path: Path) -> Iterator[Deployment]:
     """A deployment that the test starts itself."""
-    with Deployment(tmp_path) as made:
-        yield made
+    with Deployment(tmp_path) as deployment:
+        yield deployment
 
 
 @pytest.fixture
@@ -27,9 +27,9 @@ def running(deployment: Deployment) -> Deployment:
 @pytest.fixture(scope="module")
 def of_all_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Deployment]:
     """A running deployment for a file."""
-    with Deployment(tmp_path_factory.mktemp("shared")) as made:
-        made.start()
-        yield made
+    with Deployment(tmp_path_factory.mktemp("shared")) as deployment:
+        deployment.start()
+        yield deployment
 
 
 @pytest.fixture

@@ -24,10 +24,10 @@ class Acting:
         self._outcome = params.get("outcome", "succeed")
         self._goals: list[Goal] = []
         self._changed = threading.Condition()
-        node.action_server(params["action"], full(params["type"]), self._take, self._cancel)
+        node.action_server(params["action"], full(params["type"]), self._on_goal, self._cancel)
         self._loop = node.loop
 
-    def _take(self, goal: Goal) -> bool:
+    def _on_goal(self, goal: Goal) -> bool:
         if self._outcome == "reject":
             return False
         with self._changed:
@@ -71,17 +71,17 @@ class Sent:
         self._result: dict[str, Any] | None = None
         self._ended = False
         self._cancelled = False
-        made = threading.Event()
+        event = threading.Event()
 
         def send() -> None:
-            self._goal = client.send(params["goal"], self._end, self._hear)
-            made.set()
+            self._goal = client.send(params["goal"], self._end, self._on_feedback)
+            event.set()
 
         node.loop.post(send)
-        assert made.wait(20)
+        assert event.wait(20)
         self._loop = node.loop
 
-    def _hear(self, feedback: dict[str, Any]) -> None:
+    def _on_feedback(self, feedback: dict[str, Any]) -> None:
         self._feedback.append(feedback)
 
     def _end(self, _status: Any, result: dict[str, Any] | None, _why: str) -> None:

@@ -180,8 +180,8 @@ class Mix:
 
     def _chosen(self, planner: str) -> bool:
         workers = {worker.get("worker"): worker for worker in self.deployment.status()}
-        asked = ["gateway", *([IDS[planner], "robot_goto"] if planner == OURS else [])]  # ours needs its map
-        running = all(workers.get(name, {}).get("state") == "running" for name in asked)
+        requests = ["gateway", *([IDS[planner], "robot_goto"] if planner == OURS else [])]  # ours needs its map
+        running = all(workers.get(name, {}).get("state") == "running" for name in requests)
         return running and workers["gateway"]["planner"] == IDS[planner]
 
     def end(self) -> None:

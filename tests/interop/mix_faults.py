@@ -159,12 +159,12 @@ class Watch:
         self._note(self.client, client.ended_at() if end else 0.0, end or client.seen())
 
     def _note(self, who: str, at: float, word: str, text: str = "") -> None:
-        words = self.words.setdefault(who, [])
+        texts = self.words.setdefault(who, [])
         at = at or time.monotonic()
         if who == "status":
             self.texts.append((at, text or word))
-        if not words or words[-1][1] != word:
-            words.append((max(at, self.began), word))
+        if not texts or texts[-1][1] != word:
+            texts.append((max(at, self.began), word))
 
     def until(self, condition: Callable[[], object], what: str, seconds: float = SECONDS) -> None:
         """Poll until a condition holds."""
@@ -183,14 +183,14 @@ class Watch:
 
         With ``lost``, a reply may be lost with the gateway: rclpy's client waits for it forever.
         """
-        asked = {name: self.mix.callers[name].ask(word) for name in clients}
+        calls = {name: self.mix.callers[name].ask(word) for name in clients}
         end = time.monotonic() + LOST_SECONDS
 
         def answered() -> bool:
-            return all(answer() is not None for answer in asked.values()) or (lost and time.monotonic() > end)
+            return all(answer() is not None for answer in calls.values()) or (lost and time.monotonic() > end)
 
         self.until(answered, f"every {word} is answered")
-        self.answers = {name: answer() or (time.monotonic(), SILENT) for name, answer in asked.items()}
+        self.answers = {name: answer() or (time.monotonic(), SILENT) for name, answer in calls.items()}
         if word == "resume":
             return
         for name, (at, answer) in self.answers.items():
@@ -201,11 +201,11 @@ class Watch:
     def close(self) -> None:
         """Compare the received states with the base's motion; raises `AssertionError`."""
         end = time.monotonic()
-        for who, words in self.words.items():
-            seconds = untrue([word for word in words if word[1] != SILENT], self.base, end)
+        for client, states in self.words.items():
+            seconds = untrue([entry for entry in states if entry[1] != SILENT], self.base, end)
             self.untrue = max(self.untrue, seconds)
             if seconds > self.allowance:
-                self.trouble.append(f"{who} received that the robot stands while it moved for {seconds:.2f} s")
+                self.trouble.append(f"{client} received that the robot stands while it moved for {seconds:.2f} s")
         for name, (at, answer) in self.answers.items():
             moved = 0.0 if answer else self.base.moved(at, end)
             if moved > JERK_SECONDS and not stood(self.base, at):
@@ -219,8 +219,8 @@ class Watch:
         parts = [f"base: {base}", f"untrue for {self.untrue:.2f} s"]
         for name, (at, answer) in self.answers.items():
             parts.append(f"{name} answered at {at - self.began:.1f}: {answer or 'ok'}")
-        for who, words in {**self.words, "status": self.texts}.items():
-            parts.append(f"{who}: {', '.join(f'{at - self.began:.2f} {word}' for at, word in words)}")
+        for client, states in {**self.words, "status": self.texts}.items():
+            parts.append(f"{client}: {', '.join(f'{at - self.began:.2f} {state}' for at, state in states)}")
         return "; ".join(parts)
 
 
@@ -245,7 +245,7 @@ def attempt(mix: Mix, fault: Fault, name: str, watches: list[Watch], *, own: boo
     fault.begin(mix)
     watch.until(lambda: time.monotonic() > watch.began + fault.stop_after, "the fault lasts for a while")
     if own and not fault.stopped:
-        _own(watch, client, fault)
+        _check_own(watch, client, fault)
     else:
         _stop(watch, client, fault)
     watch.until(mix.back, "everything is back")
@@ -283,7 +283,7 @@ def _stop(watch: Watch, client: Client, fault: Fault) -> None:
         watch.until(client.end, "its goal has an end")
 
 
-def _own(watch: Watch, client: Client, fault: Fault) -> None:
+def _check_own(watch: Watch, client: Client, fault: Fault) -> None:
     """Check that a client of the planner itself sees the same as without Midspan."""
     assert client.end() == "", "its goal ended"
     fault.end(watch.mix)

@@ -64,8 +64,8 @@ class Cell:
     @property
     def good(self) -> bool:
         """Return whether the result is as expected."""
-        own = (self.planner, self.client) in OWN and self.part in ("pause", "resume", *FAULTS)
-        return self.seen == ("own" if own else "yes")
+        direct = (self.planner, self.client) in OWN and self.part in ("pause", "resume", *FAULTS)
+        return self.seen == ("own" if direct else "yes")
 
 
 class Trials:
@@ -77,14 +77,14 @@ class Trials:
     def cells(self, planner: str, name: str) -> Iterator[Cell]:
         """Test all parts with one client."""
         client = self.mix.clients[name]
-        own = (planner, name) in OWN
+        direct = (planner, name) in OWN
         tries: dict[str, Callable[[], str]] = {
             "goto": lambda: self._goto(client),
             "feedback": lambda: self._feedback(client),
-            "pause": lambda: self._pause(client, own=own),
-            "resume": lambda: self._resume(client, own=own),
+            "pause": lambda: self._pause(client, own=direct),
+            "resume": lambda: self._resume(client, own=direct),
             "cancel": lambda: self._cancel(client),
-            "abort": lambda: self._abort(client, planner, own=own),
+            "abort": lambda: self._abort(client, planner, own=direct),
         }
         for part in PARTS:
             yield _tried(planner, name, part, tries[part])
@@ -112,8 +112,10 @@ class Trials:
             if fault.planner != planner:
                 continue
             for name in fault.clients if every else ONE_EACH[part]:
-                own, watches = (planner, name) in OWN, list[Watch]()
-                cell = _tried(planner, name, part, partial(mix_faults.attempt, self.mix, fault, name, watches, own=own))
+                direct, watches = (planner, name) in OWN, list[Watch]()
+                cell = _tried(
+                    planner, name, part, partial(mix_faults.attempt, self.mix, fault, name, watches, own=direct)
+                )
                 if watches:
                     cell = replace(cell, note=str(watches[0]), seconds=round(watches[0].untrue, 2))
                 if not cell.good:

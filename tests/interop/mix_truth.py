@@ -151,13 +151,13 @@ def untrue(words: Sequence[Word], base: Base, end: float) -> float:
     A reported end counts until the base stood, even if it was withdrawn at once; `PREPARING` counts while it lasted.
     """
     worst = 0.0
-    for (at, word), (until_, _) in itertools.pairwise([*words, (end, "")]):
-        if word not in ENDS and word != PREPARING:
+    for (at, state), (until_, _) in itertools.pairwise([*words, (end, "")]):
+        if state not in ENDS and state != PREPARING:
             continue
         began = [at, *(since for moves, since in base.changes(at) if moves and since < until_)]
         for start in began:
             stood = min(base.stands_after(start), end)
-            stood = min(stood, until_) if word == PREPARING or start != at else stood
+            stood = min(stood, until_) if state == PREPARING or start != at else stood
             worst = max(worst, stood - start)
     return worst
 

@@ -88,8 +88,8 @@ class OtherStore:
         assert into is not None
         into.write(json.dumps(words) + "\n")
         into.flush()
-        found, others, conflicts = self._read()
-        return found, others, conflicts
+        result, others, conflicts = self._read()
+        return result, others, conflicts
 
     def until(self, found: dict[str, float]) -> None:
         """Wait until it contains these locations."""

@@ -64,12 +64,12 @@ class Sent:
     def __init__(self, bridge: Ros2ddsBridge, number: int, params: dict[str, Any]) -> None:
         self._client = ActionClient(bridge, params["action"])
         self._id = {"goal_id": {"uuid": [number] * 16}}
-        asked = {**self._id, "goal": params["goal"]}
+        request = {**self._id, "goal": params["goal"]}
         until(lambda: bridge.tokens(params["action"], "AS"), f"{params['action']} is announced", params["seconds"])
 
         def answered() -> Any:
             """Return the reply; the plugin's client has none before the other side's server exists."""
-            return self._client.ask("send_goal", asked).result()["reply"]
+            return self._client.ask("send_goal", request).result()["reply"]
 
         reply = until(answered, f"there is a server of {params['action']}", params["seconds"], every=0.1)
         self._accepted: bool = reply["accepted"]
@@ -83,13 +83,13 @@ class Sent:
     def state(self) -> dict[str, Any]:
         """Return the state of the goal."""
         ended = None if self._result is None else self._result.result(0)["reply"]
-        told = None if self._cancelled is None else self._cancelled.result(0)["reply"]
+        reported = None if self._cancelled is None else self._cancelled.result(0)["reply"]
         return {
             "accepted": self._accepted,
-            "feedback": [one["feedback"] for one in self._client.feedback],
+            "feedback": [item["feedback"] for item in self._client.feedback],
             "status": ended["status"] if ended else 0,
             "result": ended["result"] if ended else None,
-            "cancel": [told["return_code"], len(told["goals_canceling"])] if told else None,
+            "cancel": [reported["return_code"], len(reported["goals_canceling"])] if reported else None,
         }
 
     def close(self) -> None:

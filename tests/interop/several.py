@@ -189,9 +189,9 @@ class Several:
         config["ros1"].update({"poll": 0.1} if "master" in config["ros1"] else {})
         file = folder / "midspan.yaml"
         file.write_text(yaml.safe_dump(config))
-        made = Daemon(name, file, port, [n.side for n in networks])
-        self.daemons.append(made)
-        return made
+        daemon = Daemon(name, file, port, [n.side for n in networks])
+        self.daemons.append(daemon)
+        return daemon
 
     def _short_folder(self) -> str:
         """Return a folder with a path short enough for Unix sockets; pytest's may be too long."""
@@ -296,27 +296,27 @@ def ring(several: Several, *, joined: bool, node: str = "midspan") -> tuple[list
 
 def triangle(several: Several, *, joined: bool, node: str = "midspan") -> tuple[list[Daemon], list[Network]]:
     """Join each two of three networks, by separate hubs, or by hubs that are joined, too."""
-    one, two, three = several.ros1(), several.ros2(), several.ros1()
-    first = several.daemon("one_two", one, two)
-    second = several.daemon("two_three", two, three, join=first if joined else None, node=node)
+    left, middle, right = several.ros1(), several.ros2(), several.ros1()
+    first = several.daemon("one_two", left, middle)
+    second = several.daemon("two_three", middle, right, join=first if joined else None, node=node)
     # A daemon joins one ROS 1 network; the third link joins two, by two workers on one hub, as on two machines.
-    third = several.daemon("one", one, join=first if joined else None)
-    fourth = several.daemon("three", three, join=third, node=node)
+    third = several.daemon("one", left, join=first if joined else None)
+    fourth = several.daemon("three", right, join=third, node=node)
     daemons = [first, second, third, fourth]
     several.start(*daemons)
-    return daemons, [one, two, three]
+    return daemons, [left, middle, right]
 
 
 def flows(several: Several, networks: list[Network]) -> list[Flow]:
     """Return a flow from each network to all others, once messages cross on each."""
     programs = [several.program(n) for n in networks]
-    made = [
+    created = [
         Flow(source, f"/from_{number}", *(p for p in programs if p is not source))
         for number, source in enumerate(programs)
     ]
-    for flow in made:
+    for flow in created:
         flow.until_through()
-    return made
+    return created
 
 
 def pour(made: list[Flow], count: int, rate: float) -> None:

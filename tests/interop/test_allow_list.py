@@ -23,12 +23,12 @@ def test_unlisted_topics_do_not_cross(deployment: Deployment) -> None:
     ros1, ros2 = deployment.ros1(), deployment.ros2()
     for sender in (ros1, ros2):
         sender.advertise("/unnamed", STRING)
-    heard = ros2.subscribe("/odom", ODOMETRY)
+    subscription = ros2.subscribe("/odom", ODOMETRY)
     out = ros1.advertise("/odom", ODOMETRY)
-    assert cross(ros1, out, ros2, heard, {"child_frame_id": "base"})["child_frame_id"] == "base"
-    heard = ros1.subscribe("/cmd_vel", TWIST)
+    assert cross(ros1, out, ros2, subscription, {"child_frame_id": "base"})["child_frame_id"] == "base"
+    subscription = ros1.subscribe("/cmd_vel", TWIST)
     out = ros2.advertise("/robot1/cmd_vel", TWIST)
-    assert cross(ros2, out, ros1, heard, twist(0.1)) == twist(0.1)
+    assert cross(ros2, out, ros1, subscription, twist(0.1)) == twist(0.1)
     until(lambda: len(deployment.explain("/unnamed")) == 2, "both sides have decided on it", 20)
     assert {line["decision"] for line in deployment.explain("/unnamed")} == {"denied"}
     assert not deployment.route("ros2", "/unnamed", "out")

@@ -67,19 +67,19 @@ class Siege:
             route = self.deployment.route(side, topic, direction)
             return route if route and all(route["drops"][k] >= n for k, n in drops.items()) else None
 
-        found = until(counted, f"{side} {direction} {topic} counts {drops}", 30, every=0.1)
-        assert found is not None
-        return found
+        result = until(counted, f"{side} {direction} {topic} counts {drops}", 30, every=0.1)
+        assert result is not None
+        return result
 
     def refusal(self, topic: str) -> dict[str, Any]:
         """Return why a topic does not cross, once reported."""
-        told = lambda: [line for line in self.deployment.explain(topic) if line["decision"] == "refused"]  # noqa: E731
-        return until(told, f"{topic} is refused", 30, every=0.1)[0]
+        reported = lambda: [line for line in self.deployment.explain(topic) if line["decision"] == "refused"]  # noqa: E731
+        return until(reported, f"{topic} is refused", 30, every=0.1)[0]
 
     def warning(self, topic: str) -> str:
         """Return the ros1 worker's warning about a topic."""
-        told = lambda: [w for w in self.deployment.worker("ros1").get("warnings", []) if w.startswith(f"{topic}:")]  # noqa: E731
-        return str(until(told, f"a warning about {topic}", 30, every=0.1)[0])
+        reported = lambda: [w for w in self.deployment.worker("ros1").get("warnings", []) if w.startswith(f"{topic}:")]  # noqa: E731
+        return str(until(reported, f"a warning about {topic}", 30, every=0.1)[0])
 
     def hostile(self, topic: str, serve: Callable[[socket.socket], None], type_: str = STRING) -> None:
         """A ROS 1 node whose publication of a topic is served by ``serve``, registered with the real master."""
@@ -117,8 +117,8 @@ def siege(besieged: Siege) -> Iterator[Siege]:
 
 
 def header(**fields: str) -> bytes:
-    told = {"callerid": "/hostile", "type": STRING, "md5sum": MD5, "message_definition": "string data\n"}
-    return encode({**told, **fields})
+    reported = {"callerid": "/hostile", "type": STRING, "md5sum": MD5, "message_definition": "string data\n"}
+    return encode({**reported, **fields})
 
 
 def says(*parts: bytes) -> Callable[[socket.socket], None]:
@@ -229,13 +229,13 @@ def test_ros1_names_with_illegal_characters(siege: Siege) -> None:
 def test_hostile_ros1_subscribers(siege: Siege) -> None:
     """Raw connections to the node: invalid headers, another md5, and one that is admitted and never reads."""
     topic = siege.name("outward")
-    heard = siege.ros1.subscribe(topic, STRING)
+    subscription = siege.ros1.subscribe(topic, STRING)
     out = siege.ros2.advertise(topic, STRING)
     siege.deployment.until_route("ros2", topic, "in")
 
     def crosses() -> bool:
         siege.ros2.publish(out, {"data": "x" * 100_000})
-        return bool(siege.ros1.wait(heard, 1, 0.2))
+        return bool(siege.ros1.wait(subscription, 1, 0.2))
 
     until(crosses, "the node publishes", 30)
     with xmlrpc.client.ServerProxy(siege.deployment.master.uri) as master:
@@ -243,20 +243,20 @@ def test_hostile_ros1_subscribers(siege: Siege) -> None:
     with xmlrpc.client.ServerProxy(uri) as node:
         _, host, port = node.requestTopic("/raw", topic, [["TCPROS"]])[2]  # type: ignore[index,misc]
     ask = {"callerid": "/raw", "topic": topic, "type": STRING, "md5sum": MD5}
-    for said in (
+    for text in (
         b"\xff\xff\xff\xff",
         struct.pack("<I", 5) + b"\1\2\3\4\5",
         encode({}),
         encode({**ask, "md5sum": "0" * 32}),
     ):
         with socket.create_connection((host, int(str(port))), timeout=20) as sock:
-            sock.sendall(said)
+            sock.sendall(text)
             until(lambda sock=sock: sock.recv(65536) == b"", "the node disconnects", 20)  # type: ignore[misc]
     with socket.create_connection((host, int(str(port)))) as deaf:
         deaf.sendall(encode(ask) + b"\xff" * 1000)
         for number in range(40):
             siege.ros2.publish(out, {"data": f"{number}" + "x" * 400_000})
-        seen = lambda: any(m["data"].startswith("39x") for m in siege.ros1.wait(heard, 100_000, 0.2))  # noqa: E731
+        seen = lambda: any(m["data"].startswith("39x") for m in siege.ros1.wait(subscription, 100_000, 0.2))  # noqa: E731
         until(seen, "the other subscriber receives messages all the time", 30)
 
 
@@ -288,7 +288,7 @@ def test_invalid_cdr_on_ros2(siege: Siege) -> None:
     """Truncated, big-endian, with trailing bytes, or not CDR; each from a real rclpy publisher of raw bytes."""
     topic = siege.name("raw")
     out = siege.ros2.advertise(topic, STRING)
-    heard = siege.zenoh.subscribe(topic, STRING)
+    subscription = siege.zenoh.subscribe(topic, STRING)
     siege.deployment.until_route("ros2", topic, "in")
     good = b"\0\1\0\0" + struct.pack("<I", 5) + b"good\0"
     bad = {
@@ -298,13 +298,13 @@ def test_invalid_cdr_on_ros2(siege: Siege) -> None:
         "an invalid length": b"\0\1\0\0\xff\xff\xff\xffgood\0",
         "no CDR": b'{"a": 1}',
     }  # fmt: skip
-    for count, (what, payload) in enumerate(bad.items(), 1):
+    for count, (label, payload) in enumerate(bad.items(), 1):
         siege.ros2.ask("publish_raw", id=out, hex=payload.hex())
         route = siege.route("ros2", topic, "in", bad=count)
-        assert route["drops"]["bad"] == count, what
-        assert "std_msgs/msg/String" in route["error"], what
+        assert route["drops"]["bad"] == count, label
+        assert "std_msgs/msg/String" in route["error"], label
     siege.ros2.ask("publish_raw", id=out, hex=good.hex())
-    until(lambda: siege.zenoh.wait(heard, 1, 0.2) == [{"data": "good"}], "only the valid one after them crosses")
+    until(lambda: siege.zenoh.wait(subscription, 1, 0.2) == [{"data": "good"}], "only the valid one after them crosses")
     assert "bad 5" in siege.deployment.command("explain", topic).stdout
 
 
@@ -326,9 +326,9 @@ def test_64_megabytes_on_ros2_with_a_limit_of_16(siege: Siege) -> None:
 def test_invalid_samples_on_the_hub(siege: Siege) -> None:
     """Missing and invalid attachments, invalid CDR, too large samples; refused toward ROS 1 and ROS 2."""
     topic = siege.name("hub")
-    heard = siege.ros1.subscribe(topic, STRING)
+    subscription = siege.ros1.subscribe(topic, STRING)
     out = siege.zenoh.advertise(topic, STRING)
-    siege.zenoh.hub_publish_until(out, {"data": "probe"}, lambda: siege.ros1.wait(heard, 1, 0.2))
+    siege.zenoh.hub_publish_until(out, {"data": "probe"}, lambda: siege.ros1.wait(subscription, 1, 0.2))
     key = topic_key(0, topic, "std_msgs/msg/String", siege.zenoh.registry.ros2("std_msgs/msg/String").type_id)
     # blocking: each sample counts, and zenoh would drop some on a busy machine
     raw = siege.session().declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
@@ -356,7 +356,7 @@ def test_invalid_samples_on_the_hub(siege: Siege) -> None:
     attached = pack_attachment(1, 1, bytes(16))
     refused(lambda: raw.put(huge, attachment=attached), "large", f"{64 * MEGABYTE} bytes")
     siege.zenoh.publish(out, {"data": "good"})
-    until(lambda: {"data": "good"} in siege.ros1.wait(heard, 100_000, 0.2), "a valid one crosses")
+    until(lambda: {"data": "good"} in siege.ros1.wait(subscription, 100_000, 0.2), "a valid one crosses")
 
 
 def test_invalid_tokens_on_the_hub(siege: Siege) -> None:
@@ -385,8 +385,8 @@ def test_invalid_tokens_on_the_hub(siege: Siege) -> None:
         assert any("liveliness tokens on the hub were left out" in w for w in siege.deployment.worker(side)["warnings"])
     for token in tokens:
         token.undeclare()  # type: ignore[no-untyped-call]
-    gone = lambda: not siege.deployment.explain("/undefined")  # noqa: E731
-    until(gone, "withdrawn tokens are dropped", 20, every=0.1)
+    removed = lambda: not siege.deployment.explain("/undefined")  # noqa: E731
+    until(removed, "withdrawn tokens are dropped", 20, every=0.1)
 
 
 def topic_token(siege: Siege, topic: str, dds_type: str, type_hash: str) -> str:
@@ -408,6 +408,6 @@ def test_invalid_control_queries(siege: Siege) -> None:
         for verb in ("status", "explain", "tap", "type"):
             replies = list(session.get(f"@midspan/0/*/*/{verb}", payload=payload, timeout=5.0))
             assert all(
-                "value" in (said := json.loads(r.ok.payload.to_bytes())) or said["error"] for r in replies if r.ok
+                "value" in (text := json.loads(r.ok.payload.to_bytes())) or text["error"] for r in replies if r.ok
             )
     assert {w.get("side") for w in siege.deployment.status()} >= {"ros1", "ros2"}

@@ -62,8 +62,8 @@ class RosLike:
     def _listen(self) -> list[dict[str, Any]]:
         if isinstance(self._peer, HubSide):
             return self._peer.wait(self._in, self._heard + 1, 20.0)[self._heard :]
-        found: list[dict[str, Any]] = self._peer.wait(self._in, self._heard + 1, 20.0, self._heard)
-        return found
+        result: list[dict[str, Any]] = self._peer.wait(self._in, self._heard + 1, 20.0, self._heard)
+        return result
 
 
 class YarpProgram:
@@ -131,15 +131,15 @@ class Robot:
 
     def truth(self) -> Pose:
         """Return the robot's true pose now."""
-        found: tuple[int, Pose] = (-1, Pose(0.0, 0.0, 0.0))
+        result: tuple[int, Pose] = (-1, Pose(0.0, 0.0, 0.0))
 
         def current() -> bool:
-            nonlocal found
-            found = pose_of(self.far.wait(self._truth, 1)[-1])
-            return found[0] > self.now - 30_000_000  # it is published at 50 Hz
+            nonlocal result
+            result = pose_of(self.far.wait(self._truth, 1)[-1])
+            return result[0] > self.now - 30_000_000  # it is published at 50 Hz
 
         until(current, "the true pose is published", 20)
-        return found[1]
+        return result[1]
 
 
 class _Stopped:
@@ -170,12 +170,12 @@ def test_squares_through_every_side(deployment: Deployment) -> None:
         "zenoh": lambda: RosLike(deployment.sdk(), robot.far),
         "YARP": lambda: yarp,
     }
-    for name, made in programs.items():
-        program = made()
+    for name, created in programs.items():
+        program = created()
         connected(robot, program)
-        start, told = robot.truth(), program.pose(robot.now)
+        start, reported = robot.truth(), program.pose(robot.now)
         for corner, pose in zip(CORNERS, driven(program, SIDE, robot.step), strict=True):
-            true, by_odometry = moved(start, robot.truth()), moved(told, pose)
+            true, by_odometry = moved(start, robot.truth()), moved(reported, pose)
             assert math.dist(true[:2], corner) < 0.05, (name, corner, true)
             assert math.dist(true[:2], by_odometry[:2]) < 0.01 * 4 * SIDE, (name, true, by_odometry)
             assert abs(math.remainder(true.theta - by_odometry.theta, 2 * math.pi)) < 0.01 * 2 * math.pi
@@ -205,11 +205,11 @@ def test_odometry_has_the_error_of_the_encoders(deployment: Deployment) -> None:
     robot = Robot(deployment, encoders={"scale": [SCALE, SCALE]})
     program = RosLike(robot.far)
     connected(robot, program)
-    start, told = robot.truth(), program.pose(robot.now)
+    start, reported = robot.truth(), program.pose(robot.now)
     for _ in range(60):
         program.command(0.25, 0.0)
         robot.step()
-    true, by_odometry = moved(start, robot.truth()), moved(told, program.pose(robot.now))
+    true, by_odometry = moved(start, robot.truth()), moved(reported, program.pose(robot.now))
     assert true.x > 0.4
     assert by_odometry.x / true.x == pytest.approx(1.0 + SCALE, abs=0.01)
 

@@ -37,12 +37,14 @@ def buffer(running: Deployment) -> Iterator[TransformBuffer]:
     loop.start()
     hub = Hub.open(running.settings("transform_server"))
     node = ModuleNode(hub, Registry(), loop, SYSTEM)
-    made = TransformBuffer()
+    transform_buffer = TransformBuffer()
     for n in range(101):
-        made.set_transform("map", "base", START + n * S // 10, (n / 10, 0, 0), (0.0, 0.0, 0.0, 1.0), "wheels")
-    made.set_transform("base", "laser", 0, (0, 2, 0), (0.0, 0.0, 0.6, 0.8), "urdf", static=True)
-    loop.call(lambda: BufferServer(node, made))
-    yield made
+        transform_buffer.set_transform(
+            "map", "base", START + n * S // 10, (n / 10, 0, 0), (0.0, 0.0, 0.0, 1.0), "wheels"
+        )
+    transform_buffer.set_transform("base", "laser", 0, (0, 2, 0), (0.0, 0.0, 0.6, 0.8), "urdf", static=True)
+    loop.call(lambda: BufferServer(node, transform_buffer))
+    yield transform_buffer
     node.close()
     loop.close()
     hub.close()
@@ -53,12 +55,12 @@ class Ros1:
 
     def __init__(self, deployment: Deployment) -> None:
         self._peer = deployment.keep(Peer(CLIENT, ROS1_PYTHON, deployment.master.env))
-        assert self._peer.ask("server", seconds=40)["there"], "there is no server"
+        assert self._peer.ask("server", seconds=40)["there"], "the server does not exist"
 
     def lookup(self, target: str, source: str, stamp: int, timeout: float = 0.0, **more: Any) -> tuple[Any, ...]:
         """Return the pose, or the error and its text."""
-        found = self._peer.ask("lookup", target=target, source=source, stamp=stamp, timeout=timeout, **more)
-        return tuple(found["pose"]) if "pose" in found else (found["error"], found["text"])
+        result = self._peer.ask("lookup", target=target, source=source, stamp=stamp, timeout=timeout, **more)
+        return tuple(result["pose"]) if "pose" in result else (result["error"], result["text"])
 
     def frames(self) -> str:
         return str(self._peer.ask("frames")["yaml"])
@@ -106,34 +108,34 @@ def stamp_of(ns: int) -> dict[str, int]:
 
 def assert_answers(client: Ros1 | Ros2, buffer: TransformBuffer) -> None:
     """Check all lookups of a BufferClient."""
-    found = until(
-        lambda: (said := client.lookup("map", "laser", START + S // 4)) and len(said) == 8 and said,
+    result = until(
+        lambda: (text := client.lookup("map", "laser", START + S // 4)) and len(text) == 8 and text,
         "a goal arrives: goals during discovery may be lost", 60,
     )  # fmt: skip
-    assert found == pytest.approx((START + S // 4, 0.25, 2, 0, 0, 0, 0.6, 0.8))
+    assert result == pytest.approx((START + S // 4, 0.25, 2, 0, 0, 0, 0.6, 0.8))
     full = client.lookup("base", "base", START, target_stamp=START + S, fixed="map")
     assert full == pytest.approx((START + S, -1, 0, 0, 0, 0, 0, 1))
     assert client.lookup("map", "base", 0)[0] == START + 10 * S
-    for question, name, words in (
+    for question, name, texts in (
         (("map", "nowhere", 0), "LookupException", "does not exist"),
         (("map", "crater", 0), "ConnectivityException", "two or more unconnected trees"),
         (("map", "base", START + 99 * S), "ExtrapolationException", "into the future"),
         (("map", "", 0), "InvalidArgumentException", "cannot be empty"),
     ):
-        said = client.lookup(*question)
-        assert said[0] == name
-        assert words in said[1]
+        text = client.lookup(*question)
+        assert text[0] == name
+        assert texts in text[1]
     began = time.monotonic()
     assert client.lookup("map", "base", START + 99 * S, 0.5)[0] == "ExtrapolationException"
     assert time.monotonic() - began >= 0.5
-    told = yaml.safe_load(client.frames())
-    assert told["base"] == buffer_says(buffer)
+    reported = yaml.safe_load(client.frames())
+    assert reported["base"] == buffer_says(buffer)
 
 
 def buffer_says(buffer: TransformBuffer) -> Any:
-    said = yaml.safe_load(buffer.yaml())["base"]
-    assert (said["parent"], said["broadcaster"], said["buffer_length"]) == ("map", "wheels", 10.0)
-    return said
+    text = yaml.safe_load(buffer.yaml())["base"]
+    assert (text["parent"], text["broadcaster"], text["buffer_length"]) == ("map", "wheels", 10.0)
+    return text
 
 
 def test_buffer_clients_of_both_look_up_frames(running: Deployment, buffer: TransformBuffer) -> None:

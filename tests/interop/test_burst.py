@@ -33,9 +33,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Deployment,
     """A deployment with all sides."""
     names = Names()
     try:
-        with Deployment(tmp_path_factory.mktemp("burst")) as made:
-            made.start(yarp={"enabled": True, "nameserver": "site", "address": names.endpoint, "poll": 0.1})
-            yield made, names
+        with Deployment(tmp_path_factory.mktemp("burst")) as deployment:
+            deployment.start(yarp={"enabled": True, "nameserver": "site", "address": names.endpoint, "poll": 0.1})
+            yield deployment, names
     finally:
         names.stop()
 
@@ -99,7 +99,7 @@ def test_all_routes_work_after_a_burst_and_tf_continues(
         transforms = Transforms(deployment)
         far = deployment.ros1() if side == "ros2" else deployment.ros2()
         topics = [f"/burst_{side}/n{number}" for number in range(NODES)]
-        for topic in (f"{each}/in{number}" for each in topics for number in range(SUBSCRIBED)):
+        for topic in (f"{item}/in{number}" for item in topics for number in range(SUBSCRIBED)):
             far.publish(far.advertise(topic, STRING, latched=True), {"data": topic})
         begun = time.monotonic()
         with ThreadPoolExecutor(NODES) as pool:

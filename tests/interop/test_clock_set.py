@@ -53,7 +53,7 @@ class ShiftedChain(Chain):
 def test_the_robot_keeps_driving(tmp_path: Path, shifts: tuple[int, ...]) -> None:
     with ShiftedChain(tmp_path, sim={"people": False}) as chain:
         chain.start()
-        asked = chain.goto("kitchen")
+        request = chain.goto("kitchen")
         chain.until_moving()
         chain.until_it_drives(0.3, SECONDS)
         for shift in shifts:
@@ -62,7 +62,7 @@ def test_the_robot_keeps_driving(tmp_path: Path, shifts: tuple[int, ...]) -> Non
             until(lambda: chain.output().count("the system clock was set ") >= 2, "simulator and modules noticed", 10)
             chain.until_it_drives(1.0, SECONDS)
             assert time.monotonic() - set_at < SECONDS + 10
-            assert asked.ended is None, asked.reason
+            assert request.ended is None, request.reason
         if len(shifts) == 1 and shifts[0]:  # only once: the drive takes 20 s
-            until(lambda: asked.ended, "the goal ends", 90)
-            assert chain.distance_to("kitchen") < 0.3, asked.reason
+            until(lambda: request.ended, "the goal ends", 90)
+            assert chain.distance_to("kitchen") < 0.3, request.reason

@@ -47,14 +47,14 @@ PARAMETERS = {
 @pytest.fixture(scope="module")
 def of_all_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Deployment]:
     """A daemon with all sides."""
-    with Deployment(tmp_path_factory.mktemp("cyclone")) as made:
+    with Deployment(tmp_path_factory.mktemp("cyclone")) as deployment:
         key = {"key": "json/lamp", "topic": "/lamp", "type": SET_BOOL, "direction": "out"}
-        made.start(
+        deployment.start(
             yarp={"nameserver": "embedded", "address": f"127.0.0.1:{free_port()}", "poll": 0.1},
             zenoh={"dialects": [{"dialect": "json", "keys": [key]}]},
             routing={"parameters": [RULE]},
         )
-        yield made
+        yield deployment
 
 
 def name_server(deployment: Deployment) -> NameClient:
@@ -76,12 +76,12 @@ def session_config(deployment: Deployment) -> zenoh.Config:
 def until_refused(deployment: Deployment, name: str, direction: str = "in") -> dict[str, Any]:
     """Return the decision on a name that Cyclone DDS serves or calls."""
 
-    def found() -> dict[str, Any] | None:
+    def decision() -> dict[str, Any] | None:
         lines = [line for line in deployment.explain(name) if (line["topic"], line["direction"]) == (name, direction)]
         return next((line for line in lines if line["decision"] == "refused"), None)
 
     deployment.status()
-    return until(found, f"{name} is refused", 30, every=0.1)  # type: ignore[return-value]
+    return until(decision, f"{name} is refused", 30, every=0.1)  # type: ignore[return-value]
 
 
 def test_services_of_cyclone_dds(shared: Deployment) -> None:
@@ -217,15 +217,15 @@ def test_cyclone_clients_of_a_ros1_service(shared: Deployment) -> None:
 def test_topics_of_cyclone_dds(shared: Deployment) -> None:
     native, ros1 = cyclone(shared), shared.ros1()
     kind = "std_msgs/String"
-    out, heard = native.advertise("/from_cyclone", kind), ros1.subscribe("/from_cyclone", kind)
-    there, back = ros1.advertise("/to_cyclone", kind), native.subscribe("/to_cyclone", kind)
+    out, subscription = native.advertise("/from_cyclone", kind), ros1.subscribe("/from_cyclone", kind)
+    to_native, back = ros1.advertise("/to_cyclone", kind), native.subscribe("/to_cyclone", kind)
 
     def received() -> list[Any]:
         native.put(out, string("from Cyclone DDS"))
-        return ros1.wait(heard, 1, 0.2)
+        return ros1.wait(subscription, 1, 0.2)
 
     def delivered() -> list[bytes]:
-        ros1.publish(there, {"data": "from ROS 1"})
+        ros1.publish(to_native, {"data": "from ROS 1"})
         return native.received(back, 1, 0.2)
 
     assert until(received, "a message on ROS 1", 30)[0] == {"data": "from Cyclone DDS"}

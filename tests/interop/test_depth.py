@@ -44,8 +44,8 @@ def test_every_side_receives_the_distance_of_the_wall(tmp_path: Path) -> None:
             cloud = rclpy.wait(clouds, 1, 40)[-1]
             points = array(cloud["data"], "<f4").reshape(24, 32, 3)
             assert points[11, 16, 2] == pytest.approx(AHEAD, abs=0.05)
-            told = {one["child_frame_id"] for one in rclpy.wait(frames, 1, 40)[-1]["transforms"]}
-            assert told >= {messages.CAMERA_FRAME, messages.OPTICAL_FRAME}
+            reported = {item["child_frame_id"] for item in rclpy.wait(frames, 1, 40)[-1]["transforms"]}
+            assert reported >= {messages.CAMERA_FRAME, messages.OPTICAL_FRAME}
             port = "/cer/depthCamera/depthImage:o"
             until(lambda: connections.exists(names.client, port), "the robot's port exists", 40)
             with Reader("/test/depth:i", naming=names.client) as reader:

@@ -132,21 +132,21 @@ def test_a_topic_crosses(sides: Sides, from_: str, to: str) -> None:
 
 @pytest.mark.parametrize(("from_", "to"), WAYS)
 def test_a_service_crosses(sides: Sides, from_: str, to: str) -> None:
-    (client, asked), (server, replied) = sides[from_], sides[to]
+    (client, request), (server, replied) = sides[from_], sides[to]
     service = f"/ask_{to}"
     reply = {"notes": [replied.note("c")], "last": replied.inner(3)}
     served = server.ask("serve", service=service, type="mixed_msgs/Ask", reply=reply)["id"]
     if from_ == "ros1":
         client.ask("await_service", service=service, seconds=30.0)
-    call = client.ask("call", service=service, type="mixed_msgs/Ask", request={"wanted": asked.outer()}, seconds=30.0)
+    call = client.ask("call", service=service, type="mixed_msgs/Ask", request={"wanted": request.outer()}, seconds=30.0)
     result = client.ask("result", id=call["id"], seconds=30.0)
-    assert plain(result["reply"]) == {"notes": [asked.note("c")], "last": asked.inner(3)}, result
+    assert plain(result["reply"]) == {"notes": [request.note("c")], "last": request.inner(3)}, result
     assert plain(server.ask("requests", id=served)["requests"]) == [{"wanted": replied.outer()}]
 
 
 @pytest.mark.parametrize(("from_", "to"), WAYS)
 def test_an_action_crosses(sides: Sides, from_: str, to: str) -> None:
-    (client, asked), (server, replied) = sides[from_], sides[to]
+    (client, request), (server, replied) = sides[from_], sides[to]
     action, kind = f"/go_{to}", "mixed_msgs/Go"
     acting = server.ask(
         "act",
@@ -156,10 +156,10 @@ def test_an_action_crosses(sides: Sides, from_: str, to: str) -> None:
         result={"notes": [replied.note("d")]},
         held=True,
     )["id"]
-    goal = client.ask("send_goal", action=action, type=kind, goal={"start": asked.inner(4)}, seconds=30.0)["id"]
+    goal = client.ask("send_goal", action=action, type=kind, goal={"start": request.inner(4)}, seconds=30.0)["id"]
     state = client.ask("goal", id=goal, until={"accepted": True, "feedback": 1}, seconds=30.0)
-    assert plain(state["feedback"]) == [{"at": asked.outer()}], state
+    assert plain(state["feedback"]) == [{"at": request.outer()}], state
     server.ask("release", id=acting)
     state = client.ask("goal", id=goal, until={"status": 4}, seconds=30.0)
-    assert plain(state["result"]) == {"notes": [asked.note("d")]}, state
+    assert plain(state["result"]) == {"notes": [request.note("d")]}, state
     assert plain(server.ask("goals", id=acting)["goals"]) == [{"start": replied.inner(4)}]

@@ -32,7 +32,7 @@ class Speaker:
         self.tf, self.tf_static = peer.advertise("/tf", TF), peer.advertise("/tf_static", TF, latched=True, depth=1)
         peer.publish(self.tf_static, {"transforms": [stamped(words, child, mounted, 1.0)]})
 
-    def say(self) -> None:
+    def publish(self) -> None:
         self.peer.publish(self.tf, {"transforms": [stamped(self.words, self.parent, self.child, self.x)]})
 
 
@@ -43,18 +43,18 @@ class Listener:
         self.peer, self.buffer, self.taken = peer, TransformBuffer(), [0, 0]
         self.heard = peer.subscribe("/tf", TF, depth=1000), peer.subscribe("/tf_static", TF, latched=True, depth=100)
 
-    def look(self, target: str, source: str) -> Transform | None:
-        for n, heard in enumerate(self.heard):
-            messages = self.peer.wait(heard, 0, 0.0)
+    def lookup(self, target: str, source: str) -> Transform | None:
+        for n, subscription in enumerate(self.heard):
+            messages = self.peer.wait(subscription, 0, 0.0)
             for message in messages[self.taken[n] :]:
                 for transform in message["transforms"]:
                     header, pose = transform["header"], transform["transform"]
-                    seconds, rest = (part for part in header["stamp"].values())
+                    seconds, nanoseconds = (part for part in header["stamp"].values())
                     moved, turned = ([float(pose[k][i]) for i in axes] for k, axes in PARTS)
                     self.buffer.set_transform(
                         header["frame_id"],
                         transform["child_frame_id"],
-                        seconds * 10**9 + rest,
+                        seconds * 10**9 + nanoseconds,
                         moved,
                         turned,
                         static=n == 1,
@@ -93,34 +93,36 @@ def test_a_chain_of_frames_from_three_sides_is_the_same_on_all(deployment: Deplo
     with TransformClient(naming=names) as yarp:
         yarp.set("lens", "laser", MOUNT, static=True)
 
-        def tell() -> None:
+        def publish() -> None:
             for speaker in speakers:
-                speaker.say()
+                speaker.publish()
             yarp.set("laser", "base", MOUNT)
 
         late = Listener(deployment.ros1()), Listener(deployment.ros2())
         with TransformClient(naming=names) as late_yarp:
             want = chain(2.0) @ chain(3.0) @ MOUNT @ MOUNT
             for listener in late:
-                found = until(lambda one=listener: (tell(), one.look("map", "lens"))[1], "ROS has the chain", 60, 0.1)
-                np.testing.assert_allclose(found.translation, want[:3, 3], atol=1e-9)
+                result = until(
+                    lambda one=listener: (publish(), one.lookup("map", "lens"))[1], "ROS has the chain", 60, 0.1
+                )
+                np.testing.assert_allclose(result.translation, want[:3, 3], atol=1e-9)
                 until(
-                    lambda one=listener: all(one.look("map", n) for n in ("beacon", "bumper")),
+                    lambda one=listener: all(one.lookup("map", n) for n in ("beacon", "bumper")),
                     "and all mounted frames",
                     60,
                     0.1,
                 )
             for client in (yarp, late_yarp):
-                until(lambda c=client: (tell(), c.canTransform("lens", "map"))[1], "YARP has the chain", 60, 0.1)
-                tell()
+                until(lambda c=client: (publish(), c.canTransform("lens", "map"))[1], "YARP has the chain", 60, 0.1)
+                publish()
                 np.testing.assert_allclose(client.pose("lens", "map", timeout=20), want, atol=1e-9)
                 assert {"beacon", "bumper"} <= set(client)
 
 
 def chain(x: float) -> np.ndarray:
-    made = of_angles(0.0, 0.0, np.pi / 2)
-    made[0, 3] = x
-    return made
+    created = of_angles(0.0, 0.0, np.pi / 2)
+    created[0, 3] = x
+    return created
 
 
 def named(names: NameClient, port: str) -> bool:

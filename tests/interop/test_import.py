@@ -99,13 +99,13 @@ def placed(file: Path, **sections: dict) -> None:
 def test_the_example_of_ros1_bridge(deployment: Deployment, tmp_path: Path) -> None:
     source = tmp_path / "bridge.yaml"
     source.write_text(PARAMETERS)
-    (made,) = imported("ros1_bridge", source, tmp_path)
-    deployment.start(routing=yaml.safe_load(made.read_text())["routing"])
+    (created,) = imported("ros1_bridge", source, tmp_path)
+    deployment.start(routing=yaml.safe_load(created.read_text())["routing"])
     ros1, ros2 = deployment.ros1(), deployment.ros2()
     for sender, hearer in ((ros1, ros2), (ros2, ros1)):
-        heard = hearer.subscribe("/chatter", STRING)
+        subscription = hearer.subscribe("/chatter", STRING)
         out = sender.advertise("/chatter", STRING)
-        assert cross(sender, out, hearer, heard, {"data": "hello"}) == {"data": "hello"}
+        assert cross(sender, out, hearer, subscription, {"data": "hello"}) == {"data": "hello"}
     frames = {"transforms": [{"header": {"frame_id": "base"}, "child_frame_id": "laser"}]}
     ros1.publish(ros1.advertise("/tf_static", TF, latched=True), frames)
     late = ros2.subscribe("/tf_static", TF, latched=True)
@@ -165,27 +165,27 @@ class TwoDomains:
 @pytest.fixture
 def two_domains(tmp_path: Path) -> Iterator[TwoDomains]:
     """An imported domain bridge in use."""
-    made = TwoDomains(tmp_path)
-    yield made
-    for process in reversed(made.open):
+    two_domains = TwoDomains(tmp_path)
+    yield two_domains
+    for process in reversed(two_domains.open):
         process.stop()
 
 
 def test_a_domain_bridge(two_domains: TwoDomains) -> None:
     first, second = two_domains.program(0), two_domains.program(1)
-    heard = second.subscribe("/chitter", STRING)
+    subscription = second.subscribe("/chitter", STRING)
     unnamed = second.subscribe("/unnamed", STRING)
     kept = second.subscribe("/chatter", STRING)
     stays = first.advertise("/unnamed", STRING)
     out = first.advertise("/chatter", STRING)
-    assert cross(first, out, second, heard, {"data": "renamed"}) == {"data": "renamed"}
+    assert cross(first, out, second, subscription, {"data": "renamed"}) == {"data": "renamed"}
     for sender, hearer in ((first, second), (second, first)):
-        heard = hearer.subscribe("/both", STRING)
+        subscription = hearer.subscribe("/both", STRING)
         out = sender.advertise("/both", STRING)
-        assert cross(sender, out, hearer, heard, {"data": "both directions"}) == {"data": "both directions"}
+        assert cross(sender, out, hearer, subscription, {"data": "both directions"}) == {"data": "both directions"}
     second.publish(second.advertise("/latched", STRING, latched=True), {"data": "kept"})
-    heard = first.subscribe("/latched", STRING, latched=True)
-    assert first.wait(heard, 1) == [{"data": "kept"}]
+    subscription = first.subscribe("/latched", STRING, latched=True)
+    assert first.wait(subscription, 1) == [{"data": "kept"}]
     first.publish(stays, {"data": "stays"})
     assert second.wait(unnamed, 1, 0.3) == []
     assert second.wait(kept, 1, 0.1) == []

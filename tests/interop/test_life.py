@@ -19,10 +19,10 @@ TWIST = "geometry_msgs/Twist"
 
 def test_reload_with_a_valid_and_with_an_invalid_file(running: Deployment) -> None:
     ros1, ros2 = running.ros1(), running.ros2()
-    heard = ros2.subscribe("/kept", STRING)
+    subscription = ros2.subscribe("/kept", STRING)
     out = ros1.advertise("/kept", STRING)
     ros1.advertise("/closed", STRING)
-    cross(ros1, out, ros2, heard, {"data": "before"})
+    cross(ros1, out, ros2, subscription, {"data": "before"})
     running.until_route("ros1", "/closed", "in")
     pid = running.worker("ros1")["pid"]
 
@@ -37,9 +37,9 @@ def test_reload_with_a_valid_and_with_an_invalid_file(running: Deployment) -> No
     until(
         lambda: "rules" in daemon.output() and "midspan.yaml:2" in daemon.output(), "the error names line and cure", 20
     )
-    count = len(ros2.wait(heard, 1))
+    count = len(ros2.wait(subscription, 1))
     ros1.publish(out, {"data": "after"})
-    assert ros2.wait(heard, count + 1)[-1] == {"data": "after"}
+    assert ros2.wait(subscription, count + 1)[-1] == {"data": "after"}
     assert running.worker("ros1")["pid"] == pid
     assert running.route("ros1", "/closed", "in") is None
 
@@ -59,28 +59,28 @@ def test_a_clean_stop_leaves_nothing_on_the_master(running: Deployment) -> None:
 @pytest.mark.thorough
 def test_commands_queued_for_a_suspended_worker_are_dropped(running: Deployment) -> None:
     ros1, ros2 = running.ros1(), running.ros2()
-    heard = ros1.subscribe("/cmd_vel", TWIST)
+    subscription = ros1.subscribe("/cmd_vel", TWIST)
     out = ros2.advertise("/cmd_vel", TWIST, depth=100)
-    cross(ros2, out, ros1, heard, twist(0.1))
+    cross(ros2, out, ros1, subscription, twist(0.1))
     if LANE:  # commands may wait in the socket of the suspended worker
         until(lambda: (running.route("ros1", "/cmd_vel", "out") or {}).get("way") == "lane", "commands use the lane")
     for side in ("ros2", "ros1"):
         pid = running.worker(side)["pid"]
-        before = len(ros1.wait(heard, 0, 0))
+        before = len(ros1.wait(subscription, 0, 0))
         os.kill(pid, signal.SIGSTOP)
         until(lambda pid=pid: is_stopped(pid), f"{side} is suspended")
         for _ in range(10):
             ros2.publish(out, twist(9.0))
         # the commands must be stale when the worker resumes
-        assert not [m for m in ros1.wait(heard, 10_000, 1.5)[before:] if m["linear"]["x"] == 9.0], side
+        assert not [m for m in ros1.wait(subscription, 10_000, 1.5)[before:] if m["linear"]["x"] == 9.0], side
         os.kill(pid, signal.SIGCONT)
 
         def fresh(before: int = before) -> bool:
             ros2.publish(out, twist(0.2))
-            return any(m["linear"]["x"] == 0.2 for m in ros1.wait(heard, 0, 0)[before:])
+            return any(m["linear"]["x"] == 0.2 for m in ros1.wait(subscription, 0, 0)[before:])
 
         until(fresh, f"new commands cross after {side} resumes", 20)
-        assert not [m for m in ros1.wait(heard, 0, 0)[before:] if m["linear"]["x"] == 9.0], side
+        assert not [m for m in ros1.wait(subscription, 0, 0)[before:] if m["linear"]["x"] == 9.0], side
 
 
 def twist(x: float) -> dict:

@@ -30,5 +30,5 @@ def test_a_thousand_topics(running: Deployment) -> None:
         process = psutil.Process(running.worker(side)["pid"])
         limit = process.rlimit(psutil.RLIMIT_NOFILE)[0]
         assert process.num_fds() < limit * 0.8, f"{side}: {process.num_fds()} of {limit} descriptors"
-    heard = ros2.subscribe(f"/many/t{COUNT - 1}", STRING, latched=True)
-    assert ros2.wait(heard, 1) == [{"data": f"message {COUNT}"}]
+    subscription = ros2.subscribe(f"/many/t{COUNT - 1}", STRING, latched=True)
+    assert ros2.wait(subscription, 1) == [{"data": f"message {COUNT}"}]

@@ -33,8 +33,8 @@ def assert_all_end(pair: Pair) -> None:
             sent.append(pair.send(pair.name(outcome), depth=GOALS))
     for outcome, sent in goals.items():
         for goal in sent:
-            found = pair.told(goal, SECONDS, accepted=outcome != "reject")
-            assert found["ends"] == int(
+            result = pair.goal_within(goal, SECONDS, accepted=outcome != "reject")
+            assert result["ends"] == int(
                 pair.sides[1] == ROS1 and outcome == "reject"
             )  # for actionlib that is a final state
     for goal in goals["cancel"]:
@@ -42,6 +42,6 @@ def assert_all_end(pair: Pair) -> None:
     for outcome in ("succeed", "abort"):
         pair.server.ask("release", id=acting[outcome])
     for outcome, status in OUTCOMES.items():
-        ends = Counter(pair.told(goal, SECONDS, status=status)["ends"] for goal in goals[outcome])
+        ends = Counter(pair.goal_within(goal, SECONDS, status=status)["ends"] for goal in goals[outcome])
         rejected = outcome == "reject" and pair.sides[1] == ROS2
         assert ends == {0 if rejected else 1: GOALS // len(OUTCOMES)}

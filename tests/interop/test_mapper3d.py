@@ -30,12 +30,12 @@ def test_a_cloud_of_ros2_is_a_layer_on_ros1(deployment: Deployment) -> None:
     message: dict[str, Any] = cloud_message({"frame_id": "base_link"}, points)
     message["data"] = message["data"].tolist()
 
-    def heard() -> bool:
+    def layer() -> bool:
         ros2.publish(cloud, message)
-        found = ros1.wait(layers, 1, 1.0, 0)
-        return bool(found) and value(found[-1], 2.0, 0.0) == 100 and value(found[-1], 1.0, 0.8) == 0
+        result = ros1.wait(layers, 1, 1.0, 0)
+        return bool(result) and value(result[-1], 2.0, 0.0) == 100 and value(result[-1], 1.0, 0.8) == 0
 
-    until(heard, "the table is in the layer", 60, 0.1)
+    until(layer, "the table is in the layer", 60, 0.1)
     saved = "3D map map and layer layer saved into the store."
     assert asked(ros1, "/mapper3d/save", "std_srvs/Trigger")["message"] == saved
     got = asked(ros2, "/maps3d/map/octomap_full", "octomap_msgs/GetOctomap", waits=False)["map"]

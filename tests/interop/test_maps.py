@@ -29,10 +29,10 @@ def test_changes_of_one_side_reach_all_others_at_once(deployment: Deployment) ->
     )
     names = NameClient(Address("127.0.0.1", number), namespace="/root")
     until(lambda: connections.exists(names, "/map2D_server/command"), "the map server's ports are registered", 30)
-    with Map2DClient(naming=names, timeout=30) as maps, Client("/map2D_server/command", naming=names) as words:
+    with Map2DClient(naming=names, timeout=30) as maps, Client("/map2D_server/command", naming=names) as texts:
 
         def current() -> str:
-            return str(words.ask(["current"], timeout=30)[0])
+            return str(texts.ask(["current"], timeout=30)[0])
 
         # YARP writes: both ROS versions receive it, early and late
         ros1, ros2 = deployment.ros1(), deployment.ros2()
@@ -43,15 +43,15 @@ def test_changes_of_one_side_reach_all_others_at_once(deployment: Deployment) ->
         office = grid("office", wall=3)
         office.flags[0, 5] = MapFlag.KEEP_OUT
         maps.maps["office"] = office
-        assert words.ask(["use", "office"], timeout=30) == ["ok"]
-        for peer, heard in ((ros1, on_ros1), (ros2, on_ros2)):
-            until_heard(peer, heard, office)
+        assert texts.ask(["use", "office"], timeout=30) == ["ok"]
+        for peer, subscription in ((ros1, on_ros1), (ros2, on_ros2)):
+            until_heard(peer, subscription, office)
         until(lambda: 100 in newest(ros2, mask)["data"], "the mask is received", 30, 0.1)
         assert np.argmax(newest(ros2, mask)["data"]) == 11 * 20 + 5
         office.occupancy[5, 5] = 100
         maps.maps["office"] = office
-        for peer, heard in ((ros1, on_ros1), (ros2, on_ros2)):
-            until_heard(peer, heard, office)
+        for peer, subscription in ((ros1, on_ros1), (ros2, on_ros2)):
+            until_heard(peer, subscription, office)
         assert np.array_equal(
             asked(ros1, "/static_map", "nav_msgs/GetMap")["map"]["data"], newest(ros1, on_ros1)["data"]
         )
@@ -102,8 +102,8 @@ def until_heard(peer: Peer, heard: int, wanted: MapGrid2D) -> None:
     """Wait until this is the newest map that a program has received."""
 
     def same() -> bool:
-        found = newest(peer, heard)
-        return bool(found["data"]) and np.array_equal(from_grid(found, "").occupancy, wanted.occupancy)
+        result = newest(peer, heard)
+        return bool(result["data"]) and np.array_equal(from_grid(result, "").occupancy, wanted.occupancy)
 
     until(same, f"{wanted.name} is heard", 30, 0.1)
 
@@ -113,8 +113,8 @@ def asked(peer: Peer, service: str, type_: str, *, waits: bool = True, **request
     if waits:
         peer.ask("await_service", service=service, seconds=30.0)
     call = peer.ask("call", service=service, type=type_, request=request, seconds=30.0)["id"]
-    told = peer.ask("result", id=call, seconds=30.0)
-    assert told["done"], told
-    assert told["reply"] is not None, told
-    reply: dict[str, Any] = told["reply"]
+    reported = peer.ask("result", id=call, seconds=30.0)
+    assert reported["done"], reported
+    assert reported["reply"] is not None, reported
+    reply: dict[str, Any] = reported["reply"]
     return reply

@@ -148,10 +148,10 @@ def test_the_goal_of_a_hub_client_continues_and_a_killed_planner_is_lost(
     program.drives_on(sent.id)
     stand_in.signal(signal.SIGKILL)
     until(lambda: program.ended, "the client receives the end", SECONDS)
-    ((_, result, why),) = program.ended
+    ((_, result, reason),) = program.ended
     assert (sent.accepted, result) == (True, None), "this is not a result of the planner"
     # zenoh may deliver the loss of the action's services before the reply that names the cause
     lost, left = "lost sight of the goal: its action server /move_base left", "left before it answered"
-    assert why == lost or why.endswith(left)
+    assert reason == lost or reason.endswith(left)
     until(lambda: not program.there, "the planner leaves the hub", SECONDS)
     assert program.lists[-1][sent.id] is GoalState.EXECUTING, "no list contains its end"

@@ -55,7 +55,7 @@ class Direct:
     def listed(self) -> dict[str, tuple[int, str]]:
         """Return state and text of each goal in the newest status list."""
         newest = self.peer.wait(self._statuses, 1, 1.0)[-1]
-        return {one["goal_id"]["id"]: (one["status"], one["text"]) for one in newest["status_list"]}
+        return {item["goal_id"]["id"]: (item["status"], item["text"]) for item in newest["status_list"]}
 
     def is_in(self, name: str, state: int) -> str:
         """Return the text of a goal, once it is in a state."""
@@ -64,8 +64,8 @@ class Direct:
 
     def result(self, name: str) -> dict[str, Any]:
         """Return a goal's result."""
-        found = [m["status"] for m in self.peer.wait(self._results, 0, 0.0) if m["status"]["goal_id"]["id"] == name]
-        return found[0] if len(found) == 1 else {}
+        result = [m["status"] for m in self.peer.wait(self._results, 0, 0.0) if m["status"]["goal_id"]["id"] == name]
+        return result[0] if len(result) == 1 else {}
 
 
 @pytest.fixture

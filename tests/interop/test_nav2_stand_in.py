@@ -67,9 +67,9 @@ class Direct:
 
 @pytest.fixture
 def direct() -> Iterator[Direct]:
-    made = Direct()
-    yield made
-    made.close()
+    direct = Direct()
+    yield direct
+    direct.close()
 
 
 def test_goals(direct: Direct) -> None:

@@ -70,9 +70,9 @@ class Site:
             except (NoNameServerError, PortError):
                 return None
 
-        found = until(opened, "all of YARP's entry points are open", SECONDS, every=0.2)
-        assert found is not None
-        return found
+        result = until(opened, "all of YARP's entry points are open", SECONDS, every=0.2)
+        assert result is not None
+        return result
 
     def reader(self, port: str) -> Reader:
         return self._stack.enter_context(Reader(port, naming=self.names))
@@ -80,7 +80,7 @@ class Site:
     def reaches(self, port: str) -> bool:
         """Return whether the bridge is connected to a port of the robot."""
         ports = self.deployment.worker("yarp").get("ports", [])
-        return any(peer["port"] == port for one in ports for peer in one["peers"])
+        return any(peer["port"] == port for item in ports for peer in item["peers"])
 
     def close(self) -> None:
         self._stack.close()
@@ -88,11 +88,11 @@ class Site:
 
 @pytest.fixture
 def site(deployment: Deployment, request: pytest.FixtureRequest) -> Iterator[Site]:
-    made = Site(deployment, request.param)
+    site = Site(deployment, request.param)
     try:
-        yield made
+        yield site
     finally:
-        made.close()
+        site.close()
 
 
 def until_the_map_is_known(client: Navigation2DClient) -> None:
@@ -119,15 +119,15 @@ def test_a_yarp_robot_is_driven_by_move_base_and_localized_by_amcl(site: Site) -
     until_the_map_is_known(client)
     until(lambda: site.reaches("/baseControl/control:i"), "velocities cross", SECONDS, every=0.2)
     assert_goes(client, "kitchen")
-    here, covariance = Map2DLocation(), Matrix()
+    local, covariance = Map2DLocation(), Matrix()
 
     def arrived() -> bool:
-        return bool(client.getCurrentPosition(here, covariance)) and (here.x, here.y) == pytest.approx(
+        return bool(client.getCurrentPosition(local, covariance)) and (local.x, local.y) == pytest.approx(
             (1.6, 2.4), abs=0.1
         )
 
     until(arrived, "the frames report its arrival", SECONDS, every=0.2)
-    assert here.map_id == "apartment"  # the map of the locations, although /map has no name
+    assert local.map_id == "apartment"  # the map of the locations, although /map has no name
     assert covariance.numpy().shape == (3, 3)
     assert covariance.numpy()[0, 0] == pytest.approx(0.04)
     commands = []

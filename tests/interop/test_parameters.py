@@ -38,7 +38,7 @@ def test_parameters_are_shared_in_both_directions(deployment: Deployment) -> Non
     _ros1_parameters_appear_on_a_node(ros1, ros2)
     _node_parameters_appear_in_ros1(ros1, ros2)
     _unusual_names_are_reported(deployment, ros1, ros2)
-    parameters = {one["ros1"]: one["shared"] for one in deployment.worker("ros1")["parameters"]}
+    parameters = {item["ros1"]: item["shared"] for item in deployment.worker("ros1")["parameters"]}
     assert parameters["/robot"] == 5
     assert parameters["/nav/controller"] >= 4
     # parameter services do not cross to ROS 1
@@ -76,7 +76,7 @@ def _ros1_parameters_appear_on_a_node(ros1: Peer, ros2: Peer) -> None:
 
 
 def _changed(event: dict[str, Any], node: str, name: str) -> bool:
-    return event["node"] == node and any(one["name"] == name for one in event["changed_parameters"])
+    return event["node"] == node and any(item["name"] == name for item in event["changed_parameters"])
 
 
 def _node_parameters_appear_in_ros1(ros1: Peer, ros2: Peer) -> None:
@@ -107,7 +107,7 @@ def _unusual_names_are_reported(deployment: Deployment, ros1: Peer, ros2: Peer) 
 
     def reported() -> set[str]:
         warnings = deployment.worker("ros1")["warnings"]
-        return {one.partition(": ")[0] for one in warnings if one.startswith(f"parameter {namespace}")}
+        return {item.partition(": ")[0] for item in warnings if item.startswith(f"parameter {namespace}")}
 
     wanted = {f"parameter {namespace}/exposure/1", f"parameter {namespace}/trise"}
     until(lambda: wanted <= reported(), "status has both", 30)

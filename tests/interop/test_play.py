@@ -43,24 +43,24 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def names() -> Iterator[Names]:
-    made = Names()
-    yield made
-    made.stop()
+    names = Names()
+    yield names
+    names.stop()
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory, names: Names) -> Iterator[Deployment]:
     """A deployment on the time of /clock with Mapper2D."""
     mapper = {"enabled": True, "map_frame": "odom", "width": 8, "height": 8, "resolution": 0.1, "period": 0.2}
-    with Deployment(tmp_path_factory.mktemp("site")) as made:
-        made.start(
+    with Deployment(tmp_path_factory.mktemp("site")) as deployment:
+        deployment.start(
             clock={"source": "sim"},
             yarp={"enabled": True, "nameserver": "site", "address": names.endpoint, "poll": 0.1},
             modules={"mapper2d": mapper},
         )
-        until(lambda: mapper_of(made), "the mapper runs", 40, every=0.1)
-        yield made
-        made.stop_programs()
+        until(lambda: mapper_of(deployment), "the mapper runs", 40, every=0.1)
+        yield deployment
+        deployment.stop_programs()
 
 
 def mapper_of(site: Deployment) -> list[dict[str, Any]]:
@@ -84,9 +84,9 @@ def test_each_side_and_the_mapper_receive_a_ros_1_bag_on_its_time(site: Deployme
     ports = yarp.subscribe("/scan", SCAN)
     assert rospy.ask("now")["seconds"] == 0.0  # it waits for the clock
     with play(site, bag, "--clock", "--rate", "2", "--loop") as player:
-        heard = rviz.wait(scans, 10)
-        assert [round(value, 2) for value in heard[-1]["ranges"]] == [2.0] * 180
-        assert heard[-1]["header"]["frame_id"] == "laser"
+        received = rviz.wait(scans, 10)
+        assert [round(value, 2) for value in received[-1]["ranges"]] == [2.0] * 180
+        assert received[-1]["header"]["frame_id"] == "laser"
         assert rviz.wait(frames, 1)[0]["transforms"][0]["child_frame_id"] == "laser"
         assert yarp.wait(ports, 3, 30)[-1]["header"]["frame_id"] == "laser"
         until(lambda: in_the_bag(rospy.ask("now")["seconds"]), "rospy is in the bag's time", 20)
@@ -108,7 +108,7 @@ def test_requested_velocities_reach_each_side_and_end_with_zero(site: Deployment
     with play(site, bag, "--commands", "--topics", "/cmd_vel", "--duration", "1") as player:
         for peer, end in ends:
             until(lambda peer=peer, end=end: zero(peer.wait(end, 1)), "zero is received", 30)  # type: ignore[misc]
-            assert [each["linear"]["x"] for each in peer.wait(end, 1)][-2:] == [0.25, 0.0]
+            assert [item["linear"]["x"] for item in peer.wait(end, 1)][-2:] == [0.25, 0.0]
         until(lambda: player.popen.poll() is not None, "it ends", 10)
         assert "the robot may move: /cmd_vel" in player.output()
 

@@ -39,7 +39,7 @@ class Daemon:
     def endpoint(self) -> dict[str, Any]:
         documents = json.loads(self.midspan("status", "--json") or "[]")
         return next(
-            (one["endpoints"][0] for one in documents if one.get("worker") == "router" and one["endpoints"]), {}
+            (item["endpoints"][0] for item in documents if item.get("worker") == "router" and item["endpoints"]), {}
         )
 
     def lines(self, text: str) -> list[str]:

@@ -35,7 +35,7 @@ def test_the_velocities_of_a_node_arrive_on_both_sides_up_to_the_stop(shared: De
     node = shared.zenoh()
     out = node.advertise("/cmd_vel_of_node", TWIST)
     programs: dict[str, Any] = {"ros1": shared.ros1(), "ros2": shared.ros2()}
-    received = {name: each.subscribe("/cmd_vel_of_node", TWIST, depth=100) for name, each in programs.items()}
+    received = {name: item.subscribe("/cmd_vel_of_node", TWIST, depth=100) for name, item in programs.items()}
     for name, program in programs.items():
         node.hub_publish_until(out, {"linear": {"x": 0.1}}, lambda p=program, n=name: p.wait(received[n], 1, 0.2))
     before = {name: _settled(program, received[name]) for name, program in programs.items()}
@@ -110,9 +110,9 @@ def _settled(program: Any, received: int) -> int:
     """Return how many messages arrived, once the last probe has arrived."""
     counts = [-1]
 
-    def stands() -> bool:
+    def settled() -> bool:
         counts.append(len(program.wait(received, counts[-1] + 1, 1.0)))
         return counts[-1] == counts[-2]
 
-    until(stands, "the last probe arrives")
+    until(settled, "the last probe arrives")
     return counts[-1]

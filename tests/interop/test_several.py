@@ -23,8 +23,8 @@ RATE = 1000.0
 @pytest.fixture
 def several(tmp_path: Path) -> Iterator[Several]:
     """Daemons and networks that the test creates."""
-    with Several(tmp_path) as made:
-        yield made
+    with Several(tmp_path) as several:
+        yield several
 
 
 def active(daemons: list[Daemon], side: str) -> list[str]:
@@ -52,57 +52,57 @@ def test_nothing_arrives_twice_in_a_ring_and_either_daemon_takes_over(
     several: Several, joined: bool, node: str
 ) -> None:
     daemons, networks = ring(several, joined=joined, node=node)
-    made = flows(several, networks)
-    assert_each_arrives_once(made, COUNT, RATE)
+    created = flows(several, networks)
+    assert_each_arrives_once(created, COUNT, RATE)
     for side in ("ros1", "ros2"):
         (name,) = active(daemons, side)
         (other,) = (d for d in daemons if d.name != name)
         assert other.status(side)["standby"] == name
-        said = other.explain(side, "/from_0")
-        assert not joined or any(line["decision"] == "standby" and name in line["reason"] for line in said), said
+        text = other.explain(side, "/from_0")
+        assert not joined or any(line["decision"] == "standby" and name in line["reason"] for line in text), text
     state = several.program(networks[0])
     latched = state.advertise("/state", "std_msgs/String", latched=True)
     state.publish(latched, {"data": "kept"})
-    for flow in made:
+    for flow in created:
         flow.start(100_000, 200)
     (name,) = set(active(daemons, "ros2"))
     (killed,) = (d for d in daemons if d.name == name)
     at = killed.kill()
-    took = [flow.silence(at, 2.5) for flow in made]
+    took = [flow.silence(at, 2.5) for flow in created]
     print(f"taken over after {took}")
     assert max(took) <= TAKEOVER_SECONDS
     late = several.program(networks[1])
-    heard = late.subscribe("/state", "std_msgs/String", latched=True, depth=10)
-    assert [m["data"] for m in late.wait(heard, 1, 10)] == ["kept"]
+    subscription = late.subscribe("/state", "std_msgs/String", latched=True, depth=10)
+    assert [m["data"] for m in late.wait(subscription, 1, 10)] == ["kept"]
     several.start(killed)
     until(lambda: killed.status("ros2").get("standby"), "the first one stands by", 30, every=0.2)
-    for flow in made:
+    for flow in created:
         flow.end(now=True)
-    quiet(made)
-    assert not [f.duplicates() for f in made if f.duplicates()]
+    quiet(created)
+    assert not [f.duplicates() for f in created if f.duplicates()]
 
 
 def test_another_daemon_takes_over_from_a_killed_or_suspended_worker(several: Several) -> None:
     daemons, networks = ring(several, joined=True)
-    made = flows(several, networks)
-    for flow in made:
+    created = flows(several, networks)
+    for flow in created:
         flow.start(100_000, 200)
     (name,) = active(daemons, "ros2")
     (hit,) = (d for d in daemons if d.name == name)
     at = time.monotonic()
     os.kill(int(hit.status("ros2")["pid"]), signal.SIGKILL)
-    took = [flow.silence(at, 2.5) for flow in made]
+    took = [flow.silence(at, 2.5) for flow in created]
     print(f"taken over after {took}")
     assert max(took) <= TAKEOVER_SECONDS
     until(lambda: hit.status("ros2").get("standby"), "its successor stands by", 30, every=0.2)
     (name,) = set(active(daemons, "ros2"))
     (stopped,) = (d for d in daemons if d.name == name)
     at = stopped.signal(signal.SIGSTOP)
-    took = [flow.silence(at, 2.5) for flow in made]
+    took = [flow.silence(at, 2.5) for flow in created]
     print(f"taken over after {took}")
     stopped.signal(signal.SIGCONT)
     until(lambda: stopped.status("ros2").get("state") in ("standby", "running"), "it resumes", 30, every=0.2)
-    for flow in made:
+    for flow in created:
         flow.end(now=True)
-    quiet(made)
-    assert not [f.duplicates() for f in made if f.duplicates()]
+    quiet(created)
+    assert not [f.duplicates() for f in created if f.duplicates()]

@@ -35,7 +35,7 @@ def drive(deployment: Deployment, client: str, **options: object) -> Watch:
     return Watch(mix, client, own=(MOVE_BASE, client) in OWN)
 
 
-def stands(watch: Watch, what: str = "the base stands") -> None:
+def wait_until_stands(watch: Watch, what: str = "the base stands") -> None:
     """Wait until the base stands."""
     watch.until(lambda: not watch.base.moves, what, STANDS_SECONDS)
 
@@ -50,7 +50,7 @@ def cancel(watch: Watch) -> None:
     client = watch.mix.clients[watch.client]
     client.cancel()
     watch.until(lambda: client.end() == "canceled", "its goal is canceled", STANDS_SECONDS)
-    stands(watch)
+    wait_until_stands(watch)
     assert_ends_once(watch)
 
 
@@ -74,7 +74,7 @@ def test_stop_while_the_master_is_dead(deployment: Deployment, client: str) -> N
     wait(watch, 1.0)
     watch.ask("stop", [*GATEWAY, COMMAND])
     assert_refused_or_stands(watch)
-    stands(watch, "the stop reaches move_base over the remaining connections")
+    wait_until_stands(watch, "the stop reaches move_base over the remaining connections")
     watch.until(
         lambda: watch.mix.state() in ("idle", "aborted"), "its end is reported without a master", STANDS_SECONDS
     )
@@ -93,7 +93,7 @@ def test_halt_while_the_master_is_dead(deployment: Deployment) -> None:
     halted = watch.mix.callers[COMMAND].ask("halt")
     watch.until(halted, "halt returns")
     watch.answers = {COMMAND: halted() or (0.0, "")}
-    stands(watch)
+    wait_until_stands(watch)
     watch.close()
 
 
@@ -117,7 +117,7 @@ def test_pause_after_the_ros1_worker_was_killed(deployment: Deployment, asks: st
     wait(watch, 0.3)
     watch.ask("pause", [asks])
     assert_refused_or_stands(watch)
-    stands(watch, "the pause is pending until it reaches move_base")
+    wait_until_stands(watch, "the pause is pending until it reaches move_base")
     watch.until(lambda: watch.mix.state() == "paused", "it is paused", STANDS_SECONDS)
     watch.until(watch.mix.back, "everything is back")
     assert not watch.base.moves, f"the pause is still pending; {watch}"
@@ -191,7 +191,7 @@ def test_stop_of_a_base_that_brakes(deployment: Deployment, client: str) -> None
     wait(watch, 1.5)  # until it is at full speed
     watch.ask("stop", [*GATEWAY, ROS1])
     assert_refused_or_stands(watch)
-    stands(watch)
+    wait_until_stands(watch)
     watch.allowance = 1.5  # it brakes for a second, and the planner may report its goal's end earlier
     watch.close()
 
@@ -202,7 +202,7 @@ def test_pause_of_a_base_that_brakes(deployment: Deployment) -> None:
     wait(watch, 1.5)
     watch.ask("pause", [ROS2])
     assert_refused_or_stands(watch)
-    stands(watch)
+    wait_until_stands(watch)
     watch.until(lambda: watch.mix.state() == "paused", "it is paused", STANDS_SECONDS)
     watch.close()
     cancel(watch)

@@ -35,9 +35,9 @@ def test_every_direction_between_ros1_ros2_and_zenoh(shared: Deployment) -> None
     programs = {"ros1": shared.ros1(), "ros2": shared.ros2(), "sdk": shared.sdk()}
     for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
         topic = f"/{from_}_to_{to}"
-        heard = hearer.subscribe(topic, STRING)
+        subscription = hearer.subscribe(topic, STRING)
         out = sender.advertise(topic, STRING)
-        assert cross(sender, out, hearer, heard, {"data": topic}) == {"data": topic}
+        assert cross(sender, out, hearer, subscription, {"data": topic}) == {"data": topic}
         if "sdk" not in (from_, to):
             shared.until_route(from_, topic, "in", way="lane" if LANE else "zenoh")
             shared.until_route(to, topic, "out", way="lane" if LANE else "zenoh")
@@ -80,9 +80,9 @@ def test_clouds_depth_and_markers_cross_in_every_direction(
     programs = {"ros1": shared.ros1(), "ros2": shared.ros2(), "sdk": shared.sdk()}
     for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
         topic = f"/{from_}_to_{to}/{kind.partition('/')[2].lower()}"
-        heard = hearer.subscribe(topic, kind)
+        subscription = hearer.subscribe(topic, kind)
         out = sender.advertise(topic, kind)
-        assert within(message, cross(sender, out, hearer, heard, message)), (from_, to)
+        assert within(message, cross(sender, out, hearer, subscription, message)), (from_, to)
 
 
 POSE = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
@@ -110,16 +110,16 @@ def test_types_of_missing_packages_cross_in_every_direction(shared: Deployment) 
     programs: dict[str, Any] = {"ros1": shared.ros1(), "ros2": shared.ros2(), "zenoh": shared.zenoh()}
     for kind in NOT_INSTALLED:
         programs["ros1"].ask("define", type=kind, definition=registry.ros1(kind).definition)
-    asked = registry.service_hub_to_ros1("octomap_msgs/srv/GetOctomap").side
-    assert programs["ros1"].ask("define", type=GET, definition=asked.definition)["md5"] == asked.type_id
+    request = registry.service_hub_to_ros1("octomap_msgs/srv/GetOctomap").side
+    assert programs["ros1"].ask("define", type=GET, definition=request.definition)["md5"] == request.type_id
     pairs = list(itertools.permutations(programs, 2))
     ends = {}
     for kind, (from_, to) in itertools.product(NOT_INSTALLED, pairs):
         topic = f"/{from_}_to_{to}/{kind.partition('/')[2].lower()}"
         ends[kind, from_, to] = programs[to].subscribe(topic, kind), programs[from_].advertise(topic, kind)
-    for (kind, from_, to), (heard, out) in ends.items():
-        said, expected = (NOT_INSTALLED[kind][side != "ros1"] for side in (from_, to))
-        assert within(expected, cross(programs[from_], out, programs[to], heard, said)), (kind, from_, to)
+    for (kind, from_, to), (subscription, out) in ends.items():
+        sent, expected = (NOT_INSTALLED[kind][side != "ros1"] for side in (from_, to))
+        assert within(expected, cross(programs[from_], out, programs[to], subscription, sent)), (kind, from_, to)
     for from_, to in pairs:
         program, service = programs[to], f"/maps_of_{to}_for_{from_}"
         reply = {"map": OCTOMAP}
@@ -133,14 +133,14 @@ def test_types_of_missing_packages_cross_in_every_direction(shared: Deployment) 
 def called(side: str, program: Any, service: str) -> dict[str, Any]:
     """Return the response of a GetOctomap, once its server exists."""
     if side == "zenoh":
-        found: dict[str, Any] = program.call(service, GET).result(30.0)
+        result: dict[str, Any] = program.call(service, GET).result(30.0)
     else:
         if side == "ros1":
             program.ask("await_service", service=service, seconds=30.0)
         call = program.ask("call", service=service, type=GET, request={}, seconds=30.0)["id"]
-        found = program.ask("result", id=call, seconds=30.0)
-    assert found["reply"] is not None, found
-    reply: dict[str, Any] = found["reply"]
+        result = program.ask("result", id=call, seconds=30.0)
+    assert result["reply"] is not None, result
+    reply: dict[str, Any] = result["reply"]
     return reply
 
 
@@ -150,9 +150,9 @@ def test_every_direction_without_the_lane(deployment: Deployment) -> None:
     programs = {"ros1": deployment.ros1(), "ros2": deployment.ros2()}
     for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
         topic = f"/{from_}_to_{to}"
-        heard = hearer.subscribe(topic, STRING)
+        subscription = hearer.subscribe(topic, STRING)
         out = sender.advertise(topic, STRING)
-        assert cross(sender, out, hearer, heard, {"data": topic}) == {"data": topic}
+        assert cross(sender, out, hearer, subscription, {"data": topic}) == {"data": topic}
         assert deployment.until_route(to, topic, "out", way="zenoh")["why"] == "this worker has no lane"
         assert deployment.command("explain", topic).stdout.count("over zenoh, as this worker has no lane") == 2
 
@@ -163,9 +163,9 @@ def test_a_start_pose_without_covariance_reaches_a_localizer_with_one(shared: De
     programs = {"ros1": shared.ros1(), "ros2": shared.ros2()}
     for (from_, sender), (_, hearer) in itertools.permutations(programs.items(), 2):
         topic = f"/{from_}/initialpose"
-        heard = hearer.subscribe(topic, "geometry_msgs/PoseWithCovarianceStamped")
+        subscription = hearer.subscribe(topic, "geometry_msgs/PoseWithCovarianceStamped")
         out = sender.advertise(topic, "geometry_msgs/PoseWithCovarianceStamped")
-        got = cross(sender, out, hearer, heard, start)["pose"]["covariance"]
+        got = cross(sender, out, hearer, subscription, start)["pose"]["covariance"]
         assert [got[0], got[7], got[35]] == [0.25, 0.25, math.radians(15.0) ** 2]
 
 
@@ -205,39 +205,39 @@ for _ in range(20):
 def from_the_first_on(shared: Deployment, topic: str, kind: str, *said: dict[str, Any]) -> list[dict[str, Any]]:
     """Return what a ROS 2 program receives from another program, then the first and later messages of such a one."""
     hearer, other = shared.ros2(), shared.ros1()
-    heard = hearer.subscribe(topic, kind)
+    subscription = hearer.subscribe(topic, kind)
     out = other.advertise(topic, kind)
     before, first, later = said
-    cross(other, out, hearer, heard, before)  # all endpoints exist
+    cross(other, out, hearer, subscription, before)  # all endpoints exist
     program = json.dumps([topic, kind, first, later])
     subprocess.run([ROS1_PYTHON, "-c", FIRST, program], env=shared.master.env, check=True, timeout=60)
-    until(lambda: len(hearer.wait(heard, 10, 0.1)) >= 10, "later ones arrive")
-    return hearer.wait(heard, 10)
+    until(lambda: len(hearer.wait(subscription, 10, 0.1)) >= 10, "later ones arrive")
+    return hearer.wait(subscription, 10)
 
 
 def test_a_program_that_waits_for_a_subscriber_is_received(shared: Deployment) -> None:
     """The probe of such a program is its first subscriber, and its only message may go there."""
-    said = [{"data": text} for text in ("before", "first", "later")]
-    heard = from_the_first_on(shared, "/once", STRING, *said)
-    assert [message for message in said if message in heard] == said
+    sent = [{"data": text} for text in ("before", "first", "later")]
+    received = from_the_first_on(shared, "/once", STRING, *sent)
+    assert [message for message in sent if message in received] == sent
 
 
 def test_a_command_to_the_probe_is_not_delivered_late(shared: Deployment) -> None:
     """Such messages wait until the route exists. Velocities must not, as their commander may have stopped by then."""
-    said = [{"linear": {"x": speed}} for speed in (3.0, 1.0, 2.0)]
-    heard = from_the_first_on(shared, "/cmd_vel_once", "geometry_msgs/Twist", *said)
-    assert {message["linear"]["x"] for message in heard} == {3.0, 2.0}
+    sent = [{"linear": {"x": speed}} for speed in (3.0, 1.0, 2.0)]
+    received = from_the_first_on(shared, "/cmd_vel_once", "geometry_msgs/Twist", *sent)
+    assert {message["linear"]["x"] for message in received} == {3.0, 2.0}
 
 
 def test_no_loop_whatever_the_names_of_nodes(shared: Deployment) -> None:
     """All three publish and subscribe on one topic; users' nodes have the names of the bridge's own nodes."""
     ros1, ros2, zenoh = shared.ros1("midspan_ros2"), shared.ros2("midspan"), shared.zenoh()
     programs: dict[str, Any] = {"ros1": ros1, "ros2": ros2, "zenoh": zenoh}
-    heard = {name: program.subscribe("/all", STRING, depth=200) for name, program in programs.items()}
+    subscriptions = {name: program.subscribe("/all", STRING, depth=200) for name, program in programs.items()}
     out = {name: program.advertise("/all", STRING, depth=200) for name, program in programs.items()}
     for sender, hearer in itertools.permutations(programs, 2):
         probe = {"data": f"probe {sender} to {hearer}"}
-        _until_has(programs[sender], out[sender], programs[hearer], heard[hearer], probe)
+        _until_has(programs[sender], out[sender], programs[hearer], subscriptions[hearer], probe)
     for number in range(20):
         for name, program in programs.items():
             program.publish(out[name], {"data": f"{name} {number}"})
@@ -246,8 +246,10 @@ def test_no_loop_whatever_the_names_of_nodes(shared: Deployment) -> None:
     for name, program in programs.items():
         own_come_back = name != "zenoh"  # the test's hub session does not receive its own messages, rospy and rclpy do
         expected = {f"{n} {i}" for n in programs if n != name or own_come_back for i in [*range(20), "end"]}
-        until(lambda p=program, h=heard[name], e=expected: e <= _texts(p, h), f"{name} received everything", 20)
-        counted = [m["data"] for m in program.wait(heard[name], 10_000, 0.5) if not m["data"].startswith("probe")]
+        until(lambda p=program, h=subscriptions[name], e=expected: e <= _texts(p, h), f"{name} received everything", 20)
+        counted = [
+            m["data"] for m in program.wait(subscriptions[name], 10_000, 0.5) if not m["data"].startswith("probe")
+        ]
         assert sorted(counted) == sorted(expected), name
 
 
@@ -261,9 +263,9 @@ def test_custom_types_between_ros1_and_ros2(shared: Deployment) -> None:
     }
     ros1, ros2 = shared.ros1(), shared.ros2()
     for sender, hearer, topic in ((ros1, ros2, "/things_a"), (ros2, ros1, "/things_b")):
-        heard = hearer.subscribe(topic, "contract_msgs/Thing")
+        subscription = hearer.subscribe(topic, "contract_msgs/Thing")
         out = sender.advertise(topic, "contract_msgs/Thing")
-        got = cross(sender, out, hearer, heard, thing)
+        got = cross(sender, out, hearer, subscription, thing)
         got["header"] = {"frame_id": got["header"]["frame_id"]}
         assert got == thing
 
@@ -282,26 +284,28 @@ def test_a_type_that_only_a_connection_header_defines(shared: Deployment) -> Non
     far.registry.learn_ros2(
         "header_only_msgs/msg/Marked", text.replace("MSG: geometry_msgs/Point", "MSG: geometry_msgs/msg/Point")
     )
-    heard = far.subscribe("/marked", "header_only_msgs/Marked", latched=True)
-    assert far.wait(heard, 1) == [message]
+    subscription = far.subscribe("/marked", "header_only_msgs/Marked", latched=True)
+    assert far.wait(subscription, 1) == [message]
 
 
 def test_a_best_effort_sensor_is_received(shared: Deployment) -> None:
     ros1, ros2 = shared.ros1(), shared.ros2()
-    heard = ros1.subscribe("/sensor", STRING)
+    subscription = ros1.subscribe("/sensor", STRING)
     out = ros2.advertise("/sensor", STRING, best_effort=True)
-    assert cross(ros2, out, ros1, heard, {"data": "measured"}) == {"data": "measured"}
+    assert cross(ros2, out, ros1, subscription, {"data": "measured"}) == {"data": "measured"}
 
 
 def test_a_burst_of_a_thousand_messages_crosses_completely(shared: Deployment) -> None:
     ros1, ros2 = shared.ros1(), shared.ros2()
     for sender, hearer, topic in ((ros1, ros2, "/burst_a"), (ros2, ros1, "/burst_b")):
-        heard = hearer.subscribe(topic, STRING, depth=2000)
+        subscription = hearer.subscribe(topic, STRING, depth=2000)
         out = sender.advertise(topic, STRING, depth=2000, **({"queue": 2000} if sender is ros1 else {}))
-        cross(sender, out, hearer, heard, {"data": "first"})
+        cross(sender, out, hearer, subscription, {"data": "first"})
         sender.publish(out, {"data": "burst"}, times=1000)
         until(
-            lambda hearer=hearer, heard=heard: hearer.wait(heard, 1001, 0.5).count({"data": "burst"}) == 1000,
+            lambda hearer=hearer, subscription=subscription: (
+                hearer.wait(subscription, 1001, 0.5).count({"data": "burst"}) == 1000
+            ),
             f"the burst on {topic}",
             20,
         )
@@ -321,10 +325,10 @@ def test_diagnostics_on_both_ros_sides(shared: Deployment) -> None:
     ros1.advertise("/watched", STRING)
     shared.until_route("ros2", "/watched", "out")
     for program, side in ((ros1, "ros1"), (ros2, "ros2")):
-        heard = program.subscribe("/diagnostics", "diagnostic_msgs/DiagnosticArray")
+        subscription = program.subscribe("/diagnostics", "diagnostic_msgs/DiagnosticArray")
 
-        def named(program: Any = program, heard: int = heard) -> bool:
-            last = program.wait(heard, 1, 1.0)[-1:]
+        def named(program: Any = program, subscription: int = subscription) -> bool:
+            last = program.wait(subscription, 1, 1.0)[-1:]
             return any("/watched" in status["name"] for m in last for status in m["status"])
 
         until(named, f"diagnostics of {side} name the route", 20)
@@ -345,6 +349,6 @@ def _until_has(sender: Any, out: int, hearer: Any, heard: int, probe: dict) -> N
 def test_a_renamed_topic_gets_a_legal_name(deployment: Deployment) -> None:
     deployment.start(routing={"rules": [{"regex": "/lidar/(.*)/scan", "rename": r"/scan/\1"}]})
     ros1, ros2 = deployment.ros1(), deployment.ros2()
-    heard = ros2.subscribe("/scan/n1_2v", STRING)
+    subscription = ros2.subscribe("/scan/n1_2v", STRING)
     out = ros1.advertise("/lidar/1-2v/scan", STRING)
-    assert cross(ros1, out, ros2, heard, {"data": "x"}) == {"data": "x"}
+    assert cross(ros1, out, ros2, subscription, {"data": "x"}) == {"data": "x"}

@@ -57,8 +57,8 @@ class Deployment:
         return file
 
     def worker(self, tree: Path, name: str) -> Process:
-        words = "worker", "zenoh", "--prepared", "--config", self.config(name)
-        return self.ends.enter_context(python(tree, WORKER, *words))
+        texts = "worker", "zenoh", "--prepared", "--config", self.config(name)
+        return self.ends.enter_context(python(tree, WORKER, *texts))
 
     def states(self) -> dict[str, str]:
         """Return each daemon's state as this release receives it."""
@@ -77,9 +77,9 @@ class Deployment:
 
 @pytest.fixture
 def deployment(tmp_path: Path) -> Iterator[Deployment]:
-    made = Deployment(tmp_path)
-    with made.ends:
-        yield made
+    deployment = Deployment(tmp_path)
+    with deployment.ends:
+        yield deployment
 
 
 @pytest.mark.parametrize("carrier", ["old", "new"])
@@ -90,9 +90,9 @@ def test_topics_and_services_cross(deployment: Deployment, old: Path, carrier: s
     far, program = deployment.far, deployment.program()
     until(lambda: deployment.states() == {carrier: "running"}, "its reply is understood", 60)
 
-    out, heard = program.advertise("/from_side", STRING), far.subscribe("/from_side", STRING)
-    far.publish_until(program, out, {"data": "in"}, lambda: far.wait(heard, 1, 0.2))
-    assert far.wait(heard, 1)[0] == {"data": "in"}
+    out, subscription = program.advertise("/from_side", STRING), far.subscribe("/from_side", STRING)
+    far.publish_until(program, out, {"data": "in"}, lambda: far.wait(subscription, 1, 0.2))
+    assert far.wait(subscription, 1)[0] == {"data": "in"}
     back, source = program.subscribe("/from_hub", STRING), far.advertise("/from_hub", STRING, latched=True)
     far.hub_publish_until(source, {"data": "out"}, lambda: program.wait(back, 1, 0.2))
     assert program.wait(back, 1)[0] == {"data": "out"}
@@ -104,13 +104,13 @@ def test_topics_and_services_cross(deployment: Deployment, old: Path, carrier: s
     far.serve("/of_hub", SET_BOOL, reply={"success": True, "message": "from the hub"})
     until(lambda: program.tokens("/of_hub", "SS"), "the program discovers the server", 30)
 
-    def told() -> bool:  # its token arrives shortly before zenoh can route to it
+    def reported() -> bool:  # its token arrives shortly before zenoh can route to it
         reply = program.call("/of_hub", SET_BOOL, {"data": True}).result()["reply"]
         return reply == {"success": True, "message": "from the hub"}
 
-    until(told, "the reply", every=0.1)
-    said = deployment.midspan(other, "service", "call", "/of_side", SET_BOOL, "{data: true}")
-    assert "from the side" in said
+    until(reported, "the reply", every=0.1)
+    text = deployment.midspan(other, "service", "call", "/of_side", SET_BOOL, "{data: true}")
+    assert "from the side" in text
     assert re.search(rf"{carrier}.*running|running.*{carrier}", deployment.midspan(other, "status"), re.DOTALL)
 
 
@@ -123,24 +123,24 @@ def test_one_of_them_is_active_and_the_other_takes_over(deployment: Deployment, 
     deployment.worker(trees[second], second)
     until(lambda: deployment.states() == {first: "running", second: "standby"}, "the second is on standby", 60)
     far, program = deployment.far, deployment.program()
-    out, heard = program.advertise("/numbers", STRING), far.subscribe("/numbers", STRING)
-    far.publish_until(program, out, {"data": "begin"}, lambda: far.wait(heard, 1, 0.2))
+    out, subscription = program.advertise("/numbers", STRING), far.subscribe("/numbers", STRING)
+    far.publish_until(program, out, {"data": "begin"}, lambda: far.wait(subscription, 1, 0.2))
     for number in range(50):
         program.publish(out, {"data": str(number)})
-    until(lambda: {"data": "49"} in far.wait(heard, 1), "the last has arrived", 30)
-    numbers = [message["data"] for message in far.wait(heard, 1) if message["data"].isdigit()]
+    until(lambda: {"data": "49"} in far.wait(subscription, 1), "the last has arrived", 30)
+    numbers = [message["data"] for message in far.wait(subscription, 1) if message["data"].isdigit()]
     assert sorted(numbers, key=int) == [str(number) for number in range(50)], "none is lost, none arrives twice"
     active.stop()
     until(lambda: deployment.states() == {second: "running"}, "the second has taken over", 60)
-    far.publish_until(program, out, {"data": "after"}, lambda: {"data": "after"} in far.wait(heard, 1, 0.2))
+    far.publish_until(program, out, {"data": "after"}, lambda: {"data": "after"} in far.wait(subscription, 1, 0.2))
 
 
 def test_both_share_one_store(old: Path, tmp_path: Path) -> None:
     with QuickHub() as hubs, ExitStack() as ends:
         stores: dict[str, OtherStore] = {}
         for name, tree in (("old", old), ("new", ROOT)):
-            words = tmp_path, name, hubs.endpoint, str(hubs.domain)
-            process = ends.enter_context(python(tree, STORE, *words, pipes=True))
+            texts = tmp_path, name, hubs.endpoint, str(hubs.domain)
+            process = ends.enter_context(python(tree, STORE, *texts, pipes=True))
             stores[name] = OtherStore(process)
             stores[name].ask("put", f"before {name}", 1.5)
         for name, other in (("old", "new"), ("new", "old")):
@@ -161,5 +161,5 @@ def test_both_share_one_store(old: Path, tmp_path: Path) -> None:
 
 def test_the_older_release_announces_no_version(old: Path) -> None:
     """Otherwise these tests would not show differences of releases."""
-    found = subprocess.run(["grep", "-rl", "hub.wire.version", old / "bridge"], capture_output=True, check=False)
-    assert found.stdout == b""
+    result = subprocess.run(["grep", "-rl", "hub.wire.version", old / "bridge"], capture_output=True, check=False)
+    assert result.stdout == b""

@@ -20,8 +20,8 @@ def test_a_script_exchanges_messages_with_ros1_and_ros2(deployment: Deployment) 
         goal = sender.advertise("/goal", "geometry_msgs/PoseStamped")
         script = start("ros_topics", deployment.folder)
         try:
-            for peer, heard in velocity.items():
-                assert peer.wait(heard, 1, 30)[0]["angular"]["z"] == -1.5
+            for peer, subscription in velocity.items():
+                assert peer.wait(subscription, 1, 30)[0]["angular"]["z"] == -1.5
             until(lambda s=sender, g=goal, r=script: s.publish(g, pose) or r.poll() is not None, "it receives", 30, 0.1)
             assert output_lines(script) == ["map 0 3.5 1.0"]
         finally:

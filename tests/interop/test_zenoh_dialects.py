@@ -32,9 +32,9 @@ def blocks(language: str) -> list[str]:
 def programs(deployment: Deployment) -> Iterator[dict[str, Any]]:
     """The daemon with all dialects on the hub's own network, and a program on each."""
     keys = [
-        {"key": f"json/{a}_{b}_{what}", "topic": f"/{a}_{b}_{what}", "type": type_.replace("/", "/msg/")}
+        {"key": f"json/{a}_{b}_{label}", "topic": f"/{a}_{b}_{label}", "type": type_.replace("/", "/msg/")}
         for a, b in (("ros1", "json"), ("ros2", "json"), ("json", "ros1"), ("json", "ros2"))
-        for what, type_ in (("text", STRING), ("map", GRID))
+        for label, type_ in (("text", STRING), ("map", GRID))
     ]
     documented = yaml.safe_load(next(block for block in blocks("yaml") if "robot/mode" in block))
     keys += documented["zenoh"]["dialects"][0]["keys"]
@@ -61,9 +61,9 @@ def test_real_programs_and_every_dialect(programs: dict[str, Any], deployment: D
     pairs = [(a, b) for a in ("ros1", "ros2") for b in ("ros2dds", "ros1keys", "json")]
     for from_, to in pairs + [(b, a) for a, b in pairs]:
         name = f"/{from_}_{to}_text"
-        heard = programs[to].subscribe(f"/json{name}" if to == "json" else name, STRING)
+        subscription = programs[to].subscribe(f"/json{name}" if to == "json" else name, STRING)
         out = programs[from_].advertise(f"/json{name}" if from_ == "json" else name, STRING)
-        assert cross(programs[from_], out, programs[to], heard, {"data": name})["data"] == name
+        assert cross(programs[from_], out, programs[to], subscription, {"data": name})["data"] == name
     for from_, to in pairs:
         name = f"/{from_}_{to}_map"
         out = programs[from_].advertise(name, GRID, latched=True, depth=1)

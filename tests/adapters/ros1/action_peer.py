@@ -125,13 +125,13 @@ class Client:
                     record["done"] += 1
                 self.ready.notify_all()
 
-        def heard(handle, feedback) -> None:
+        def on_feedback(handle, feedback) -> None:
             with self.ready:
                 record["feedback"].append(feedback.feedback)
                 self.ready.notify_all()
 
         goal = roslib.message.get_message_class(self.type + "Goal")(goal=number)
-        record["handle"] = self.client.send_goal(goal, changed, heard)
+        record["handle"] = self.client.send_goal(goal, changed, on_feedback)
 
     def outcome(self, key):
         record = self.goals[key]

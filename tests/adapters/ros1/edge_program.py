@@ -139,8 +139,8 @@ class Program:
 
     def do_network(self) -> dict[str, Any]:
         network = self.edge.network()
-        own = network is not None and self.edge.is_own_network(Origin("ros1", network, "other"))
-        return {"network": network, "own": own, "ros2": self.edge.is_own_network(Origin("ros2", network or "", ""))}
+        is_own = network is not None and self.edge.is_own_network(Origin("ros1", network, "other"))
+        return {"network": network, "own": is_own, "ros2": self.edge.is_own_network(Origin("ros2", network or "", ""))}
 
     def do_endpoints(self) -> dict[str, Any]:
         return {

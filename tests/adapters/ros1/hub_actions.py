@@ -72,10 +72,10 @@ class HubClient:
 
     def replies(self, part, count):
         """Return the reply of each call so far, in the order of the calls."""
-        found = self.edge.ask("results", id=self.callers[part], count=count, seconds=120)["results"]
-        assert len(found) == count
-        assert all(len(answers) == 1 for answers in found.values())
-        return [base64.b64decode(found[n][0]) for n in sorted(found, key=int)]
+        result = self.edge.ask("results", id=self.callers[part], count=count, seconds=120)["results"]
+        assert len(result) == count
+        assert all(len(answers) == 1 for answers in result.values())
+        return [base64.b64decode(result[n][0]) for n in sorted(result, key=int)]
 
     def answered(self, call):
         part, number = call
@@ -106,8 +106,8 @@ class HubClient:
             messages = [
                 wire.read_with_uuid(base64.b64decode(p)) for p, _ in self.edge.received(self.topics["feedback"], 0, 0)
             ]
-            found = [struct.unpack("<i", data)[0] for u, data in messages if u == goal]
-            return found if len(found) >= count else None
+            result = [struct.unpack("<i", data)[0] for u, data in messages if u == goal]
+            return result if len(result) >= count else None
 
         return until(there, "feedback", SECONDS)
 
@@ -143,8 +143,8 @@ class HubServer:
 
     def calls(self, part, count=1):
         def there() -> list | None:
-            found = self.edge.ask("calls", id=self.services[part])["requests"]
-            return [base64.b64decode(r) for r in found] if len(found) >= count else None
+            result = self.edge.ask("calls", id=self.services[part])["requests"]
+            return [base64.b64decode(r) for r in result] if len(result) >= count else None
 
         return until(there, f"{count} calls of {part}", SECONDS)
 
@@ -162,11 +162,11 @@ class HubServer:
     def end(self, goal, state, number):
         self.answer("get_result", self.asked(goal), wire.result_response(state, body(number)))
 
-    def tell(self, part, payload):
+    def publish(self, part, payload):
         self.edge.ask("send", id=self.topics[part], payload=encoded(payload))
 
     def states(self, states):
-        self.tell("status", wire.goal_states([(GoalInfo(u, wire.RosTime(7, 0)), s) for u, s in states.items()]))
+        self.publish("status", wire.goal_states([(GoalInfo(u, wire.RosTime(7, 0)), s) for u, s in states.items()]))
 
     def close(self):
         for handle in (*self.services.values(), *self.topics.values()):

@@ -59,20 +59,20 @@ class EdgeUnderTest(Peer):
         """Wait until a master (with a given run id, if any) is joined; return the network's identity."""
 
         def there() -> Any:
-            found = self.ask("network")["network"]
-            return found if found and network in ("", found) else None
+            result = self.ask("network")["network"]
+            return result if result and network in ("", result) else None
 
         return str(until(there, "the edge joins the master"))
 
     def endpoints(self, **like: Any) -> list[dict[str, Any]]:
         """Return the endpoints with these values."""
-        found: list[dict[str, Any]] = self.ask("endpoints")["endpoints"]
-        return [e for e in found if all(e[k] == v for k, v in like.items())]
+        result: list[dict[str, Any]] = self.ask("endpoints")["endpoints"]
+        return [e for e in result if all(e[k] == v for k, v in like.items())]
 
     def endpoint(self, **like: Any) -> dict[str, Any]:
         """Wait for an endpoint with these values and return it."""
-        (found,) = until(lambda: self.endpoints(**like), f"an endpoint {like}")
-        return found
+        (result,) = until(lambda: self.endpoints(**like), f"an endpoint {like}")
+        return result
 
     def received(self, subscription: int, count: int, seconds: float = 40.0) -> list[tuple[str, str]]:
         """Return payloads and sources so far, once ``count`` have arrived or the time is over."""
@@ -82,7 +82,7 @@ class EdgeUnderTest(Peer):
         """Subscribe; return the subscription's id."""
         return int(self.ask("subscribe", topic=topic, type=type_, **more)["id"])
 
-    def heard(self, publisher: int, count: int = 1) -> None:
+    def until_connected(self, publisher: int, count: int = 1) -> None:
         """Wait until ``count`` subscribers are connected."""
         until(lambda: self.ask("subscribers", id=publisher)["count"] == count, f"{count} subscribers are connected")
 

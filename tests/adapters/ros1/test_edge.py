@@ -139,8 +139,8 @@ def test_messages_from_and_to_roscpp_programs(master, edge):
         until(logged, "a message of a roscpp publisher arrives", every=0.2)
         aggregated = peer.subscribe("/rosout_agg", "rosgraph_msgs/Log")
         publisher = edge.ask("advertise", topic="/rosout", type="rosgraph_msgs/Log", latched=True, depth=1)["id"]
-        words = [w.encode() for w in ("/bridged", "over roscpp", "file", "function")]
-        strings = [struct.pack("<I", len(w)) + w for w in words]
+        fields = [w.encode() for w in ("/bridged", "over roscpp", "file", "function")]
+        strings = [struct.pack("<I", len(w)) + w for w in fields]
         log = struct.pack("<IIII", 0, 1, 2, 0) + b"\x02" + b"".join(strings) + struct.pack("<II", 3, 0)
         edge.ask("send", id=publisher, payload=base64.b64encode(log).decode())
         until(
@@ -160,11 +160,11 @@ def test_a_custom_type_in_both_directions(master, edge):
         assert (endpoint["type"], endpoint["type_id"]) == ("my_pkg/Thing", md5)
         assert "my_pkg/Inner[] inner" in endpoint["definition"]
         assert "MSG: my_pkg/Inner" in endpoint["definition"]
-        own = {"md5": md5, "definition": THING}
-        ((payload, _),) = edge.received(edge.open("/thing/in", "my_pkg/Thing", **own), 1)
+        definition = {"md5": md5, "definition": THING}
+        ((payload, _),) = edge.received(edge.open("/thing/in", "my_pkg/Thing", **definition), 1)
         inbox = peer.subscribe("/thing/out", "my_pkg/Thing")
-        publisher = edge.ask("advertise", topic="/thing/out", type="my_pkg/Thing", **own)["id"]
-        edge.heard(publisher)
+        publisher = edge.ask("advertise", topic="/thing/out", type="my_pkg/Thing", **definition)["id"]
+        edge.until_connected(publisher)
         edge.ask("send", id=publisher, payload=payload)
         (thing,) = peer.wait(inbox, 1)
         thing["header"]["seq"] = A_THING["header"]["seq"]  # rospy counts the sender's messages there
@@ -232,7 +232,7 @@ def test_latched_and_volatile_publishers_share_a_topic(master, edge):
     with master.peer("shared") as peer:
         numbers = edge.ask("advertise", topic="/shared", type="std_msgs/Int32")["id"]
         inbox = peer.subscribe("/shared", "std_msgs/Int32")
-        edge.heard(numbers)
+        edge.until_connected(numbers)
         edge.ask("send", id=numbers, payload=base64.b64encode(struct.pack("<i", 9)).decode())
         assert latest(peer.wait(inbox, 1)) == [9]
 
@@ -240,8 +240,8 @@ def test_latched_and_volatile_publishers_share_a_topic(master, edge):
 @pytest.mark.thorough
 def test_messages_published_by_a_midspan_are_not_bridged_back(master, edge, tmp_path):
     with edge_on(master, tmp_path / "second", "other") as second, master.peer("loop") as peer:
-        own = edge.ask("advertise", topic="/loop", type="std_msgs/String", latched=True)["id"]
-        edge.send(own, "from the first")
+        publisher = edge.ask("advertise", topic="/loop", type="std_msgs/String", latched=True)["id"]
+        edge.send(publisher, "from the first")
         endpoint = second.endpoint(topic="/loop", made_by="midspan")
         assert endpoint["type"] == "std_msgs/String"
         native = peer.advertise("/loop", "std_msgs/String", latched=True)
@@ -249,7 +249,7 @@ def test_messages_published_by_a_midspan_are_not_bridged_back(master, edge, tmp_
         inboxes = [(e, e.open("/loop", "std_msgs/String")) for e in (edge, second)]
         for e, inbox in inboxes:
             assert [text(p) for p, _ in e.received(inbox, 1)] == ["native"]
-        edge.send(own, "again from the first")
+        edge.send(publisher, "again from the first")
         peer.publish(native, {"data": "native again"})
         for e, inbox in inboxes:
             assert [text(p) for p, _ in e.received(inbox, 2)] == ["native", "native again"]
@@ -406,10 +406,10 @@ def test_a_stopped_subscriber_does_not_delay_others(master, edge):
     publisher = edge.ask("advertise", topic="/slow", type="std_msgs/String", depth=5)["id"]
     with master.peer("slow") as slow, master.peer("quick") as quick:
         slow.subscribe("/slow", "std_msgs/String")
-        edge.heard(publisher)
+        edge.until_connected(publisher)
         slow.signal(19)
         inbox = quick.subscribe("/slow", "std_msgs/String")
-        edge.heard(publisher, 2)
+        edge.until_connected(publisher, 2)
         big = string("x" * 1_000_000)
         for n in range(1, 21):
             edge.ask("send", id=publisher, payload=big)

@@ -26,7 +26,7 @@ def packages(tmp_path):
     return folder
 
 
-def made(tmp_path, config=None, **environ: str):
+def environment_in(tmp_path, config=None, **environ: str):
     base = {"HOME": str(tmp_path), "PATH": "/usr/bin", **environ}
     return worker_environment(config or Config(), base)
 
@@ -40,7 +40,7 @@ def links(env):
 
 
 def test_only_ros1_packages_are_linked(tmp_path, packages):
-    env = made(tmp_path, on(packages))
+    env = environment_in(tmp_path, on(packages))
     assert {p.name for p in links(env).iterdir()} == {
         "rospy", "rosgraph", "genpy", "rosgraph_msgs", "roscpp", "std_msgs", "gnupg.py", "defusedxml"
     }  # fmt: skip
@@ -48,11 +48,11 @@ def test_only_ros1_packages_are_linked(tmp_path, packages):
 
 
 def test_links_follow_the_installed_packages(tmp_path, packages):
-    before = links(made(tmp_path, on(packages)))
-    assert links(made(tmp_path, on(packages))) == before
+    before = links(environment_in(tmp_path, on(packages)))
+    assert links(environment_in(tmp_path, on(packages))) == before
     (packages / "my_msgs" / "msg").mkdir(parents=True)
     (packages / "my_msgs" / "msg" / "__init__.py").touch()
-    after = links(made(tmp_path, on(packages)))
+    after = links(environment_in(tmp_path, on(packages)))
     assert after != before
     assert (after / "my_msgs" / "msg" / "__init__.py").is_file()
     assert before.is_dir(), "a running worker may still use it"
@@ -60,14 +60,17 @@ def test_links_follow_the_installed_packages(tmp_path, packages):
     os.utime(before, (old, old))
     (packages / "your_msgs" / "srv").mkdir(parents=True)
     (packages / "your_msgs" / "srv" / "__init__.py").touch()
-    made(tmp_path, on(packages))
+    environment_in(tmp_path, on(packages))
     assert not before.exists(), "it has not been used for long"
 
 
 def test_the_cache_folder(tmp_path, packages):
-    assert links(made(tmp_path, on(packages))).parent == tmp_path / ".cache" / "midspan"
-    assert links(made(tmp_path, on(packages), XDG_CACHE_HOME=str(tmp_path / "x"))).parent == tmp_path / "x" / "midspan"
-    assert links(made(tmp_path, on(packages), CACHE_DIRECTORY=str(tmp_path / "c"))).parent == tmp_path / "c"
+    assert links(environment_in(tmp_path, on(packages))).parent == tmp_path / ".cache" / "midspan"
+    assert (
+        links(environment_in(tmp_path, on(packages), XDG_CACHE_HOME=str(tmp_path / "x"))).parent
+        == tmp_path / "x" / "midspan"
+    )
+    assert links(environment_in(tmp_path, on(packages), CACHE_DIRECTORY=str(tmp_path / "c"))).parent == tmp_path / "c"
 
 
 def test_paths_of_ros2_and_of_the_wheels_are_removed(tmp_path, packages):
@@ -76,10 +79,10 @@ def test_paths_of_ros2_and_of_the_wheels_are_removed(tmp_path, packages):
     work.mkdir()
     path = os.pathsep.join([str(ros2), str(work), str(packages)])
     libraries = os.pathsep.join([f"{sys.prefix}/lib", "/opt/robot/lib"])
-    env = made(tmp_path, on(packages), PYTHONPATH=path, LD_LIBRARY_PATH=libraries)
+    env = environment_in(tmp_path, on(packages), PYTHONPATH=path, LD_LIBRARY_PATH=libraries)
     assert env["PYTHONPATH"].split(os.pathsep)[1:] == [str(work)]
     assert env["LD_LIBRARY_PATH"] == "/opt/robot/lib"
-    assert "LD_LIBRARY_PATH" not in made(tmp_path, on(packages), LD_LIBRARY_PATH=f"{sys.prefix}/lib")
+    assert "LD_LIBRARY_PATH" not in environment_in(tmp_path, on(packages), LD_LIBRARY_PATH=f"{sys.prefix}/lib")
 
 
 ADDRESSES = [
@@ -96,7 +99,7 @@ ADDRESSES = [
 
 @pytest.mark.parametrize(("configured", "environ", "expected"), ADDRESSES)
 def test_addresses(tmp_path, packages, configured, environ, expected):
-    env = made(tmp_path, on(packages, **configured), **environ)
+    env = environment_in(tmp_path, on(packages, **configured), **environ)
     assert {name: env.get(name) for name in expected} == expected
 
 
@@ -113,7 +116,7 @@ def test_which_masters_are_local(monkeypatch):
 
 def test_the_log_goes_to_the_state_folder(tmp_path, packages):
     config = Config(state=tmp_path / "state", ros1=Ros1Section(packages=packages))
-    assert made(tmp_path, config)["ROS_LOG_DIR"].startswith(str(tmp_path / "state"))
+    assert environment_in(tmp_path, config)["ROS_LOG_DIR"].startswith(str(tmp_path / "state"))
 
 
 def test_the_reason_why_ros1_is_not_available(tmp_path, packages, monkeypatch):
@@ -137,7 +140,7 @@ def test_a_sourced_ros1_has_precedence(packages):
 @needs_ros1
 def test_real_rospy_with_midspans_libraries(tmp_path):
     code = "import rospy, std_msgs.msg, netifaces, numpy, zenoh; print(std_msgs.msg.String._md5sum, numpy.__file__)"
-    env = made(tmp_path, PATH=os.environ["PATH"])
+    env = environment_in(tmp_path, PATH=os.environ["PATH"])
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
     md5, numpy = done.stdout.split()
     assert md5 == "992ce8a1687cec8c8bd883ec73ca41d1"

@@ -38,7 +38,7 @@ class Crowd:
     def add(self, deliver: Callable[[bytes], None] | None = None, *, start: bool = True) -> socket.socket:
         number, (ours, theirs) = len(self.readers), pair()
 
-        def hear(payload: bytes) -> None:
+        def on_message(payload: bytes) -> None:
             self.threads.add(threading.current_thread().name)
             self.heard.append((number, payload))
 
@@ -46,7 +46,7 @@ class Crowd:
             DeadlineSocket(fileno=ours.detach()),
             f"/t{number}",
             "http://x/",
-            deliver or hear,
+            deliver or on_message,
             lambda trouble: self.ended.append((number, trouble)),
             lambda *_: None,
             loop=self.loop,
@@ -60,20 +60,20 @@ class Crowd:
 
 def pair() -> tuple[socket.socket, socket.socket]:
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        one = socket.create_connection(listener.getsockname())
-        return one, listener.accept()[0]
+        client = socket.create_connection(listener.getsockname())
+        return client, listener.accept()[0]
 
 
 @pytest.fixture
 def crowd() -> Iterator[Crowd]:
-    made = Crowd()
-    yield made
-    for reader in made.readers:
+    crowd = Crowd()
+    yield crowd
+    for reader in crowd.readers:
         reader.close()
-    made.loop.stop()
-    for publisher in made.publishers:
+    crowd.loop.stop()
+    for publisher in crowd.publishers:
         publisher.close()
-    until(lambda: all(reader.fileno() == -1 for reader in made.readers), "all sockets are closed", 20)
+    until(lambda: all(reader.fileno() == -1 for reader in crowd.readers), "all sockets are closed", 20)
 
 
 def test_one_thread_reads_all_connections(crowd: Crowd) -> None:

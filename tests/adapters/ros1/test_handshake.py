@@ -55,7 +55,7 @@ def test_a_valid_publisher():
             assert sock.recv(100) == b"\2\0\0\0hi", "no byte after the header may be lost"
 
 
-def say(data):
+def sending(data):
     def serve(sock) -> None:
         sock.recv(65536)
         sock.sendall(data)
@@ -76,11 +76,11 @@ def trickle(sock):
 
 
 BAD = [
-    (say(struct.pack("<I", MAX_HEADER + 1)), Ros1ProtocolError, "announces 1048577 bytes"),
-    (say(b"HTTP/1.1 400 Bad Request\r\n\r\n"), Ros1ProtocolError, "announces"),
-    (say(struct.pack("<I", 5) + b"\xff\xff\xff\xffa"), Ros1ProtocolError, "truncated"),
-    (say(encode({"error": "no such topic"})), RefusedError, "no such topic"),
-    (say(encode({"md5sum": "1"})), Ros1ProtocolError, "has no type"),
+    (sending(struct.pack("<I", MAX_HEADER + 1)), Ros1ProtocolError, "announces 1048577 bytes"),
+    (sending(b"HTTP/1.1 400 Bad Request\r\n\r\n"), Ros1ProtocolError, "announces"),
+    (sending(struct.pack("<I", 5) + b"\xff\xff\xff\xffa"), Ros1ProtocolError, "truncated"),
+    (sending(encode({"error": "no such topic"})), RefusedError, "no such topic"),
+    (sending(encode({"md5sum": "1"})), Ros1ProtocolError, "has no type"),
     (lambda _sock: None, Ros1Error, "closed the connection|broke off"),
     (until_closed, UnreachableError, "in time"),
     (trickle, UnreachableError, "in time"),
@@ -137,7 +137,7 @@ def test_services_without_a_valid_address(address):
 
 def test_a_service_without_a_type():
     with (
-        tcp_server(say(encode({"callerid": "/odd"}))) as (host, port),
+        tcp_server(sending(encode({"callerid": "/odd"}))) as (host, port),
         pytest.raises(Ros1ProtocolError, match="no type"),
     ):
         connect_service("/me", f"rosrpc://{host}:{port}", "/serve", 5.0, md5sum="*", probe="1")

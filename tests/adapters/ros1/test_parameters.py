@@ -104,14 +104,14 @@ def rule(owner: str, ros1: str, node: str, **more: Any) -> ParameterRule:
 
 def test_names_follow_the_rule():
     names = ParameterNames(rule("ros2", "/move_base/dwa", "/controller", prefix="FollowPath", names=["*", "deep/**"]))
-    for rest, ros1, ros2 in (
+    for remaining, ros1, ros2 in (
         ("x", "/move_base/dwa/x", "FollowPath.x"),
         ("deep/a/b", "/move_base/dwa/deep/a/b", "FollowPath.deep.a.b"),
     ):
-        assert (names.ros1(rest), names.ros2(rest), names.rest(ros2)) == (ros1, ros2, rest)
+        assert (names.ros1(remaining), names.ros2(remaining), names.rest(ros2)) == (ros1, ros2, remaining)
     assert [names.rest(other) for other in ("FollowPathX.x", "x", "FollowPath.a.b", "FollowPath.q/.x")] == [None] * 4
-    one = ParameterNames(rule("ros2", "/speed", "/base", prefix="limits.speed"))
-    assert (one.ros1(""), one.ros2(""), one.rest("limits.speed")) == ("/speed", "limits.speed", "")
+    item = ParameterNames(rule("ros2", "/speed", "/base", prefix="limits.speed"))
+    assert (item.ros1(""), item.ros2(""), item.rest("limits.speed")) == ("/speed", "limits.speed", "")
     assert dict(flatten({"a": {"b": 1, "c": {}}, "d": [2]})) == {"a/b": 1, "d": [2]}
     assert dict(flatten(3)) == {"": 3}
 
@@ -128,7 +128,7 @@ def test_names_follow_the_rule():
     ],
 )
 def test_an_invalid_rule_is_rejected(rules: list[dict[str, Any]], reason: str):
-    whole = [{"ros1": "/a", "node": "/n", "owner": "ros2", **one} for one in rules]
+    whole = [{"ros1": "/a", "node": "/n", "owner": "ros2", **item} for item in rules]
     with pytest.raises(ValueError, match=reason):
         RoutingSection.model_validate({"parameters": whole})
 
@@ -208,7 +208,7 @@ class Client:
 
     def __init__(self, hub: Hub, node: str) -> None:
         self._clients = {
-            word: hub.client(f"{node}/{word}", codec.type.name, codec.type.type_id) for word, codec in CODECS.items()
+            name: hub.client(f"{node}/{name}", codec.type.name, codec.type.type_id) for name, codec in CODECS.items()
         }
         until(lambda: all(client.ready for client in self._clients.values()), f"{node} is on the hub")
 
@@ -253,7 +253,7 @@ def test_ros1_parameters_appear_on_a_node(master: RosMaster, hubs: tuple[Hub, Hu
     assert client.call("list_parameters", prefixes=[], depth=1)["result"]["names"] == ["one", "speed"]
     assert client.call("get_parameter_types", names=["speed", "one", "x"])["types"].tolist() == [3, 2, 0]
     about = client.call("describe_parameters", names=["speed", "one"])["descriptors"]
-    assert [(one["type"], one["read_only"], one["description"]) for one in about] == [
+    assert [(item["type"], item["read_only"], item["description"]) for item in about] == [
         (3, False, "ROS 1 parameter /own/speed"),
         (2, True, "ROS 1 parameter /own_one"),
     ]
@@ -272,8 +272,8 @@ def test_a_ros2_node_sets_ros1_parameters(master: RosMaster, hubs: tuple[Hub, Hu
         below=ParameterValue(ParameterType.INTEGER, 1),
         new=ParameterValue(ParameterType.STRING, "there"), below__x=ParameterValue(ParameterType.INTEGER, 2**40),
     )["results"]  # fmt: skip
-    assert [one["successful"] for one in results] == [True, False, False, True, False]
-    assert [one["reason"] for one in results if one["reason"]] == [
+    assert [item["successful"] for item in results] == [True, False, False, True, False]
+    assert [item["reason"] for item in results if item["reason"]] == [
         "no rule of routing.parameters shares fixed",
         "/set/below is a namespace in ROS 1",
         "below.x: ROS 1 has no integer as large as 1099511627776",
@@ -289,26 +289,28 @@ def test_a_ros2_node_sets_ros1_parameters(master: RosMaster, hubs: tuple[Hub, Hu
 @needs_ros1
 def test_changes_of_ros1_parameters_are_published_as_events(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     kind = REGISTRY.ros2("rcl_interfaces/msg/ParameterEvent")
-    heard: list[dict[str, Any]] = []
+    received: list[dict[str, Any]] = []
 
-    def take(sample: Any) -> None:
-        heard.append(MessageReader(REGISTRY.schema(kind.name), sample.payload.to_bytes()).message())
+    def on_sample(sample: Any) -> None:
+        received.append(MessageReader(REGISTRY.schema(kind.name), sample.payload.to_bytes()).message())
 
-    hubs[1].subscription("/parameter_events", kind.name, kind.type_id, Qos(depth=100), take)
+    hubs[1].subscription("/parameter_events", kind.name, kind.type_id, Qos(depth=100), on_sample)
     master.call("setParam", "/told", {"stays": 1, "changes": 2, "goes": 3})
     share(rule("ros1", "/told", "/told_node"))
     Client(hubs[1], "/told_node")
 
     def changed() -> bool:
         master.call("setParam", "/told/changes", master.call("getParam", "/told/changes") + 1)
-        return any(one["name"] == "changes" for event in heard for one in event["changed_parameters"])
+        return any(item["name"] == "changes" for event in received for item in event["changed_parameters"])
 
     until(changed, "the change is published", every=0.5)
     master.call("deleteParam", "/told/goes")
     master.call("setParam", "/told/comes", "new")
-    until(lambda: [n["name"] for e in heard for n in e["deleted_parameters"]] == ["goes"], "the deletion is published")
-    until(lambda: [n["value"]["string_value"] for e in heard for n in e["new_parameters"]] == ["new"], "the new one")
-    assert {event["node"] for event in heard} == {"/told_node"}
+    until(
+        lambda: [n["name"] for e in received for n in e["deleted_parameters"]] == ["goes"], "the deletion is published"
+    )
+    until(lambda: [n["value"]["string_value"] for e in received for n in e["new_parameters"]] == ["new"], "the new one")
+    assert {event["node"] for event in received} == {"/told_node"}
 
 
 class Node:
@@ -326,8 +328,8 @@ class Node:
         self.set: list[tuple[str, Any]] = []
         self.asked = 0
         self._servers = [
-            hub.server(f"{node}/{word}", codec.type.name, codec.type.type_id, self._answer(word))
-            for word, codec in CODECS.items()
+            hub.server(f"{node}/{key}", codec.type.name, codec.type.type_id, self._answer(key))
+            for key, codec in CODECS.items()
         ]
 
     def _answer(self, word: str) -> Any:
@@ -357,7 +359,9 @@ class Node:
         return {"values": [] if NOT_SET in values else [value.message() for value in values]}  # like rclcpp
 
     def _set_parameters(self, request: Any) -> Any:
-        return {"results": [self._set(one["name"], ParameterValue.read(one["value"])) for one in request["parameters"]]}
+        return {
+            "results": [self._set(item["name"], ParameterValue.read(item["value"])) for item in request["parameters"]]
+        }
 
     def _set(self, name: str, value: ParameterValue) -> Any:
         self.set.append((name, value.content))
@@ -422,14 +426,14 @@ def test_a_value_that_is_also_a_prefix_is_copied_without_the_names_below_it(
         lambda: {key: master.call("getParam", key) for key in wanted} == wanted,
         "the representable parameters are copied",
     )
-    written, asked = store.written, hdr.asked
+    written, request = store.written, hdr.asked
     for node in (hdr, single, unset, huge):
-        until(lambda node=node: node.asked > asked + 5, "several comparisons")
+        until(lambda node=node: node.asked > request + 5, "several comparisons")
     assert store.written == written, "nothing is written again"
     problems = parameters.warnings()
     for key, above in (("/hdr/exposure/1", "/hdr/exposure"), ("/hdr/exposure/a/b", "/hdr/exposure"),
                        ("/single/max", "/single")):  # fmt: skip
-        assert any(one.startswith(f"parameter {key}: not copied, since {above} has a value") for one in problems), key
+        assert any(item.startswith(f"parameter {key}: not copied, since {above} has a value") for item in problems), key
     del hdr.values["exposure"]
     until(lambda: master.call("getParam", "/hdr") == {"exposure": {"1": 100, "a": {"b": 5}}}, "the names below")
     hdr.values["exposure"] = _integer(50)
@@ -517,10 +521,10 @@ def test_a_declared_parameter_without_a_value_is_set_from_ros1(master: RosMaster
     until(lambda: "/late/lost" in (master.call("getParam", COPIES) or ()), "it is a copy now")
     master.call("setParam", "/late/mode", 5)
     until(lambda: master.call("getParam", "/late/mode") is None, "the rejected value is deleted")
-    assert any("/late/mode: /late_node rejected 5: not now" in one for one in parameters.warnings())
+    assert any("/late/mode: /late_node rejected 5: not now" in item for item in parameters.warnings())
     master.call("setParam", "/late/count", [[1]])
     until(lambda: master.call("getParam", "/late/count") is None, "ROS 2 has no lists of lists")
-    assert any("/late/count: the value set in ROS 1 is not set on /late_node" in one for one in parameters.warnings())
+    assert any("/late/count: the value set in ROS 1 is not set on /late_node" in item for item in parameters.warnings())
     node.values["lost"] = NOT_SET
     until(lambda: master.call("getParam", "/late/lost") is None, "the node's state counts")
     assert node.values["lost"] == NOT_SET
@@ -543,7 +547,7 @@ def test_problems_of_a_node_disappear_with_it(master: RosMaster, hubs: tuple[Hub
     def reported() -> set[str]:
         return {warning.partition(": ")[0] for warning in parameters.warnings()}
 
-    wanted = {f"parameter {name}/{rest}" for rest in ("huge", "speed/x", "fixed", "lost", "unknown")}
+    wanted = {f"parameter {name}/{remaining}" for remaining in ("huge", "speed/x", "fixed", "lost", "unknown")}
     until(lambda: reported() == wanted, "all are reported")
     until(lambda: master.call("getParam", f"{name}/fixed") == 1.0, "it is reset")
     node.close()
@@ -567,7 +571,9 @@ def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], 
     master.call("setParam", "/asked/mode", "fast")
     until(lambda: master.call("getParam", "/asked/mode") == "slow", "the rejected value is reset")
     assert ("mode", "fast") in node.set
-    until(lambda: any("rejected 'fast': not now" in one for one in parameters.warnings()), "the rejection is reported")
+    until(
+        lambda: any("rejected 'fast': not now" in item for item in parameters.warnings()), "the rejection is reported"
+    )
     assert parameters.details() == [{"ros1": "/asked", "node": "/asked_node", "owner": "ros2", "shared": 2}]
 
 

@@ -54,8 +54,8 @@ class Ends:
 
     def replies(self, count: int = 1, seconds: float = 40.0) -> list[bytes]:
         """Wait for ``count`` replies; fails if a call ended with an error."""
-        found = self.wait(count, seconds)
-        return [reply for reply in found if isinstance(reply, bytes) or fail(reply)]
+        result = self.wait(count, seconds)
+        return [reply for reply in result if isinstance(reply, bytes) or fail(reply)]
 
     def error(self) -> str:
         """Return the error of the only call."""

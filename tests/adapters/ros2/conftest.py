@@ -82,11 +82,11 @@ class RunningEdge:
     def until_seen(self, topic: str, kind: Kind, count: int = 1) -> list[Endpoint]:
         """Return the topic's endpoints of one kind, once ``count`` have known nodes."""
 
-        def found() -> list[Endpoint] | None:
-            there = [e for e in self.edge.endpoints() if e.topic == topic and e.kind is kind]
-            return there if len(there) == count and all(e.node for e in there) else None
+        def listed() -> list[Endpoint] | None:
+            present = [e for e in self.edge.endpoints() if e.topic == topic and e.kind is kind]
+            return present if len(present) == count and all(e.node for e in present) else None
 
-        result = until(found, f"{count} {kind.value} on {topic}")
+        result = until(listed, f"{count} {kind.value} on {topic}")
         assert result is not None
         return result
 

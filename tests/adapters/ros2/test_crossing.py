@@ -122,8 +122,8 @@ class Directions:
         def both() -> bool:
             self.native.publish(self.sends, {"data": data})
             self.edge.ask("publish", id=self.outward, message=data)
-            came = self.edge.ask("wait", id=self.inward, count=1, seconds=0.1)["messages"]
-            return data in came and {"data": data} in self.native.wait(self.heard, 1, 0.1)
+            received = self.edge.ask("wait", id=self.inward, count=1, seconds=0.1)["messages"]
+            return data in received and {"data": data} in self.native.wait(self.heard, 1, 0.1)
 
         until(both, "messages in both directions", seconds)
 
@@ -243,8 +243,8 @@ def test_a_successor_discovers_others_at_once_and_not_at_their_next_announcement
     native.ask("count", id=sends, first=1, count=1_000_000, rate=100)
     for _ in range(5):
         edge = programs.edge(transport=transport)
-        heard = edge.ask("subscribe", topic="/x/in")["id"]
-        assert edge.ask("wait", id=heard, count=1, seconds=1.5)["messages"], "announcements come every 3 s"
+        subscription = edge.ask("subscribe", topic="/x/in")["id"]
+        assert edge.ask("wait", id=subscription, count=1, seconds=1.5)["messages"], "announcements come every 3 s"
         edge.signal(signal.SIGKILL)
 
 
@@ -252,25 +252,25 @@ def test_a_successor_discovers_others_at_once_and_not_at_their_next_announcement
 @pytest.mark.parametrize("seconds", [1.0, 3.0])
 def test_everything_crosses_again_after_an_edge_was_suspended(programs: Programs, seconds: float) -> None:
     edge, native = programs.edge(), programs.native()
-    ways = Directions(edge, native)
-    ways.cross()
+    directions = Directions(edge, native)
+    directions.cross()
     for number in range(2):
         edge.signal(signal.SIGSTOP)
         time.sleep(seconds)  # the suspension exceeds the lease
         edge.signal(signal.SIGCONT)
-        ways.cross(f"again {number}")
+        directions.cross(f"again {number}")
     assert native.graph()["publishers"]["/x/out"] == ["midspan"]
 
 
 def test_clean_stop_leaves_nothing_in_shared_memory(programs: Programs) -> None:
     edge = programs.edge(transport="shared_memory")
     edge.ask("advertise", topic="/x/stop")
-    made = segments(edge)
-    assert made
+    created = segments(edge)
+    assert created
     assert edge.popen.stdin is not None
     edge.popen.stdin.close()
     assert edge.popen.wait(40) == 0
-    assert not [path for path in made if path.exists()]
+    assert not [path for path in created if path.exists()]
 
 
 def test_records_of_one_edge_reach_the_others(edge: RunningEdge, programs: Programs) -> None:

@@ -59,10 +59,10 @@ def test_a_custom_type_crosses_in_both_directions(edge: RunningEdge, peer: Calla
     assert endpoint.type_id == edge.type("touch_msgs/msg/Touch").type_id
     assert edge.edge.to_hub(endpoint).target.name == "touch_msgs/msg/Touch"
 
-    def heard() -> list[dict[str, Any]]:
+    def received() -> list[dict[str, Any]]:
         native.publish(publisher, FIELDS)
         for payload, _, _ in inbox.messages:
             ours.send(convert(payload), "hub")
         return native.wait(subscription, 1, 0.1)
 
-    assert until(heard, "the message comes back")[0] == FIELDS
+    assert until(received, "the message comes back")[0] == FIELDS

@@ -53,13 +53,13 @@ def test_a_type_crosses_without_its_message_package(edge: RunningEdge, peer: Cal
     convert = edge.conversion("visualization_msgs/msg/Marker").convert
     assert convert is not None
 
-    def heard() -> list[dict[str, Any]]:
+    def received() -> list[dict[str, Any]]:
         native.publish(publisher, MARKER)
         for payload, _, _ in inbox.messages:
             ours.send(convert(payload), "hub")
         return native.wait(subscription, 1, 0.1)
 
-    message = until(heard, "the native subscription receives the edge's message")[0]
+    message = until(received, "the native subscription receives the edge's message")[0]
     assert {key: message[key] for key in MARKER} == MARKER
     assert "visualization_msgs" not in sys.modules
 
@@ -136,12 +136,14 @@ def test_messages_of_another_midspan_are_not_delivered(
     other = peer("innocent_name", FASTRTPS_DEFAULT_PROFILES_FILE=str(profile))
     native = peer("midspan_native")
     endpoints = [(p, p.advertise("/m/guard", "std_msgs/String", latched=True)) for p in (other, native)]
-    own = edge.edge.advertise("/m/guard", edge.type("std_msgs/msg/String"), Qos(durability=Durability.TRANSIENT_LOCAL))
+    guard = edge.edge.advertise(
+        "/m/guard", edge.type("std_msgs/msg/String"), Qos(durability=Durability.TRANSIENT_LOCAL)
+    )
     inbox = edge.subscribe("/m/guard", "std_msgs/msg/String", Qos(durability=Durability.TRANSIENT_LOCAL))
     edge.until_seen("/m/guard", Kind.PUBLISHER, 2)
 
     def native_heard() -> bool:
-        own.send(string("own"), "hub")
+        guard.send(string("own"), "hub")
         for program, endpoint in endpoints:
             program.publish(endpoint, {"data": "other" if program is other else "native"})
         return len(inbox.messages) >= 3

@@ -34,13 +34,13 @@ def test_only_udp_on_all_interfaces() -> None:
 
 @pytest.mark.parametrize("space", ["", ' xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"'])
 def test_a_custom_profile_gets_the_mark(tmp_path: Path, space: str) -> None:
-    own = tmp_path / "own.xml"
-    own.write_text(
+    custom = tmp_path / "own.xml"
+    custom.write_text(
         f"""<dds{space}><profiles><participant profile_name="other"><rtps/></participant>
         <participant profile_name="p" is_default_profile="true"><rtps><name>kept</name><prefix>1.2</prefix></rtps>
         </participant></profiles></dds>"""
     )
-    xml = stamped(own, PREFIX)
+    xml = stamped(custom, PREFIX)
     assert texts(xml, "prefix") == [PREFIX.hex(".")]
     assert texts(xml, "value") == ["true"]
     assert "<name>kept</name>" in xml
@@ -48,7 +48,7 @@ def test_a_custom_profile_gets_the_mark(tmp_path: Path, space: str) -> None:
 
 @pytest.mark.parametrize(("text", "why"), [("<dds", "not XML"), ("<dds/>", "is_default_profile")])
 def test_an_unusable_custom_profile_is_rejected(tmp_path: Path, text: str, why: str) -> None:
-    own = tmp_path / "own.xml"
-    own.write_text(text)
+    custom = tmp_path / "own.xml"
+    custom.write_text(text)
     with pytest.raises(ValueError, match=why):
-        stamped(own, PREFIX)
+        stamped(custom, PREFIX)

@@ -24,9 +24,9 @@ VOLATILE, LATCHED = Durability.VOLATILE, Durability.TRANSIENT_LOCAL
     ],
 )
 def test_mismatch(offered: Qos, requested: Qos, why: str) -> None:
-    found = mismatch(offered, requested)
-    assert why in found
-    assert bool(found) == bool(why)
+    result = mismatch(offered, requested)
+    assert why in result
+    assert bool(result) == bool(why)
 
 
 def test_endpoints_of_the_edge_have_a_bounded_history() -> None:

@@ -42,8 +42,8 @@ def test_ports_of_dead_predecessors_are_removed_unless_in_use(folder: Path) -> N
     with (folder / "fastrtps_port7415_el").open() as used:
         fcntl.flock(used, fcntl.LOCK_SH)
         neighbours.clean_ports([7413, 7415, 7417], folder)
-        gone = {path.name for path in before - set(folder.iterdir())}
-    assert gone == {"fastrtps_port7413", "fastrtps_port7413_el", "sem.fastrtps_port7413_mutex"}
+        removed = {path.name for path in before - set(folder.iterdir())}
+    assert removed == {"fastrtps_port7413", "fastrtps_port7413_el", "sem.fastrtps_port7413_mutex"}
     neighbours.clean_ports([7415], folder)
     assert not list(folder.glob("*7415*"))
 

@@ -88,11 +88,11 @@ class Place:
     def status(self, side: str) -> dict[str, Any]:
         """Return the status of one dialect's worker."""
 
-        def told() -> dict[str, Any] | None:
+        def reported() -> dict[str, Any] | None:
             answers = self.far.hub.ask("status", {}, worker=side)
             return next((a.value for a in answers if isinstance(a.value, dict)), None)
 
-        return until(told, f"{side} reports its status")  # type: ignore[return-value]
+        return until(reported, f"{side} reports its status")  # type: ignore[return-value]
 
     def route(self, side: str, topic: str, direction: str) -> dict[str, Any] | None:
         """Return one route of one dialect."""
@@ -101,9 +101,9 @@ class Place:
 
     def until_route(self, side: str, topic: str, direction: str) -> dict[str, Any]:
         """Wait for a route and return it."""
-        found = until(lambda: self.route(side, topic, direction), f"{side} routes {topic} {direction}", every=0.1)
-        assert found is not None
-        return found
+        result = until(lambda: self.route(side, topic, direction), f"{side} routes {topic} {direction}", every=0.1)
+        assert result is not None
+        return result
 
     def explain(self, side: str, topic: str) -> list[dict[str, Any]]:
         """Return the decision of one dialect on a topic."""
@@ -133,11 +133,11 @@ def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Place]:
     monkeypatch.setattr(ros1_discovery, "PERIOD", PERIOD)
     monkeypatch.setattr(edge, "LINK_SECONDS", 0.1)
     monkeypatch.setattr(edge, "TICK", 0.05)
-    made = Place(tmp_path)
+    place = Place(tmp_path)
     try:
-        yield made
+        yield place
     finally:
-        made.close()
+        place.close()
 
 
 def cross(sender: Any, out: int, hearer: Any, heard: int, message: dict[str, Any]) -> Any:

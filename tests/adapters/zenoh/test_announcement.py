@@ -19,26 +19,26 @@ MODULES = {"ros2dds": (ros2dds, TokenAnnouncer), "ros1": (ros1, Aloha)}
 
 
 def test_an_announcement_is_published_once_and_withdrawn_once() -> None:
-    said: list[str] = []
+    text: list[str] = []
 
-    def tell() -> Callable[[], None]:
-        said.append("here")
-        return lambda: said.append("gone")
+    def announce() -> Callable[[], None]:
+        text.append("here")
+        return lambda: text.append("gone")
 
-    told = Announcement(tell)
-    told.publish()
-    told.withdraw()
-    told.withdraw()
-    assert said == ["here", "gone"]
+    reported = Announcement(announce)
+    reported.publish()
+    reported.withdraw()
+    reported.withdraw()
+    assert text == ["here", "gone"]
 
 
 def test_an_endpoint_that_closed_before_is_not_announced() -> None:
-    said: list[str] = []
-    told = Announcement(lambda: lambda: said.append("gone"))
-    told.withdraw()
-    told.publish()
-    told.withdraw()
-    assert said == []
+    text: list[str] = []
+    reported = Announcement(lambda: lambda: text.append("gone"))
+    reported.withdraw()
+    reported.publish()
+    reported.withdraw()
+    assert text == []
 
 
 @pytest.mark.parametrize("dialect", MODULES)
@@ -65,8 +65,8 @@ def _noted(monkeypatch: pytest.MonkeyPatch, done: list[str], owner: Any, name: s
     real = getattr(owner, name)
 
     def noting(*args: Any, **more: Any) -> Any:
-        made = real(*args, **more)
+        created = real(*args, **more)
         done.append(word)
-        return made
+        return created
 
     monkeypatch.setattr(owner, name, noting)

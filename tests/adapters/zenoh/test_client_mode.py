@@ -61,10 +61,10 @@ def test_a_client_that_waits_stops_at_once(place: Place) -> None:
     client = {"mode": "client", "connect": {"endpoints": [place.router.endpoint], "timeout_ms": -1}}
     config = place.config(zenoh={"zenoh": client, "dialects": [DIALECTS["ros2dds"]]})
     registry = Registry()
-    (made,) = make_edges("zenoh", config, registry, place.folder).values()
-    joined = NetworkBridge("zenoh_ros2dds", made, config, registry, pytest.fail, diagnostics=False)
+    (created,) = make_edges("zenoh", config, registry, place.folder).values()
+    joined = NetworkBridge("zenoh_ros2dds", created, config, registry, pytest.fail, diagnostics=False)
     assert joined.health().state == "waiting"
     joined.stop()
     place.router.start()
-    until(lambda: f"midspan-{made.side}-tick" not in {t.name for t in threading.enumerate()}, "its attempt ends")
-    assert made.network() is None
+    until(lambda: f"midspan-{created.side}-tick" not in {t.name for t in threading.enumerate()}, "its attempt ends")
+    assert created.network() is None

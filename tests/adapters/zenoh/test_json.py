@@ -63,11 +63,11 @@ def test_keys_in_each_direction(place: Place) -> None:
             {"key": "talk", "direction": "both"},
         )
     )
-    said, talked = (place.far.subscribe(t, STRING) for t in ("/robot/says", "/talk"))
-    assert cross(program, program.advertise("robot/says"), place.far, said, {"data": "in"}) == {"data": "in"}
+    text, talked = (place.far.subscribe(t, STRING) for t in ("/robot/says", "/talk"))
+    assert cross(program, program.advertise("robot/says"), place.far, text, {"data": "in"}) == {"data": "in"}
     hears, talks = program.subscribe("robot/hears"), program.subscribe("talk")
-    told, talk = (place.far.advertise(t, STRING) for t in ("/to_robot", "/talk"))
-    assert cross(place.far, told, program, hears, {"data": "out"}) == {"data": "out"}
+    reported, talk = (place.far.advertise(t, STRING) for t in ("/to_robot", "/talk"))
+    assert cross(place.far, reported, program, hears, {"data": "out"}) == {"data": "out"}
     assert cross(place.far, talk, program, talks, {"data": "there"}) == {"data": "there"}
     assert cross(program, program.advertise("talk"), place.far, talked, {"data": "back"}) == {"data": "back"}
     # messages of neither side have come back to it
@@ -104,23 +104,23 @@ def test_a_latched_key_is_queried_for_earlier_values(place: Place) -> None:
     program = place.json()
     kept = program.session.declare_queryable("mode", lambda query: query.reply("mode", b'{"data": "kept"}'))
     place.bridge(keys({"key": "mode", "direction": "in", "latched": True}))
-    heard = place.far.subscribe("/mode", STRING, latched=True)
-    assert place.far.wait(heard, 1, 15) == [{"data": "kept"}]
+    subscription = place.far.subscribe("/mode", STRING, latched=True)
+    assert place.far.wait(subscription, 1, 15) == [{"data": "kept"}]
     kept.undeclare()
 
 
 def test_invalid_json_is_counted_and_does_not_stop_the_key(place: Place) -> None:
     program = place.json()
     place.bridge(keys({"key": "talk", "direction": "in"}))
-    heard = place.far.subscribe("/talk", STRING)
+    subscription = place.far.subscribe("/talk", STRING)
     out = program.advertise("talk")
-    cross(program, out, place.far, heard, {"data": "probe"})
+    cross(program, out, place.far, subscription, {"data": "probe"})
     for bad in (b"", b"{", b'{"datum": 1}', b"\x00\x01\x00\x00"):
         program.session.put("talk", bad)
     until(lambda: place.route(SIDE, "/talk", "in")["drops"]["bad"] == 4, "four are counted", every=0.1)
     assert place.route(SIDE, "/talk", "in")["error"]
     program.publish(out, {"data": "good"})
-    until(lambda: {"data": "good"} in place.far.wait(heard, 1, 0.1), "the good one")
+    until(lambda: {"data": "good"} in place.far.wait(subscription, 1, 0.1), "the good one")
 
 
 def test_a_velocity_command_is_never_cached(place: Place) -> None:
@@ -128,8 +128,8 @@ def test_a_velocity_command_is_never_cached(place: Place) -> None:
     program = place.json()
     twist = "geometry_msgs/msg/Twist"
     place.bridge(keys({"key": "cmd_vel", "type": twist, "latched": True}))
-    heard = place.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
-    cross(program, program.advertise("cmd_vel"), place.far, heard, {"linear": {"x": 0.5}})
+    subscription = place.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
+    cross(program, program.advertise("cmd_vel"), place.far, subscription, {"linear": {"x": 0.5}})
     assert not any(p.qos.latched for p in place.far.publishers("/cmd_vel"))
     out = place.far.advertise("/cmd_vel", "geometry_msgs/Twist", latched=True, depth=1)
     back = program.subscribe("cmd_vel")
@@ -141,9 +141,9 @@ def test_a_key_cannot_carry_cdr_and_json(place: Place) -> None:
     """The ros2dds dialect on the same network ignores a JSON key in both directions, and reports that."""
     bridge, program = place.ros2dds(), place.json()
     place.bridge({"dialect": "ros2dds"}, keys({"key": "talk"}))
-    heard = program.subscribe("talk")
+    subscription = program.subscribe("talk")
     out = place.far.advertise("/talk", STRING)
-    assert cross(place.far, out, program, heard, {"data": "json"}) == {"data": "json"}
+    assert cross(place.far, out, program, subscription, {"data": "json"}) == {"data": "json"}
     assert bridge.tokens("/talk") == []
 
     def why() -> list[str]:
@@ -169,17 +169,17 @@ def test_services_by_a_get(place: Place) -> None:
     )
     missing = place.far.call("/robot/light", "std_srvs/SetBool", data=True).result()
     assert "no server of /robot/light is on this zenoh network" in missing["error"]
-    asked: list[Any] = []
+    requests: list[Any] = []
 
     def light(query: zenoh.Query) -> None:
-        asked.append(json.loads(query.payload.to_bytes()))
+        requests.append(json.loads(query.payload.to_bytes()))
         with query:
             query.reply("robot/light", b'{"success": true, "message": "on"}')
 
     queryable = program.session.declare_queryable("robot/light", zenoh.handlers.Callback(light, indirect=False))
     on = {"success": True, "message": "on"}
     until(lambda: place.far.call("/robot/light", "std_srvs/SetBool", data=True).result()["reply"] == on, "the reply")
-    assert asked[-1] == {"data": True}
+    assert requests[-1] == {"data": True}
     queryable.undeclare()
     place.far.serve("/beep", "std_srvs/Trigger", reply=on)
     arm = place.far.serve("/arm", "std_srvs/SetBool", error="the arm is stuck")

@@ -10,16 +10,16 @@ from tests.support.zenoh_programs import open_session
 
 
 def test_the_end_of_a_discovery_period_is_reported_once_however_late(place: Place) -> None:
-    told: list[bool] = []
+    reported: list[bool] = []
     with open_session(place.router.endpoint) as session:
-        neighbours = KeyNeighbours(session, "ros1", "", frozenset(), lambda: told.append(True), lambda: None)
+        neighbours = KeyNeighbours(session, "ros1", "", frozenset(), lambda: reported.append(True), lambda: None)
         try:
             assert neighbours.is_own("5ea"), "its token may be delayed"
             now = time.monotonic()
             neighbours.tick(now + DISCOVERY_SECONDS / 2)
-            assert told == []
+            assert reported == []
             neighbours.tick(now + 10 * DISCOVERY_SECONDS)
             neighbours.tick(now + 11 * DISCOVERY_SECONDS)
-            assert told == [True]
+            assert reported == [True]
         finally:
             neighbours.close()

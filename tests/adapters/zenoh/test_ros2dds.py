@@ -83,15 +83,15 @@ def test_tokens_of_services_and_actions() -> None:
     assert token_key(token) == text
     assert parse(text.replace("SS", "SC"))[0].kind is Kind.CLIENT
     text = "@/1/@ros2_lv/AS/go/nav2_msgs§action§NavigateToPose"
-    told = parse(text)
-    assert [(t.kind, t.key.removeprefix("go/_action/"), t.type, t.qos.latched) for t in told] == [
+    reported = parse(text)
+    assert [(t.kind, t.key.removeprefix("go/_action/"), t.type, t.qos.latched) for t in reported] == [
         (Kind.SERVER, "send_goal", "nav2_msgs/action/NavigateToPose_SendGoal", False),
         (Kind.SERVER, "cancel_goal", "action_msgs/srv/CancelGoal", False),
         (Kind.SERVER, "get_result", "nav2_msgs/action/NavigateToPose_GetResult", False),
         (Kind.PUBLISHER, "feedback", "nav2_msgs/action/NavigateToPose_FeedbackMessage", False),
         (Kind.PUBLISHER, "status", "action_msgs/msg/GoalStatusArray", True),
     ]
-    assert action_key(told[0]) == action_key(told[2]) == text
+    assert action_key(reported[0]) == action_key(reported[2]) == text
     kinds = {t.kind for t in parse(text.replace("AS", "AC"))}
     assert kinds == {Kind.CLIENT, Kind.SUBSCRIPTION}
 
@@ -115,11 +115,11 @@ def test_a_bridge_receives_exact_tokens_and_samples(place: Place) -> None:
     samples: list[zenoh.Sample] = []
     bridge.session.declare_subscriber("chatter", zenoh.handlers.Callback(samples.append, indirect=False))
 
-    def heard() -> bool:
+    def received() -> bool:
         place.far.publish_raw(out, HI)
         return bool(samples)
 
-    until(heard, "the sample")
+    until(received, "the sample")
     assert samples[0].payload.to_bytes() == HI
     assert samples[0].attachment is None
 
@@ -130,8 +130,8 @@ def test_the_topic_of_a_bridge_crosses(place: Place) -> None:
     place.bridge({"dialect": "ros2dds"})
     token = until(lambda: bridge.tokens("/chatter", "MS"), "Midspan's token")[0]
     assert token.endswith(f"/MS/chatter/std_msgs§msg§String/:1:0:0,10:typehash={HASH};")
-    heard = place.far.subscribe("/chatter", STRING)
-    assert cross(bridge, out, place.far, heard, {"data": "hi"}) == {"data": "hi"}
+    subscription = place.far.subscribe("/chatter", STRING)
+    assert cross(bridge, out, place.far, subscription, {"data": "hi"}) == {"data": "hi"}
     bridge.drop(out)
     until(lambda: not bridge.tokens("/chatter", "MS"), "Midspan's token is withdrawn with the publisher")
 
@@ -142,10 +142,10 @@ def test_the_namespace_of_a_bridge(place: Place) -> None:
     place.bridge({"dialect": "ros2dds", "namespace": "/robot1"})
     out = robot.advertise("/odom", STRING)
     other = stranger.advertise("/odom", STRING)
-    heard = place.far.subscribe("/odom", STRING)
+    subscription = place.far.subscribe("/odom", STRING)
     place.far.until_published("/odom")
     stranger.publish(other, {"data": "from another robot"})
-    assert cross(robot, out, place.far, heard, {"data": "here"}) == {"data": "here"}
+    assert cross(robot, out, place.far, subscription, {"data": "here"}) == {"data": "here"}
     assert not [e for e in place.far.hub.graph.publishers() if "robot" in e.topic]
     back = robot.subscribe("/goal", STRING)
     goal = place.far.advertise("/goal", STRING)
@@ -160,11 +160,11 @@ def test_the_history_of_a_deep_publisher_arrives_complete_and_in_order(place: Pl
     place.bridge({"dialect": "ros2dds"})
     place.far.until_published("/log")
     until(lambda: (place.route(SIDE, "/log", "in") or {}).get("messages", 0) >= 5, "the history has arrived", every=0.1)
-    heard = place.far.subscribe("/log", STRING, latched=True)
-    assert [m["data"] for m in place.far.wait(heard, 5)] == ["15", "16", "17", "18", "19"]
+    subscription = place.far.subscribe("/log", STRING, latched=True)
+    assert [m["data"] for m in place.far.wait(subscription, 5)] == ["15", "16", "17", "18", "19"]
     bridge.publish(out, {"data": "20"})
-    assert place.far.wait(heard, 6)[-1] == {"data": "20"}
-    assert len(place.far.wait(heard, 7, 0.3)) == 6
+    assert place.far.wait(subscription, 6)[-1] == {"data": "20"}
+    assert len(place.far.wait(subscription, 7, 0.3)) == 6
 
 
 def test_static_transforms_of_several_nodes_behind_one_bridge(place: Place) -> None:
@@ -176,9 +176,9 @@ def test_static_transforms_of_several_nodes_behind_one_bridge(place: Place) -> N
     place.bridge({"dialect": "ros2dds"})
 
     def frames() -> list[str]:
-        heard = place.far.subscribe("/tf_static", "tf2_msgs/TFMessage", latched=True)
-        got = place.far.wait(heard, 1, 1.0)
-        place.far.drop(heard)
+        subscription = place.far.subscribe("/tf_static", "tf2_msgs/TFMessage", latched=True)
+        got = place.far.wait(subscription, 1, 1.0)
+        place.far.drop(subscription)
         return sorted(t["child_frame_id"] for t in got[-1]["transforms"]) if got else []
 
     until(lambda: frames() == ["camera", "imu", "laser"], "all static transforms")
@@ -198,10 +198,10 @@ def test_a_publisher_that_numbers_its_samples(place: Place) -> None:
     try:
         place.bridge({"dialect": "ros2dds"})
         until(lambda: (place.route(SIDE, "/state", "in") or {}).get("messages"), "it has arrived", 15, every=0.1)
-        heard = place.far.subscribe("/state", STRING, latched=True)
-        assert place.far.wait(heard, 1) == [{"data": "kept"}]
+        subscription = place.far.subscribe("/state", STRING, latched=True)
+        assert place.far.wait(subscription, 1) == [{"data": "kept"}]
         publisher.put(ROS2.encode(STRING, {"data": "new"}))
-        assert place.far.wait(heard, 2) == [{"data": "kept"}, {"data": "new"}]
+        assert place.far.wait(subscription, 2) == [{"data": "kept"}, {"data": "new"}]
         until(lambda: place.route(SIDE, "/state", "in")["messages"] == 2, "both are counted")
         token.undeclare()
         alive.undeclare()
@@ -213,16 +213,16 @@ def test_a_publisher_that_numbers_its_samples(place: Place) -> None:
 def test_a_plain_program_on_a_configured_key(place: Place) -> None:
     """Like free_fleet's clients: it declares no token, and a client of the router sets no time stamp."""
     place.bridge({"dialect": "ros2dds", "keys": [{"topic": "/robot1/goal", "type": "std_msgs/msg/String"}]})
-    heard = place.far.subscribe("/robot1/goal", STRING)
+    subscription = place.far.subscribe("/robot1/goal", STRING)
     place.far.until_published("/robot1/goal")
     session = open_session(place.router.endpoint, "client", timestamping={"enabled": False})
     try:
 
-        def said() -> list[Any]:
+        def published() -> list[Any]:
             session.put("robot1/goal", HI)
-            return place.far.wait(heard, 1, 0.2)
+            return place.far.wait(subscription, 1, 0.2)
 
-        assert until(said, "it is received")[0] == {"data": "hi"}
+        assert until(published, "it is received")[0] == {"data": "hi"}
         session.put("robot1/goal", b"\0\1\0\0junk")
         until(
             lambda: place.route(SIDE, "/robot1/goal", "in")["drops"]["bad"] == 1,
@@ -282,9 +282,9 @@ def test_topics_of_actions_have_no_tokens(place: Place) -> None:
         "go/_action/feedback", zenoh.handlers.Callback(lambda s: samples.append(s.payload.to_bytes()), indirect=False)
     )
 
-    def heard() -> bool:
+    def received() -> bool:
         place.far.publish_raw(out, HI)
         return bool(samples)
 
-    until(heard, "the sample")
+    until(received, "the sample")
     assert bridge.tokens("/go/_action/feedback") == []

@@ -29,7 +29,7 @@ class Sent:
         )
 
     def ended(self) -> tuple[GoalState, Any]:
-        goal, result, _why = until(lambda: self.ends, "the goal ends", 30)[0]
+        goal, result, _reason = until(lambda: self.ends, "the goal ends", 30)[0]
         assert len(self.ends) == 1
         return goal.status, result
 
@@ -91,11 +91,11 @@ def test_from_a_client_behind_a_bridge_to_a_server_of_the_hub(place: Place) -> N
     place.bridge({"dialect": "ros2dds"})
     goals: list[Any] = []
 
-    def take(goal: Any) -> bool:
+    def on_goal(goal: Any) -> bool:
         goals.append(goal)
         return bool(goal.goal["target_frame"] != "no")
 
-    place.node.action_server("/lookup", ACTION, take, lambda _goal: True)
+    place.node.action_server("/lookup", ACTION, on_goal, lambda _goal: True)
     token = until(lambda: bridge.tokens("/lookup", "AS"), "Midspan's token", 30)[0]
     assert token == f"@/{token.split('/')[1]}/@ros2_lv/AS/lookup/tf2_msgs§action§LookupTransform"
     client = ActionClient(bridge, "/lookup")

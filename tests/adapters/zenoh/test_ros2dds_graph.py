@@ -29,7 +29,7 @@ class Tokens:
         self.announcer, self.bridge, self.registry = announcer, bridge, Registry()
         self.withdraw: dict[str, Callable[[], None]] = {}
 
-    def tell(self, kind: Kind, parts: dict[str, str]) -> None:
+    def announce(self, kind: Kind, parts: dict[str, str]) -> None:
         for part, type_ in parts.items():
             known = self.registry.ros2(type_) if part in TOPICS else self.registry.service_ros2(type_)
             self.withdraw[part] = self.announcer.announce(kind, f"lookup/_action/{part}", known, Qos())
@@ -38,38 +38,38 @@ class Tokens:
         """Return how many of them a bridge has received."""
         end = self.announcer.announce(Kind.PUBLISHER, END, self.registry.ros2("std_msgs/msg/Empty"), Qos())
         until(lambda: self.bridge.tokens(f"/{END}"), "all have arrived")
-        found = len(self.bridge.tokens("/lookup", letters))
+        result = len(self.bridge.tokens("/lookup", letters))
         end()
         until(lambda: not self.bridge.tokens(f"/{END}"), "the last one is withdrawn")
-        return found
+        return result
 
 
 @pytest.fixture
-def told(place: Place) -> Iterator[Tokens]:
+def announced(place: Place) -> Iterator[Tokens]:
     with open_session(place.router.endpoint) as session:
         announcer = TokenAnnouncer(session)
         yield Tokens(announcer, place.ros2dds())
         announcer.close()
 
 
-def test_an_action_server_is_announced_once_it_is_complete(told: Tokens) -> None:
-    told.tell(Kind.SERVER, SERVICES | RESULT)
-    assert told.tokens("AS") == 0, "a client that sends a goal now would miss feedback"
-    told.tell(Kind.PUBLISHER, TOPICS)
-    assert told.tokens("AS") == 1
+def test_an_action_server_is_announced_once_it_is_complete(announced: Tokens) -> None:
+    announced.announce(Kind.SERVER, SERVICES | RESULT)
+    assert announced.tokens("AS") == 0, "a client that sends a goal now would miss feedback"
+    announced.announce(Kind.PUBLISHER, TOPICS)
+    assert announced.tokens("AS") == 1
     for part in ("feedback", "status", "send_goal"):
-        told.withdraw[part]()
-    assert told.tokens("AS") == 1, "results are still available"
-    told.withdraw["cancel_goal"]()
-    told.withdraw["get_result"]()
-    assert told.tokens("AS") == 0
-    assert not [t for t in told.bridge.all_tokens() if "_action" in t], "no part has a separate token"
+        announced.withdraw[part]()
+    assert announced.tokens("AS") == 1, "results are still available"
+    announced.withdraw["cancel_goal"]()
+    announced.withdraw["get_result"]()
+    assert announced.tokens("AS") == 0
+    assert not [t for t in announced.bridge.all_tokens() if "_action" in t], "no part has a separate token"
 
 
-def test_an_action_client_is_announced_with_its_goals_or_results(told: Tokens) -> None:
-    told.tell(Kind.SUBSCRIPTION, TOPICS)
-    assert told.tokens("AC") == 0
-    told.tell(Kind.CLIENT, RESULT)
-    assert told.tokens("AC") == 1
-    told.withdraw["get_result"]()
-    assert told.tokens("AC") == 0
+def test_an_action_client_is_announced_with_its_goals_or_results(announced: Tokens) -> None:
+    announced.announce(Kind.SUBSCRIPTION, TOPICS)
+    assert announced.tokens("AC") == 0
+    announced.announce(Kind.CLIENT, RESULT)
+    assert announced.tokens("AC") == 1
+    announced.withdraw["get_result"]()
+    assert announced.tokens("AC") == 0

@@ -21,7 +21,7 @@ def test_nothing_loops_and_nothing_arrives_twice(place: Place, dialect: str, hub
     entry = JSON if dialect == "json" else {"dialect": dialect}
     program = {"ros2dds": place.ros2dds, "ros1": place.ros1, "json": place.json}[dialect]()
     topic = "/json/both" if dialect == "json" else "/both"
-    heard, out = program.subscribe(topic, STRING), program.advertise(topic, STRING)
+    subscription, out = program.subscribe(topic, STRING), program.advertise(topic, STRING)
     far = [place.far]
     with QuickHub() as other:
         first = place.bridge(entry, name="one")
@@ -30,11 +30,13 @@ def test_nothing_loops_and_nothing_arrives_twice(place: Place, dialect: str, hub
         if hubs == "two hubs":
             far.append(HubSide(Hub.open(other.settings("far")), Registry()))
         try:
-            from_far = exchange(program, out, heard, far)
+            from_far = exchange(program, out, subscription, far)
             if hubs == "one hub":  # the standby takes over
                 active = min((first, second), key=lambda bridge: bridge.bridges[0].health().state != "running")
                 active.stop()
-                until_all_receive(program, out, heard, [(far[0], from_far[0], far[0].subscribe("/both", STRING))])
+                until_all_receive(
+                    program, out, subscription, [(far[0], from_far[0], far[0].subscribe("/both", STRING))]
+                )
             second.stop()
         finally:
             for end in far[1:]:

@@ -55,7 +55,7 @@ def topic(from_: str, to: str, name: str) -> str:
     return f"/{from_}_{to}_{name}"
 
 
-def at(end: str, name: str) -> str:
+def name_at(end: str, name: str) -> str:
     """Return a topic's name at one end: JSON has separate keys, as a key cannot carry both JSON and CDR."""
     return f"/json{name}" if end == "json" else name
 
@@ -65,7 +65,11 @@ def ends(place: Place) -> dict[str, Any]:
     """All dialects on one network, and one program on each."""
     pairs = list(itertools.permutations(ENDS, 2))
     keys = [
-        {"key": at("json", topic(*pair, name))[1:], "topic": topic(*pair, name), "type": type_.replace("/", "/msg/")}
+        {
+            "key": name_at("json", topic(*pair, name))[1:],
+            "topic": topic(*pair, name),
+            "type": type_.replace("/", "/msg/"),
+        }
         | ({"direction": "in", "latched": name == "map"} if pair[0] == "json" else {"direction": "out"})
         for pair in pairs
         if "json" in pair
@@ -77,18 +81,18 @@ def ends(place: Place) -> dict[str, Any]:
 
 def test_messages_cross_between_every_pair(ends: dict[str, Any]) -> None:
     pairs = list(itertools.permutations(ENDS, 2))
-    out, heard = {}, {}
+    out, subscription = {}, {}
     for from_, to in pairs:
         for name, (type_, _) in MESSAGES.items():
             place = from_, to, name
-            out[place] = ends[from_].advertise(at(from_, topic(*place)), type_, latched=name == "map", depth=1)
-            heard[place] = ends[to].subscribe(at(to, topic(*place)), type_, latched=name == "map", depth=10)
+            out[place] = ends[from_].advertise(name_at(from_, topic(*place)), type_, latched=name == "map", depth=1)
+            subscription[place] = ends[to].subscribe(name_at(to, topic(*place)), type_, latched=name == "map", depth=10)
     waiting = set(out)
 
     def all_heard() -> bool:
         for place in sorted(waiting):
             from_, to, name = place
-            got = ends[to].wait(heard[place], 1, 0)
+            got = ends[to].wait(subscription[place], 1, 0)
             if got:
                 assert holds(got[0], MESSAGES[name][1]), (place, got[0])
                 waiting.discard(place)
@@ -104,7 +108,7 @@ def test_a_map_that_was_published_once_reaches_late_joiners(ends: dict[str, Any]
     type_, message = MESSAGES["map"]
     for to in (end for end in ENDS if end != from_):
         name = topic(from_, to, "map")
-        out = ends[from_].advertise(at(from_, name), type_, latched=True, depth=1)
+        out = ends[from_].advertise(name_at(from_, name), type_, latched=True, depth=1)
         side = f"zenoh_{to}" if to != "hub" else f"zenoh_{from_}"
         direction = "out" if to != "hub" else "in"
         if from_ in ("ros1", "json"):  # these dialects have no cache: their publishers are received only live
@@ -114,7 +118,7 @@ def test_a_map_that_was_published_once_reaches_late_joiners(ends: dict[str, Any]
             lambda s=side, n=name, d=direction: (place.route(s, n, d) or {}).get("messages"), f"{name}", 20, every=0.1
         )
         if to == "json":
-            assert holds(ends[to].get(at(to, name)[1:])[0][0], message)
+            assert holds(ends[to].get(name_at(to, name)[1:])[0][0], message)
         else:
             late = ends[to].subscribe(name, type_, latched=True, depth=1)
             assert holds(ends[to].wait(late, 1)[0], message)

@@ -43,12 +43,12 @@ def test_an_actionlib_server_is_shown_as_a_ros_2_action(master, edge):
             f"/shown/_action/{p}": ("server" if p in PARTS else "publisher", TYPES[p], p == "status") for p in TYPES
         }
 
-        def found() -> dict[str, tuple[str, str, bool]]:
-            there = [e for e in edge.endpoints() if e["topic"].startswith("/shown/")]
-            return {e["topic"]: (e["kind"], e["type"], e["latched"]) for e in there}
+        def shown() -> dict[str, tuple[str, str, bool]]:
+            present = [e for e in edge.endpoints() if e["topic"].startswith("/shown/")]
+            return {e["topic"]: (e["kind"], e["type"], e["latched"]) for e in present}
 
         # first as topics, which appear one by one, then as an action once all exist
-        until(lambda: found() == parts, "it is shown as an action", SECONDS)
+        until(lambda: shown() == parts, "it is shown as an action", SECONDS)
     with peer_on(master, "alone_client") as client:
         client.ask("client", name="/alone")
         edge.endpoint(topic="/rosout", node="/alone_client", made_by="native")
@@ -72,13 +72,13 @@ def test_goals_end_in_the_state_that_the_server_reports(master, edge, servers):
     assert hub.accepted(sent) is False
     goal, sent = hub.send(14)
     assert hub.accepted(sent)
-    asked = hub.ask(goal)
+    call = hub.ask(goal)
     hub.until_state(goal, GoalState.EXECUTING)
-    assert not hub.answered(asked)
+    assert not hub.answered(call)
     seen = peer.ask("goals", id=server, count=5)["goals"]
     assert seen[-1] == [states.text_of(goal), 14]
     peer.ask("finish", id=server, goal=states.text_of(goal))
-    assert hub.result(asked) == (GoalState.SUCCEEDED, 14)
+    assert hub.result(call) == (GoalState.SUCCEEDED, 14)
     assert hub.result(hub.ask(new_uuid()))[0] is GoalState.UNKNOWN
     hub.close()
     again = HubClient(edge, "/end")
@@ -96,14 +96,14 @@ def test_cancel(master, edge, servers):
         goal, sent = hub.send(number)
         assert hub.accepted(sent)
         goals.append(goal)
-    asked = [hub.ask(g) for g in goals]
+    requests = [hub.ask(g) for g in goals]
     assert hub.cancel(goals[0]) == (CancelCode.NONE, {goals[0]})
-    assert hub.result(asked[0]) == (GoalState.CANCELED, 24)
+    assert hub.result(requests[0]) == (GoalState.CANCELED, 24)
     assert hub.cancel(goals[0])[0] is CancelCode.GOAL_TERMINATED
     assert hub.cancel(new_uuid())[0] is CancelCode.UNKNOWN_GOAL_ID
-    assert not hub.answered(asked[1])
+    assert not hub.answered(requests[1])
     assert hub.cancel() == (CancelCode.NONE, {goals[1], goals[2]})
-    assert [hub.result(a)[0] for a in asked[1:]] == [GoalState.CANCELED] * 2
+    assert [hub.result(a)[0] for a in requests[1:]] == [GoalState.CANCELED] * 2
     stubborn, sent = hub.send(1_000_004)
     assert hub.accepted(sent)
     assert hub.cancel(stubborn) == (CancelCode.NONE, {stubborn}), "by the server's library, not by its callbacks"
@@ -135,11 +135,11 @@ def test_a_new_goal_preempts_the_old_one_of_a_simple_server(master, edge, server
     hub = HubClient(edge, "/simple")
     first, sent = hub.send(1)
     assert hub.accepted(sent)
-    asked = hub.ask(first)
+    call = hub.ask(first)
     hub.until_state(first, GoalState.EXECUTING)
     second, sent = hub.send(2)
     assert hub.accepted(sent)
-    assert hub.result(asked)[0] is GoalState.CANCELED
+    assert hub.result(call)[0] is GoalState.CANCELED
     hub.until_state(second, GoalState.EXECUTING)
     peer.ask("finish", id=server)
     assert hub.result(hub.ask(second))[0] is GoalState.SUCCEEDED
@@ -156,9 +156,9 @@ def test_goals_of_native_clients_are_listed_followed_and_canceled(master, edge, 
     (outcome,) = peer.ask("outcomes", id=client, numbers=[54], state="ACTIVE")["outcomes"]
     goal = states.uuid_of("/other", outcome["id"])
     hub.until_state(goal, GoalState.EXECUTING)
-    asked = hub.ask(goal)
+    call = hub.ask(goal)
     assert hub.cancel(goal) == (CancelCode.NONE, {goal})
-    assert hub.result(asked) == (GoalState.CANCELED, 54)
+    assert hub.result(call) == (GoalState.CANCELED, 54)
     (outcome,) = peer.ask("outcomes", id=client, numbers=[54])["outcomes"]
     assert (outcome["state"], outcome["done"]) == (Ros1State.PREEMPTED, 1)
     hub.close()
@@ -173,7 +173,7 @@ def test_goals_of_a_server_that_leaves_are_unknown(master, edge, how):
         hub = HubClient(edge, name)
         goal, sent = hub.send(14)
         assert hub.accepted(sent)
-        asked = hub.ask(goal)
+        call = hub.ask(goal)
         hub.until_state(goal, GoalState.EXECUTING)
         if how == "stopped":
             peer.ask("stop_server", id=server)
@@ -182,7 +182,7 @@ def test_goals_of_a_server_that_leaves_are_unknown(master, edge, how):
         if how == "restarted":
             with peer_on(master, f"{how}_server") as other:
                 other.ask("server", name=name)
-                assert hub.result(asked) == (GoalState.UNKNOWN, 0)
+                assert hub.result(call) == (GoalState.UNKNOWN, 0)
 
                 def taken() -> bytes | None:
                     new, sent = hub.send(10)
@@ -193,7 +193,7 @@ def test_goals_of_a_server_that_leaves_are_unknown(master, edge, how):
                 assert hub.result(hub.ask(goal)) == (GoalState.UNKNOWN, 0)
                 until(lambda: goal not in hub.states(), "the new server does not list it", SECONDS)
         else:
-            assert hub.result(asked) == (GoalState.UNKNOWN, 0)
+            assert hub.result(call) == (GoalState.UNKNOWN, 0)
             assert hub.accepted(hub.send(10)[1]) is False
             assert hub.states()[goal] is GoalState.EXECUTING, "no other list is published"
         hub.close()
@@ -298,13 +298,13 @@ def test_a_thousand_concurrent_goals_end_as_their_server_reports(master, edge, s
     replies = hub.replies("send_goal", count)
     refused = {n for n, reply in zip(numbers, replies, strict=True) if not wire.read_goal_response(reply)}
     assert refused == {n for n in numbers if n % 10 == 2}
-    rest = [n for n in numbers if n not in refused]
+    remaining = [n for n in numbers if n not in refused]
     hub.number = 0
-    for number in rest:
+    for number in remaining:
         hub.ask(goals[number])
     peer.ask("finish_all", id=server)
-    ended = [wire.read_result_response(reply) for reply in hub.replies("get_result", len(rest))]
-    wanted = [{0: 4, 1: 6, 3: 5}.get(n % 10) or (4, 6, 5)[n // 100 % 3] for n in rest]
+    ended = [wire.read_result_response(reply) for reply in hub.replies("get_result", len(remaining))]
+    wanted = [{0: 4, 1: 6, 3: 5}.get(n % 10) or (4, 6, 5)[n // 100 % 3] for n in remaining]
     assert [GoalState(state) for state, _, _ in ended] == [GoalState(w) for w in wanted]
     hub.close()
 
@@ -320,6 +320,6 @@ def test_goals_of_a_killed_worker_are_followed_by_the_next_one(tmp_path):
         with edge_on(master, tmp_path) as second:
             hub = HubClient(second, "/kept")
             hub.until_state(goal, GoalState.EXECUTING)
-            asked = hub.ask(goal)
+            call = hub.ask(goal)
             peer.ask("finish", id=server, goal=states.text_of(goal))
-            assert hub.result(asked) == (GoalState.SUCCEEDED, 14)
+            assert hub.result(call) == (GoalState.SUCCEEDED, 14)

@@ -59,11 +59,11 @@ def test_a_goal_that_the_server_rejects_is_rejected(world, state, by_result):
 
 
 def test_a_goal_that_is_rejected_after_it_was_pending_is_aborted(world):
-    answers, asked = world.send(1), world.ask(1)
+    answers, request = world.send(1), world.ask(1)
     world.says((1, Ros1State.PENDING))
     world.ends(1, Ros1State.REJECTED, b"why")
     assert accepted(answers)
-    assert result(asked) == (GoalState.ABORTED, b"why")
+    assert result(request) == (GoalState.ABORTED, b"why")
 
 
 def test_a_uuid_is_valid_for_one_goal(world):
@@ -91,28 +91,28 @@ def test_malformed_calls_end_with_an_error(world):
 
 def test_a_new_goal_preempts_the_old_one(world):
     first, second = world.send(1), world.send(2)
-    asked = world.ask(1)
+    call = world.ask(1)
     world.says((1, Ros1State.ACTIVE), (2, Ros1State.PENDING))
     world.ends(1, Ros1State.PREEMPTED, text="another goal was received")
     world.says((1, Ros1State.PREEMPTED), (2, Ros1State.ACTIVE))
     assert accepted(first)
     assert accepted(second)
-    assert result(asked)[0] is GoalState.CANCELED
+    assert result(call)[0] is GoalState.CANCELED
     assert world.states[-1] == {uuid(1): GoalState.CANCELED, uuid(2): GoalState.EXECUTING}
 
 
 def test_goals_of_a_lost_server_are_unknown_once_and_no_state_is_published(world):
     waiting, running, over = world.send(1), world.send(2), world.send(3)
     world.says((2, Ros1State.ACTIVE), (3, Ros1State.SUCCEEDED))
-    asked = [world.ask(n) for n in (1, 2, 3)]
+    requests = [world.ask(n) for n in (1, 2, 3)]
     stop, states_before = world.stop(2), list(world.states)
     world.client.lost("the server is gone")
     (error,) = waiting
     assert (str(error), accepted(running), accepted(over)) == (GONE, True, True)
-    assert [result(a) for a in asked] == [
+    assert [result(a) for a in requests] == [
         (GoalState.UNKNOWN, EMPTY), (GoalState.UNKNOWN, EMPTY), (GoalState.SUCCEEDED, EMPTY)
     ]  # fmt: skip
-    assert [reason(a) for a in asked[:2]] == [GONE, GONE]
+    assert [reason(a) for a in requests[:2]] == [GONE, GONE]
     assert cancelled(stop) == (CancelCode.REJECTED, set()), "it can no longer be confirmed"
     assert accepted(world.send(4)) is False, "none is held for an unreachable server"
     world.passes(10.0)
@@ -142,11 +142,11 @@ def test_a_goal_that_is_reported_again_is_followed_to_its_end(world):
     assert world.cancels == [GoalId(ZERO, name(1))], "a stop is sent nevertheless"
     world.says((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
     assert world.states[-1] == {uuid(1): GoalState.EXECUTING, native: GoalState.EXECUTING}
-    asked = world.ask(1)
+    call = world.ask(1)
     world.stop(1)
     assert world.cancels == [GoalId(ZERO, name(1))] * 2
     world.ends(1, Ros1State.PREEMPTED, b"stopped")
-    assert result(asked) == (GoalState.CANCELED, b"stopped")
+    assert result(call) == (GoalState.CANCELED, b"stopped")
     world.client.close("the bridge stops")
     assert len(world.cancels) == 2, "goals of others are never canceled by the bridge"
 
@@ -166,10 +166,10 @@ def test_the_first_list_of_a_server_is_published_even_if_it_is_empty(world):
 
 def test_a_goal_that_its_server_no_longer_lists_is_unknown(world):
     world.send(1), world.send(2)
-    asked = world.ask(1)
+    call = world.ask(1)
     world.says((1, Ros1State.ACTIVE))
     world.says()
-    assert result(asked) == (GoalState.UNKNOWN, EMPTY)
+    assert result(call) == (GoalState.UNKNOWN, EMPTY)
     assert world.states[-1] == {}, "the server's list shows that it has no such goal"
     world.passes(5.0)
     assert not world.ask(2), "it was never in the list, so it may not have arrived yet"
@@ -194,11 +194,11 @@ def test_goals_wait_for_the_connections_but_not_forever(world):
 
 def test_closing_cancels_and_ends_the_goals_of_the_hub(world):
     world.send(1)
-    asked, native = world.ask(1), states.uuid_of("/act", "/rviz-1")
+    request, native = world.ask(1), states.uuid_of("/act", "/rviz-1")
     world.says((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
     world.client.close("the bridge stops")
     assert world.cancels == [GoalId(ZERO, name(1))]
-    assert result(asked) == (GoalState.UNKNOWN, EMPTY)
+    assert result(request) == (GoalState.UNKNOWN, EMPTY)
     assert world.states[-1] == {uuid(1): GoalState.EXECUTING, native: GoalState.EXECUTING}
 
 
@@ -206,12 +206,12 @@ def test_goals_of_native_clients_appear_and_can_be_followed_and_canceled(world):
     native = states.uuid_of("/act", "/rviz-1")
     world.says(("/rviz-1", Ros1State.ACTIVE))
     assert world.states[-1] == {native: GoalState.EXECUTING}
-    asked, answers = [], []
-    world.client.get_result(native, asked.append)
+    request, answers = [], []
+    world.client.get_result(native, request.append)
     world.client.cancel(wire.cancel_request(GoalInfo(native, ZERO)), answers.append)
     assert world.cancels == [GoalId(ZERO, "/rviz-1")]
     world.client.result(status("/rviz-1", Ros1State.PREEMPTED), b"stopped")
-    assert result(asked) == (GoalState.CANCELED, b"stopped")
+    assert result(request) == (GoalState.CANCELED, b"stopped")
     assert wire.read_cancel_response(answers[0])[1] == [GoalInfo(native, RosTime(5, 0))]
     world.says(("/rviz-1", Ros1State.ACTIVE))
     assert world.states[-1] == {native: GoalState.CANCELED}, "an old list that arrives late"
@@ -221,7 +221,7 @@ def test_goals_of_native_clients_appear_and_can_be_followed_and_canceled(world):
 
 def test_a_goal_of_a_killed_worker_is_recognized_by_its_id(world):
     world.says((1, Ros1State.ACTIVE))
-    asked = world.ask(1)
+    call = world.ask(1)
     world.ends(1, Ros1State.SUCCEEDED, b"there")
-    assert result(asked) == (GoalState.SUCCEEDED, b"there")
+    assert result(call) == (GoalState.SUCCEEDED, b"there")
     assert accepted(world.send(1)) is False

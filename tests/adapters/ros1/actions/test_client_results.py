@@ -31,21 +31,21 @@ def test_the_servers_status_text_is_returned_with_the_result(world, state, why, 
 
 
 def test_lost_goals_have_a_reason(world):
-    gone, forgotten = world.send(1), world.send(2)
+    removed, forgotten = world.send(1), world.send(2)
     world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
     world.says((1, Ros1State.ACTIVE))
     world.client.lost("its action server /move_base left")
-    assert accepted(gone)
+    assert accepted(removed)
     assert accepted(forgotten)
     assert reason(world.ask(1)) == "lost sight of the goal: its action server /move_base left"
     assert reason(world.ask(2)) == "lost sight of the goal: the server no longer lists it"
 
 
 def test_a_result_before_any_status_accepts_and_ends_the_goal(world):
-    answers, asked = world.send(1), world.ask(1)
+    answers, request = world.send(1), world.ask(1)
     world.ends(1, Ros1State.SUCCEEDED, b"done")
     assert accepted(answers)
-    assert result(asked) == (GoalState.SUCCEEDED, b"done")
+    assert result(request) == (GoalState.SUCCEEDED, b"done")
 
 
 def test_feedback_accepts_the_goal_and_is_forwarded(world):
@@ -94,12 +94,12 @@ def test_results_are_stored_for_an_hour_and_within_limits(world, monkeypatch):
 
 def test_a_lost_result_is_empty_and_has_the_state_of_the_list(world):
     world.send(1)
-    asked = world.ask(1)
+    call = world.ask(1)
     world.says((1, Ros1State.SUCCEEDED))
     world.passes(RESULT_SECONDS - 0.1)
-    assert not asked
+    assert not call
     world.passes(0.2)
-    assert result(asked) == (GoalState.SUCCEEDED, EMPTY)
+    assert result(call) == (GoalState.SUCCEEDED, EMPTY)
     world.ends(1, Ros1State.SUCCEEDED, b"late")
     assert result(world.ask(1)) == (GoalState.SUCCEEDED, EMPTY), "the empty one was already delivered"
 

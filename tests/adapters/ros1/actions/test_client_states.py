@@ -50,18 +50,18 @@ def test_an_unchanged_list_is_published_while_the_server_publishes_it(world):
     """It shows clients that the server is alive; move_base publishes its list five times per second."""
     world.send(0)
     world.says((0, Ros1State.ACTIVE))
-    told = len(world.states)
+    reported = len(world.states)
     for _ in range(25):
         world.passes(0.2)
         world.says((0, Ros1State.ACTIVE))
-    assert len(world.states) == told + 5
+    assert len(world.states) == reported + 5
     world.passes(10.0)  # it hangs: nothing is published
-    assert len(world.states) == told + 5
+    assert len(world.states) == reported + 5
     world.ends(0, Ros1State.SUCCEEDED)
-    told = len(world.states)
+    reported = len(world.states)
     world.passes(5.0)
     world.says((0, Ros1State.SUCCEEDED))
-    assert len(world.states) == told
+    assert len(world.states) == reported
 
 
 def test_many_goals_do_not_flood_the_status_topic(world):
@@ -82,7 +82,7 @@ def test_every_goal_ends_in_the_state_that_its_server_reported(seed: int, count:
     """The server passes through its states; status lists, feedback and results arrive late, each topic in order."""
     rng, world = random.Random(seed), World()
     answers = {n: world.send(n) for n in range(count)}
-    asked = {n: world.ask(n) for n in range(count)}
+    call = {n: world.ask(n) for n in range(count)}
     state = dict.fromkeys(range(count), Ros1State.PENDING)
     lost, lists, results, feedbacks = set(), [], [], []
     steps = [n for n in range(count) for _ in range(3)]
@@ -116,7 +116,7 @@ def test_every_goal_ends_in_the_state_that_its_server_reported(seed: int, count:
     world.passes(RESULT_SECONDS + 1)
     for n in range(count):
         refused = accepted(answers[n]) is False
-        found, body = result(asked[n])
+        found, body = result(call[n])
         if refused:
             assert state[n] in (Ros1State.REJECTED, Ros1State.RECALLED)
             assert found is GoalState.UNKNOWN

@@ -17,38 +17,40 @@ def links(node, name, names):
     return {Registration(node, f"{name}/{part}", f"http:/{node}:1/") for part in names}
 
 
-def look(*, servers=(), clients=(), types=MOVE):
+def master_state(*, servers=(), clients=(), types=MOVE):
     """Return a master's state with servers and clients, given as pairs of a node and an action."""
     published = set().union(
         *(links(n, a, FROM_SERVER) for n, a in servers), *(links(n, a, TO_SERVER) for n, a in clients)
     )
-    heard = set().union(*(links(n, a, TO_SERVER) for n, a in servers), *(links(n, a, FROM_SERVER) for n, a in clients))
-    return MasterState("run", "net", frozenset(published), frozenset(heard), types=types)
+    subscribed = set().union(
+        *(links(n, a, TO_SERVER) for n, a in servers), *(links(n, a, FROM_SERVER) for n, a in clients)
+    )
+    return MasterState("run", "net", frozenset(published), frozenset(subscribed), types=types)
 
 
 def test_a_server():
-    found = find(look(servers=[("/planner", "/move_base")]), OWN)
-    assert found.servers == {"/move_base": (SERVER,)}
-    assert found.topics == MOVE
+    result = find(master_state(servers=[("/planner", "/move_base")]), OWN)
+    assert result.servers == {"/move_base": (SERVER,)}
+    assert result.topics == MOVE
 
 
 def test_endpoints_of_this_node_do_not_count():
-    assert not find(look(servers=[(OWN, "/move_base")], clients=[(OWN, "/move_base")]), OWN).topics
+    assert not find(master_state(servers=[(OWN, "/move_base")], clients=[(OWN, "/move_base")]), OWN).topics
 
 
 def test_a_client_without_server_has_only_topics():
-    found = find(look(clients=[("/rviz", "/move_base")]), OWN)
-    assert (found.servers, found.topics) == ({}, MOVE)
+    result = find(master_state(clients=[("/rviz", "/move_base")]), OWN)
+    assert (result.servers, result.topics) == ({}, MOVE)
 
 
 def test_two_servers_are_ordered_by_name():
-    found = find(look(servers=[("/b", "/move_base"), ("/a", "/move_base")]), OWN)
-    assert [s.node for s in found.servers["/move_base"]] == ["/a", "/b"]
+    result = find(master_state(servers=[("/b", "/move_base"), ("/a", "/move_base")]), OWN)
+    assert [s.node for s in result.servers["/move_base"]] == ["/a", "/b"]
 
 
 @pytest.mark.parametrize("lacking", sorted(FROM_SERVER | TO_SERVER))
 def test_four_topics_are_not_an_action(lacking):
-    whole = look(servers=[("/planner", "/move_base")])
+    whole = master_state(servers=[("/planner", "/move_base")])
     topic = f"/move_base/{lacking}"
     less = MasterState(
         "run", "net", frozenset(p for p in whole.publishers if p.topic != topic),
@@ -59,9 +61,9 @@ def test_four_topics_are_not_an_action(lacking):
 
 @pytest.mark.parametrize("topic", sorted(MOVE))
 def test_inconsistent_types_are_not_an_action(topic):
-    other = find(look(servers=[("/planner", "/move_base")], types={**MOVE, topic: "std_msgs/String"}), OWN)
+    other = find(master_state(servers=[("/planner", "/move_base")], types={**MOVE, topic: "std_msgs/String"}), OWN)
     assert not other.topics
-    unknown = find(look(servers=[("/planner", "/move_base")], types={**MOVE, topic: "*"}), OWN)
+    unknown = find(master_state(servers=[("/planner", "/move_base")], types={**MOVE, topic: "*"}), OWN)
     assert bool(unknown.topics) == (topic != "/move_base/result"), "the result names the type"
 
 

@@ -35,8 +35,8 @@ uint8 CONSTANT=3
 
 
 def schema(text, name="test_msgs/Goal"):
-    found = parse_full(text, name, World.ROS1)
-    return closure(found[name], found)
+    result = parse_full(text, name, World.ROS1)
+    return closure(result[name], result)
 
 
 SCHEMA = schema(GOAL)
@@ -59,8 +59,8 @@ def goal(target=b"map", via=(), other=b""):
 
 
 def test_all_headers_are_found():
-    found = frames_in(SCHEMA, goal(b"map", [b"odom", b"/base"], b"x"))
-    assert [(f.frame, f.where, f.pose) for f in found] == [
+    result = frames_in(SCHEMA, goal(b"map", [b"odom", b"/base"], b"x"))
+    assert [(f.frame, f.where, f.pose) for f in result] == [
         (b"map", "target.header.frame_id", True), (b"odom", "via.header.frame_id", True),
         (b"/base", "via.header.frame_id", True), (b"x", "other.frame_id", False),
     ]  # fmt: skip
@@ -163,7 +163,7 @@ def test_a_side_without_transforms_accepts_all_frames(monkeypatch):
     bare = Side(monkeypatch)
     bare.guard.open("me")
     bare.guard.seen(MasterState("run", "net"))
-    assert bare.check(b"mpa") == "", "there are no topics with transforms"
+    assert bare.check(b"mpa") == "", "the side has no topics with transforms"
 
 
 def test_frames_are_not_checked_if_disabled(monkeypatch):

@@ -133,8 +133,8 @@ def test_a_server_that_is_killed_later_is_lost(drive, away):
     drive.goes_on()
     lists = drive.hub.states()
     drive.server.signal(signal.SIGKILL)
-    state, _, why = wire.read_result_response(drive.hub.reply(drive.asked))
-    assert (GoalState(state), why) == (GoalState.UNKNOWN, LOST)
+    state, _, reason = wire.read_result_response(drive.hub.reply(drive.asked))
+    assert (GoalState(state), reason) == (GoalState.UNKNOWN, LOST)
     until(lambda: not shown(edge), "it leaves the graph", SECONDS)
     assert drive.hub.states() == lists, "the list does not contain their end"
     if away:
@@ -168,7 +168,7 @@ def test_commands_of_a_node_continue_without_a_master(master, tmp_path):
         inbox = edge.open("/cmd", "std_msgs/String")
         mirror = edge.ask("advertise", topic="/back", type="std_msgs/String")["id"]
         back = peer.subscribe("/back", "std_msgs/String")
-        edge.heard(mirror)
+        edge.until_connected(mirror)
         sent = 0
 
         def goes_on(count: int) -> None:

@@ -38,9 +38,9 @@ class Side:
     def __init__(self) -> None:
         self.made: list[TopicPublisher] = []
         self.gone: set[str] = set()
-        self.publishers = LingeringPublishers(self._tell, self.gone.__contains__)
+        self.publishers = LingeringPublishers(self._publish, self.gone.__contains__)
 
-    def _tell(self, topic: str, _type: SideType, _qos: Qos) -> TopicPublisher:
+    def _publish(self, topic: str, _type: SideType, _qos: Qos) -> TopicPublisher:
         self.made.append(TopicPublisher(topic))
         return self.made[-1]
 

@@ -34,7 +34,7 @@ def test_a_client_runs_a_goal_of_the_hub(master, edge, clients):
     act.until_state(5, "PENDING")
     act.hub.states({goal: GoalState.EXECUTING})
     act.until_state(5, "ACTIVE")
-    act.hub.tell("feedback", goal + body(50))
+    act.hub.publish("feedback", goal + body(50))
     until(
         lambda: peer.ask("outcomes", id=act.id, numbers=[5], seconds=0)["outcomes"][0]["feedback"] == [50],
         "feedback",
@@ -182,8 +182,8 @@ def test_a_native_server_keeps_its_name(master, edge):
     with peer_on(master, "rival_client") as client, peer_on(master, "rival_server") as peer:
         act = Served(edge, client, "/rival")
         server = peer.ask("server", name="/rival")["id"]
-        why = "/rival: /rival_server serves this action on ROS 1 itself, so the hub's is not offered there"
-        until(lambda: why in edge.ask("status")["warnings"], "a warning is reported", SECONDS)
+        reason = "/rival: /rival_server serves this action on ROS 1 itself, so the hub's is not offered there"
+        until(lambda: reason in edge.ask("status")["warnings"], "a warning is reported", SECONDS)
         until(
             lambda: master.state()["publishers"]["/rival/status"] == ["/rival_server"],
             "the hub's is withdrawn",

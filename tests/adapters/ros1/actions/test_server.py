@@ -394,7 +394,7 @@ def test_every_goal_ends_once_in_the_state_that_its_server_reported(seed: int, c
     assert sorted(r[0] for r in world.results) == sorted(uuids)
     assert all(state in wanted[name] for name, state, _, _ in world.results)
     for id_ in uuids:
-        seen = [Ros1State(found[id_].state) for found in world.lists if id_ in found]
+        seen = [Ros1State(result[id_].state) for result in world.lists if id_ in result]
         ranks = [9 if s.ended else ORDER[s] for s in seen]
         assert ranks == sorted(ranks), seen
 

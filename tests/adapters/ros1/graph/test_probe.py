@@ -27,8 +27,8 @@ def asking(pool: PeerPool, timer: DelayedCalls | None = None) -> Any:
 @pytest.fixture
 def prober():
     pool = PeerPool()
-    made = Prober(asking(pool), lambda _link: None)
-    yield made
+    prober = Prober(asking(pool), lambda _link: None)
+    yield prober
     pool.stop()
 
 
@@ -42,11 +42,11 @@ def serve(**more: str):
 
 
 def known(prober, links, link):
-    def look() -> Facts | None:
+    def poll() -> Facts | None:
         prober.follow(links)
         return prober.facts().get(link)
 
-    return until(look, f"{link} is known")
+    return until(poll, f"{link} is known")
 
 
 def test_facts_from_a_header(prober):
@@ -102,16 +102,16 @@ def test_dead_publishers_do_not_delay_others(prober):
 
 
 def test_a_publisher_that_is_late_is_probed_again(prober):
-    here = threading.Event()
+    listening = threading.Event()
 
     def request(_caller, _topic, _protocols) -> list[Any]:
-        return [1, "", ["TCPROS", *address]] if here.is_set() else [0, "not yet", 0]
+        return [1, "", ["TCPROS", *address]] if listening.is_set() else [0, "not yet", 0]
 
     with tcp_server(serve()) as address, node(requestTopic=request) as uri:
         link = Registration("/late", "/t", uri)
         prober.follow(frozenset({link}))
         until(lambda: prober.troubles().get(link) == "not yet", "it is probed")
-        here.set()
+        listening.set()
         assert known(prober, frozenset({link}), link).native
         assert not prober.troubles()
 
@@ -152,11 +152,11 @@ class YarpPort:
 def holding():
     """A prober that holds the connections to native publishers."""
     pool, timer = PeerPool(), DelayedCalls("test")
-    made = Prober(asking(pool, timer), lambda _link: None, holds=True)
-    yield made
+    prober = Prober(asking(pool, timer), lambda _link: None, holds=True)
+    yield prober
     timer.close()
     pool.stop()
-    made.close()
+    prober.close()
 
 
 def test_a_publisher_that_waits_for_a_subscriber_writes_to_the_probe(holding):

@@ -104,7 +104,7 @@ class Bench:
         self.link = Registration("/server", "/serve", f"rosrpc://{address[0]}:{address[1]}")
         self.caller.follow(self.link)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Do what the edge does after each read of the master."""
         if self.caller.restless:
             self.caller.follow(self.link)
@@ -115,16 +115,16 @@ class Bench:
         return ends
 
     def warm(self) -> None:
-        until(lambda: self.look() or self.caller.load.idle, "a connection is kept open")
+        until(lambda: self.poll() or self.caller.load.idle, "a connection is kept open")
 
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    made = Bench()
-    yield made
-    made.caller.close()
-    made.loop.stop()
-    made.pool.stop()
+    bench = Bench()
+    yield bench
+    bench.caller.close()
+    bench.loop.stop()
+    bench.pool.stop()
 
 
 def test_sequential_calls_share_a_connection(bench):
@@ -246,7 +246,7 @@ def test_the_crash_of_a_server_is_noticed_without_a_call(bench):
         bench.toward(address)
         bench.warm()
         assert not bench.doubts
-    link, trouble = until(lambda: bench.look() or bench.doubts, "it is doubted")[0]
+    link, trouble = until(lambda: bench.poll() or bench.doubts, "it is doubted")[0]
     assert (link.node, link.uri) == ("/server", f"rosrpc://{address[0]}:{address[1]}")
     assert "refused" in trouble
 
@@ -314,13 +314,13 @@ def test_data_without_a_request_closes_the_connection(bench):
 
 def test_closing_the_connection_abandons_a_call(bench):
     arrived, answer = threading.Event(), threading.Event()
-    gone = []
+    removed = []
 
     def serve(sock, _header) -> None:
         request = request_of(sock)
         if request == b"long":
             arrived.set()
-            gone.append(sock.recv(1))
+            removed.append(sock.recv(1))
             answer.wait(20)
         sock.sendall(framed(b"late"))
         until_closed(sock)
@@ -331,7 +331,7 @@ def test_closing_the_connection_abandons_a_call(bench):
         abandon = bench.caller.call(b"long", ends)
         assert arrived.wait(20)
         abandon()
-        until(lambda: gone == [b""], "the server notices that the client has left")
+        until(lambda: removed == [b""], "the server notices that the client has left")
         answer.set()
         abandon()
         assert bench.call(b"next").wait() == [b"late"]

@@ -117,9 +117,9 @@ class Client:
 
 @pytest.fixture
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
-    made = Bench(getattr(request, "param", LIMIT))
-    yield made
-    made.close()
+    bench = Bench(getattr(request, "param", LIMIT))
+    yield bench
+    bench.close()
 
 
 def test_one_call_per_connection(bench):
@@ -322,7 +322,7 @@ def test_closing_ends_pending_calls_with_an_error(bench):
 
 
 def test_closing_abandons_a_call_that_is_just_starting(bench):
-    def made(request: bytes, done: Any) -> Any:
+    def begin(request: bytes, done: Any) -> Any:
         abandon = type(bench.handler).__call__(bench.handler, request, done)
         closer = threading.Thread(target=bench.server.close)
         closer.start()
@@ -330,7 +330,7 @@ def test_closing_abandons_a_call_that_is_just_starting(bench):
         return abandon
 
     bench.handler.at_once = False
-    bench.server.call = made
+    bench.server.call = begin
     client = bench.open()
     assert client.call(b"long") == (0, b"/serve is no longer served")
     until(lambda: bench.handler.abandoned == [0], "the call is abandoned")

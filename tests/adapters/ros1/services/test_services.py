@@ -54,11 +54,11 @@ def ends(edge, caller, count=1):
 
 
 def requests_at(edge, served, count):
-    def come() -> Any:
-        found = edge.ask("calls", id=served)["requests"]
-        return found if len(found) >= count else None
+    def arrived() -> Any:
+        result = edge.ask("calls", id=served)["requests"]
+        return result if len(result) >= count else None
 
-    return until(come, f"{count} calls have arrived", SECONDS)
+    return until(arrived, f"{count} calls have arrived", SECONDS)
 
 
 def registered(master, name, node="/midspan"):
@@ -76,9 +76,9 @@ def give_back(master, edge, served, name):
 def test_servers_are_listed(master, edge):
     with master.peer("seen") as peer:
         service = peer.ask("serve", service="/seen/set", type=SET_BOOL)["id"]
-        found = server_of(edge, "/seen/set")
-        assert (found["type"], found["type_id"], found["node"]) == (SET_BOOL, SET_BOOL_MD5, "/seen")
-        assert found["made_by"] == "native"
+        result = server_of(edge, "/seen/set")
+        assert (result["type"], result["type_id"], result["node"]) == (SET_BOOL, SET_BOOL_MD5, "/seen")
+        assert result["made_by"] == "native"
         # roscore's rosout is a roscpp program
         assert server_of(edge, "/rosout/get_loggers")["type"] == "roscpp/GetLoggers"
         peer.drop(service)
@@ -105,7 +105,7 @@ def test_calling_a_server(master, edge):
 def test_calling_a_roscpp_server(edge):
     # not its get_loggers: the rosout of Debian 12 crashes on the first call of any client
     caller = caller_of(edge, "/rosout/set_logger_level", "roscpp/SetLoggerLevel")
-    request = b"".join(struct.pack("<I", len(word)) + word for word in (b"ros.rosout", b"info"))
+    request = b"".join(struct.pack("<I", len(name)) + name for name in (b"ros.rosout", b"info"))
     for number in range(3):
         call(edge, caller, number, base64.b64encode(request).decode())
         assert ends(edge, caller, number + 1)[str(number)] == [""]
@@ -161,8 +161,8 @@ def test_the_exit_of_a_server_is_noticed_without_calls(master, edge):
         caller_of(edge, "/mortal")
         peer.signal(signal.SIGKILL)
         until(lambda: edge.endpoints(topic="/mortal", made_by="unknown"), "it no longer counts", SECONDS)
-    told = "/mortal: its server /mortal does not announce its type: cannot connect"
-    until(lambda: any(w.startswith(told) for w in edge.ask("status")["warnings"]), "a warning is reported", SECONDS)
+    reported = "/mortal: its server /mortal does not announce its type: cannot connect"
+    until(lambda: any(w.startswith(reported) for w in edge.ask("status")["warnings"]), "a warning is reported", SECONDS)
 
 
 def test_an_abandoned_call_delivers_no_result(master, edge):
@@ -178,8 +178,7 @@ def test_an_abandoned_call_delivers_no_result(master, edge):
         assert ends(edge, caller) == {"1": [reply(False, "")]}
 
 
-# -- the edge's servers, and clients on ROS 1
-# ---------------------------------------------------------------------------
+# -- the edge's servers, and clients on ROS 1 --------------------------------------------------------------------------
 
 
 def test_clients_are_served(master, edge):
@@ -188,16 +187,16 @@ def test_clients_are_served(master, edge):
     with master.peer("client") as peer:
         peer.ask("await_service", service="/ours/set", seconds=SECONDS)
         for number in range(6):
-            asked = peer.ask("call", service="/ours/set", type=SET_BOOL, request={"data": True}, persistent=number > 2)
+            call = peer.ask("call", service="/ours/set", type=SET_BOOL, request={"data": True}, persistent=number > 2)
             assert requests_at(edge, served, number + 1)[number] == ON
             if number % 3 == 1:
                 edge.ask("answer", id=served, number=number, error="the hub says: nö")
-                end = peer.ask("result", id=asked["id"])
+                end = peer.ask("result", id=call["id"])
                 assert end["reply"] is None
                 assert "responded with an error: b'the hub says: n" in end["error"]
             else:
                 edge.ask("answer", id=served, number=number, reply=reply(True, f"{number}"))
-                end = peer.ask("result", id=asked["id"])
+                end = peer.ask("result", id=call["id"])
                 assert (end["reply"], end["error"]) == ({"success": True, "message": f"{number}"}, "")
         wrong = peer.ask("call", service="/ours/set", type="std_srvs/Empty")["id"]
         assert (
@@ -217,12 +216,12 @@ def test_rosservice(master, edge):
             command = ["/usr/bin/python3", "-c", "import rosservice; rosservice.rosservicemain()", *args]
         return subprocess.Popen(command, env=master.env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
-    with tool("info", "/tool/set") as info, tool("call", "/tool/set", "data: true") as asked:
+    with tool("info", "/tool/set") as info, tool("call", "/tool/set", "data: true") as request:
         requests_at(edge, served, 1)
         edge.ask("answer", id=served, reply=reply(True, "from the hub"))
-        assert "Node: /midspan" in (told := info.communicate(timeout=SECONDS)[0]), told
-        assert f"Type: {SET_BOOL}" in told
-        assert 'message: "from the hub"' in (told := asked.communicate(timeout=SECONDS)[0]), told
+        assert "Node: /midspan" in (reported := info.communicate(timeout=SECONDS)[0]), reported
+        assert f"Type: {SET_BOOL}" in reported
+        assert 'message: "from the hub"' in (reported := request.communicate(timeout=SECONDS)[0]), reported
     give_back(master, edge, served, "/tool/set")
 
 
@@ -230,7 +229,7 @@ def test_many_clients_with_calls_of_any_length(master, edge):
     served = edge.ask("serve", service="/many", type=SET_BOOL)["id"]
     registered(master, "/many")
     with master.peer("many_a") as first, master.peer("many_b") as second:
-        asked = [
+        requests = [
             (peer, peer.ask("call", service="/many", type=SET_BOOL)["id"])
             for _ in range(25)
             for peer in (first, second)
@@ -238,12 +237,12 @@ def test_many_clients_with_calls_of_any_length(master, edge):
         requests_at(edge, served, 50)
         edge.ask("answer", id=served, number=49, reply=reply(True, ""))
         done = until(
-            lambda: [i for p, i in asked if p.ask("result", id=i, seconds=0)["done"]], "one has ended", SECONDS
+            lambda: [i for p, i in requests if p.ask("result", id=i, seconds=0)["done"]], "one has ended", SECONDS
         )
         assert len(done) == 1
         for number in range(49):
             edge.ask("answer", id=served, number=number, reply=reply(True, ""))
-        assert all(p.ask("result", id=i, seconds=SECONDS)["reply"]["success"] for p, i in asked)
+        assert all(p.ask("result", id=i, seconds=SECONDS)["reply"]["success"] for p, i in requests)
     give_back(master, edge, served, "/many")
 
 
@@ -260,10 +259,10 @@ def test_a_client_that_is_killed(master, edge):
     for number in range(4):
         edge.ask("answer", id=served, number=number, reply=reply(True, "late"))
     with master.peer("next") as peer:
-        asked = peer.ask("call", service="/left", type=SET_BOOL)["id"]
+        call = peer.ask("call", service="/left", type=SET_BOOL)["id"]
         requests_at(edge, served, 5)
         edge.ask("answer", id=served, number=4, reply=reply(True, "in time"))
-        assert peer.ask("result", id=asked)["reply"]["message"] == "in time"
+        assert peer.ask("result", id=call)["reply"]["message"] == "in time"
     give_back(master, edge, served, "/left")
 
 
@@ -309,10 +308,10 @@ def test_services_are_registered_again_with_a_restarted_master(tmp_path):
         master.start()
         registered(master, "/again")
         with master.peer("after") as peer:
-            asked = peer.ask("call", service="/again", type=SET_BOOL)["id"]
+            call = peer.ask("call", service="/again", type=SET_BOOL)["id"]
             requests_at(edge, served, 1)
             edge.ask("answer", id=served, reply=reply(True, "after"))
-            assert peer.ask("result", id=asked)["reply"]["message"] == "after"
+            assert peer.ask("result", id=call)["reply"]["message"] == "after"
 
 
 def test_a_clean_stop_ends_calls_and_leaves_nothing(master, tmp_path):
@@ -322,12 +321,12 @@ def test_a_clean_stop_ends_calls_and_leaves_nothing(master, tmp_path):
         with edge_on(master, tmp_path, "stopping", node="stopping") as edge:
             served = edge.ask("serve", service="/stopped", type=SET_BOOL)["id"]
             registered(master, "/stopped", "/stopping")
-            asked = peer.ask("call", service="/stopped", type=SET_BOOL)["id"]
+            request = peer.ask("call", service="/stopped", type=SET_BOOL)["id"]
             requests_at(edge, served, 1)
             caller = caller_of(edge, "/stays")
             call(edge, caller)
             assert edge.ask("stop")["seconds"] < AT_ONCE, "the limit of Edge.stop"
-            assert "/stopped is no longer served" in peer.ask("result", id=asked)["error"]
+            assert "/stopped is no longer served" in peer.ask("result", id=request)["error"]
             assert edge.ask("calls", id=served)["abandoned"] == [0]
             assert ends(edge, caller) == {"0": ["error: /stays no longer crosses"]}
             assert master.state() == before
@@ -361,10 +360,10 @@ def test_servers_that_misbehave(master, edge):
             peer.ask("serve", service="/beside", type=SET_BOOL)
             server_of(edge, "/beside")
 
-            def told() -> set[str]:
+            def reported() -> set[str]:
                 return {w.split(":")[0] for w in edge.ask("status")["warnings"]}
 
-            until(lambda: {"/odd/silent", "/odd/dead"} <= told(), "their troubles are told", SECONDS)
+            until(lambda: {"/odd/silent", "/odd/dead"} <= reported(), "the problems are reported", SECONDS)
             assert {e["made_by"] for e in edge.endpoints(node="/test")} == {"unknown"}
         for name, address in (("/odd/silent", f"rosrpc://{host}:{port}"), ("/odd/dead", f"rosrpc://127.0.0.1:{dead}")):
             master.call("unregisterService", name, address)

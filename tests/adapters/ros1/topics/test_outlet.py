@@ -46,9 +46,9 @@ class Pair:
 
 @pytest.fixture
 def pair():
-    made = Pair()
-    yield made
-    made.close()
+    pair = Pair()
+    yield pair
+    pair.close()
 
 
 def test_a_fast_subscriber_needs_no_thread(pair):

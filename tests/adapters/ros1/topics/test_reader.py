@@ -66,11 +66,11 @@ def limit():
 @pytest.fixture(params=[False, True], ids=["alone", "intake"])
 def connection(request, limit):
     loop = EpollLoop() if request.param else None
-    made = Connection(loop, limit)
-    yield made
-    made.reader.close()
-    made.publisher.close()
-    made.until_closed()
+    connection = Connection(loop, limit)
+    yield connection
+    connection.reader.close()
+    connection.publisher.close()
+    connection.until_closed()
     if loop is not None:
         loop.stop()
 

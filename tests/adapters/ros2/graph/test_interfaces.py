@@ -77,7 +77,7 @@ def test_another_address_on_the_same_interface_is_new() -> None:
 
 
 def test_loopback_and_interfaces_that_are_down_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = {
+    result = {
         "lo": ["127.0.0.1"], "eth0": ["10.0.0.2", "fe80::1"], "down0": ["10.1.0.2"], "gone0": ["10.2.0.2"],
     }  # fmt: skip
 
@@ -86,6 +86,6 @@ def test_loopback_and_interfaces_that_are_down_do_not_count(monkeypatch: pytest.
         return [SimpleNamespace(family=f, address=a) for f, a in zip(families, addresses, strict=True)]
 
     states = {"lo": True, "eth0": True, "down0": False}
-    monkeypatch.setattr(psutil, "net_if_addrs", lambda: {name: entries(found[name]) for name in found})
+    monkeypatch.setattr(psutil, "net_if_addrs", lambda: {name: entries(result[name]) for name in result})
     monkeypatch.setattr(psutil, "net_if_stats", lambda: {n: SimpleNamespace(isup=up) for n, up in states.items()})
     assert ipv4_addresses() == {("eth0", "10.0.0.2")}

@@ -52,17 +52,17 @@ def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
     watches: list[neighbours.MemoryNeighbours] = []
     later = DelayedCalls("test-neighbours")
 
-    def found(*participants: bytes, then: tuple[bytes, ...] | None = None, seconds: float = 40.0) -> bool:
-        told = threading.Event()
-        watch = neighbours.MemoryNeighbours(OWN, 3, told.set, later, table.folder)
+    def detects(*participants: bytes, then: tuple[bytes, ...] | None = None, seconds: float = 40.0) -> bool:
+        reported = threading.Event()
+        watch = neighbours.MemoryNeighbours(OWN, 3, reported.set, later, table.folder)
         watches.append(watch)
         if then is not None:  # it must exit before the second check, even on a slow machine
             monkeypatch.setattr(neighbours, "CONFIRM_SECONDS", seconds / 2)
         watch.follow(participants)
         watch.follow(participants if then is None else then)
-        return told.wait(seconds)
+        return reported.wait(seconds)
 
-    yield found
+    yield detects
     for watch in watches:
         watch.close()
     later.close()
@@ -109,13 +109,13 @@ def test_a_killed_program_is_not_a_stranger_before_its_lease_expires(
     """Of three participants of this host, two have a port of domain 3; the third has no process."""
     table.add(70000)
     table.bind(7400 + 3 * 250 + 10, 7400 + 3 * 250 + 12, 7400 + 3 * 250 + 13, 53, 7410)
-    there = (OWN, prefix(70000), prefix(4711))
-    assert not strangers(*there, seconds=0.3)
+    present = (OWN, prefix(70000), prefix(4711))
+    assert not strangers(*present, seconds=0.3)
     table.bind(8160, 8162, 8164)
-    assert strangers(*there), "it is alive, in a container"
+    assert strangers(*present), "it is alive, in a container"
     table.bind(8160, 8162)
     monkeypatch.setattr(neighbours, "LEASE_SECONDS", 0.1)
-    assert strangers(*there), "it stays"
+    assert strangers(*present), "it stays"
 
 
 def test_other_hosts_and_other_midspans_do_not_count(strangers: Callable[..., bool]) -> None:

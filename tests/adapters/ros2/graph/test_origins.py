@@ -36,10 +36,10 @@ def case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Case]:
 
 
 def test_own_and_seen_participants(case: Case) -> None:
-    own, seen = new_prefix(HOST), new_prefix(HOST)
+    current, seen = new_prefix(HOST), new_prefix(HOST)
     case.seen.add(seen)
-    origins = case.start(own)
-    assert origins.is_own(own.hex())
+    origins = case.start(current)
+    assert origins.is_own(current.hex())
     assert origins.is_own(seen.hex())
     assert not origins.is_own("not hex")
 
@@ -52,9 +52,9 @@ def test_an_undiscovered_participant_counts_as_own_for_a_while(case: Case) -> No
 
 
 def test_dead_predecessors_are_own(case: Case) -> None:
-    dead, own = new_prefix(HOST), new_prefix(HOST)
+    dead, current = new_prefix(HOST), new_prefix(HOST)
     case.start(dead)
-    origins = case.start(own)
+    origins = case.start(current)
     case.settled.wait(0.1)
     assert origins.is_own(dead.hex())
 

@@ -20,14 +20,14 @@ GROUP_PORT = 7400 + 250 * DOMAIN  # DDSI-RTPS 2.5, 9.6.2.3: PB + DG * domain + d
 
 def parameters(data: bytes) -> tuple[dict[int, bytes], bytes]:
     """Parse a little-endian parameter list (9.4.2.11); return it and the bytes after its sentinel."""
-    found: dict[int, bytes] = {}
+    result: dict[int, bytes] = {}
     while True:
         pid, length = struct.unpack_from("<HH", data)
         if pid == 1:  # PID_SENTINEL; its length is ignored
-            return found, data[4:]
+            return result, data[4:]
         assert length % 4 == 0, "parameters are multiples of four bytes"
         assert len(data) >= 4 + length
-        found[pid], data = data[4 : 4 + length], data[4 + length :]
+        result[pid], data = data[4 : 4 + length], data[4 + length :]
 
 
 def data(said: bytes, flags: int) -> tuple[int, bytes]:
@@ -53,31 +53,33 @@ def data(said: bytes, flags: int) -> tuple[int, bytes]:
 
 
 def test_disposal_equals_the_message_of_a_leaving_participant() -> None:
-    number, rest = data(spdp.disposal(PREFIX), 0b1011)  # little endian (E), inline QoS (Q), no data (D) but a key (K)
+    number, remaining = data(
+        spdp.disposal(PREFIX), 0b1011
+    )  # little endian (E), inline QoS (Q), no data (D) but a key (K)
     assert number > 1_000_000, "newer than all messages of the dead participant"
-    inline, rest = parameters(rest)
+    inline, remaining = parameters(remaining)
     assert inline[0x0070] == GUID, "PID_KEY_HASH"
     assert inline[0x0071] == b"\0\0\0\x03", "PID_STATUS_INFO: disposed and unregistered (9.6.4.9), big endian"
     # 9.4.2.12, 10.2: the key as a parameter list
-    assert rest[:4] == b"\0\x03\0\0", "PL_CDR_LE"
-    key, rest = parameters(rest[4:])
+    assert remaining[:4] == b"\0\x03\0\0", "PL_CDR_LE"
+    key, remaining = parameters(remaining[4:])
     assert key == {0x0050: GUID}, "PID_PARTICIPANT_GUID"
-    assert rest == b""
+    assert remaining == b""
 
 
 def test_announcement_has_the_address_of_the_real_participant() -> None:
-    number, rest = data(spdp.announcement(PREFIX, DOMAIN, 40), 0b0101)  # little endian, data
+    number, remaining = data(spdp.announcement(PREFIX, DOMAIN, 40), 0b0101)  # little endian, data
     assert number == 1
-    assert rest[:4] == b"\0\x03\0\0", "PL_CDR_LE"
-    told, rest = parameters(rest[4:])
-    assert rest == b""
-    assert told[0x0050] == GUID
-    assert told[0x0016][:2] == PREFIX[:2], "PID_VENDORID"
+    assert remaining[:4] == b"\0\x03\0\0", "PL_CDR_LE"
+    reported, remaining = parameters(remaining[4:])
+    assert remaining == b""
+    assert reported[0x0050] == GUID
+    assert reported[0x0016][:2] == PREFIX[:2], "PID_VENDORID"
     # 9.3.2: kind, port, 16 bytes of address
     unicast = struct.pack("<iI12s4s", 1, GROUP_PORT + 10 + 2 * 40, b"", bytes((127, 0, 0, 1)))
     group = struct.pack("<iI12s4s", 1, GROUP_PORT, b"", bytes((239, 255, 0, 1)))
-    assert (told[0x0032], told[0x0033]) == (unicast, group), "PID_METATRAFFIC_UNICAST_ and _MULTICAST_LOCATOR"
-    assert struct.unpack("<I", told[0x0058]) == (0b11,), "only SPDP's own endpoints, so nothing else matches"
+    assert (reported[0x0032], reported[0x0033]) == (unicast, group), "PID_METATRAFFIC_UNICAST_ and _MULTICAST_LOCATOR"
+    assert struct.unpack("<I", reported[0x0058]) == (0b11,), "only SPDP's own endpoints, so nothing else matches"
 
 
 @contextlib.contextmanager
@@ -96,9 +98,9 @@ def listening(address: str, port: int, interface: str = "") -> Iterator[socket.s
 @pytest.mark.parametrize("participant", [0, spdp.PARTICIPANTS - 1])
 def test_all_participants_on_this_machine_receive_it(participant: int) -> None:
     unicast = GROUP_PORT + 10 + 2 * participant  # PB + DG * domain + d1 + PG * participant
-    with listening("239.255.0.1", GROUP_PORT, "lo") as group, listening("127.0.0.1", unicast) as one:
+    with listening("239.255.0.1", GROUP_PORT, "lo") as group, listening("127.0.0.1", unicast) as participant_socket:
         spdp.send_all([spdp.disposal(PREFIX)], DOMAIN, localhost_only=True)
-        assert group.recv(1000) == one.recv(1000) == spdp.disposal(PREFIX)
+        assert group.recv(1000) == participant_socket.recv(1000) == spdp.disposal(PREFIX)
 
 
 class Network:

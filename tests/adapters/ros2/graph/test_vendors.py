@@ -48,7 +48,7 @@ def test_clients_on_cyclone_dds_are_named() -> None:
 
 
 def test_report_omits_services_that_every_node_has() -> None:
-    found = vendors.report(
+    result = vendors.report(
         [
             endpoint(CYCLONE),
             endpoint(CYCLONE, topic="/n/get_parameters", type="rcl_interfaces/srv/GetParameters"),
@@ -58,6 +58,6 @@ def test_report_omits_services_that_every_node_has() -> None:
             endpoint(FAST, topic="/fine"),
         ]
     )
-    assert found == {"nodes": ["/of_0110", "a node with an unknown name"], "served": ["/go", "/lamp"], "called": []}
-    assert "(/go, /lamp) cannot be called" in vendors.warning(found)
+    assert result == {"nodes": ["/of_0110", "a node with an unknown name"], "served": ["/go", "/lamp"], "called": []}
+    assert "(/go, /lamp) cannot be called" in vendors.warning(result)
     assert vendors.report([endpoint(FAST)]) == {}

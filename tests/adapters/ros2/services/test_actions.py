@@ -57,9 +57,9 @@ def client(peer: Callable[..., Peer]) -> Peer:
 
 
 def act(server: Peer, running: RunningEdge, **more: object) -> int:
-    made = int(server.ask("act", action="/real", type=TYPE, **more)["id"])
+    created = int(server.ask("act", action="/real", type=TYPE, **more)["id"])
     relay(running, "/real", "/shown")
-    return made
+    return created
 
 
 def send(client: Peer, count: int = 1) -> list[int]:

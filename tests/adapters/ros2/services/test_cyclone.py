@@ -97,7 +97,7 @@ def test_one_server_on_cyclone_dds_and_one_on_fast_dds(
     edge: RunningEdge, set_bool: Service, peer: Callable[..., Peer], cyclone: Callable[[], CyclonePeer]
 ) -> None:
     fast, native = peer("lamp"), cyclone()
-    own = int(fast.ask("serve", service="/c/both", type=TYPE, reply=YES)["id"])
+    fast_server = int(fast.ask("serve", service="/c/both", type=TYPE, reply=YES)["id"])
     server = native.serve("/c/both", TYPE, set_bool.response(**YES))
     seen(edge, "/c/both", Kind.SERVER, 2)
     reason = refused(edge.edge, "/c/both", set_bool, set_bool.request(data=True))
@@ -108,7 +108,7 @@ def test_one_server_on_cyclone_dds_and_one_on_fast_dds(
     ends = Ends()
     edge.edge.caller("/c/both", set_bool.type).call(set_bool.request(data=True), ends.done)
     assert set_bool.answer(ends.replies()[0]) == YES
-    assert fast.ask("requests", id=own)["requests"] == [{"data": True}]
+    assert fast.ask("requests", id=fast_server)["requests"] == [{"data": True}]
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["counting matches", "reading the graph"])
@@ -210,8 +210,8 @@ def test_requests_of_cyclone_clients_are_refused(
     cyclone: Callable[[], CyclonePeer],
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    asked = Asked()
-    edge.edge.serve("/c/ours", set_bool.type, asked.call)
+    requests = Asked()
+    edge.edge.serve("/c/ours", set_bool.type, requests.call)
     client = cyclone()
     calls = [client.call("/c/ours", TYPE, set_bool.request(data=True)) for _ in range(3)]
     until(lambda: "Cyclone DDS" in caplog.text, "the warning")
@@ -220,7 +220,7 @@ def test_requests_of_cyclone_clients_are_refused(
     assert "requests for /c/ours from Cyclone DDS" in obstacle.reason
     native = peer("asker")
     call = native.ask("call", service="/c/ours", type=TYPE, request={"data": True})["id"]
-    ((request, done),) = asked.wait()
+    ((request, done),) = requests.wait()
     assert set_bool.asked(request) == {"data": True}
     done(set_bool.response(**YES))
     assert native.ask("result", id=call)["reply"] == YES
@@ -240,12 +240,12 @@ def test_topics_cross_both_ways(edge: RunningEdge, cyclone: Callable[[], Cyclone
 
     until(received, "a message of Cyclone DDS")
     assert set(inbox.texts()) == {"from Cyclone"}
-    heard = native.subscribe("/c/out", "std_msgs/String")
+    subscription = native.subscribe("/c/out", "std_msgs/String")
     publisher = edge.edge.advertise("/c/out", edge.type("std_msgs/msg/String"), Qos())
 
     def delivered() -> list[bytes]:
         publisher.send(string("from Midspan"), "hub")
-        return native.received(heard, 1, 0.1)
+        return native.received(subscription, 1, 0.1)
 
     assert text(until(delivered, "a message of Midspan")[0]) == "from Midspan"
 
@@ -264,9 +264,9 @@ def test_status_names_the_nodes(
     native.call("/c/called", TYPE, set_bool.request())
     seen(edge, "/c/called", Kind.CLIENT)
     seen(edge, "/c/go/_action/cancel_goal", Kind.SERVER)
-    found = edge.edge.details()["cyclone"]
-    assert found["nodes"] == ["a node with an unknown name"]
-    assert (found["served"], found["called"]) == (["/c/go", "/c/named"], ["/c/called"])
+    result = edge.edge.details()["cyclone"]
+    assert result["nodes"] == ["a node with an unknown name"]
+    assert (result["served"], result["called"]) == (["/c/go", "/c/named"], ["/c/called"])
     (warning,) = edge.edge.warnings()
     assert "topics cross" in warning
     assert "/c/named" in warning

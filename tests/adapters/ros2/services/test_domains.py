@@ -77,8 +77,8 @@ def test_actions_cross(domains: Domains) -> None:
         return int(near.ask("send_goal", action=action, type=ACTION, seconds=SECONDS)["id"])
 
     def goal(number: int, **until: Any) -> None:
-        found = near.ask("goal", id=number, until=until, seconds=SECONDS)
-        assert {k: len(found[k]) if k == "feedback" else found[k] for k in until} == until
+        result = near.ask("goal", id=number, until=until, seconds=SECONDS)
+        assert {k: len(result[k]) if k == "feedback" else result[k] for k in until} == until
 
     first, second, third = send("/d/drive"), send("/d/drive"), send("/d/doomed")
     for number in (first, second):

@@ -36,12 +36,12 @@ def test_requests_wait_for_replies(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_end_of_a_process_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(neighbours, "shares_memory", lambda process: process.exists())
-    own = b"\x01\x0f\x00\x01" + os.urandom(8)
+    own_prefix = b"\x01\x0f\x00\x01" + os.urandom(8)
     program = subprocess.Popen([sys.executable, "-S", "-c", "input()"], stdin=subprocess.PIPE)
-    prefix = own[:4] + (program.pid & 0xFFFF).to_bytes(2, "little") + bytes(6)
+    prefix = own_prefix[:4] + (program.pid & 0xFFFF).to_bytes(2, "little") + bytes(6)
     elsewhere = b"\x01\x0f\x00\x02" + prefix[4:]
     try:
-        watched = ProcessWatch(own)
+        watched = ProcessWatch(own_prefix)
         assert not watched.has_ended(prefix)
         assert not watched.has_ended(elsewhere)
         program.kill()
@@ -51,4 +51,4 @@ def test_the_end_of_a_process_is_detected(monkeypatch: pytest.MonkeyPatch) -> No
         program.communicate()
     assert watched.has_ended(prefix)
     assert not watched.has_ended(elsewhere)
-    assert not ProcessWatch(own).has_ended(prefix)  # never seen alive: DDS decides
+    assert not ProcessWatch(own_prefix).has_ended(prefix)  # never seen alive: DDS decides

@@ -185,13 +185,13 @@ def test_large_reply_and_large_request(edge: RunningEdge, peer: Peers, registry:
     edge.until_seen("/s/map", Kind.SERVER)
     ends = Ends()
     edge.edge.caller("/s/map", get_map.type).call(get_map.request(), ends.done)
-    found = get_map.answer(ends.replies()[0])["map"]
-    assert found["info"]["width"] == 1000
-    assert bytes(found["data"]) == b"\7" * 1_000_000
-    asked = Asked()
-    edge.edge.serve("/s/set_map", set_map.type, asked.call)
+    result = get_map.answer(ends.replies()[0])["map"]
+    assert result["info"]["width"] == 1000
+    assert bytes(result["data"]) == b"\7" * 1_000_000
+    requests = Asked()
+    edge.edge.serve("/s/set_map", set_map.type, requests.call)
     called = call(native, "/s/set_map", "nav_msgs/SetMap", request={"map": grid})
-    ((request, done),) = asked.wait()
+    ((request, done),) = requests.wait()
     assert bytes(set_map.asked(request)["map"]["data"]) == b"\7" * 1_000_000
     done(set_map.response(success=True))
     assert native.ask("result", id=called)["reply"] == {"success": True}
@@ -213,11 +213,11 @@ def test_the_last_replies_of_a_closing_server_reach_its_clients(
     native, last = peer(), set_bool.response(message="last reply")
     servers = []
     for number in range(20):
-        name, asked = f"/s/last{number}", Asked()
-        server = edge.edge.serve(name, set_bool.type, asked.call)
-        servers.append((call(native, name), asked, server))
-    for _, asked, server in servers:
-        ((_, done),) = asked.wait()
+        name, request = f"/s/last{number}", Asked()
+        server = edge.edge.serve(name, set_bool.type, request.call)
+        servers.append((call(native, name), request, server))
+    for _, request, server in servers:
+        ((_, done),) = request.wait()
         done(last)
         server.close()
     for called, _, _ in servers:
@@ -225,67 +225,67 @@ def test_the_last_replies_of_a_closing_server_reach_its_clients(
 
 
 def test_replies_out_of_order(edge: RunningEdge, peer: Peers, echo: Service) -> None:
-    native, asked = peer(), Asked()
-    edge.edge.serve("/s/order", echo.type, asked.call)
+    native, pending = peer(), Asked()
+    edge.edge.serve("/s/order", echo.type, pending.call)
     requests = [{"load_namespace": str(n)} for n in range(10)]
     called = call(native, "/s/order", "diagnostic_msgs/AddDiagnostics", requests=requests)
-    for request, done in reversed(asked.wait(10)):
+    for request, done in reversed(pending.wait(10)):
         done(echo.response(message=echo.asked(request)["load_namespace"]))
     replies = native.ask("result", id=called)["replies"]
     assert [reply["message"] for reply in replies] == [str(n) for n in range(10)]
 
 
 def test_a_native_client_makes_a_thousand_concurrent_calls(edge: RunningEdge, peer: Peers, echo: Service) -> None:
-    native, asked = peer(), Asked()
-    edge.edge.serve("/s/crowd", echo.type, asked.call)
+    native, pending = peer(), Asked()
+    edge.edge.serve("/s/crowd", echo.type, pending.call)
     requests = [{"load_namespace": str(n)} for n in range(MANY)]
     called = call(native, "/s/crowd", "diagnostic_msgs/AddDiagnostics", requests=requests, depth=MANY)
-    for request, done in asked.wait(MANY):
+    for request, done in pending.wait(MANY):
         done(echo.response(message=echo.asked(request)["load_namespace"]))
     replies = native.ask("result", id=called, seconds=30)["replies"]
     assert [reply and reply["message"] for reply in replies] == [str(n) for n in range(MANY)]
 
 
 def test_calls_are_abandoned_when_their_client_leaves(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
-    asked = Asked()
-    edge.edge.serve("/s/left", set_bool.type, asked.call)
+    requests = Asked()
+    edge.edge.serve("/s/left", set_bool.type, requests.call)
     leaving, killed = peer(), peer()
     call(leaving, "/s/left")
-    asked.wait(1)
+    requests.wait(1)
     call(killed, "/s/left")
-    asked.wait(2)
+    requests.wait(2)
     edge.until_seen("/s/left", Kind.CLIENT, 2)
     leaving.stop()
-    until(lambda: asked.abandoned == 1, "the call of the client that left is abandoned")
+    until(lambda: requests.abandoned == 1, "the call of the client that left is abandoned")
     killed.signal(signal.SIGKILL)
     killed.popen.wait()
-    until(lambda: asked.abandoned == 2, "the call of the killed client is abandoned", 18)
-    for _, done in asked.requests:
+    until(lambda: requests.abandoned == 2, "the call of the killed client is abandoned", 18)
+    for _, done in requests.requests:
         done(set_bool.response())
 
 
 def test_an_error_leaves_a_client_without_reply(
     edge: RunningEdge, peer: Peers, set_bool: Service, caplog: pytest.LogCaptureFixture
 ) -> None:
-    native, asked = peer(), Asked()
-    edge.edge.serve("/s/fails", set_bool.type, asked.call)
+    native, request = peer(), Asked()
+    edge.edge.serve("/s/fails", set_bool.type, request.call)
     first = call(native, "/s/fails")
-    ((_, done),) = asked.wait()
+    ((_, done),) = request.wait()
     done(CallError("the robot is asleep"))
     assert "/s/fails failed: the robot is asleep; ROS 2 has no error replies, so" in caplog.text
     second = call(native, "/s/fails")
-    asked.wait(2)[1][1](set_bool.response(success=True))
+    request.wait(2)[1][1](set_bool.response(success=True))
     assert native.ask("result", id=second)["reply"]["success"]
     assert not native.ask("result", id=first, seconds=0)["done"]
 
 
 def test_requests_of_midspan_are_ignored(edge: RunningEdge, peer: Peers, set_bool: Service, tmp_path: Path) -> None:
-    native, asked = peer(), Asked()
-    edge.edge.serve("/s/transit", set_bool.type, asked.call)
+    native, pending = peer(), Asked()
+    edge.edge.serve("/s/transit", set_bool.type, pending.call)
     profile, _ = marked_profile(tmp_path)
     call(peer("midspan", FASTRTPS_DEFAULT_PROFILES_FILE=str(profile)), "/s/transit", request={"data": True})
     call(native, "/s/transit")
-    ((request, _),) = asked.wait()
+    ((request, _),) = pending.wait()
     assert set_bool.asked(request) == {"data": False}
 
 
@@ -381,5 +381,5 @@ def test_without_the_compiled_extension_services_are_refused_and_topics_cross(
         until(crossed, "a message")
     finally:
         running.edge.stop()
-    told = [record.getMessage() for record in caplog.records if CURE in record.getMessage()]
-    assert told == [f"{rcl.NOT_COMPILED}; {CURE}"]
+    reported = [record.getMessage() for record in caplog.records if CURE in record.getMessage()]
+    assert reported == [f"{rcl.NOT_COMPILED}; {CURE}"]

@@ -47,10 +47,10 @@ class Handle:
 
 def test_a_publisher_that_appears_during_construction_is_received(tmp_path: Path) -> None:
     """The change is notified only once, while DDS creates the first reader."""
-    graph, edge, asked = Ros2Graph(), Ros2Edge(Config(), Registry(), tmp_path), set[Reliability]()
+    graph, edge, request = Ros2Graph(), Ros2Edge(Config(), Registry(), tmp_path), set[Reliability]()
 
     def make_reader(_kind: object, _topic: str, qos: Qos) -> Handle:
-        asked.add(qos.reliability)
+        request.add(qos.reliability)
         if len(graph.there) > 1:
             return Handle()
         graph.there = {**graph.there, b"2" * 16: publisher(b"2" * 16, BEST_EFFORT)}
@@ -65,4 +65,4 @@ def test_a_publisher_that_appears_during_construction_is_received(tmp_path: Path
     types: Any = SimpleNamespace(message_class=lambda *_: SimpleNamespace(type_name=TYPE))
     edge._context, edge._types = context, types
     edge.subscribe("/t", SideType(TYPE, "", ""), RELIABLE, lambda *_: None)
-    assert asked == {Reliability.RELIABLE, Reliability.BEST_EFFORT}
+    assert request == {Reliability.RELIABLE, Reliability.BEST_EFFORT}
