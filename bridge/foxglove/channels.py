@@ -13,7 +13,7 @@ from bridge.routing.counters import Counters
 
 _log = logging.getLogger("midspan.foxglove")
 
-MOST_KEPT = 64 << 20
+MOST_CACHED = 64 << 20
 """Bytes of one topic's latched messages that are kept while it is watched."""
 MOST_PUBLISHERS = 256
 """Latched publishers of one topic of which the newest message is kept."""
@@ -31,68 +31,68 @@ class TopicChannel:
     def __init__(self, topic: HubTopic, channel: Any) -> None:
         self.topic, self.channel = topic, channel
         self.counters = Counters()
-        self.heard = False
+        self.subscribed = False
         self._lock = Lock()
         self._latched = self._plain = frozenset[bytes]()
-        self._kept: dict[bytes, tuple[bytes, int]] = {}
+        self._cached: dict[bytes, tuple[bytes, int]] = {}
         self._early: dict[bytes, tuple[bytes, int]] = {}
         self._size = 0
 
     def follow(self, topic: HubTopic) -> None:
         """Take up who publishes it now."""
         self.topic = topic
-        latched = frozenset(each.gid for each in topic.publishers if each.qos.latched)
+        latched = frozenset(end.gid for end in topic.publishers if end.qos.latched)
         with self._lock:
             self._latched = latched
-            self._plain = frozenset(each.gid for each in topic.publishers) - latched
-            for gid in self._kept.keys() - latched:
-                self._forget(gid)
+            self._plain = frozenset(end.gid for end in topic.publishers) - latched
+            for gid in self._cached.keys() - latched:
+                self._drop(gid)
             for gid in [gid for gid in self._early if gid in latched or gid in self._plain]:
                 data, at = self._early.pop(gid)
                 if gid in latched:
-                    self._keep(gid, data, at)
+                    self._cache(gid, data, at)
 
-    def take(self, sample: HubSample) -> None:
+    def on_sample(self, sample: HubSample) -> None:
         """Hand a message to the SDK, which copies it and does not wait."""
         data, at = sample.data(), sample.source_time_ns
         self.counters.crossed(len(data))
         if sample.gid not in self._plain:
             with self._lock:
                 if sample.gid in self._latched:
-                    self._keep(sample.gid, data, at)
+                    self._cache(sample.gid, data, at)
                 elif sample.gid not in self._plain:
-                    self._keep_early(sample.gid, data, at)
+                    self._cache_early(sample.gid, data, at)
         self.channel.log(data, at or None)
 
-    def again(self) -> None:
+    def resend_latched(self) -> None:
         """Say the newest of each latched publisher once more: somebody came late. The SDK says it to all who watch."""
         with self._lock:
-            kept = list(self._kept.values())
+            kept = list(self._cached.values())
         for data, at in kept:
             self.channel.log(data, at or None)
 
-    def rest(self) -> None:
+    def clear(self) -> None:
         """Keep nothing: nobody watches."""
         with self._lock:
-            self._kept.clear()
+            self._cached.clear()
             self._early.clear()
             self._size = 0
 
-    def _keep(self, gid: bytes, data: bytes, at: int) -> None:
-        self._forget(gid)
-        if len(self._kept) < MOST_PUBLISHERS and self._size + len(data) <= MOST_KEPT:
-            self._kept[gid] = data, at
+    def _cache(self, gid: bytes, data: bytes, at: int) -> None:
+        self._drop(gid)
+        if len(self._cached) < MOST_PUBLISHERS and self._size + len(data) <= MOST_CACHED:
+            self._cached[gid] = data, at
             self._size += len(data)
 
-    def _keep_early(self, gid: bytes, data: bytes, at: int) -> None:
+    def _cache_early(self, gid: bytes, data: bytes, at: int) -> None:
         """Until the graph tells of its publisher, which it may do after the message: a latched one says no other."""
         self._early.pop(gid, None)
         self._early[gid] = data, at
         if len(self._early) > MOST_EARLY:
             del self._early[next(iter(self._early))]
 
-    def _forget(self, gid: bytes) -> None:
-        self._size -= len(self._kept.pop(gid, (b"", 0))[0])
+    def _drop(self, gid: bytes) -> None:
+        self._size -= len(self._cached.pop(gid, (b"", 0))[0])
 
 
 class Channels:
@@ -103,17 +103,17 @@ class Channels:
         self._channels: dict[str, TopicChannel] = {}
         self._refused: dict[TopicKey, str] = {}
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Announce topics that came, and withdraw those that went."""
-        found = self._topics.refresh()
+        topics = self._topics.look()
         for name, channel in list(self._channels.items()):
-            topic = found.get(channel.topic.key)
+            topic = topics.get(channel.topic.key)
             if topic is None:
                 self._close(name)
             else:
                 channel.follow(topic)
         self._refused = {}
-        for key, topic in sorted(found.items()):
+        for key, topic in sorted(topics.items()):
             shown = self._channels.get(key.topic)
             if shown is None:
                 self._open(topic)
@@ -125,13 +125,13 @@ class Channels:
         for channel in self._channels.values():
             number = channel.channel.id()
             if number in watched:
-                if channel.heard and number in late:
-                    channel.again()
-                elif not channel.heard:
-                    channel.heard = True
-                    self._topics.subscribe(channel.topic, channel.take)
-            elif channel.heard:
-                self._rest(channel)
+                if channel.subscribed and number in late:
+                    channel.resend_latched()
+                elif not channel.subscribed:
+                    channel.subscribed = True
+                    self._topics.hear(channel.topic, channel.on_sample)
+            elif channel.subscribed:
+                self._unsubscribe(channel)
 
     def _open(self, topic: HubTopic) -> None:
         key = topic.key
@@ -141,30 +141,30 @@ class Channels:
             return
         self._refused.pop(key, None)
         about = {"side": ", ".join(topic.sides), "latched": str(topic.latched).lower(), "hash": key.type_hash}
-        made = TopicChannel(topic, self._server.channel(key.topic, key.type_name, definition, about))
-        made.follow(topic)
-        self._channels[key.topic] = made
+        channel = TopicChannel(topic, self._server.channel(key.topic, key.type_name, definition, about))
+        channel.follow(topic)
+        self._channels[key.topic] = channel
 
     def _close(self, name: str) -> None:
         channel = self._channels.pop(name)
-        self._rest(channel)
+        self._unsubscribe(channel)
         channel.channel.close()
 
-    def _rest(self, channel: TopicChannel) -> None:
-        channel.heard = False
-        self._topics.unsubscribe(channel.topic.key)
-        channel.rest()
+    def _unsubscribe(self, channel: TopicChannel) -> None:
+        channel.subscribed = False
+        self._topics.unhear(channel.topic.key)
+        channel.clear()
 
     def tick(self) -> None:
         """Count rates, and what was lost on its way; look again for definitions that were asked for."""
-        heard = {each.key: each for each in self._topics.subscribed()}
+        ends = {subscription.key: subscription for subscription in self._topics.heard()}
         for channel in self._channels.values():
             channel.counters.tick()
-            if (end := heard.get(channel.topic.key)) is not None:
+            if (end := ends.get(channel.topic.key)) is not None:
                 channel.counters.missed(end.lost, lambda: "lost on the hub's links")
                 channel.counters.drops["bad"] = end.refused
         if self._refused:
-            self.look()
+            self.refresh()
 
     @property
     def count(self) -> int:
@@ -174,20 +174,20 @@ class Channels:
     @property
     def watched(self) -> int:
         """Topics that are heard for a client."""
-        return sum(channel.heard for channel in self._channels.values())
+        return sum(channel.subscribed for channel in self._channels.values())
 
     def status(self) -> dict[str, Any]:
         """What is watched, and what cannot be shown, as the status document has it."""
-        heard = sorted((name, channel) for name, channel in self._channels.items() if channel.heard)
+        watched = sorted((name, channel) for name, channel in self._channels.items() if channel.subscribed)
         return {
             "channels": self.count,
             "topics": [
-                {"topic": name, "type": each.topic.key.type_name, "end": "subscription", **each.counters.as_dict()}
-                for name, each in heard
+                {"topic": name, "type": shown.topic.key.type_name, "end": "subscription", **shown.counters.as_dict()}
+                for name, shown in watched
             ],
             "refused": [
-                {"topic": key.topic, "type": key.type_name, "reason": why, "cure": ""}
-                for key, why in sorted(self._refused.items())
+                {"topic": key.topic, "type": key.type_name, "reason": reason, "cure": ""}
+                for key, reason in sorted(self._refused.items())
             ],
         }
 

@@ -65,7 +65,7 @@ class Events(ServerListener):
     def __init__(self, visitors: Visitors, changed: Callable[[], None]) -> None:
         self._visitors, self._changed = visitors, changed
         self._lock = Lock()
-        self._told = False
+        self._notified = False
         self._watched: dict[int, set[int]] = {}
         self._late: set[int] = set()
         self._advertised: dict[tuple[int, int], Advertised] = {}
@@ -82,7 +82,7 @@ class Events(ServerListener):
         with self._lock:
             self._watched.setdefault(channel.id, set()).add(client.id)
             self._late.add(channel.id)
-            self._wake()
+            self._notify()
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
         """A client no longer wants a channel, or is gone, or the channel is."""
@@ -92,12 +92,12 @@ class Events(ServerListener):
             if not clients:
                 self._watched.pop(channel.id, None)
                 self._late.discard(channel.id)
-            self._wake()
+            self._notify()
 
-    def take(self) -> tuple[set[int], set[int]]:
+    def pop_watched(self) -> tuple[set[int], set[int]]:
         """The channels that are watched, and those of them that somebody began to watch since the last call."""
         with self._lock:
-            self._told = False
+            self._notified = False
             late, self._late = self._late, set()
             return set(self._watched), late
 
@@ -126,25 +126,25 @@ class Events(ServerListener):
     def on_client_advertise(self, client: Client, channel: ClientChannel) -> None:
         """A client is going to publish; or the front tells who it is."""
         if channel.id == MARK:
-            self._visitors.came(client.id, channel.topic)
+            self._visitors.identify(client.id, channel.topic)
             return
-        made = Advertised(client.id, channel.id, channel.topic, channel.encoding, channel.schema_name)
+        advertised = Advertised(client.id, channel.id, channel.topic, channel.encoding, channel.schema_name)
         with self._lock:
             if self._count[client.id] < MOST_ADVERTISED:
-                self._advertised[client.id, channel.id] = made
+                self._advertised[client.id, channel.id] = advertised
                 self._count[client.id] += 1
-                self._wake()
+                self._notify()
 
     def on_client_unadvertise(self, client: Client, client_channel_id: int) -> None:
         """A client publishes no more, or is gone."""
         if client_channel_id == MARK:
-            self._visitors.left(client.id)
+            self._visitors.remove_client(client.id)
             return
         with self._lock:
             if self._advertised.pop((client.id, client_channel_id), None) is not None:
                 self._count[client.id] -= 1
                 self._count += Counter()  # without those of none
-                self._wake()
+                self._notify()
 
     def on_message_data(self, client: Client, client_channel_id: int, data: bytes) -> None:
         """A client publishes."""
@@ -157,15 +157,15 @@ class Events(ServerListener):
             while len(self._messages) > MOST_WAITING or (self._size > MOST_BYTES and len(self._messages) > 1):
                 self._size -= len(self._messages.popleft().data)
                 self.dropped += 1
-            self._wake()
+            self._notify()
 
-    def take_said(self) -> tuple[Mapping[tuple[int, int], Advertised], list[ClientMessage]]:
+    def pop_published(self) -> tuple[Mapping[tuple[int, int], Advertised], list[ClientMessage]]:
         """What is advertised now, and what was published since the last call."""
         with self._lock:
             messages, self._messages, self._size = list(self._messages), deque(), 0
             return dict(self._advertised), messages
 
-    def _wake(self) -> None:
-        if not self._told:
-            self._told = True
+    def _notify(self) -> None:
+        if not self._notified:
+            self._notified = True
             self._changed()

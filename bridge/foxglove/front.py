@@ -58,9 +58,9 @@ class TurnedAwayError(Exception):
     """
 
     def __init__(
-        self, status: HTTPStatus, why: str, headers: Mapping[str, str] | None = None, *, logged: bool = False
+        self, status: HTTPStatus, reason: str, headers: Mapping[str, str] | None = None, *, logged: bool = False
     ) -> None:
-        super().__init__(why)
+        super().__init__(reason)
         self.status, self.headers, self.logged = status, headers or {"connection": "close"}, logged
 
 
@@ -95,9 +95,9 @@ class RequestHead:
     @property
     def token(self) -> str:
         """The token, from ``?token=`` of the address or from the header ``Authorization``; "" without one."""
-        scheme, _, word = self.headers.get("authorization", "").partition(" ")
-        said = parse_qs(self.target.partition("?")[2]).get("token", [""])[0]
-        return word.strip() if scheme.lower() == "bearer" else said
+        scheme, _, credentials = self.headers.get("authorization", "").partition(" ")
+        parameter = parse_qs(self.target.partition("?")[2]).get("token", [""])[0]
+        return credentials.strip() if scheme.lower() == "bearer" else parameter
 
     def forwarded(self) -> bytes:
         """Return the head for the SDK's server, without the token."""
@@ -106,7 +106,7 @@ class RequestHead:
         return "\r\n".join([*lines, "", ""]).encode("latin-1")
 
 
-class Door:
+class ConnectionGuard:
     """Authenticates requests."""
 
     def __init__(self, section: FoxgloveSection) -> None:
@@ -123,22 +123,22 @@ class Door:
         if self._access is None:
             self._check_page(request.headers)  # not with tokens: a foreign page has none
             return Grant("", "drive" if self._section.drive else "watch")
-        how = "give a token of foxglove.tokens: wss://robot:8765/?token=..."
+        hint = "give a token of foxglove.tokens: wss://robot:8765/?token=..."
         headers = {"authorization": f"Bearer {request.token}", "user-agent": request.headers.get("user-agent", "")}
         try:
             grant = self._access.grant(headers, "", address)
         except WrongTokenError as err:
             status = HTTPStatus.TOO_MANY_REQUESTS if err.wait else HTTPStatus.UNAUTHORIZED
-            raise TurnedAwayError(status, f"{err}; {how}", err.headers, logged=True) from None
+            raise TurnedAwayError(status, f"{err}; {hint}", err.headers, logged=True) from None
         if grant is None:
-            raise TurnedAwayError(HTTPStatus.UNAUTHORIZED, how)
+            raise TurnedAwayError(HTTPStatus.UNAUTHORIZED, hint)
         return grant
 
     def _check_page(self, headers: dict[str, str]) -> None:
         origin = headers.get("origin", "")
-        if origin and origin.lower() not in {each.lower() for each in self._section.origins}:
-            why = f"pages of {origin[:80]!r} may not connect; foxglove.origins lists those that may"
-            raise TurnedAwayError(HTTPStatus.FORBIDDEN, why)
+        if origin and origin.lower() not in {allowed.lower() for allowed in self._section.origins}:
+            reason = f"pages of {origin[:80]!r} may not connect; foxglove.origins lists those that may"
+            raise TurnedAwayError(HTTPStatus.FORBIDDEN, reason)
         if not origin and "mozilla" in headers.get("user-agent", "").lower():
             raise TurnedAwayError(HTTPStatus.FORBIDDEN, "a browser's request has no Origin")
 
@@ -164,7 +164,7 @@ class Front:
         tls: ServerTls | None,
     ) -> None:  # fmt: skip
         self.inner, self._visitors, self._announces, self._tls = inner, visitors, announces, tls
-        self._door = Door(section)
+        self._guard = ConnectionGuard(section)
         self._refused = ScarceLog("midspan.foxglove")
         host, port = split(section.listen)
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -175,8 +175,8 @@ class Front:
             self._socket.listen(64)  # connections wait here until the server runs
         except OSError as err:
             self._socket.close()
-            said = f"the Foxglove server cannot listen on {section.listen}: {err.strerror}; set foxglove.listen"
-            raise RuntimeError(said) from None
+            message = f"the Foxglove server cannot listen on {section.listen}: {err.strerror}; set foxglove.listen"
+            raise RuntimeError(message) from None
         self.port: int = self._socket.getsockname()[1]
         self.address = f"{'wss' if tls else 'ws'}://{f'[{host}]' if ':' in host else host}:{self.port}"
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -211,7 +211,7 @@ class Front:
         self._loop = asyncio.get_running_loop()
         context, seconds = (None, None) if self._tls is None else (self._tls.context, HEAD_SECONDS)
         server = await asyncio.start_server(
-            self._came, sock=self._socket, limit=MOST_HEAD, ssl=context, ssl_handshake_timeout=seconds
+            self._accept, sock=self._socket, limit=MOST_HEAD, ssl=context, ssl_handshake_timeout=seconds
         )
         await self._ended.wait()
         server.close()
@@ -219,7 +219,7 @@ class Front:
             task.cancel()
         await asyncio.gather(*self._open, return_exceptions=True)
 
-    async def _came(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
         assert task is not None
         if len(self._open) >= MOST_CONNECTIONS:
@@ -231,7 +231,7 @@ class Front:
             async with asyncio.timeout(HEAD_SECONDS):
                 head = await reader.readuntil(b"\r\n\r\n")  # also before a refusal, or the response might be lost
             request = RequestHead.read(head)
-            visitor = Visitor(self._door.grant(request, address), address)
+            visitor = Visitor(self._guard.grant(request, address), address)
             await self._join(request, visitor, reader, writer)
         except TurnedAwayError as err:
             if not err.logged:
@@ -265,9 +265,9 @@ class Front:
                 inner.write(_masked(first))
             _log.info("%s has connected, role %s", visitor.who, visitor.grant.role)
             writer.transport.set_write_buffer_limits(high=MOST_UNREAD, low=MOST_UNREAD - _STEP)
-            await _either(_hand_on(reader, inner, None), _hand_on(answers, writer, visitor))
+            await _either(_forward(reader, inner, None), _forward(answers, writer, visitor))
         finally:
-            self._visitors.gone(visitor)
+            self._visitors.disconnected(visitor)
             if inner is not None:
                 inner.transport.abort()
 
@@ -283,7 +283,7 @@ async def _either(*jobs: Coroutine[Any, Any, None]) -> None:
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def _hand_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, visitor: Visitor | None) -> None:
+async def _forward(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, visitor: Visitor | None) -> None:
     while data := await reader.read(_STEP):
         writer.write(data)
         if visitor is not None:

@@ -67,19 +67,19 @@ class Parameters:
         if now - self._read > FRESH_SECONDS:
             self._await(lambda done: self._host.loop.post(partial(self._refresh, done)), wait=cold)
         known = self._known()
-        return [_told(name, known[name]) for name in (names or sorted(known)) if name in known]
+        return [_foxglove_parameter(name, known[name]) for name in (names or sorted(known)) if name in known]
 
     def change(self, client: int, wanted: Sequence[foxglove.Parameter]) -> list[foxglove.Parameter]:
         """Set parameters on their nodes; their values afterwards, as far as the nodes have answered by then."""
-        visitor = self._visitors.of(client)
+        visitor = self._visitors.visitor_of(client)
         if visitor is None or not visitor.grant.may_drive:
-            self._say("you may look, and not set parameters (foxglove.drive, or the role of your token)")
+            self._warn("you may look, and not set parameters (foxglove.drive, or the role of your token)")
         else:
-            values = {each.name: each.get_value() for each in wanted[:MOST_PARAMETERS]}
+            values = {parameter.name: parameter.get_value() for parameter in wanted[:MOST_PARAMETERS]}
             _log.info("%s sets %s", visitor.who, ", ".join(values)[:500])
             self._await(lambda done: self._host.loop.post(partial(self._set, values, done)), wait=True)
         known = self._known()
-        return [_told(each.name, known[each.name]) for each in wanted if each.name in known]
+        return [_foxglove_parameter(parameter.name, known[parameter.name]) for parameter in wanted if parameter.name in known]
 
     def _await(self, begin: Callable[[Future[None]], None], *, wait: bool) -> None:
         """Begin something; wait for it where nobody else waits, so that one thread of the SDK's at most stands."""
@@ -162,9 +162,9 @@ class Parameters:
         for full, value in values.items():
             node, name, before = self._find(full)
             try:
-                by_node.setdefault(node, {})[name] = wished(value, before)
+                by_node.setdefault(node, {})[name] = value_of_kind(value, before)
             except UnsayableError as err:
-                self._say(f"{full}: {err}")
+                self._warn(f"{full}: {err}")
         by_node.pop("", None)
         left = set(by_node)
         for node, wishes in by_node.items():
@@ -178,17 +178,17 @@ class Parameters:
             name = full.removeprefix(f"{node}.")
             if name in values and name != full:
                 return node, name, values[name]
-        self._say(f"{full[:200]}: no node of the hub has such a parameter")
+        self._warn(f"{full[:200]}: no node of the hub has such a parameter")
         return "", full, NOT_SET
 
     def _set_node(self, node: str, wishes: dict[str, ParameterValue], over: Callable[[], None]) -> None:
         def answered(reply: dict[str, Any] | CallError) -> None:
             if isinstance(reply, CallError):
-                self._say(f"{node} does not set its parameters: {reply}")
+                self._warn(f"{node} does not set its parameters: {reply}")
             else:
                 for name, result in zip(wishes, reply["results"], strict=False):
                     if not result["successful"]:
-                        self._say(f"{node} refuses {name}: {result['reason'] or 'it gives no reason'}")
+                        self._warn(f"{node} refuses {name}: {result['reason'] or 'it gives no reason'}")
             self._read_node(node, read)
 
         def read(values: dict[str, ParameterValue] | None) -> None:
@@ -196,7 +196,7 @@ class Parameters:
                 self._values = {**self._values, node: values}
             over()
 
-        parameters = [{"name": name, "value": wish.message()} for name, wish in wishes.items()]
+        parameters = [{"name": name, "value": new.message()} for name, new in wishes.items()]
         self._call(node, SET, {"parameters": parameters}, answered)
 
     def _set_done(self, left: set[str], node: str, done: Future[None]) -> None:
@@ -223,7 +223,7 @@ class Parameters:
         if self._clients and time.monotonic() - self._asked > IDLE_SECONDS and self._reading is None:
             self.close()
 
-    def _say(self, text: str) -> None:
+    def _warn(self, text: str) -> None:
         self._server.warn(text, "parameters")
 
     def close(self) -> None:
@@ -233,12 +233,12 @@ class Parameters:
             self._host.node.release(client)
 
 
-def wished(value: Any, before: ParameterValue) -> ParameterValue:
+def value_of_kind(value: Any, before: ParameterValue) -> ParameterValue:
     """A client's value as the node's parameter has its kind; raises `UnsayableError`."""
     return to_ros2(xmlrpc.client.Binary(value) if isinstance(value, bytes) else value, before.kind)
 
 
-def _told(name: str, value: ParameterValue) -> foxglove.Parameter:
+def _foxglove_parameter(name: str, value: ParameterValue) -> foxglove.Parameter:
     floats = {
         ParameterType.DOUBLE: foxglove.ParameterType.Float64,
         ParameterType.DOUBLE_ARRAY: foxglove.ParameterType.Float64Array,

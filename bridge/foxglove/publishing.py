@@ -52,7 +52,7 @@ class PublishedChannel(ABC):
     def __init__(self, channel: Advertised, visitor: Visitor | None) -> None:
         self.channel, self.visitor = channel, visitor
         self.counters = Counters()
-        self.why = ""  # nothing of it is published, for this reason
+        self.reason = ""  # nothing of it is published, for this reason
 
     @abstractmethod
     def send(self, message: ClientMessage) -> None:
@@ -65,9 +65,9 @@ class PublishedChannel(ABC):
 class RefusedChannel(PublishedChannel):
     """Publishes nothing; a route that waits for its definition is made anew."""
 
-    def __init__(self, channel: Advertised, visitor: Visitor | None, why: str, *, waits: bool) -> None:
+    def __init__(self, channel: Advertised, visitor: Visitor | None, reason: str, *, waits: bool) -> None:
         super().__init__(channel, visitor)
-        self.why, self.waits = why, waits
+        self.reason, self.waits = reason, waits
 
     def send(self, message: ClientMessage) -> None:  # noqa: ARG002 - nothing of it
         """Count it."""
@@ -95,12 +95,12 @@ class Coder:
         graph = host.node.hub.graph
         ends = [*graph.subscriptions(channel.topic), *graph.publishers(channel.topic), *graph.endpoints()]
         hashes = (end.type_hash for end in ends if end.type_name == name and end.type_hash != UNKNOWN_HASH)
-        if (found := next(hashes, "")) and definitions.find(name, found) is not None:
-            return name, found
+        if (type_hash := next(hashes, "")) and definitions.find(name, type_hash) is not None:
+            return name, type_hash
         try:
             return name, self._registry.ros2(name).type_id
         except MessageTypeError as err:
-            if found:
+            if type_hash:
                 raise UnknownYetError(f"the definition of {name} is asked for on the hub") from None
             raise NotPublishedError(str(err)) from None
 
@@ -169,16 +169,16 @@ class ClientVelocity(PublishedChannel):
     def send(self, message: ClientMessage) -> None:
         """Drive so for a moment."""
         try:
-            found = self._coder.fields(self._coder.cdr(message.data))
+            twist = self._coder.fields(self._coder.cdr(message.data))
         except ConversionError as err:
             self.counters.dropped("bad")
             raise NotPublishedError(str(err)) from None
-        x, y, turn = found["linear"]["x"], found["linear"]["y"], found["angular"]["z"]
-        if not all(map(math.isfinite, (x, y, turn))):
+        x, y, rotation = twist["linear"]["x"], twist["linear"]["y"], twist["angular"]["z"]
+        if not all(map(math.isfinite, (x, y, rotation))):
             self.counters.dropped("bad")
             raise NotPublishedError("a velocity is a finite number")
         self._refusal = ""
-        self._driving.hold(self, x, y, turn, message.arrived)
+        self._driving.hold(self, x, y, rotation, message.arrived)
         if self._refusal:
             self.counters.dropped("held")
             raise NotPublishedError(self._refusal)
@@ -187,9 +187,9 @@ class ClientVelocity(PublishedChannel):
     def held(self, x: float, y: float, turn: float) -> None:
         """The app has no word for it."""
 
-    def refuse(self, why: str) -> None:
+    def refuse(self, reason: str) -> None:
         """Why it may not drive."""
-        self._refusal = why
+        self._refusal = reason
 
     def close(self) -> None:
         """Command zero where it drives."""
@@ -210,12 +210,12 @@ class Publishing:
         self._velocities = {section.velocity, *(planner.velocity for planner in section.others.values())} - {""}
         self._rules = RuleSet(host.config.rules)
         self._routes: dict[tuple[int, int], PublishedChannel] = {}
-        self._said: dict[tuple[int, int], str] = {}
+        self._warned: dict[tuple[int, int], str] = {}
         self._closed = False
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Take up what clients advertise, and publish what they said."""
-        advertised, messages = self._events.take_said()
+        advertised, messages = self._events.pop_published()
         if self._closed:
             return
         for key, route in list(self._routes.items()):
@@ -230,17 +230,17 @@ class Publishing:
                 self._send(key, self._routes[key], message)
 
     def _open(self, key: tuple[int, int], channel: Advertised) -> None:
-        visitor = self._visitors.of(channel.client)
+        visitor = self._visitors.visitor_of(channel.client)
         try:
-            self._routes[key] = self._made(channel, visitor)
+            self._routes[key] = self._create(channel, visitor)
         except NotPublishedError as err:
             self._routes[key] = RefusedChannel(channel, visitor, str(err), waits=isinstance(err, UnknownYetError))
-            self._say(key, f"{channel.topic[:200]}: {err}")
+            self._warn(key, f"{channel.topic[:200]}: {err}")
         else:
             assert visitor is not None
             _log.info("%s publishes %s", visitor.who, channel.topic)
 
-    def _made(self, channel: Advertised, visitor: Visitor | None) -> PublishedChannel:
+    def _create(self, channel: Advertised, visitor: Visitor | None) -> PublishedChannel:
         if visitor is None or not visitor.grant.may_drive:
             raise NotPublishedError("you may look, and not publish (foxglove.drive, or the role of your token)")
         if channel.encoding not in ENCODINGS:
@@ -254,8 +254,8 @@ class Publishing:
         if not (commands or coder.type_name in COMMAND_TYPES or channel.topic in self._velocities):
             return ClientTopic(self._host, channel, visitor, coder)
         if channel.topic != self._velocity or coder.type_name != TWIST:
-            where = f"{self._velocity} as {TWIST}" if self._velocity else "no topic (navigation.velocity)"
-            raise NotPublishedError(f"velocities are taken on {where}: nobody would stop the base behind this one")
+            allowed = f"{self._velocity} as {TWIST}" if self._velocity else "no topic (navigation.velocity)"
+            raise NotPublishedError(f"velocities are taken on {allowed}: nobody would stop the base behind this one")
         return ClientVelocity(self._driving, channel, visitor, coder)
 
     def _send(self, key: tuple[int, int], route: PublishedChannel, message: ClientMessage) -> None:
@@ -263,18 +263,18 @@ class Publishing:
             route.send(message)
         except NotPublishedError as err:
             route.counters.failed(str(err))
-            self._say(key, f"{route.channel.topic}: {err}")
+            self._warn(key, f"{route.channel.topic}: {err}")
 
-    def _say(self, key: tuple[int, int], text: str) -> None:
+    def _warn(self, key: tuple[int, int], text: str) -> None:
         """Tell the clients, which the SDK can only do all at once; the same is not told again and again."""
-        if self._said.get(key) != text:
-            self._said[key] = text
+        if self._warned.get(key) != text:
+            self._warned[key] = text
             self._server.warn(text, f"publish-{key[0]}-{key[1]}")
 
     def _close(self, key: tuple[int, int]) -> None:
         self._routes.pop(key).close()
-        if self._said.pop(key, ""):
-            self._server.forget(f"publish-{key[0]}-{key[1]}")
+        if self._warned.pop(key, ""):
+            self._server.clear_warning(f"publish-{key[0]}-{key[1]}")
 
     def tick(self) -> None:
         """Count rates; try again what waits for a definition."""
@@ -289,7 +289,7 @@ class Publishing:
         return [
             {
                 "topic": route.channel.topic[:255], "type": route.channel.type_name[:255], "end": "publisher",
-                "by": route.visitor.who if route.visitor else "a stranger", "why": route.why,
+                "by": route.visitor.who if route.visitor else "a stranger", "why": route.reason,
                 **route.counters.as_dict(),
             }
             for route in self._routes.values()

@@ -68,25 +68,25 @@ class Scene(Feed):
         self._scene = server.scene(SCENE)
         self._keep_out = server.channel(KEEP_OUT, GRID, full_text(self._grid), {"side": "midspan", "latched": "true"})
         self._watched: frozenset[int] = frozenset()
-        self.why = ""
+        self.error = ""
 
     def watch_channels(self, watched: set[int], late: set[int]) -> None:
         """Follow the store while either is watched; who comes gets what there is."""
-        own = frozenset(watched & {self._scene.id(), self._keep_out.id()})
-        before, self._watched = self._watched, own
-        if own and not before:
+        channels = frozenset(watched & {self._scene.id(), self._keep_out.id()})
+        before, self._watched = self._watched, channels
+        if channels and not before:
             self.open()
-        elif before and not own:
+        elif before and not channels:
             self.close()
-        if own & late:
-            self._say(own & late)
+        if channels & late:
+            self._publish(channels & late)
 
     def open(self) -> None:
         """Follow the store."""
         from bridge.web.feeds.maps import StoreFollower  # it makes pictures, too: who needs no scene does without
 
         self._store = self._store or StoreFollower(self._host, self._config)
-        self._store.begin(self, self._take)
+        self._store.begin(self, self._on_view)
 
     def close(self) -> None:
         """Rest."""
@@ -94,18 +94,18 @@ class Scene(Feed):
             self._store.end(self)
         self._view = None
 
-    def put(self, value: Any, why: str = "") -> None:
+    def put(self, value: Any, reason: str = "") -> None:
         """The store cannot be read: what was shown goes."""
-        self.why = why
+        self.error = reason
         if value is None and self._view is not None:
             self._view = None
-            self._say(self._watched)
+            self._publish(self._watched)
 
-    def _take(self, view: StoreView) -> None:
-        self._view, self.why = view, ""
-        self._say(self._watched)
+    def _on_view(self, view: StoreView) -> None:
+        self._view, self.error = view, ""
+        self._publish(self._watched)
 
-    def _say(self, channels: frozenset[int]) -> None:
+    def _publish(self, channels: frozenset[int]) -> None:
         now = self._host.clock.now_ns()
         if self._scene.id() in channels:
             self._scene.log(self._update(now), log_time=now)
@@ -130,26 +130,26 @@ class Scene(Feed):
         if self._view is None:
             return []
         frame, places = self._config.navigation.frame, self._view.places
-        found: list[SceneEntity] = []
+        entities: list[SceneEntity] = []
 
-        def add(kind: str, name: str, where: tuple[float, float], color: Color, **parts: Any) -> None:
-            found.append(
+        def add(kind: str, name: str, at_: tuple[float, float], color: Color, **parts: Any) -> None:
+            entities.append(
                 SceneEntity(
                     timestamp=at, frame_id=frame, id=f"{kind}:{name}", frame_locked=True,
-                    texts=[_label(name, *where, color)], **parts,
+                    texts=[_label(name, *at_, color)], **parts,
                 )
             )  # fmt: skip
 
-        for name, one in places["locations"].items():
-            if one["map"] == self._view.name:
-                arrow = _arrow(one["x"], one["y"], one["theta"], 0.4, _PLACE)
-                add("place", name, (one["x"], one["y"]), _PLACE, arrows=[arrow])
+        for name, place in places["locations"].items():
+            if place["map"] == self._view.name:
+                arrow = _arrow(place["x"], place["y"], place["theta"], 0.4, _PLACE)
+                add("place", name, (place["x"], place["y"]), _PLACE, arrows=[arrow])
         for kind, color in (("areas", _AREA), ("paths", _PATH)):
-            for name, one in places[kind].items():
-                if one["map"] == self._view.name and one["points"]:
-                    lines = [_loop(one["points"], color, closed=kind == "areas")]
-                    add(kind[:-1], name, one["points"][0], color, lines=lines)
-        return found
+            for name, place in places[kind].items():
+                if place["map"] == self._view.name and place["points"]:
+                    lines = [_loop(place["points"], color, closed=kind == "areas")]
+                    add(kind[:-1], name, place["points"][0], color, lines=lines)
+        return entities
 
     def _mask(self, now: int) -> bytes | None:
         """Where robots keep out by the flags of the map in use, None where none is."""
@@ -188,5 +188,5 @@ def _label(text: str, x: float, y: float, color: Color) -> TextPrimitive:
 
 
 def _pose(x: float, y: float, theta: float, z: float = 0.0) -> Pose:
-    turn = Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2))
-    return Pose(position=Vector3(x=float(x), y=float(y), z=z), orientation=turn)
+    orientation = Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2))
+    return Pose(position=Vector3(x=float(x), y=float(y), z=z), orientation=orientation)

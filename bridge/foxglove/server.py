@@ -62,7 +62,7 @@ class FoxgloveServer:
         """Tell all clients something that is so until `forget`."""
         self._server.publish_status(text, StatusLevel.Warning, name)
 
-    def forget(self, name: str) -> None:
+    def clear_warning(self, name: str) -> None:
         """Take back what was told."""
         self._server.remove_status([name])
 

@@ -30,8 +30,8 @@ CALL_SECONDS = 15.0
 MOST_CALLS = 16
 """Calls under way at once, of all clients; each keeps a thread of the SDK's waiting."""
 
-ASK_AGAIN_SECONDS = 10.0
-_ASK_SECONDS = 2.0
+REPEAT_SECONDS = 10.0
+_REQUEST_SECONDS = 2.0
 _OF_NODES = ("rcl_interfaces/", "type_description_interfaces/")
 """What every node serves for itself: its parameters are offered as such."""
 
@@ -56,35 +56,35 @@ class Services:
         self._registry = host.node.registry
         self._room = BoundedSemaphore(MOST_CALLS)
         self._shown: dict[str, ServiceKey] = {}
-        self._asked: dict[ServiceKey, float] = {}
-        self._asking = SerialExecutor("midspan-foxglove-ask")
+        self._requested: dict[ServiceKey, float] = {}
+        self._requests = SerialExecutor("midspan-foxglove-ask")
 
     @property
     def count(self) -> int:
         """Services that are announced."""
         return len(self._shown)
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Announce services that came, and withdraw those that went."""
-        found: dict[str, ServiceKey] = {}
+        services: dict[str, ServiceKey] = {}
         for end in self._host.node.hub.graph.servers():
             private = end.topic.startswith(TAPS) or end.type_name.startswith(_OF_NODES) or split(end.topic)[1]
             if not (private or end.own or end.pending):
-                found.setdefault(end.topic, ServiceKey(end.topic, end.type_name, end.type_hash))
-        gone = [name for name, key in self._shown.items() if found.get(name) != key]
-        if gone:
-            self._server.withdraw_services(gone)
-        for name in gone:
+                services.setdefault(end.topic, ServiceKey(end.topic, end.type_name, end.type_hash))
+        removed = [name for name, key in self._shown.items() if services.get(name) != key]
+        if removed:
+            self._server.withdraw_services(removed)
+        for name in removed:
             del self._shown[name]
-        made = [made for name, key in sorted(found.items()) if name not in self._shown and (made := self._made(key))]
-        if made:
-            self._server.offer_services(made)
+        added = [added for name, key in sorted(services.items()) if name not in self._shown and (added := self._create(key))]
+        if added:
+            self._server.offer_services(added)
 
-    def _made(self, key: ServiceKey) -> foxglove.Service | None:
+    def _create(self, key: ServiceKey) -> foxglove.Service | None:
         try:
             request, response = self._registry.service_schemas(key.type_name, key.type_hash)
         except MessageTypeError:
-            self._ask(key)
+            self._request(key)
             return None
         self._shown[key.name] = key
         kind = foxglove.ServiceSchema(
@@ -93,21 +93,21 @@ class Services:
         )  # fmt: skip
         return foxglove.Service(key.name, schema=kind, handler=partial(self._serve, key))
 
-    def _ask(self, key: ServiceKey) -> None:
+    def _request(self, key: ServiceKey) -> None:
         """Ask the workers for a definition that is not installed; those that come are seen at the next look."""
         now = time.monotonic()
-        if now - self._asked.get(key, -ASK_AGAIN_SECONDS) >= ASK_AGAIN_SECONDS:
-            self._asked = {each: at for each, at in self._asked.items() if now - at < ASK_AGAIN_SECONDS}
-            self._asked[key] = now
-            self._asking.submit(partial(self._learn, key))
+        if now - self._requested.get(key, -REPEAT_SECONDS) >= REPEAT_SECONDS:
+            self._requested = {other: at for other, at in self._requested.items() if now - at < REPEAT_SECONDS}
+            self._requested[key] = now
+            self._requests.submit(partial(self._learn, key))
 
     def _learn(self, key: ServiceKey) -> None:
         try:
-            answers = self._host.node.hub.ask(VERB, {"name": key.type_name}, timeout=_ASK_SECONDS)
+            answers = self._host.node.hub.ask(VERB, {"name": key.type_name}, timeout=_REQUEST_SECONDS)
             definition = definition_among(answers, key.type_hash)
             if definition is not None:
                 self._registry.learn_ros2(key.type_name, definition)
-                self._host.loop.post(self.look)
+                self._host.loop.post(self.refresh)
         except (HubError, MessageTypeError) as err:
             _log.warning("the definition of %s: %s", key.type_name, err)
 
@@ -115,7 +115,7 @@ class Services:
 
     def _serve(self, key: ServiceKey, request: foxglove.ServiceRequest) -> bytes:
         """Call; raises `CallRefusedError`."""
-        visitor = self._visitors.of(request.client_id)
+        visitor = self._visitors.visitor_of(request.client_id)
         if visitor is None or not visitor.grant.may_drive:
             raise CallRefusedError("you may look, and not call (foxglove.drive, or the role of your token)")
         if not self._room.acquire(blocking=False):
@@ -152,7 +152,7 @@ class Services:
 
     def close(self) -> None:
         """Ask no more."""
-        self._asking.close()
+        self._requests.close()
 
 
 def _message(name: str, schema: Schema) -> Any:

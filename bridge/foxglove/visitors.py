@@ -39,36 +39,36 @@ class Visitors:
     def __init__(self) -> None:
         self._lock = Lock()
         self._open: dict[Visitor, str] = {}
-        self._words: dict[str, Visitor] = {}
+        self._secrets: dict[str, Visitor] = {}
         self._clients: dict[int, Visitor] = {}
 
     def expect(self, visitor: Visitor) -> bytes:
         """A connection is made for a visitor; the text that the SDK's server is to get first on it."""
-        word = secrets.token_hex(16)
+        secret = secrets.token_hex(16)
         with self._lock:
-            self._open[visitor] = word
-            self._words[word] = visitor
-        channel = {"id": MARK, "topic": word, "encoding": "json", "schemaName": ""}
+            self._open[visitor] = secret
+            self._secrets[secret] = visitor
+        channel = {"id": MARK, "topic": secret, "encoding": "json", "schemaName": ""}
         return json.dumps({"op": "advertise", "channels": [channel]}).encode()
 
-    def gone(self, visitor: Visitor) -> None:
+    def disconnected(self, visitor: Visitor) -> None:
         """Its connection has ended."""
         with self._lock:
-            self._words.pop(self._open.pop(visitor, ""), None)
+            self._secrets.pop(self._open.pop(visitor, ""), None)
 
-    def came(self, client: int, word: str) -> None:
+    def identify(self, client: int, secret: str) -> None:
         """The SDK has a client that said this word; a word is good once."""
         with self._lock:
-            visitor = self._words.pop(word, None)
+            visitor = self._secrets.pop(secret, None)
             if visitor is not None:
                 self._clients[client] = visitor
 
-    def left(self, client: int) -> None:
+    def remove_client(self, client: int) -> None:
         """The SDK's client is gone."""
         with self._lock:
             self._clients.pop(client, None)
 
-    def of(self, client: int) -> Visitor | None:
+    def visitor_of(self, client: int) -> Visitor | None:
         """Who a client of the SDK is, None for one that did not come by the front."""
         return self._clients.get(client)
 

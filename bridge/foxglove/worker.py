@@ -93,14 +93,14 @@ class Live:
         self._tls = _tls(config) if section.guarded else None
         self.visitors = Visitors()
         self.host = host = Host("foxglove", config, registry)
-        self._events = events = Events(self.visitors, lambda: host.loop.post(self._look))
-        with contextlib.ExitStack() as made:
-            made.callback(host.close)
+        self._events = events = Events(self.visitors, lambda: host.loop.post(self._on_events))
+        with contextlib.ExitStack() as stack:
+            stack.callback(host.close)
             self._server = server = FoxgloveServer(config.name, events, _capabilities(section))
-            made.callback(server.close)
+            stack.callback(server.close)
             self.front = Front(section, server.inner, self.visitors, announces=section.commanded, tls=self._tls)
-            made.pop_all()
-        self._graph = Gathered(host, self._follow)
+            stack.pop_all()
+        self._graph = Gathered(host, self._on_graph_change)
         self._topics = HubTopics(host.node.hub, registry, self._graph.changed)
         self._channels = Channels(server, self._topics)
         self._scene = Scene(host, config, server)
@@ -143,16 +143,16 @@ class Live:
         shown = f"{self._channels.count} topics, {self._channels.watched} watched"
         return f"{self.front.address}, {clients} client{'' if clients == 1 else 's'}, {shown}"
 
-    def _follow(self) -> None:
-        self._channels.look()
+    def _on_graph_change(self) -> None:
+        self._channels.refresh()
         if self.host.config.foxglove.commanded:
-            self._services.look()
+            self._services.refresh()
 
-    def _look(self) -> None:
-        watched, late = self._events.take()
+    def _on_events(self) -> None:
+        watched, late = self._events.pop_watched()
         self._channels.watch(watched, late)
         self._scene.watch_channels(watched, late)
-        self._publishing.look()
+        self._publishing.refresh()
 
     def _tick(self) -> None:
         self.host.tick()
@@ -161,7 +161,7 @@ class Live:
         self._parameters.tick()
 
     def _status(self, _params: Any) -> dict[str, Any]:
-        found = self._channels.status()
+        channels = self._channels.status()
         return {
             "daemon": self.host.config.name,
             "worker": "foxglove",
@@ -171,27 +171,27 @@ class Live:
             "pid": os.getpid(),
             "uptime": round(time.monotonic() - self._started, 1),
             **costs(self._process),
-            **found,
-            "warnings": [f"{SCENE} without places: {self._scene.why}"] if self._scene.why else [],
-            "topics": [*found["topics"], *self._publishing.status()],
+            **channels,
+            "warnings": [f"{SCENE} without places: {self._scene.error}"] if self._scene.error else [],
+            "topics": [*channels["topics"], *self._publishing.status()],
             "clients": [
                 {
-                    "who": each.who, "role": each.grant.role, "bytes": each.sent,
-                    "since": round(time.monotonic() - each.since, 1),
+                    "who": visitor.who, "role": visitor.grant.role, "bytes": visitor.sent,
+                    "since": round(time.monotonic() - visitor.since, 1),
                 }
-                for each in self.visitors.all()
+                for visitor in self.visitors.all()
             ],
             "services": self._services.count,
             "dropped": self._events.dropped,
         }  # fmt: skip
 
-    def rest(self) -> None:
+    def stop_publishing(self) -> None:
         """Stop the robot where a client drives it, and publish nothing more. On the worker's thread."""
         self._publishing.close()
 
     def close(self) -> None:
         """Stop the robot where a client drives it, cut the clients, then leave."""
-        self.host.loop.call(self.rest)
+        self.host.loop.call(self.stop_publishing)
         self.front.close()
         self._server.close()
         self._services.close()
@@ -241,8 +241,8 @@ class SdkLog(logging.Handler):
 class Gathered:
     """Calls once for many changes, a moment later, on the worker's thread."""
 
-    def __init__(self, host: Host, look: Callable[[], None]) -> None:
-        self._host, self._look = host, look
+    def __init__(self, host: Host, callback: Callable[[], None]) -> None:
+        self._host, self._callback = host, callback
         self._lock = Lock()
         self._due = False
 
@@ -256,4 +256,4 @@ class Gathered:
     def _run(self) -> None:
         with self._lock:
             self._due = False
-        self._look()
+        self._callback()

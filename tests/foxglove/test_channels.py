@@ -110,10 +110,10 @@ def test_a_latched_message_may_come_before_the_graph_tells_of_its_publisher() ->
     channel = TopicChannel(HubTopic(key, (ends[0],)), said)
     channel.follow(HubTopic(key, (ends[0],)))
     for gid in gids[1:]:
-        channel.take(sample(gid, gid[:1]))
+        channel.on_sample(sample(gid, gid[:1]))
     said.logged.clear()
     channel.follow(HubTopic(key, tuple(ends)))
-    channel.again()
+    channel.resend_latched()
     # the first of them has made room, and the last but one keeps nothing
     assert said.logged == [gid[:1] for gid in gids[2:] if gid != gids[-2]]
 

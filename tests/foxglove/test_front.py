@@ -154,19 +154,19 @@ def test_who_comes_past_the_front_may_not_publish(desk: Desk) -> None:
 def test_a_word_is_good_once(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     desk.open_with(**DRIVE)
     visitors, said = desk.live.visitors, list[tuple[int, str]]()
-    came = visitors.came
+    identify = visitors.identify
 
     def coming(client: int, word: str) -> None:
-        came(client, word)
+        identify(client, word)
         said.append((client, word))
 
-    monkeypatch.setattr(visitors, "came", coming)
+    monkeypatch.setattr(visitors, "identify", coming)
     with desk.app() as app:
         app.until(lambda: app.said, "it is let in")
         ((client, word),) = until(lambda: said, "it was said")
-        came(99, word)
-        assert visitors.of(99) is None
-        assert visitors.all() == [visitors.of(client)]
+        identify(99, word)
+        assert visitors.visitor_of(99) is None
+        assert visitors.all() == [visitors.visitor_of(client)]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from bridge.adapters.ros1.parameters.values import ParameterType, ParameterValue, UnsayableError
-from bridge.foxglove.parameters import wished
+from bridge.foxglove.parameters import value_of_kind
 from bridge.hub.endpoints.calls import Abandon, Done, nothing
 from bridge.messages.values import ServiceCodec
 from tests.foxglove.app import App
@@ -160,10 +160,10 @@ def test_parameters_are_set_as_their_node_has_them(desk: Desk) -> None:
     [(1, ParameterType.DOUBLE, 1.0), (1.0, ParameterType.INTEGER, 1), ([], ParameterType.BOOL_ARRAY, [])],
 )
 def test_values_take_the_kind_that_the_node_has(value: Any, kind: ParameterType, wanted: Any) -> None:
-    assert wished(value, ParameterValue(kind, wanted)) == ParameterValue(kind, wanted)
+    assert value_of_kind(value, ParameterValue(kind, wanted)) == ParameterValue(kind, wanted)
 
 
 @pytest.mark.parametrize("value", [{"a": 1}, [1, "x"], None, 1 << 70])
 def test_values_that_no_node_has(value: Any) -> None:
     with pytest.raises(UnsayableError):
-        wished(value, ParameterValue(ParameterType.INTEGER, 1))
+        value_of_kind(value, ParameterValue(ParameterType.INTEGER, 1))

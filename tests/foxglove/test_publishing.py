@@ -140,7 +140,7 @@ def test_zero_is_said_as_the_driver_goes(driven: Desk, end: str, monkeypatch: py
         elif end == "cut":
             app.socket.socket.close()
         else:
-            driven.live.host.loop.call(driven.live.rest)
+            driven.live.host.loop.call(driven.live.stop_publishing)
         until(lambda: driven.far.wait(heard, 1)[-1]["linear"]["x"] == 0.0, "zero is commanded")
 
 
