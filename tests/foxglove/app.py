@@ -48,7 +48,7 @@ class App:
         self.channels: dict[str, dict[str, Any]] = {}
         self.services: dict[str, dict[str, Any]] = {}
         self.messages: dict[str, list[tuple[int, bytes]]] = {}
-        self.said: list[dict[str, Any]] = []
+        self.texts: list[dict[str, Any]] = []
         self.replies: dict[int, bytes] = {}
         self._subscriptions: dict[int, str] = {}
         self._numbers = 0
@@ -74,31 +74,31 @@ class App:
             self.replies[call] = frame[13 + length :]
         return True
 
-    def _text(self, said: dict[str, Any]) -> None:
-        if said["op"] == "advertise":
-            self.channels.update({each["topic"]: each for each in said["channels"]})
-        elif said["op"] == "unadvertise":
-            gone = set(said["channelIds"])
-            self.channels = {topic: each for topic, each in self.channels.items() if each["id"] not in gone}
-        elif said["op"] == "advertiseServices":
-            self.services.update({each["name"]: each for each in said["services"]})
-        elif said["op"] == "unadvertiseServices":
-            gone = set(said["serviceIds"])
-            self.services = {name: each for name, each in self.services.items() if each["id"] not in gone}
-        elif said.get("message", "").startswith("Unknown channel ID"):
+    def _text(self, texts: dict[str, Any]) -> None:
+        if texts["op"] == "advertise":
+            self.channels.update({entry["topic"]: entry for entry in texts["channels"]})
+        elif texts["op"] == "unadvertise":
+            removed = set(texts["channelIds"])
+            self.channels = {topic: entry for topic, entry in self.channels.items() if entry["id"] not in removed}
+        elif texts["op"] == "advertiseServices":
+            self.services.update({entry["name"]: entry for entry in texts["services"]})
+        elif texts["op"] == "unadvertiseServices":
+            removed = set(texts["serviceIds"])
+            self.services = {name: entry for name, entry in self.services.items() if entry["id"] not in removed}
+        elif texts.get("message", "").startswith("Unknown channel ID"):
             # the SDK announces a channel before it knows it as announced; who is quick asks again
             for number, topic in self._subscriptions.items():
                 self._ask(number, topic)
         else:
-            self.said.append(said)
+            self.texts.append(texts)
 
     def until(self, done: Callable[[], T], what: str, seconds: float = 15.0) -> T:
         """Read until something is so."""
         end = time.monotonic() + seconds
-        while not (found := done()):
-            assert time.monotonic() < end, f"{what} has not come in {seconds:g} s; said: {self.said[-5:]}"
+        while not (result := done()):
+            assert time.monotonic() < end, f"{what} has not come in {seconds:g} s; said: {self.texts[-5:]}"
             self.read()
-        return found
+        return result
 
     def channel(self, topic: str) -> dict[str, Any]:
         """The announcement of a topic."""
@@ -141,12 +141,12 @@ class App:
         self.socket.send(head + encoding.encode() + request)
         return self._numbers
 
-    def until_taken(self) -> None:
+    def sync(self) -> None:
         """Wait until the server has done what was asked so far: it answers in the order of what comes."""
         self._numbers += 1
-        asked = f"taken {self._numbers}"
-        self.send(op="getParameters", parameterNames=["nothing"], id=asked)
-        self.until(lambda: any(said.get("id") == asked for said in self.said), "the answer to what was asked last")
+        request_id = f"taken {self._numbers}"
+        self.send(op="getParameters", parameterNames=["nothing"], id=request_id)
+        self.until(lambda: any(texts.get("id") == request_id for texts in self.texts), "the answer to what was asked last")
 
     def received(self, topic: str, count: int = 1) -> list[tuple[int, bytes]]:
         """Wait for so many messages of a topic."""

@@ -16,12 +16,12 @@ from tests.hub.parts import LATCHED, STREAM, endpoint
 from tests.support.wait import until
 
 
-def cdr(words: str) -> bytes:
-    data = words.encode() + b"\0"
+def cdr(text: str) -> bytes:
+    data = text.encode() + b"\0"
     return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
 
 
-def test_topics_come_with_their_definition_and_go(desk: Desk) -> None:
+def test_topics_are_announced_with_their_definition_and_withdrawn(desk: Desk) -> None:
     with desk.app() as app:
         end = desk.far.advertise("/odom", "nav_msgs/Odometry")
         channel = app.channel("/odom")
@@ -36,7 +36,7 @@ def test_topics_come_with_their_definition_and_go(desk: Desk) -> None:
         assert desk.status()["channels"] == 0
 
 
-def test_bytes_arrive_as_they_were_sent_with_their_time(desk: Desk) -> None:
+def test_bytes_arrive_unchanged_with_their_time(desk: Desk) -> None:
     publisher = desk.publisher("/said", "std_msgs/String")
     with desk.app() as app:
         app.subscribe("/said")
@@ -47,15 +47,15 @@ def test_bytes_arrive_as_they_were_sent_with_their_time(desk: Desk) -> None:
         assert [app.decoded("/said", at).data for at in (0, 1)] == ["one", "two"]
 
 
-def test_nothing_is_heard_that_nobody_watches(desk: Desk) -> None:
+def test_only_watched_topics_are_subscribed(desk: Desk) -> None:
     publisher = desk.publisher("/said", "std_msgs/String")
     with desk.app() as app, desk.app() as other:
         app.channel("/said")
         assert not publisher.matched()
         assert desk.status()["topics"] == []
         first, second = app.subscribe("/said"), other.subscribe("/said")
-        for each in (app, other):
-            each.until_taken()
+        for entry in (app, other):
+            entry.sync()
         app.until(publisher.matched, "it is heard")
         publisher.put(cdr("x"))
         app.received("/said")
@@ -73,7 +73,7 @@ def test_nothing_is_heard_that_nobody_watches(desk: Desk) -> None:
     until(lambda: not publisher.matched(), "with its client its subscription ends")
 
 
-def test_who_comes_late_gets_what_is_latched(desk: Desk) -> None:
+def test_a_late_client_receives_latched_messages(desk: Desk) -> None:
     end = desk.far.advertise("/map_name", "std_msgs/String", latched=True)
     desk.far.publish(end, {"data": "kitchen"})
     with desk.app() as app:
@@ -89,7 +89,7 @@ def test_who_comes_late_gets_what_is_latched(desk: Desk) -> None:
             assert late.received("/map_name")[0][1] == cdr("hall")
 
 
-class Said:
+class RecordingChannel:
     """A channel of the SDK that notes what it is given."""
 
     def __init__(self) -> None:
@@ -103,44 +103,44 @@ def sample(gid: bytes, data: bytes) -> HubSample:
     return HubSample(zenoh.ZBytes(data), 1, 1, gid, "1")
 
 
-def test_a_latched_message_may_come_before_the_graph_tells_of_its_publisher() -> None:
-    key, said = TopicKey("/map", "nav_msgs/msg/OccupancyGrid", "*"), Said()
+def test_a_latched_message_may_arrive_before_its_publisher_is_in_the_graph() -> None:
+    key, recorded = TopicKey("/map", "nav_msgs/msg/OccupancyGrid", "*"), RecordingChannel()
     gids = [bytes([number]) * 16 for number in range(MOST_EARLY + 2)]
     ends = [endpoint("/map", gid, LATCHED if gid != gids[-2] else STREAM) for gid in gids]
-    channel = TopicChannel(HubTopic(key, (ends[0],)), said)
+    channel = TopicChannel(HubTopic(key, (ends[0],)), recorded)
     channel.follow(HubTopic(key, (ends[0],)))
     for gid in gids[1:]:
         channel.on_sample(sample(gid, gid[:1]))
-    said.logged.clear()
+    recorded.logged.clear()
     channel.follow(HubTopic(key, tuple(ends)))
     channel.resend_latched()
     # the first of them has made room, and the last but one keeps nothing
-    assert said.logged == [gid[:1] for gid in gids[2:] if gid != gids[-2]]
+    assert recorded.logged == [gid[:1] for gid in gids[2:] if gid != gids[-2]]
 
 
-def test_of_two_types_of_one_name_the_first_is_shown_and_the_other_told(desk: Desk) -> None:
+def test_the_second_type_of_a_topic_is_refused_and_reported(desk: Desk) -> None:
     desk.far.advertise("/both", "std_msgs/String")
     with desk.app() as app:
         assert app.channel("/both")["schemaName"] == "std_msgs/msg/String"
         desk.far.advertise("/both", "std_msgs/Int8")
         refused = until(lambda: desk.status()["refused"], "the other is refused")
-        assert [(each["topic"], each["type"]) for each in refused] == [("/both", "std_msgs/msg/Int8")]
+        assert [(entry["topic"], entry["type"]) for entry in refused] == [("/both", "std_msgs/msg/Int8")]
         assert "shown as std_msgs/msg/String" in refused[0]["reason"]
 
 
-def test_a_client_that_never_reads_holds_nobody_up_and_costs_a_bounded_backlog(desk: Desk) -> None:
+def test_a_client_that_never_reads_delays_no_other_and_has_a_bounded_backlog(desk: Desk) -> None:
     publisher = desk.publisher("/blob", "std_msgs/String")
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
         app.subscribe("/blob")
         app.until(publisher.matched, "it is heard")
         deaf.subscribe("/blob")
-        word = cdr("x" * 100_000)
+        payload = cdr("x" * 100_000)
         for sent in range(1, 601):  # 60 MB, of which what was not read is dropped
-            publisher.put(word)
+            publisher.put(payload)
             app.received("/blob", sent)
         assert len(app.messages["/blob"]) == 600
-        heard, unheard = (client["bytes"] for client in desk.status()["clients"])
-        assert 100e3 < unheard < 30e6 < 60e6 < heard
+        fast_bytes, slow_bytes = (client["bytes"] for client in desk.status()["clients"])
+        assert 100e3 < slow_bytes < 30e6 < 60e6 < fast_bytes
 
 
 FRAMES: tuple[str | bytes, ...] = (
@@ -151,7 +151,7 @@ FRAMES: tuple[str | bytes, ...] = (
 )  # fmt: skip
 
 
-def test_bad_frames_of_a_client_harm_nobody(desk: Desk) -> None:
+def test_invalid_frames_of_a_client_affect_no_other(desk: Desk) -> None:
     publisher = desk.publisher("/said", "std_msgs/String")
     with desk.app() as app, desk.app() as bad:
         app.subscribe("/said")
@@ -160,7 +160,7 @@ def test_bad_frames_of_a_client_harm_nobody(desk: Desk) -> None:
         for frame in FRAMES:
             bad.socket.send(frame)
         bad.subscribe("/said")
-        bad.until(lambda: sum(each["op"] == "status" for each in bad.said) > 8, "it is told what was wrong")
+        bad.until(lambda: sum(entry["op"] == "status" for entry in bad.texts) > 8, "it is told what was wrong")
         publisher.put(cdr("well"))
         assert app.received("/said")[0][1] == bad.received("/said")[0][1] == cdr("well")
         with contextlib.suppress(websockets.ConnectionClosed):  # it is cut while it sends, or after

@@ -25,7 +25,7 @@ from bridge.hub.security.tokens import new_token
 from tests.foxglove.app import App
 from tests.foxglove.conftest import Desk
 from tests.foxglove.test_channels import cdr
-from tests.foxglove.test_publishing import DRIVE, told
+from tests.foxglove.test_publishing import DRIVE, wait_for_status
 from tests.support.wait import until
 
 ANNA, HALL = new_token(), new_token()
@@ -53,9 +53,9 @@ class GuardedDesk(Desk):
 
 @pytest.fixture
 def guarded(tmp_path: Path) -> Iterator[GuardedDesk]:
-    made = GuardedDesk(tmp_path)
-    yield made
-    made.close()
+    desk_ = GuardedDesk(tmp_path)
+    yield desk_
+    desk_.close()
 
 
 def status_of(desk: Desk, **options: Any) -> int:
@@ -65,13 +65,13 @@ def status_of(desk: Desk, **options: Any) -> int:
     return refused.value.response.status_code
 
 
-def test_it_is_off_and_of_this_machine_as_installed() -> None:
+def test_it_is_disabled_and_local_by_default() -> None:
     section = Config().foxglove
     assert (section.enabled, section.listen, section.drive, section.guarded) == (False, "127.0.0.1:8765", False, False)
 
 
 @pytest.mark.parametrize(
-    ("section", "why"),
+    ("section", "reason"),
     [
         ({"listen": "0.0.0.0:8765"}, r"other machines reach 0\.0\.0\.0, and it would be open to anyone"),
         ({"listen": "0.0.0.0:8765", "drive": True}, "give foxglove.tokens"),
@@ -82,27 +82,27 @@ def test_it_is_off_and_of_this_machine_as_installed() -> None:
         ({"tokens": {"anna": {"role": "root", "sha256": ANNA[1]}}}, "watch"),
     ],
 )
-def test_what_is_not_safe_is_refused(section: dict[str, Any], why: str) -> None:
-    with pytest.raises(ValidationError, match=why):
+def test_unsafe_configurations_are_refused(section: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ValidationError, match=reason):
         FoxgloveSection.model_validate(section)
 
 
-def test_strange_pages_may_not_ask(desk: Desk) -> None:
+def test_foreign_pages_may_not_connect(desk: Desk) -> None:
     assert status_of(desk, origin="https://evil.example") == 403
     assert status_of(desk, origin="null") == 403
     assert status_of(desk, origin=f"http://127.0.0.1:{desk.live.front.port}") == 403
     assert status_of(desk, user_agent_header=FIREFOX) == 403
     for options in ({"origin": "https://app.foxglove.dev", "user_agent_header": FIREFOX}, {"origin": "file://"}, {}):
         with desk.app(**options) as app:
-            app.until(lambda: app.said, "it is let in")
+            app.until(lambda: app.texts, "it is let in")
     desk.open_with(foxglove={"origins": ["https://fox.example"]})
     assert status_of(desk, origin="https://app.foxglove.dev") == 403
     with desk.app(origin="https://Fox.example") as app:
-        app.until(lambda: app.said, "it is let in")
+        app.until(lambda: app.texts, "it is let in")
 
 
-def test_tokens_say_who_comes_and_as_what(guarded: GuardedDesk) -> None:
-    heard = guarded.far.subscribe("/said", "std_msgs/String")
+def test_tokens_determine_name_and_role(guarded: GuardedDesk) -> None:
+    subscription = guarded.far.subscribe("/said", "std_msgs/String")
     with (
         guarded.app(query=f"?token={ANNA[0]}", origin="https://fox.example") as anna,
         guarded.app(additional_headers={"Authorization": f"Bearer {HALL[0]}"}) as hall,
@@ -110,12 +110,12 @@ def test_tokens_say_who_comes_and_as_what(guarded: GuardedDesk) -> None:
         for app in (anna, hall):
             number = app.advertise("/said", "std_msgs/msg/String", "json")
             app.publish(number, b'{"data": "of %d"}' % (app is anna))
-        told(hall, "you may look, and not publish")
+        wait_for_status(hall, "you may look, and not publish")
         until(lambda: guarded.far.publishers("/said"), "anna publishes")
         anna.publish(number, b'{"data": "of anna"}')
-        assert guarded.far.wait(heard, 1)[-1]["data"].startswith("of ")
+        assert guarded.far.wait(subscription, 1)[-1]["data"].startswith("of ")
         status = guarded.status()
-        assert [(each["who"], each["role"]) for each in status["clients"]] == [
+        assert [(client["who"], client["role"]) for client in status["clients"]] == [
             ("anna at 127.0.0.1", "drive"), ("hall at 127.0.0.1", "watch"),
         ]  # fmt: skip
         assert status["text"].startswith(f"wss://127.0.0.1:{guarded.live.front.port}, 2 clients")
@@ -135,36 +135,36 @@ def test_clients_without_a_valid_token_are_refused(
         assert refused.value.response.status_code == 429
         assert 0 < int(refused.value.response.headers["Retry-After"]) <= 60
     with guarded.app(query=f"?token={HALL[0]}") as app:
-        app.until(lambda: app.said, "a valid token is accepted")
+        app.until(lambda: app.texts, "a valid token is accepted")
     lines = [record.getMessage() for record in caplog.records if "foxglove.tokens" in record.getMessage()]
     assert lines.count("127.0.0.1 (program 'studio') sent a token that is not in foxglove.tokens") == 1
 
 
-def test_who_comes_past_the_front_may_not_publish(desk: Desk) -> None:
+def test_a_client_that_bypasses_the_front_may_not_publish(desk: Desk) -> None:
     desk.open_with(**DRIVE)
     host, port = desk.live.front.inner
     assert not host.startswith("127.0.0.")
     with contextlib.closing(App(port, host=host)) as app:
         app.send(op="advertise", channels=[{"id": MARK, "topic": "a" * 32, "encoding": "json", "schemaName": ""}])
         app.advertise("/said", "std_msgs/msg/String", "json")
-        told(app, "you may look, and not publish")
+        wait_for_status(app, "you may look, and not publish")
         assert not desk.far.publishers("/said")
 
 
-def test_a_word_is_good_once(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_secret_is_valid_once(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     desk.open_with(**DRIVE)
-    visitors, said = desk.live.visitors, list[tuple[int, str]]()
+    visitors, recorded = desk.live.visitors, list[tuple[int, str]]()
     identify = visitors.identify
 
-    def coming(client: int, word: str) -> None:
-        identify(client, word)
-        said.append((client, word))
+    def record(client: int, secret: str) -> None:
+        identify(client, secret)
+        recorded.append((client, secret))
 
-    monkeypatch.setattr(visitors, "identify", coming)
+    monkeypatch.setattr(visitors, "identify", record)
     with desk.app() as app:
-        app.until(lambda: app.said, "it is let in")
-        ((client, word),) = until(lambda: said, "it was said")
-        identify(99, word)
+        app.until(lambda: app.texts, "it is let in")
+        ((client, secret),) = until(lambda: recorded, "it was said")
+        identify(99, secret)
         assert visitors.visitor_of(99) is None
         assert visitors.all() == [visitors.visitor_of(client)]
 
@@ -177,12 +177,12 @@ def test_a_word_is_good_once(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> Non
         b"GET / HTTP/1.1\r\nHost: x\nOrigin: y\r\n\r\n", b"GET / HTTP/1.1\r\nHost: x\0\r\n\r\n",
     ],
 )  # fmt: skip
-def test_heads_that_are_none(head: bytes) -> None:
+def test_invalid_heads_are_refused(head: bytes) -> None:
     with pytest.raises(TurnedAwayError):
         RequestHead.read(head)
 
 
-def test_a_head_is_handed_on_without_its_secrets() -> None:
+def test_a_head_is_forwarded_without_its_secrets() -> None:
     request = RequestHead.read(
         b"GET /?token=a%20b HTTP/1.1\r\nHost: x\r\nCookie: c\r\nUpgrade: websocket\r\nX: 1\r\nx: 2\r\n\r\n"
     )
@@ -195,15 +195,15 @@ def test_a_head_is_handed_on_without_its_secrets() -> None:
 def raw(desk: Desk, data: bytes) -> bytes:
     """What is answered to some bytes, until the connection's end."""
     with socket.create_connection(("127.0.0.1", desk.live.front.port), timeout=10) as peer:
-        found = b""
+        received = b""
         with contextlib.suppress(ConnectionError):
             peer.sendall(data)
             while part := peer.recv(4096):
-                found += part
-    return found
+                received += part
+    return received
 
 
-def test_who_speaks_something_else_is_told_and_cut(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_protocols_are_refused_and_disconnected(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     assert raw(desk, b"GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n").startswith(b"HTTP/1.1 400 Bad Request\r\n")
     old = b"GET / HTTP/1.1\r\nUpgrade: websocket\r\nSec-WebSocket-Protocol: foxglove.websocket.v1\r\n\r\n"
     assert b"subprotocol foxglove.sdk.v1" in raw(desk, old)
@@ -212,52 +212,52 @@ def test_who_speaks_something_else_is_told_and_cut(desk: Desk, monkeypatch: pyte
     monkeypatch.setattr(front, "HEAD_SECONDS", 0.2)
     assert raw(desk, b"GET / HTTP/1.1\r\n") == b"", "who does not go on is cut"
     with desk.app() as app:
-        app.until(lambda: app.said, "others are served")
+        app.until(lambda: app.texts, "others are served")
 
 
-def test_no_more_clients_than_there_is_room_for(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_clients_is_limited(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(front, "MOST_CLIENTS", 2)
     with desk.app(), desk.app() as app:
         assert status_of(desk) == 503
-        app.until(lambda: app.said, "the others are served")
+        app.until(lambda: app.texts, "the others are served")
     until(lambda: not desk.status()["clients"], "they are gone")
     with desk.app() as app:
-        app.until(lambda: app.said, "there is room again")
+        app.until(lambda: app.texts, "there is room again")
 
 
-def test_who_takes_nothing_is_cut_and_holds_nobody_up(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_client_that_reads_nothing_is_disconnected_and_delays_no_other(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(front, "STILL_SECONDS", 2.0)
     monkeypatch.setattr(front, "MOST_UNREAD", 1 << 20)
     publisher = desk.publisher("/flood", "std_msgs/String")
-    word = cdr("x" * 500_000)
+    secret = cdr("x" * 500_000)
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
         deaf.subscribe("/flood")
         deaf.until(publisher.matched, "it is heard")  # a client that no longer reads does not subscribe twice either
         app.subscribe("/flood")
-        app.until_taken()
+        app.sync()
         shares: list[int] = []
 
         def cut() -> bool:
             before = len(app.messages["/flood"])
             for _ in range(4):
-                publisher.put(word)
+                publisher.put(secret)
                 app.read(0.2)
             shares.append(len(app.messages["/flood"]) - before)
             return len(desk.status()["clients"]) == 1
 
         until(cut, "the deaf one is cut", 30)
-        told = desk.status()
-        assert sum(shares) >= 2 * len(shares), f"while one takes nothing the other gets {shares} of 4 each: {told}"
+        wait_for_status = desk.status()
+        assert sum(shares) >= 2 * len(shares), f"while one takes nothing the other gets {shares} of 4 each: {wait_for_status}"
         (left,) = app.messages["/flood"][-1:]
-        assert left[1] == word
+        assert left[1] == secret
 
 
-def test_a_taken_address_is_told(desk: Desk) -> None:
+def test_an_address_in_use_is_reported(desk: Desk) -> None:
     with pytest.raises(RuntimeError, match=r"cannot listen on 127\.0\.0\.1:\d+: .*; set foxglove\.listen"):
         desk.open(foxglove={"listen": f"127.0.0.1:{desk.live.front.port}"})
 
 
-def test_what_the_sdk_says_of_clients_does_not_fill_the_log(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_sdks_log_of_clients_is_rate_limited(caplog: pytest.LogCaptureFixture) -> None:
     logger = logging.getLogger("foxglove")
     before = logger.handlers, logger.propagate
     try:
@@ -267,6 +267,6 @@ def test_what_the_sdk_says_of_clients_does_not_fill_the_log(caplog: pytest.LogCa
                 logging.getLogger("foxglove.websocket").error("bad frame %d", number)
     finally:
         logger.handlers, logger.propagate = before
-    said = [record.getMessage() for record in caplog.records if record.name == "midspan.foxglove"]
-    assert said[0] == "the SDK: bad frame 0"
-    assert len(said) == 20
+    recorded = [record.getMessage() for record in caplog.records if record.name == "midspan.foxglove"]
+    assert recorded[0] == "the SDK: bad frame 0"
+    assert len(recorded) == 20

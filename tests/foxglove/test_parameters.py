@@ -13,7 +13,7 @@ from bridge.hub.endpoints.calls import Abandon, Done, nothing
 from bridge.messages.values import ServiceCodec
 from tests.foxglove.app import App
 from tests.foxglove.conftest import Desk
-from tests.foxglove.test_publishing import DRIVE, told
+from tests.foxglove.test_publishing import DRIVE, wait_for_status
 from tests.support.wait import until
 
 
@@ -22,7 +22,7 @@ class Node:
 
     def __init__(self, desk: Desk, name: str, values: Mapping[str, ParameterValue]) -> None:
         self.values = dict(values)
-        self.asked = 0
+        self.read_parameters = 0
         self._desk = desk
         self._ends = [
             self._serve(f"{name}/list_parameters", "ListParameters", self._list),
@@ -40,7 +40,7 @@ class Node:
         return self._desk.far.hub.server(name, codec.type.name, codec.type.type_id, call)
 
     def _list(self, _request: dict[str, Any]) -> dict[str, Any]:
-        self.asked += 1
+        self.read_parameters += 1
         return {"result": {"names": list(self.values)}}
 
     def _get(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -48,12 +48,12 @@ class Node:
 
     def _set(self, request: dict[str, Any]) -> dict[str, Any]:
         results = []
-        for each in request["parameters"]:
-            value = ParameterValue.read(each["value"])
-            refused = each["name"] == "fixed"
+        for parameter in request["parameters"]:
+            value = ParameterValue.read(parameter["value"])
+            refused = parameter["name"] == "fixed"
             results.append({"successful": not refused, "reason": "it is fixed" if refused else ""})
             if not refused:
-                self.values[each["name"]] = value
+                self.values[parameter["name"]] = value
         return {"results": results}
 
     def close(self) -> None:
@@ -76,24 +76,24 @@ VALUES = {
 def answers(app: App, request: str) -> dict[str, Any]:
     """The parameters of an answer, by name."""
 
-    def came() -> dict[str, Any] | None:
-        found = [each for each in app.said if each["op"] == "parameterValues" and each.get("id") == request]
-        return found[-1] if found else None
+    def values() -> dict[str, Any] | None:
+        parameters_ = [parameter for parameter in app.texts if parameter["op"] == "parameterValues" and parameter.get("id") == request]
+        return parameters_[-1] if parameters_ else None
 
-    return {each["name"]: each for each in app.until(came, "the parameters")["parameters"]}
+    return {parameter["name"]: parameter for parameter in app.until(values, "the parameters")["parameters"]}
 
 
-def asked(app: App, *names: str) -> dict[str, Any]:
-    app.said.clear()
+def read_parameters(app: App, *names: str) -> dict[str, Any]:
+    app.texts.clear()
     app.send(op="getParameters", parameterNames=names, id="q")
     return answers(app, "q")
 
 
-def test_parameters_of_all_nodes_are_told_to_who_asks(desk: Desk) -> None:
+def test_parameters_of_all_nodes_are_returned_on_request(desk: Desk) -> None:
     node = Node(desk, "/ns/base", VALUES)
     with desk.app() as app:
-        found = app.until(lambda: asked(app), "they are read")
-        assert found == {
+        parameters_ = app.until(lambda: read_parameters(app), "they are read")
+        assert parameters_ == {
             "/ns/base.speed": {"name": "/ns/base.speed", "value": 2.0, "type": "float64"},
             "/ns/base.count": {"name": "/ns/base.count", "value": 3},
             "/ns/base.fixed": {"name": "/ns/base.fixed", "value": "x"},
@@ -102,55 +102,55 @@ def test_parameters_of_all_nodes_are_told_to_who_asks(desk: Desk) -> None:
             "/ns/base.raw": {"name": "/ns/base.raw", "value": "AAE=", "type": "byte_array"},
             "/ns/base.limits.on": {"name": "/ns/base.limits.on", "value": True},
         }
-        assert list(asked(app, "/ns/base.count", "/ns/base.none")) == ["/ns/base.count"]
+        assert list(read_parameters(app, "/ns/base.count", "/ns/base.none")) == ["/ns/base.count"]
         node.values["count"] = ParameterValue(ParameterType.INTEGER, 4)
-        until(lambda: asked(app, "/ns/base.count")["/ns/base.count"]["value"] == 4, "a change is read", 10)
+        until(lambda: read_parameters(app, "/ns/base.count")["/ns/base.count"]["value"] == 4, "a change is read", 10)
         node.close()
-        until(lambda: not asked(app), "it is gone", 10)
+        until(lambda: not read_parameters(app), "it is gone", 10)
 
 
-def test_nobody_is_asked_while_no_client_asks(desk: Desk) -> None:
+def test_nodes_are_queried_only_while_clients_request(desk: Desk) -> None:
     node = Node(desk, "/base", VALUES)
     with desk.app() as app:
-        app.until(lambda: app.said, "it is let in")
+        app.until(lambda: app.texts, "it is let in")
         desk.far.advertise("/said", "std_msgs/String")
         app.channel("/said")
-        assert node.asked == 0
+        assert node.read_parameters == 0
         assert not desk.far.hub.graph.clients("/base/list_parameters")
 
 
-def test_who_may_only_look_sets_nothing(desk: Desk) -> None:
+def test_a_watching_client_may_not_set_parameters(desk: Desk) -> None:
     node = Node(desk, "/base", VALUES)
     with desk.app() as app:
-        app.until(lambda: asked(app), "they are read")
+        app.until(lambda: read_parameters(app), "they are read")
         app.send(op="setParameters", parameters=[{"name": "/base.count", "value": 5}], id="w")
-        told(app, "you may look, and not set parameters")
+        wait_for_status(app, "you may look, and not set parameters")
         assert answers(app, "w")["/base.count"]["value"] == node.values["count"].content == 3
 
 
-def test_parameters_are_set_as_their_node_has_them(desk: Desk) -> None:
+def test_parameters_are_set_with_their_nodes_type(desk: Desk) -> None:
     desk.open_with(**DRIVE)
     node = Node(desk, "/base", VALUES)
     with desk.app() as app, desk.app() as other:
-        app.until(lambda: asked(app), "they are read")
+        app.until(lambda: read_parameters(app), "they are read")
         other.send(op="subscribeParameterUpdates", parameterNames=["/base.speed"])
-        other.until(lambda: asked(other), "it is subscribed")
-        other.said.clear()
+        other.until(lambda: read_parameters(other), "it is subscribed")
+        other.texts.clear()
         new = {"/base.speed": 3, "/base.count": 7, "/base.raw": "AgM=", "/base.fixed": "y", "/base.no": 1}
         wanted = [{"name": name, "value": value} for name, value in new.items()]
         wanted[2]["type"] = "byte_array"
         app.send(op="setParameters", parameters=wanted, id="w")
-        found = answers(app, "w")
-        assert {name: each["value"] for name, each in found.items()} == {
+        parameters_ = answers(app, "w")
+        assert {name: parameter["value"] for name, parameter in parameters_.items()} == {
             "/base.speed": 3.0, "/base.count": 7, "/base.raw": "AgM=", "/base.fixed": "x",
         }  # fmt: skip
         assert (node.values["speed"], node.values["raw"].content) == (
             ParameterValue(ParameterType.DOUBLE, 3.0),
             b"\2\3",
         )
-        told(app, "/base refuses fixed: it is fixed")
+        wait_for_status(app, "/base refuses fixed: it is fixed")
         (update,) = other.until(
-            lambda: [each for each in other.said if each["op"] == "parameterValues"], "others are told"
+            lambda: [parameter for parameter in other.texts if parameter["op"] == "parameterValues"], "others are told"
         )
         assert update["parameters"] == [{"name": "/base.speed", "value": 3.0, "type": "float64"}]
 
@@ -159,11 +159,11 @@ def test_parameters_are_set_as_their_node_has_them(desk: Desk) -> None:
     ("value", "kind", "wanted"),
     [(1, ParameterType.DOUBLE, 1.0), (1.0, ParameterType.INTEGER, 1), ([], ParameterType.BOOL_ARRAY, [])],
 )
-def test_values_take_the_kind_that_the_node_has(value: Any, kind: ParameterType, wanted: Any) -> None:
+def test_values_are_converted_to_the_parameters_type(value: Any, kind: ParameterType, wanted: Any) -> None:
     assert value_of_kind(value, ParameterValue(kind, wanted)) == ParameterValue(kind, wanted)
 
 
 @pytest.mark.parametrize("value", [{"a": 1}, [1, "x"], None, 1 << 70])
-def test_values_that_no_node_has(value: Any) -> None:
+def test_values_without_a_ros_type_are_refused(value: Any) -> None:
     with pytest.raises(UnsayableError):
         value_of_kind(value, ParameterValue(ParameterType.INTEGER, 1))

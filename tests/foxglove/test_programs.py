@@ -14,7 +14,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from tests.foxglove.app import App
-from tests.foxglove.test_parameters import asked
+from tests.foxglove.test_parameters import read_parameters
 from tests.interop.deployment import Deployment
 from tests.support.peer import Peer
 from tests.support.ports import free_port
@@ -43,18 +43,18 @@ class Robot(Deployment):
 
         return until(join, "the server takes clients", 40)
 
-    def about(self) -> dict[str, Any]:
+    def document(self) -> dict[str, Any]:
         return next((each for each in self.status() if each.get("worker") == "foxglove"), {})
 
 
 @pytest.fixture(scope="module")
 def of_the_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
-    with Robot(tmp_path_factory.mktemp("robot")) as made:
-        made.start(
-            foxglove={"enabled": True, "listen": f"127.0.0.1:{made.app_port}", "drive": True},
+    with Robot(tmp_path_factory.mktemp("robot")) as deployment:
+        deployment.start(
+            foxglove={"enabled": True, "listen": f"127.0.0.1:{deployment.app_port}", "drive": True},
             routing={"parameters": RULES},
         )
-        yield made
+        yield deployment
 
 
 @pytest.fixture
@@ -63,10 +63,10 @@ def robot(of_the_file: Robot) -> Iterator[Robot]:
     of_the_file.stop_programs()
 
 
-def string(words: str) -> bytes:
+def string(text: str) -> bytes:
     """A String in CDR, by rosbags."""
     kind = STORE.types["std_msgs/msg/String"]
-    return bytes(STORE.serialize_cdr(kind(data=words), "std_msgs/msg/String"))
+    return bytes(STORE.serialize_cdr(kind(data=text), "std_msgs/msg/String"))
 
 
 def map_message() -> dict[str, Any]:
@@ -77,7 +77,7 @@ def map_message() -> dict[str, Any]:
     }
 
 
-def test_each_sides_messages_arrive_byte_by_byte(robot: Robot) -> None:
+def test_messages_of_each_side_arrive_unchanged(robot: Robot) -> None:
     ros1, ros2, sdk = robot.ros1(), robot.ros2(), robot.sdk()
     with robot.app() as app:
         ends = {name: peer.advertise(f"/by_{name}", STRING) for name, peer in (("ros1", ros1), ("sdk", sdk))}
@@ -85,7 +85,7 @@ def test_each_sides_messages_arrive_byte_by_byte(robot: Robot) -> None:
         for name in ("ros1", "ros2", "sdk"):
             app.subscribe(f"/by_{name}")
 
-        def all_came() -> bool:
+        def all_arrived() -> bool:
             ros1.publish(ends["ros1"], {"data": "of ros1"})
             sdk.publish(ends["sdk"], {"data": "of sdk"})
             ros2.ask("publish_raw", id=raw, hex=string("of ros2").hex())
@@ -93,7 +93,7 @@ def test_each_sides_messages_arrive_byte_by_byte(robot: Robot) -> None:
                 pass
             return all(app.messages[f"/by_{name}"] for name in ("ros1", "ros2", "sdk"))
 
-        until(all_came, "a message of each side", 40)
+        until(all_arrived, "a message of each side", 40)
         for name in ("ros1", "ros2", "sdk"):
             assert app.messages[f"/by_{name}"][0][1] == string(f"of {name}")
             assert app.decoded(f"/by_{name}").data == f"of {name}"
@@ -101,33 +101,33 @@ def test_each_sides_messages_arrive_byte_by_byte(robot: Robot) -> None:
         assert sides == {"/by_ros1": "ros1", "/by_ros2": "ros2", "/by_sdk": "zenoh"}
 
 
-def test_a_latched_map_of_rospy_is_seen_by_who_opens_the_app_later(robot: Robot) -> None:
+def test_a_late_app_receives_a_latched_map_of_rospy(robot: Robot) -> None:
     ros1 = robot.ros1()
     ros1.publish(ros1.advertise("/map", "nav_msgs/OccupancyGrid", latched=True), map_message())
     for _ in range(2):
         with robot.app() as app:
             app.subscribe("/map")
             app.received("/map")
-            found = app.decoded("/map")
-            assert (found.info.width, found.info.height, found.header.frame_id) == (3, 2, "map")
-            assert np.asarray(found.data).tolist() == map_message()["data"]
+            map_ = app.decoded("/map")
+            assert (map_.info.width, map_.info.height, map_.header.frame_id) == (3, 2, "map")
+            assert np.asarray(map_.data).tolist() == map_message()["data"]
             with robot.app() as late:
                 late.subscribe("/map")
                 assert late.received("/map")[0][1] == app.messages["/map"][0][1]
 
 
-def test_what_the_app_publishes_reaches_rospy_and_rclpy(robot: Robot) -> None:
+def test_the_apps_messages_reach_rospy_and_rclpy(robot: Robot) -> None:
     ros1, ros2 = robot.ros1(), robot.ros2()
-    heard = {peer: peer.subscribe("/from_app", STRING) for peer in (ros1, ros2)}
+    subscriptions = {peer: peer.subscribe("/from_app", STRING) for peer in (ros1, ros2)}
     with robot.app() as app:
         number = app.advertise("/from_app", "std_msgs/msg/String", "json")
 
-        def come() -> bool:
+        def arrives() -> bool:
             app.publish(number, json.dumps({"data": "hello"}).encode())
-            return all(peer.wait(end, 1, 0.2) for peer, end in heard.items())
+            return all(peer.wait(end, 1, 0.2) for peer, end in subscriptions.items())
 
-        until(come, "it arrives", 40)
-        assert {peer.wait(end, 1)[0]["data"] for peer, end in heard.items()} == {"hello"}
+        until(arrives, "it arrives", 40)
+        assert {peer.wait(end, 1)[0]["data"] for peer, end in subscriptions.items()} == {"hello"}
 
 
 def test_the_app_calls_services_of_rospy_and_rclpy(robot: Robot) -> None:
@@ -137,34 +137,34 @@ def test_the_app_calls_services_of_rospy_and_rclpy(robot: Robot) -> None:
             reply = {"success": True, "message": name}
             peer.ask("serve", service=f"/{name}_light", type="std_srvs/SetBool", reply=reply)
             call = app.call(f"/{name}_light", request)
-            came = app.until(lambda: app.replies.get(call), f"the reply of {name}; {app.said[-1]}", 30)  # noqa: B023
-            assert came[4] == 1
-            assert came[-len(name) - 1 :] == name.encode() + b"\0"
+            reply = app.until(lambda: app.replies.get(call), f"the reply of {name}; {app.texts[-1]}", 30)  # noqa: B023
+            assert reply[4] == 1
+            assert reply[-len(name) - 1 :] == name.encode() + b"\0"
 
 
 def test_the_app_sets_a_parameter_of_rclpy(robot: Robot) -> None:
     node = robot.keep(Peer(PARAMETERS, ros2_python(), ros2_environment(), "controller_server"))
     node.ask("declare", parameters={"speed": 0.5, "mode": "slow"})
     with robot.app() as app:
-        until(lambda: asked(app).get("/controller_server.speed", {}).get("value") == 0.5, "it is read", 40)
+        until(lambda: read_parameters(app).get("/controller_server.speed", {}).get("value") == 0.5, "it is read", 40)
         app.send(op="setParameters", parameters=[{"name": "/controller_server.speed", "value": 2}], id="w")
-        until(lambda: asked(app)["/controller_server.speed"]["value"] == 2.0, "it is set", 20)
+        until(lambda: read_parameters(app)["/controller_server.speed"]["value"] == 2.0, "it is set", 20)
         until(lambda: node.ask("own", name="speed")["value"] == 2.0, "the node has it", 10)
 
 
 @pytest.mark.thorough
-def test_a_worker_that_was_killed_serves_again(robot: Robot) -> None:
+def test_a_killed_worker_is_restarted_and_serves_again(robot: Robot) -> None:
     ros2 = robot.ros2()
     ros2.publish(ros2.advertise("/kept", STRING, latched=True), {"data": "kept"})
     with robot.app() as app:
         app.subscribe("/kept")
         app.received("/kept")
-        pid = robot.about()["pid"]
+        pid = robot.document()["pid"]
         os.kill(pid, signal.SIGKILL)
-        until(lambda: robot.about().get("pid", pid) != pid, "another one runs", 30)
+        until(lambda: robot.document().get("pid", pid) != pid, "another one runs", 30)
     with robot.app() as app:
         app.subscribe("/kept")
         assert app.received("/kept")[0][1] == string("kept")
-        assert robot.about()["clients"][0]["role"] == "drive"
+        assert robot.document()["clients"][0]["role"] == "drive"
         shown = robot.command("status").stdout
         assert f"ws://127.0.0.1:{robot.app_port}, 1 client, " in shown

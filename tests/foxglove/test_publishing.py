@@ -28,46 +28,46 @@ def velocity(x: float, turn: float = 0.0) -> bytes:
     return json.dumps({"linear": {"x": x}, "angular": {"z": turn}}).encode()
 
 
-def told(app: App, words: str) -> dict[str, Any]:
+def wait_for_status(app: App, text: str) -> dict[str, Any]:
     """Wait for a status with these words."""
     return app.until(
-        lambda: next((each for each in app.said if words in each.get("message", "")), None), f"a status: {words}"
+        lambda: next((entry for entry in app.texts if text in entry.get("message", "")), None), f"a status: {text}"
     )
 
 
 @pytest.mark.parametrize("type_name", ["std_msgs/msg/String", "std_msgs/String"])
 def test_json_and_cdr_reach_the_hub(driven: Desk, type_name: str) -> None:
-    heard = driven.far.subscribe("/said", "std_msgs/String")
+    subscription = driven.far.subscribe("/said", "std_msgs/String")
     with driven.app() as app:
         as_json, as_cdr = app.advertise("/said", type_name, "json"), app.advertise("/said", type_name, "cdr")
         until(lambda: len(driven.far.publishers("/said")) == 2, "both are publishers")
         app.publish(as_json, b'{"data": "one"}')
         app.publish(as_cdr, from_json(driven.far.registry, "std_msgs/msg/String", {"data": "two"}))
-        assert driven.far.wait(heard, 2) == [{"data": "one"}, {"data": "two"}]
+        assert driven.far.wait(subscription, 2) == [{"data": "one"}, {"data": "two"}]
         (qos, _) = (end.qos for end in driven.far.publishers("/said"))
         assert not qos.latched
 
-        def counted() -> list[tuple[str, int]]:
-            ends = [each for each in driven.status()["topics"] if each["end"] == "publisher"]
-            return [(each["by"], each["messages"]) for each in ends]
+        def counts() -> list[tuple[str, int]]:
+            ends = [entry for entry in driven.status()["topics"] if entry["end"] == "publisher"]
+            return [(entry["by"], entry["messages"]) for entry in ends]
 
-        until(lambda: counted() == [("127.0.0.1", 1)] * 2, "each is counted, which is done once it was said")
+        until(lambda: counts() == [("127.0.0.1", 1)] * 2, "each is counted, which is done once it was said")
         app.unadvertise(as_json)
         until(lambda: len(driven.far.publishers("/said")) == 1, "one is withdrawn")
     until(lambda: not driven.far.publishers("/said"), "with its client the other one ends")
 
 
-def test_who_may_only_look_publishes_nothing(desk: Desk) -> None:
+def test_a_watching_client_publishes_nothing(desk: Desk) -> None:
     with desk.app() as app:
         app.advertise("/said", "std_msgs/msg/String", "json")
-        told(app, "does not support clientPublish")
+        wait_for_status(app, "does not support clientPublish")
         assert not desk.far.publishers("/said")
 
 
-def test_what_cannot_be_published_is_told(driven: Desk) -> None:
-    heard = driven.far.subscribe("/n", "std_msgs/Int8")
+def test_invalid_channels_and_messages_are_reported(driven: Desk) -> None:
+    subscription = driven.far.subscribe("/n", "std_msgs/Int8")
     with driven.app() as app:
-        for topic, type_name, encoding, why in (
+        for topic, type_name, encoding, reason in (
             ("/a", "std_msgs/msg/String", "protobuf", "messages come as cdr or json"),
             ("a b", "std_msgs/msg/String", "json", "it is no topic"),
             ("/_midspan/a", "std_msgs/msg/String", "json", "it is no topic"),
@@ -77,62 +77,62 @@ def test_what_cannot_be_published_is_told(driven: Desk) -> None:
             ("/anything", "geometry_msgs/msg/TwistStamped", "json", "velocities are taken on /cmd_vel"),
         ):
             app.advertise(topic, type_name, encoding)
-            told(app, why)
+            wait_for_status(app, reason)
         assert not driven.far.publishers("/a")
         number = app.advertise("/n", "std_msgs/msg/Int8", "json")
         until(lambda: driven.far.publishers("/n"), "it is published")
-        for data, why in (
+        for data, reason in (
             (b"{", "it is not JSON"), (b"[" * 100_000, "it is not JSON"), (b"3", "no JSON object"),
             (b'{"data": 300}', "data is int8, not 300"), (b'{"dat": 3}', "has no field 'dat'"),
             (b"\xff", "it is not JSON"),
         ):  # fmt: skip
             app.publish(number, data)
-            told(app, why)
+            wait_for_status(app, reason)
         app.publish(number, b'{"data": 3}')
-        assert driven.far.wait(heard, 1) == [{"data": 3}]
+        assert driven.far.wait(subscription, 1) == [{"data": 3}]
         binary = app.advertise("/n", "std_msgs/msg/Int8", "cdr")
         until(lambda: len(driven.far.publishers("/n")) == 2, "it is published")
         app.publish(binary, b"\0\1\0")
-        (said,) = (each for each in app.until(lambda: bad(driven), "it is counted") if each["drops"]["bad"] == 1)
-        assert said["error"]
+        (texts,) = (entry for entry in app.until(lambda: bad(driven), "it is counted") if entry["drops"]["bad"] == 1)
+        assert texts["error"]
 
 
 def bad(desk: Desk) -> list[dict[str, Any]]:
-    return [each for each in desk.status()["topics"] if each["end"] == "publisher" and each["drops"]["bad"] == 1]
+    return [entry for entry in desk.status()["topics"] if entry["end"] == "publisher" and entry["drops"]["bad"] == 1]
 
 
-def test_a_velocity_holds_for_a_moment_and_zero_follows_once(driven: Desk) -> None:
-    heard = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
+def test_a_velocity_expires_and_zero_follows_once(driven: Desk) -> None:
+    subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
     with driven.app() as app:
         number = app.advertise("/cmd_vel", TWIST, "json")
-        first = drive_until_heard(driven, app, number, heard)
+        first = drive_until_received(driven, app, number, subscription)
         assert first["linear"]["x"] == 0.3, "not faster than by hand in the console (web.speed)"
-        until(lambda: driven.far.wait(heard, 1)[-1]["linear"]["x"] == 0.0, "zero after the silence")
-        count = len(driven.far.wait(heard, 1))
-        assert [each["linear"]["x"] for each in driven.far.wait(heard, 1)].count(0.0) == 1
+        until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "zero after the silence")
+        count = len(driven.far.wait(subscription, 1))
+        assert [entry["linear"]["x"] for entry in driven.far.wait(subscription, 1)].count(0.0) == 1
         (end,) = until(lambda: driven.far.publishers("/cmd_vel"), "the graph tells of its publisher")
         assert not end.qos.latched
         late = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
-        drive_until_heard(driven, app, number, late)
-        assert len(driven.far.wait(heard, count + 1)) > count
+        drive_until_received(driven, app, number, late)
+        assert len(driven.far.wait(subscription, count + 1)) > count
 
 
-def drive_until_heard(desk: Desk, app: App, number: int, heard: int) -> dict[str, Any]:
-    def once() -> dict[str, Any] | None:
+def drive_until_received(desk: Desk, app: App, number: int, subscription: int) -> dict[str, Any]:
+    def receive() -> dict[str, Any] | None:
         app.publish(number, velocity(2.0))
-        moving = [each for each in desk.far.wait(heard, 1, 0.05) if each["linear"]["x"] > 0.0]
+        moving = [entry for entry in desk.far.wait(subscription, 1, 0.05) if entry["linear"]["x"] > 0.0]
         return moving[-1] if moving else None
 
-    return until(once, "a velocity is heard", 10)
+    return until(receive, "a velocity is heard", 10)
 
 
 @pytest.mark.parametrize("end", ["unadvertise", "leave", "cut", "the server stops"])
-def test_zero_is_said_as_the_driver_goes(driven: Desk, end: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_zero_is_commanded_when_the_driver_leaves(driven: Desk, end: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hold, "HOLD_SECONDS", 60.0)  # it is not the silence that stops it
-    heard = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
+    subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
     with driven.app(close_timeout=0.1) as app:
         number = app.advertise("/cmd_vel", TWIST, "json")
-        drive_until_heard(driven, app, number, heard)
+        drive_until_received(driven, app, number, subscription)
         if end == "unadvertise":
             app.unadvertise(number)
         elif end == "leave":
@@ -141,21 +141,21 @@ def test_zero_is_said_as_the_driver_goes(driven: Desk, end: str, monkeypatch: py
             app.socket.socket.close()
         else:
             driven.live.host.loop.call(driven.live.stop_publishing)
-        until(lambda: driven.far.wait(heard, 1)[-1]["linear"]["x"] == 0.0, "zero is commanded")
+        until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "zero is commanded")
 
 
-def test_one_client_drives_at_a_time_and_nobody_against_a_planner(desk: Desk) -> None:
+def test_one_client_drives_at_a_time_and_none_against_a_planner(desk: Desk) -> None:
     desk.open_with(**DRIVE, navigation={"planner": "nav2"})
-    heard = desk.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
+    subscription = desk.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
     with desk.app() as app, desk.app() as other:
         number, second = app.advertise("/cmd_vel", TWIST, "json"), other.advertise("/cmd_vel", TWIST, "json")
-        drive_until_heard(desk, app, number, heard)
+        drive_until_received(desk, app, number, subscription)
 
         def refused() -> bool:
             app.publish(number, velocity(0.1))
             other.publish(second, velocity(0.2))
             other.read()
-            return any("drives by hand" in each.get("message", "") for each in other.said)
+            return any("drives by hand" in entry.get("message", "") for entry in other.texts)
 
         until(refused, "the second is refused")
         status = desk.far.advertise("/navigation/status", "midspan_msgs/NavigationStatus", latched=True)
@@ -164,18 +164,18 @@ def test_one_client_drives_at_a_time_and_nobody_against_a_planner(desk: Desk) ->
         def planner() -> bool:
             app.publish(number, velocity(0.1))
             app.read()
-            return any("nav2 drives" in each.get("message", "") for each in app.said)
+            return any("nav2 drives" in entry.get("message", "") for entry in app.texts)
 
         until(planner, "nobody drives against the planner")
-        until(lambda: desk.far.wait(heard, 1)[-1]["linear"]["x"] == 0.0, "and zero was commanded")
+        until(lambda: desk.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "and zero was commanded")
 
 
-def test_what_a_velocity_cannot_be(driven: Desk) -> None:
-    heard = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
+def test_invalid_velocities_are_refused(driven: Desk) -> None:
+    subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
     with driven.app() as app:
         number = app.advertise("/cmd_vel", TWIST, "json")
         app.publish(number, b'{"linear": {"x": "NaN"}}')
-        told(app, "a velocity is a finite number")
+        wait_for_status(app, "a velocity is a finite number")
         app.publish(number, b'{"linear": 3}')
-        told(app, "linear")
-        assert driven.far.wait(heard, 1, 0.1) == []
+        wait_for_status(app, "linear")
+        assert driven.far.wait(subscription, 1, 0.1) == []

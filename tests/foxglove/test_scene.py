@@ -52,14 +52,14 @@ class Proto:
             self._fields.setdefault(number, []).append(self._value(kind))
 
     def _varint(self) -> int:
-        found = shift = 0
+        entities = shift = 0
         while True:
             byte = self._data[self._at]
             self._at += 1
-            found |= (byte & 0x7F) << shift
+            entities |= (byte & 0x7F) << shift
             shift += 7
             if byte < 0x80:
-                return found
+                return entities
 
     def _value(self, kind: int) -> Any:
         if kind == 0:
@@ -69,12 +69,12 @@ class Proto:
         self._at += size
         return struct.unpack("<d", part)[0] if kind == 1 else part
 
-    def each(self, number: int) -> list[Proto]:
+    def all_of(self, number: int) -> list[Proto]:
         return [Proto(part) for part in self._fields.get(number, [])]
 
-    def one(self, *numbers: int) -> Proto:
+    def inner(self, *numbers: int) -> Proto:
         """A message within messages."""
-        return self if not numbers else self.each(numbers[0])[0].one(*numbers[1:])
+        return self if not numbers else self.all_of(numbers[0])[0].inner(*numbers[1:])
 
     def text(self, number: int) -> str:
         return bytes(self._fields[number][0]).decode()
@@ -96,15 +96,15 @@ def scene(app: App) -> dict[str, Proto]:
     channel = app.channel(SCENE)
     assert (channel["encoding"], channel["schemaName"]) == ("protobuf", "foxglove.SceneUpdate")
     update = Proto(app.messages[SCENE][-1][1])
-    assert [each.number(2) for each in update.each(1)] == [1], "what was shown before goes"
-    return {each.text(ID): each for each in update.each(2)}
+    assert [all_of.number(2) for all_of in update.all_of(1)] == [1], "what was shown before goes"
+    return {all_of.text(ID): all_of for all_of in update.all_of(2)}
 
 
 def corners(entity: Proto) -> list[tuple[float, float]]:
-    return [point.spot() for point in entity.one(LINES).each(5)]
+    return [point.spot() for point in entity.inner(LINES).all_of(5)]
 
 
-def test_the_robot_has_its_shape_without_a_store(desk: Desk) -> None:
+def test_the_robots_shape_is_shown_without_a_store(desk: Desk) -> None:
     desk.open_with(web={"footprint": [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]})
     with desk.app() as app:
         app.subscribe(SCENE)
@@ -114,16 +114,16 @@ def test_the_robot_has_its_shape_without_a_store(desk: Desk) -> None:
         assert corners(robot) == [(0.4, 0.3), (-0.4, 0.3), (-0.4, -0.3), (0.4, -0.3)]
 
 
-def test_places_and_areas_of_the_map_in_use(desk: Desk, store: Store) -> None:
+def test_places_and_areas_of_the_current_map_are_shown(desk: Desk, store: Store) -> None:
     with desk.app() as app:
         app.subscribe(SCENE)
         app.received(SCENE)
-        found = app.until(lambda: scene(app) if len(scene(app)) == 3 else None, "robot, place and area")
-        assert set(found) == {"robot", "place:kitchen", "area:desk"}
-        kitchen, area = found["place:kitchen"], found["area:desk"]
-        assert (kitchen.text(FRAME), kitchen.one(TEXTS).text(6)) == ("map", "kitchen")
-        assert kitchen.one(ARROWS, 1, 1).spot() == (2.0, 3.0)
-        assert kitchen.one(ARROWS, 1, 2).number(3) == pytest.approx(0.5**0.5, abs=1e-3)
+        entities = app.until(lambda: scene(app) if len(scene(app)) == 3 else None, "robot, place and area")
+        assert set(entities) == {"robot", "place:kitchen", "area:desk"}
+        kitchen, area = entities["place:kitchen"], entities["area:desk"]
+        assert (kitchen.text(FRAME), kitchen.inner(TEXTS).text(6)) == ("map", "kitchen")
+        assert kitchen.inner(ARROWS, 1, 1).spot() == (2.0, 3.0)
+        assert kitchen.inner(ARROWS, 1, 2).number(3) == pytest.approx(0.5**0.5, abs=1e-3)
         assert corners(area) == [(1.0, 2.0), (2.0, 2.0), (2.0, 3.0)]
         store.write([Write(LOCATION, "door", Map2DLocation("hall", 1.0, 1.0, 0.0))])
         app.until(lambda: "place:door" in scene(app), "a new place")
@@ -133,41 +133,41 @@ def test_places_and_areas_of_the_map_in_use(desk: Desk, store: Store) -> None:
             assert "place:door" in scene(late)
 
 
-def test_keep_out_cells_lie_as_on_the_map(desk: Desk, store: Store) -> None:
+def test_keep_out_cells_have_the_maps_orientation(desk: Desk, store: Store) -> None:
     assert store is not None
     with desk.app() as app:
         app.subscribe(KEEP_OUT)
         app.received(KEEP_OUT)
-        found = app.decoded(KEEP_OUT)
-        assert (found.header.frame_id, found.info.width, found.info.height) == ("map", 6, 4)
-        assert (found.info.origin.position.x, found.info.origin.position.y) == (1.0, 2.0)
-        assert np.asarray(found.data).tolist() == [100] + [0] * 23
+        entities = app.decoded(KEEP_OUT)
+        assert (entities.header.frame_id, entities.info.width, entities.info.height) == ("map", 6, 4)
+        assert (entities.info.origin.position.x, entities.info.origin.position.y) == (1.0, 2.0)
+        assert np.asarray(entities.data).tolist() == [100] + [0] * 23
 
 
-def test_the_store_is_asked_while_somebody_watches_alone(
+def test_the_store_is_polled_only_while_a_client_watches(
     desk: Desk, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert store is not None
-    digest, asked = StoreClient.digest, list[StoreClient]()
+    digest, clients = StoreClient.digest, list[StoreClient]()
 
-    def asking(client: StoreClient) -> Any:
-        asked.append(client)
+    def counted_digest(client: StoreClient) -> Any:
+        clients.append(client)
         return digest(client)
 
-    monkeypatch.setattr(StoreClient, "digest", asking)
+    monkeypatch.setattr(StoreClient, "digest", counted_digest)
     monkeypatch.setattr(maps, "LOOK_SECONDS", 0.1)
 
-    def rests() -> bool:
-        before = len(asked)
+    def is_idle() -> bool:
+        before = len(clients)
         time.sleep(1.0)
-        return len(asked) == before
+        return len(clients) == before
 
     with desk.app() as app:
         app.channel(SCENE)
-        assert rests()
-        assert not asked, "nobody watches yet"
+        assert is_idle()
+        assert not clients, "nobody watches yet"
         number = app.subscribe(SCENE)
         app.until(lambda: app.messages[SCENE], "a scene")
-        app.until(lambda: len(asked) > 3, "it is asked again and again")
+        app.until(lambda: len(clients) > 3, "it is asked again and again")
         app.unsubscribe(number)
-        until(rests, "it rests")
+        until(is_idle, "it rests")

@@ -30,27 +30,27 @@ def failure(app: App, call: int) -> str:
     """Why a call failed."""
 
     def failed() -> str:
-        found = (each for each in app.said if each["op"] == "serviceCallFailure" and each["callId"] == call)
-        return str(next(found, {}).get("message", ""))
+        service = (text_ for text_ in app.texts if text_["op"] == "serviceCallFailure" and text_["callId"] == call)
+        return str(next(service, {}).get("message", ""))
 
     return app.until(failed, "the call fails")
 
 
-def test_services_come_with_their_definitions_and_go(driven: Desk) -> None:
+def test_services_are_announced_with_their_definitions_and_withdrawn(driven: Desk) -> None:
     with driven.app() as app:
         driven.far.serve("/light", "std_srvs/SetBool", reply={"success": True, "message": "on"})
         driven.far.serve("/node/get_parameters", "rcl_interfaces/GetParameters", reply={})
-        found = app.until(lambda: app.services.get("/light"), "it is announced")
-        assert found["type"] == SET_BOOL
-        assert (found["request"]["encoding"], found["request"]["schemaEncoding"]) == ("cdr", "ros2msg")
-        assert "bool data" in found["request"]["schema"]
-        assert "string message" in found["response"]["schema"]
+        service = app.until(lambda: app.services.get("/light"), "it is announced")
+        assert service["type"] == SET_BOOL
+        assert (service["request"]["encoding"], service["request"]["schemaEncoding"]) == ("cdr", "ros2msg")
+        assert "bool data" in service["request"]["schema"]
+        assert "string message" in service["response"]["schema"]
         assert driven.status()["services"] == 1
         driven.far.servers.pop("/light").close()
         app.until(lambda: not app.services, "it is withdrawn")
 
 
-def test_a_call_and_its_reply(driven: Desk, codec: CallCodec) -> None:
+def test_a_call_receives_its_reply(driven: Desk, codec: CallCodec) -> None:
     driven.far.serve("/light", "std_srvs/SetBool", reply={"success": True, "message": "on"})
     with driven.app() as app:
         call = app.call("/light", codec.request({"data": True}))
@@ -59,7 +59,7 @@ def test_a_call_and_its_reply(driven: Desk, codec: CallCodec) -> None:
         until(lambda: not driven.far.hub.graph.clients("/light"), "its client is withdrawn")
 
 
-def test_calls_that_cannot_be(driven: Desk, codec: CallCodec, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_calls_are_reported(driven: Desk, codec: CallCodec, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(services, "CALL_SECONDS", 0.3)
     serving = driven.far.serve("/light", "std_srvs/SetBool", held=True)
     with driven.app() as app:
@@ -75,10 +75,10 @@ def test_calls_that_cannot_be(driven: Desk, codec: CallCodec, monkeypatch: pytes
         app.until(lambda: all(call in app.replies for call in calls), "the others have their replies")
 
 
-def test_who_may_only_look_calls_nothing(desk: Desk) -> None:
+def test_a_watching_client_may_not_call(desk: Desk) -> None:
     desk.far.serve("/light", "std_srvs/SetBool", reply={"success": True, "message": "on"})
     with desk.app() as app:
-        app.until(lambda: app.said, "it is let in")
+        app.until(lambda: app.texts, "it is let in")
         desk.far.advertise("/said", "std_msgs/String")
         app.channel("/said")
         assert not app.services
