@@ -1,1 +1,1 @@
-"""The server for the Foxglove app: a worker that shows the hub by the library ``foxglove-sdk``."""
+"""The server for the Foxglove app: a worker that serves the hub's topics with the library ``foxglove-sdk``."""

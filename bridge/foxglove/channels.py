@@ -1,4 +1,4 @@
-"""The hub's topics as channels: announced with their definitions, heard on the hub only while a client watches."""
+"""The hub's topics as channels: announced with their definitions, subscribed on the hub only while a client watches."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from bridge.routing.counters import Counters
 _log = logging.getLogger("midspan.foxglove")
 
 MOST_CACHED = 64 << 20
-"""Bytes of one topic's latched messages that are kept while it is watched."""
+"""Bytes of latched messages that are cached for one topic while it is watched."""
 MOST_PUBLISHERS = 256
-"""Latched publishers of one topic of which the newest message is kept."""
+"""Latched publishers of one topic whose newest message is cached."""
 MOST_EARLY = 4
-"""Publishers of one topic that the graph does not tell of yet, of which the same is kept."""
+"""Publishers of one topic not yet in the graph, whose newest message is cached."""
 
 
 class TopicChannel:
-    """One topic for the clients. `take` runs on zenoh's threads, all else on the worker's.
+    """One topic, offered to clients. `on_sample` runs on zenoh's threads, everything else on the worker's.
 
     Attributes:
-        counters: of what went to the SDK.
+        counters: of the messages passed to the SDK.
     """
 
     def __init__(self, topic: HubTopic, channel: Any) -> None:
@@ -39,7 +39,7 @@ class TopicChannel:
         self._size = 0
 
     def follow(self, topic: HubTopic) -> None:
-        """Take up who publishes it now."""
+        """Update the set of publishers."""
         self.topic = topic
         latched = frozenset(end.gid for end in topic.publishers if end.qos.latched)
         with self._lock:
@@ -53,7 +53,7 @@ class TopicChannel:
                     self._cache(gid, data, at)
 
     def on_sample(self, sample: HubSample) -> None:
-        """Hand a message to the SDK, which copies it and does not wait."""
+        """Pass a message to the SDK, which copies it without blocking."""
         data, at = sample.data(), sample.source_time_ns
         self.counters.crossed(len(data))
         if sample.gid not in self._plain:
@@ -65,14 +65,14 @@ class TopicChannel:
         self.channel.log(data, at or None)
 
     def resend_latched(self) -> None:
-        """Say the newest of each latched publisher once more: somebody came late. The SDK says it to all who watch."""
+        """Send each latched publisher's newest message again for a late client. The SDK sends it to all watchers."""
         with self._lock:
             kept = list(self._cached.values())
         for data, at in kept:
             self.channel.log(data, at or None)
 
     def clear(self) -> None:
-        """Keep nothing: nobody watches."""
+        """Clear the cache: no client watches."""
         with self._lock:
             self._cached.clear()
             self._early.clear()
@@ -85,7 +85,7 @@ class TopicChannel:
             self._size += len(data)
 
     def _cache_early(self, gid: bytes, data: bytes, at: int) -> None:
-        """Until the graph tells of its publisher, which it may do after the message: a latched one says no other."""
+        """Cache until the graph lists the publisher, which may be after its message: a latched one sends no other."""
         self._early.pop(gid, None)
         self._early[gid] = data, at
         if len(self._early) > MOST_EARLY:
@@ -96,7 +96,7 @@ class TopicChannel:
 
 
 class Channels:
-    """All of them. On the worker's thread, but for what its docstring says otherwise."""
+    """All channels. To be used on the worker's thread."""
 
     def __init__(self, server: FoxgloveServer, topics: HubTopics) -> None:
         self._server, self._topics = server, topics
@@ -104,7 +104,7 @@ class Channels:
         self._refused: dict[TopicKey, str] = {}
 
     def refresh(self) -> None:
-        """Announce topics that came, and withdraw those that went."""
+        """Announce new topics, and withdraw those that have disappeared."""
         topics = self._topics.look()
         for name, channel in list(self._channels.items()):
             topic = topics.get(channel.topic.key)
@@ -118,10 +118,12 @@ class Channels:
             if shown is None:
                 self._open(topic)
             elif shown.topic.key != key:
-                self._refused[key] = f"its name is shown as {shown.topic.key.type_name}; the app knows names alone"
+                self._refused[key] = (
+                    f"its name is offered with the type {shown.topic.key.type_name}; the app allows one type per name"
+                )
 
     def watch(self, watched: set[int], late: set[int]) -> None:
-        """Hear what is watched, and nothing else; ``late``: what somebody began to watch just now."""
+        """Subscribe to exactly the watched channels; ``late``: channels with a new watcher."""
         for channel in self._channels.values():
             number = channel.channel.id()
             if number in watched:
@@ -137,7 +139,7 @@ class Channels:
         key = topic.key
         definition = self._topics.definitions.find(key.type_name, key.type_hash)
         if definition is None:
-            self._refused[key] = "nobody has told its definition; it is asked for again"
+            self._refused[key] = "its definition is unknown; it has been requested again"
             return
         self._refused.pop(key, None)
         about = {"side": ", ".join(topic.sides), "latched": str(topic.latched).lower(), "hash": key.type_hash}
@@ -156,7 +158,7 @@ class Channels:
         channel.clear()
 
     def tick(self) -> None:
-        """Count rates, and what was lost on its way; look again for definitions that were asked for."""
+        """Update rates and losses, and retry topics whose definition was requested."""
         ends = {subscription.key: subscription for subscription in self._topics.heard()}
         for channel in self._channels.values():
             channel.counters.tick()
@@ -168,16 +170,16 @@ class Channels:
 
     @property
     def count(self) -> int:
-        """Topics that are announced."""
+        """Number of announced topics."""
         return len(self._channels)
 
     @property
     def watched(self) -> int:
-        """Topics that are heard for a client."""
+        """Number of topics that are subscribed for clients."""
         return sum(channel.subscribed for channel in self._channels.values())
 
     def status(self) -> dict[str, Any]:
-        """What is watched, and what cannot be shown, as the status document has it."""
+        """Return the watched topics, and those that cannot be offered, for the status document."""
         watched = sorted((name, channel) for name, channel in self._channels.items() if channel.subscribed)
         return {
             "channels": self.count,
@@ -192,6 +194,6 @@ class Channels:
         }
 
     def close(self) -> None:
-        """Withdraw all."""
+        """Withdraw all channels."""
         for name in list(self._channels):
             self._close(name)

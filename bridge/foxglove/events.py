@@ -1,6 +1,6 @@
-"""What clients do, from the SDK's threads to the worker's: as state that grows with what clients have open, no further.
+"""The clients' requests, passed from the SDK's threads to the worker's, in state bounded by what clients have open.
 
-The SDK calls on the threads that also send (its ``ServerListener``), so that nothing here waits.
+The SDK calls its ``ServerListener`` on the threads that also send, so nothing here blocks.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from foxglove.websocket import ChannelView, Client, ClientChannel, ServerListene
 from bridge.foxglove.visitors import MARK, Visitors
 
 MOST_ADVERTISED = 100
-"""Channels that one client advertises; those beyond are left out."""
+"""Largest number of channels of one client; further ones are ignored."""
 MOST_WAITING = 256
 MOST_BYTES = 64 << 20
-"""Messages of clients that wait for the worker's thread, and their bytes; the oldest make room."""
+"""Clients' messages that wait for the worker's thread, and their bytes; the oldest are dropped."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Advertised:
-    """A channel that a client advertises; ``number`` is its own."""
+    """A channel that a client advertises; ``number`` is the client's id for it."""
 
     client: int
     number: int
@@ -37,7 +37,7 @@ class Advertised:
 
 @dataclass(frozen=True, slots=True)
 class ClientMessage:
-    """A message of a client, and when it came (monotonic seconds)."""
+    """A message of a client, with its time of arrival (monotonic seconds)."""
 
     channel: Advertised
     data: bytes
@@ -48,18 +48,18 @@ class AnswersParameters(Protocol):
     """`bridge.foxglove.parameters.Parameters`; called on the SDK's threads."""
 
     def answer(self, names: Sequence[str]) -> list[Parameter]:
-        """Values of these, or of all."""
+        """Return the values of these parameters, or of all."""
 
     def change(self, client: int, wanted: Sequence[Parameter]) -> list[Parameter]:
-        """Values afterwards."""
+        """Set parameters, and return their values afterwards."""
 
 
 class Events(ServerListener):
-    """The SDK's listener.
+    """Receives the SDK's events.
 
     Args:
-        visitors: is told of clients that come and go.
-        changed: called on the SDK's threads after a change, once until `take` was called.
+        visitors: registry of the clients, updated here.
+        changed: called on the SDK's threads after a change, then not again before the next `pop_watched`.
     """
 
     def __init__(self, visitors: Visitors, changed: Callable[[], None]) -> None:
@@ -72,20 +72,20 @@ class Events(ServerListener):
         self._count = Counter[int]()
         self._messages: deque[ClientMessage] = deque()
         self._size = 0
-        self.dropped = 0  # messages of clients that found no room
+        self.dropped = 0  # messages of clients, because the queue was full
         self.parameters: AnswersParameters | None = None
 
     # -- what clients watch --------------------------------------------------------------------------------------------
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        """A client wants a channel."""
+        """Record that a client watches a channel."""
         with self._lock:
             self._watched.setdefault(channel.id, set()).add(client.id)
             self._late.add(channel.id)
             self._notify()
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
-        """A client no longer wants a channel, or is gone, or the channel is."""
+        """Record that a client no longer watches a channel, or that either is closed."""
         with self._lock:
             clients = self._watched.get(channel.id, set())
             clients.discard(client.id)
@@ -95,21 +95,21 @@ class Events(ServerListener):
             self._notify()
 
     def pop_watched(self) -> tuple[set[int], set[int]]:
-        """The channels that are watched, and those of them that somebody began to watch since the last call."""
+        """Return the watched channels, and those of them with a new watcher since the last call."""
         with self._lock:
             self._notified = False
             late, self._late = self._late, set()
             return set(self._watched), late
 
-    # -- what clients ask ----------------------------------------------------------------------------------------------
+    # -- parameters ---------------------------------------------------------------------------------------------------
 
     def on_get_parameters(
         self,
-        client: Client,  # noqa: ARG002 - everybody may look
+        client: Client,  # noqa: ARG002 - every client may read
         param_names: list[str],
-        request_id: str | None = None,  # noqa: ARG002 - the SDK answers with it
+        request_id: str | None = None,  # noqa: ARG002 - the SDK adds it to the reply
     ) -> list[Parameter]:
-        """A client asks for parameters, for all where it names none."""
+        """Return parameters; all if the client names none."""
         return self.parameters.answer(param_names) if self.parameters else []
 
     def on_set_parameters(
@@ -118,13 +118,13 @@ class Events(ServerListener):
         parameters: list[Parameter],
         request_id: str | None = None,  # noqa: ARG002
     ) -> list[Parameter]:
-        """A client sets parameters; what they are then, which the SDK tells all who subscribed to them."""
+        """Set parameters, and return their values afterwards, which the SDK sends to all subscribers."""
         return self.parameters.change(client.id, parameters) if self.parameters else []
 
-    # -- what clients say ----------------------------------------------------------------------------------------------
+    # -- what clients publish-------------------------------------------------------------------------------------------
 
     def on_client_advertise(self, client: Client, channel: ClientChannel) -> None:
-        """A client is going to publish; or the front tells who it is."""
+        """Record that a client will publish; or identify it by the front's mark."""
         if channel.id == MARK:
             self._visitors.identify(client.id, channel.topic)
             return
@@ -136,18 +136,18 @@ class Events(ServerListener):
                 self._notify()
 
     def on_client_unadvertise(self, client: Client, client_channel_id: int) -> None:
-        """A client publishes no more, or is gone."""
+        """Record that a client no longer publishes, or is closed."""
         if client_channel_id == MARK:
             self._visitors.remove_client(client.id)
             return
         with self._lock:
             if self._advertised.pop((client.id, client_channel_id), None) is not None:
                 self._count[client.id] -= 1
-                self._count += Counter()  # without those of none
+                self._count += Counter()  # remove zero counts
                 self._notify()
 
     def on_message_data(self, client: Client, client_channel_id: int, data: bytes) -> None:
-        """A client publishes."""
+        """Queue a client's message."""
         with self._lock:
             channel = self._advertised.get((client.id, client_channel_id))
             if channel is None:
@@ -160,7 +160,7 @@ class Events(ServerListener):
             self._notify()
 
     def pop_published(self) -> tuple[Mapping[tuple[int, int], Advertised], list[ClientMessage]]:
-        """What is advertised now, and what was published since the last call."""
+        """Return the advertised channels, and the messages published since the last call."""
         with self._lock:
             messages, self._messages, self._size = list(self._messages), deque(), 0
             return dict(self._advertised), messages

@@ -78,7 +78,7 @@ class RequestHead:
 
     @classmethod
     def read(cls, head: bytes) -> RequestHead:
-        """Parse a head; raises `TurnedAwayError`."""
+        """Parse a head; raises `TurnedAwayError` if it is invalid."""
         first, *lines = head.decode("latin-1").removesuffix("\r\n\r\n").split("\r\n")
         match = _REQUEST.fullmatch(first)
         if match is None:
@@ -87,7 +87,7 @@ class RequestHead:
         for line in lines:
             name, parted, value = line.partition(":")
             if not parted or name != name.strip() or _CONTROL.search(line):
-                raise TurnedAwayError(HTTPStatus.BAD_REQUEST, f"not a header: {line[:80]!r}")
+                raise TurnedAwayError(HTTPStatus.BAD_REQUEST, f"invalid header: {line[:80]!r}")
             key = name.lower()
             headers[key] = f"{headers[key]},{value.strip()}" if key in headers else value.strip()
         return cls(match[1], headers)
@@ -107,7 +107,7 @@ class RequestHead:
 
 
 class ConnectionGuard:
-    """Authenticates requests."""
+    """Authenticates and authorizes connections."""
 
     def __init__(self, section: FoxgloveSection) -> None:
         self._section = section
@@ -116,7 +116,7 @@ class ConnectionGuard:
         self._access = Access(web, b"", key="foxglove.tokens", log=log) if section.tokens else None
 
     def grant(self, request: RequestHead, address: str) -> Grant:
-        """Return the client's name and role; raises `TurnedAwayError`."""
+        """Return the client's name and role; raises `TurnedAwayError` if it may not connect."""
         protocols = request.headers.get("sec-websocket-protocol", "").replace(" ", "").split(",")
         if request.headers.get("upgrade", "").lower() != "websocket" or PROTOCOL not in protocols:
             raise TurnedAwayError(HTTPStatus.BAD_REQUEST, f"{_NOT_THE_APP}, with the subprotocol {PROTOCOL}")
@@ -190,7 +190,7 @@ class Front:
 
     @property
     def trouble(self) -> str:
-        """Why it does not run, "" if it does."""
+        """Why it is not running, "" if it is."""
         return "" if self._thread.is_alive() else "the server has ended"
 
     def close(self) -> None:
@@ -235,7 +235,7 @@ class Front:
             await self._join(request, visitor, reader, writer)
         except TurnedAwayError as err:
             if not err.logged:
-                self._refused.warn(f"a client at {address} is refused: {err}")
+                self._refused.warn(f"refused a client at {address}: {err}")
             await _refuse(writer, err)
         except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
             pass
@@ -263,7 +263,7 @@ class Front:
                 return
             if self._announces:
                 inner.write(_masked(first))
-            _log.info("%s has connected, role %s", visitor.who, visitor.grant.role)
+            _log.info("%s connected, role %s", visitor.who, visitor.grant.role)
             writer.transport.set_write_buffer_limits(high=MOST_UNREAD, low=MOST_UNREAD - _STEP)
             await _either(_forward(reader, inner, None), _forward(answers, writer, visitor))
         finally:
@@ -273,7 +273,7 @@ class Front:
 
 
 async def _either(*jobs: Coroutine[Any, Any, None]) -> None:
-    """Run until one of them ends, and cancel the others."""
+    """Run until one of them completes, and cancel the others."""
     tasks = [asyncio.create_task(job) for job in jobs]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

@@ -1,9 +1,9 @@
 """Parameters of the hub's ROS 2 nodes for the app, as ``/node.name``.
 
-They are read while clients ask, and not otherwise. The SDK has clients' questions answered at once, on the threads that
-send: so what was read last is told, and what is older than `FRESH_SECONDS` is read anew for the next question. Changes
-that no client made are not told by themselves: ``publish_parameter_values`` of the SDK 0.30 takes a lock with Python's
-own held, whose holder waits for Python's where a client subscribes at that moment, and the process would stand still.
+They are read only while clients ask. The SDK expects immediate answers, on the threads that send: so clients get the
+values read last, and values older than `FRESH_SECONDS` are read again for the next request. Changes made by others are
+not published: ``publish_parameter_values`` of the SDK 0.30 takes a lock while it holds Python's GIL, and the lock's
+holder waits for the GIL if a client subscribes at that moment: the process would deadlock.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ _log = logging.getLogger("midspan.foxglove")
 
 FRESH_SECONDS = 1.0
 WAIT_SECONDS = 0.5
-"""A client's question waits for so long where nothing has been read yet, a setting until it is done; one at a time."""
+"""Time that a request waits if nothing has been read yet, and a change until it is done; one at a time."""
 IDLE_SECONDS = 60.0
-"""What nobody asked for in so long is forgotten."""
+"""Values that no client has requested for this long are discarded."""
 MOST_NODES, MOST_PARAMETERS = 200, 5_000
 NODE_SECONDS = 5.0
-"""A node that has not answered for so long is left out."""
+"""A node that has not answered for this long is skipped."""
 
 READY_TRIES, READY_SECONDS = 40, 0.02
-"""A client that was made just now is not called before it knows its server."""
+"""A new client is called only once it has discovered its server."""
 
 LIST, GET, SET = "ListParameters", "GetParameters", "SetParameters"
 _SERVICES = {LIST: "list_parameters", GET: "get_parameters", SET: "set_parameters"}
@@ -48,7 +48,7 @@ Replied = Callable[[dict[str, Any] | CallError], None]
 
 
 class Parameters:
-    """`answer` and `change` may be called on any thread, all else on the worker's."""
+    """The parameters of all nodes. `answer` and `change` are thread-safe, all else runs on the worker's thread."""
 
     def __init__(self, host: Host, server: FoxgloveServer, visitors: Visitors) -> None:
         self._host, self._server, self._visitors = host, server, visitors
@@ -61,7 +61,7 @@ class Parameters:
     # -- on the SDK's threads ------------------------------------------------------------------------------------------
 
     def answer(self, names: Sequence[str]) -> list[foxglove.Parameter]:
-        """What is known of these parameters, or of all."""
+        """Return the known values of these parameters, or of all."""
         now = time.monotonic()
         cold, self._asked = now - self._read > IDLE_SECONDS, now
         if now - self._read > FRESH_SECONDS:
@@ -70,19 +70,23 @@ class Parameters:
         return [_foxglove_parameter(name, known[name]) for name in (names or sorted(known)) if name in known]
 
     def change(self, client: int, wanted: Sequence[foxglove.Parameter]) -> list[foxglove.Parameter]:
-        """Set parameters on their nodes; their values afterwards, as far as the nodes have answered by then."""
+        """Set parameters on their nodes; return their values as far as the nodes have answered by then."""
         visitor = self._visitors.visitor_of(client)
         if visitor is None or not visitor.grant.may_drive:
-            self._warn("you may look, and not set parameters (foxglove.drive, or the role of your token)")
+            self._warn("you may read parameters, but not set them (see foxglove.drive, or your token's role)")
         else:
             values = {parameter.name: parameter.get_value() for parameter in wanted[:MOST_PARAMETERS]}
             _log.info("%s sets %s", visitor.who, ", ".join(values)[:500])
             self._await(lambda done: self._host.loop.post(partial(self._set, values, done)), wait=True)
         known = self._known()
-        return [_foxglove_parameter(parameter.name, known[parameter.name]) for parameter in wanted if parameter.name in known]
+        return [
+            _foxglove_parameter(parameter.name, known[parameter.name])
+            for parameter in wanted
+            if parameter.name in known
+        ]
 
     def _await(self, begin: Callable[[Future[None]], None], *, wait: bool) -> None:
-        """Begin something; wait for it where nobody else waits, so that one thread of the SDK's at most stands."""
+        """Start an operation; wait for it unless another call waits, so that at most one SDK thread blocks."""
         done: Future[None] = Future()
         waits = wait and self._waiting.acquire(blocking=False)
         try:
@@ -101,7 +105,7 @@ class Parameters:
     # -- on the worker's thread ----------------------------------------------------------------------------------------
 
     def _refresh(self, done: Future[None]) -> None:
-        """Read all nodes' parameters, unless that is under way."""
+        """Read all nodes' parameters, unless a read is in progress."""
         if self._reading is not None:
             self._reading.add_done_callback(lambda _: done.set_result(None))
             return
@@ -157,7 +161,7 @@ class Parameters:
         self._call(node, LIST, {"prefixes": [], "depth": 0}, listed)
 
     def _set(self, values: dict[str, Any], done: Future[None]) -> None:
-        """Ask each node to set its own, and read what it has then."""
+        """Set the parameters on each node, then read all its parameters."""
         by_node: dict[str, dict[str, ParameterValue]] = {}
         for full, value in values.items():
             node, name, before = self._find(full)
@@ -173,7 +177,7 @@ class Parameters:
             done.set_result(None)
 
     def _find(self, full: str) -> tuple[str, str, ParameterValue]:
-        """Node, name and value of a parameter; raises nothing: an unknown one is of the node "", and told."""
+        """Return node, name and value of a parameter; for an unknown one, warn and return the node ""."""
         for node, values in self._values.items():
             name = full.removeprefix(f"{node}.")
             if name in values and name != full:
@@ -184,11 +188,11 @@ class Parameters:
     def _set_node(self, node: str, wishes: dict[str, ParameterValue], over: Callable[[], None]) -> None:
         def answered(reply: dict[str, Any] | CallError) -> None:
             if isinstance(reply, CallError):
-                self._warn(f"{node} does not set its parameters: {reply}")
+                self._warn(f"{node} did not set its parameters: {reply}")
             else:
                 for name, result in zip(wishes, reply["results"], strict=False):
                     if not result["successful"]:
-                        self._warn(f"{node} refuses {name}: {result['reason'] or 'it gives no reason'}")
+                        self._warn(f"{node} refuses {name}: {result['reason'] or 'no reason given'}")
             self._read_node(node, read)
 
         def read(values: dict[str, ParameterValue] | None) -> None:
@@ -210,7 +214,7 @@ class Parameters:
         if client is None:
             name = f"{node}/{_SERVICES[kind]}"
             client = self._clients[key] = self._host.node.client(name, f"rcl_interfaces/srv/{kind}")
-        if not client.ready and tries:  # it was made just now
+        if not client.ready and tries:  # it is new
             self._host.loop.after(READY_SECONDS, lambda: self._call(node, kind, request, replied, tries - 1))
             return
         try:
@@ -219,7 +223,7 @@ class Parameters:
             replied(CallError(str(err)))
 
     def tick(self) -> None:
-        """Forget what nobody asks for any more."""
+        """Discard values that clients no longer request."""
         if self._clients and time.monotonic() - self._asked > IDLE_SECONDS and self._reading is None:
             self.close()
 
@@ -227,14 +231,14 @@ class Parameters:
         self._server.warn(text, "parameters")
 
     def close(self) -> None:
-        """Ask the nodes no more."""
+        """Close the service clients of all nodes."""
         clients, self._clients, self._values, self._read = self._clients, {}, {}, -IDLE_SECONDS
         for client in clients.values():
             self._host.node.release(client)
 
 
 def value_of_kind(value: Any, before: ParameterValue) -> ParameterValue:
-    """A client's value as the node's parameter has its kind; raises `UnsayableError`."""
+    """Convert a client's value to the parameter's type; raises `UnsayableError`."""
     return to_ros2(xmlrpc.client.Binary(value) if isinstance(value, bytes) else value, before.kind)
 
 

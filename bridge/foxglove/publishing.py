@@ -1,8 +1,8 @@
-"""What clients publish, on the hub: each channel that one advertises is a publisher for as long as it does.
+"""Clients' messages on the hub: each channel that a client advertises is a publisher while it is advertised.
 
-Velocities go the way of the console's driving by hand (`bridge.web.verbs.hold`): on the base's own topic alone, one
-client at a time, not faster than there, for 0.3 s after each message, and then zero once; so they also end with their
-client.
+Velocities use the console's manual driving (`bridge.web.verbs.hold`): only on the base's own topic, one client at a
+time, within its speed limits, for 0.3 s after each message, then zero once. So they also end when their client
+disconnects.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ DEPTH = 10
 
 
 class NotPublishedError(Exception):
-    """A channel's messages are not published; the text says why."""
+    """A channel's messages are not published; the text is the reason."""
 
 
 class UnknownYetError(NotPublishedError):
-    """Nobody has told the type's definition yet; it is asked for."""
+    """The type's definition is not known yet; it has been requested."""
 
 
 class PublishedChannel(ABC):
@@ -52,34 +52,34 @@ class PublishedChannel(ABC):
     def __init__(self, channel: Advertised, visitor: Visitor | None) -> None:
         self.channel, self.visitor = channel, visitor
         self.counters = Counters()
-        self.reason = ""  # nothing of it is published, for this reason
+        self.reason = ""  # why nothing is published, "" if it is
 
     @abstractmethod
     def send(self, message: ClientMessage) -> None:
-        """Publish; raises `NotPublishedError`."""
+        """Publish a message; raises `NotPublishedError`."""
 
-    def close(self) -> None:  # noqa: B027 - most have nothing to give back
-        """Publish no more."""
+    def close(self) -> None:  # noqa: B027 - most have nothing to release
+        """Stop publishing."""
 
 
 class RefusedChannel(PublishedChannel):
-    """Publishes nothing; a route that waits for its definition is made anew."""
+    """Publishes nothing; a channel that ``waits`` for a definition is opened again."""
 
     def __init__(self, channel: Advertised, visitor: Visitor | None, reason: str, *, waits: bool) -> None:
         super().__init__(channel, visitor)
         self.reason, self.waits = reason, waits
 
-    def send(self, message: ClientMessage) -> None:  # noqa: ARG002 - nothing of it
-        """Count it."""
+    def send(self, message: ClientMessage) -> None:  # noqa: ARG002 - nothing is published
+        """Count the message as dropped."""
         self.counters.dropped("unknown" if self.waits else "held")
 
 
 class Coder:
-    """Makes CDR of a client's messages.
+    """Converts a client's messages to CDR.
 
     Raises:
-        UnknownYetError: the type's definition is asked for.
-        NotPublishedError: there is no such type.
+        UnknownYetError: the type's definition has been requested.
+            NotPublishedError: there is no such type.
     """
 
     def __init__(self, host: Host, definitions: Definitions, channel: Advertised) -> None:
@@ -90,7 +90,7 @@ class Coder:
         self._schema = registry.schema(self.type_name, self.type_hash)
 
     def _kind(self, host: Host, definitions: Definitions, channel: Advertised) -> tuple[str, str]:
-        """Name and hash: as others on the hub have it, else as it is installed here."""
+        """Return the type's name and hash: as used by others on the hub, else as installed here."""
         name = self._name(channel.type_name)
         graph = host.node.hub.graph
         ends = [*graph.subscriptions(channel.topic), *graph.publishers(channel.topic), *graph.endpoints()]
@@ -101,21 +101,21 @@ class Coder:
             return name, self._registry.ros2(name).type_id
         except MessageTypeError as err:
             if type_hash:
-                raise UnknownYetError(f"the definition of {name} is asked for on the hub") from None
+                raise UnknownYetError(f"the definition of {name} has been requested on the hub") from None
             raise NotPublishedError(str(err)) from None
 
     def _name(self, spelled: str) -> str:
         if is_ros2_name(spelled):
             return spelled
         if not is_ros1_name(spelled):
-            raise NotPublishedError(f"{spelled[:80]!r} is no type: write it as std_msgs/msg/String")
+            raise NotPublishedError(f"{spelled[:80]!r} is not a type name; an example is std_msgs/msg/String")
         try:
             return self._registry.ros1_to_hub(spelled).target.name
         except MessageTypeError:
             return spelled.replace("/", "/msg/")
 
     def cdr(self, data: bytes) -> bytes:
-        """A message's bytes for the hub; raises `ConversionError`."""
+        """Return a message as CDR for the hub; raises `ConversionError`."""
         if not self._json:
             return self._check(data)
         try:
@@ -123,16 +123,16 @@ class Coder:
         except (ValueError, RecursionError) as err:
             raise ConversionError(f"it is not JSON: {err}") from None
         if not isinstance(value, dict):
-            raise ConversionError("it is no JSON object of fields")
+            raise ConversionError("it is not a JSON object of fields")
         return from_json(self._registry, self.type_name, value, self.type_hash)
 
     def fields(self, cdr: bytes) -> dict[str, Any]:
-        """Its values."""
+        """Return the message's fields."""
         return MessageReader(self._schema, cdr).message()
 
 
 class ClientTopic(PublishedChannel):
-    """A topic that is no velocity. Nothing is kept for late joiners."""
+    """A topic that carries no velocities. Nothing is stored for late joiners."""
 
     def __init__(self, host: Host, channel: Advertised, visitor: Visitor | None, coder: Coder) -> None:
         super().__init__(channel, visitor)
@@ -143,7 +143,7 @@ class ClientTopic(PublishedChannel):
             raise NotPublishedError(str(err)) from None
 
     def send(self, message: ClientMessage) -> None:
-        """Publish as it is, once it has been checked."""
+        """Check the message, and publish it unchanged."""
         try:
             cdr = self._coder.cdr(message.data)
             self._end.put(cdr)
@@ -153,7 +153,7 @@ class ClientTopic(PublishedChannel):
         self.counters.crossed(len(cdr))
 
     def close(self) -> None:
-        """Leave the hub."""
+        """Close the publisher."""
         self._end.close()
 
 
@@ -167,7 +167,7 @@ class ClientVelocity(PublishedChannel):
         self._refusal = ""
 
     def send(self, message: ClientMessage) -> None:
-        """Drive so for a moment."""
+        """Drive at the message's velocity for a moment."""
         try:
             twist = self._coder.fields(self._coder.cdr(message.data))
         except ConversionError as err:
@@ -176,7 +176,7 @@ class ClientVelocity(PublishedChannel):
         x, y, rotation = twist["linear"]["x"], twist["linear"]["y"], twist["angular"]["z"]
         if not all(map(math.isfinite, (x, y, rotation))):
             self.counters.dropped("bad")
-            raise NotPublishedError("a velocity is a finite number")
+            raise NotPublishedError("a velocity must be finite")
         self._refusal = ""
         self._driving.hold(self, x, y, rotation, message.arrived)
         if self._refusal:
@@ -185,19 +185,19 @@ class ClientVelocity(PublishedChannel):
         self.counters.crossed(len(message.data))
 
     def held(self, x: float, y: float, turn: float) -> None:
-        """The app has no word for it."""
+        """Do nothing: the app has no display for it."""
 
     def refuse(self, reason: str) -> None:
-        """Why it may not drive."""
+        """Store why it may not drive."""
         self._refusal = reason
 
     def close(self) -> None:
-        """Command zero where it drives."""
+        """Command zero velocity if it drives."""
         self._driving.release(self)
 
 
 class Publishing:
-    """All channels of all clients. On the worker's thread."""
+    """All channels of all clients. To be used on the worker's thread."""
 
     def __init__(
         self, host: Host, server: FoxgloveServer, events: Events, visitors: Visitors, definitions: Definitions,
@@ -214,7 +214,7 @@ class Publishing:
         self._closed = False
 
     def refresh(self) -> None:
-        """Take up what clients advertise, and publish what they said."""
+        """Open and close channels as clients advertise them, and publish their messages."""
         advertised, messages = self._events.pop_published()
         if self._closed:
             return
@@ -242,12 +242,12 @@ class Publishing:
 
     def _create(self, channel: Advertised, visitor: Visitor | None) -> PublishedChannel:
         if visitor is None or not visitor.grant.may_drive:
-            raise NotPublishedError("you may look, and not publish (foxglove.drive, or the role of your token)")
+            raise NotPublishedError("you may watch, but not publish (see foxglove.drive, or your token's role)")
         if channel.encoding not in ENCODINGS:
-            raise NotPublishedError(f"messages come as {' or '.join(ENCODINGS)}, not {channel.encoding[:40]!r}")
+            raise NotPublishedError(f"the encoding must be {' or '.join(ENCODINGS)}, not {channel.encoding[:40]!r}")
         if channel.topic.startswith(TAPS) or not ROS2_NAME.fullmatch(channel.topic):
             raise NotPublishedError(
-                "it is no topic: begin it with a slash; letters, digits and underscores make its parts"
+                "not a topic name: start it with a slash; its parts consist of letters, digits and underscores"
             )
         coder = Coder(self._host, self._definitions, channel)
         commands = self._rules.enter("zenoh", channel.topic, coder.type_name).priority == "command"
@@ -255,7 +255,7 @@ class Publishing:
             return ClientTopic(self._host, channel, visitor, coder)
         if channel.topic != self._velocity or coder.type_name != TWIST:
             allowed = f"{self._velocity} as {TWIST}" if self._velocity else "no topic (navigation.velocity)"
-            raise NotPublishedError(f"velocities are taken on {allowed}: nobody would stop the base behind this one")
+            raise NotPublishedError(f"velocities are accepted on {allowed}: on others nothing would stop the base")
         return ClientVelocity(self._driving, channel, visitor, coder)
 
     def _send(self, key: tuple[int, int], route: PublishedChannel, message: ClientMessage) -> None:
@@ -266,7 +266,7 @@ class Publishing:
             self._warn(key, f"{route.channel.topic}: {err}")
 
     def _warn(self, key: tuple[int, int], text: str) -> None:
-        """Tell the clients, which the SDK can only do all at once; the same is not told again and again."""
+        """Warn all clients (the SDK cannot address one), and do not repeat the same text."""
         if self._warned.get(key) != text:
             self._warned[key] = text
             self._server.warn(text, f"publish-{key[0]}-{key[1]}")
@@ -277,7 +277,7 @@ class Publishing:
             self._server.clear_warning(f"publish-{key[0]}-{key[1]}")
 
     def tick(self) -> None:
-        """Count rates; try again what waits for a definition."""
+        """Update rates; retry channels that wait for a definition."""
         for key, route in list(self._routes.items()):
             route.counters.tick()
             if isinstance(route, RefusedChannel) and route.waits:
@@ -285,18 +285,18 @@ class Publishing:
                 self._open(key, route.channel)
 
     def status(self) -> list[dict[str, Any]]:
-        """What clients publish, as the status document has it."""
+        """Return the clients' channels, for the status document."""
         return [
             {
                 "topic": route.channel.topic[:255], "type": route.channel.type_name[:255], "end": "publisher",
-                "by": route.visitor.who if route.visitor else "a stranger", "why": route.reason,
+                "by": route.visitor.who if route.visitor else "unknown client", "why": route.reason,
                 **route.counters.as_dict(),
             }
             for route in self._routes.values()
         ]  # fmt: skip
 
     def close(self) -> None:
-        """Stop what drives, withdraw all, and take up nothing more."""
+        """Stop the robot if a client drives it, close all channels, and open no others."""
         self._closed = True
         for key in list(self._routes):
             self._close(key)

@@ -1,8 +1,8 @@
-"""What the store knows and ROS types do not show: the robot's shape, places and areas, and where robots keep out.
+"""Data of the store that ROS types cannot express: the robot's shape, places and areas, and keep-out zones.
 
-Two channels of the server's own, followed while a client watches them: `SCENE` (``foxglove.SceneUpdate``: the robot in
-its own frame, places, areas and paths of the map in use) and `KEEP_OUT` (``nav_msgs/OccupancyGrid``: 100 where robots
-keep out, 0 elsewhere, as `navigation.maps.masks` has it).
+Two channels of this server, updated while a client watches them: `SCENE` (``foxglove.SceneUpdate``: the robot in its
+own frame; places, areas and paths of the current map) and `KEEP_OUT` (``nav_msgs/OccupancyGrid``: 100 in keep-out
+zones, 0 elsewhere, as in `navigation.maps.masks`).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 SCENE, KEEP_OUT = "/midspan/scene", "/midspan/keep_out"
 GRID = "nav_msgs/msg/OccupancyGrid"
 MOST_ENTITIES = 2_000
-"""Places, areas and paths together; those beyond are left out."""
+"""Largest number of places, areas and paths; further ones are omitted."""
 
 _ROBOT, _PLACE, _AREA, _PATH = (
     Color(r=0.1, g=0.5, b=0.9, a=1.0), Color(r=0.9, g=0.5, b=0.1, a=1.0), Color(r=0.2, g=0.7, b=0.3, a=1.0),
@@ -52,10 +52,10 @@ _LETTERS = 0.2
 
 
 class Scene(Feed):
-    """On the worker's thread. It follows the store as a feed of the console's does.
+    """The scene. Runs on the worker's thread, and follows the store like a feed of the console.
 
     Attributes:
-        why: why nothing of the store is shown, "" where it is.
+        error: why nothing of the store is shown, "" if it is.
     """
 
     def __init__(self, host: Host, config: Config, server: FoxgloveServer) -> None:
@@ -71,7 +71,7 @@ class Scene(Feed):
         self.error = ""
 
     def watch_channels(self, watched: set[int], late: set[int]) -> None:
-        """Follow the store while either is watched; who comes gets what there is."""
+        """Follow the store while either channel is watched; new watchers get the current content."""
         channels = frozenset(watched & {self._scene.id(), self._keep_out.id()})
         before, self._watched = self._watched, channels
         if channels and not before:
@@ -82,20 +82,20 @@ class Scene(Feed):
             self._publish(channels & late)
 
     def open(self) -> None:
-        """Follow the store."""
+        """Start to follow the store."""
         from bridge.web.feeds.maps import StoreFollower  # it makes pictures, too: who needs no scene does without
 
         self._store = self._store or StoreFollower(self._host, self._config)
         self._store.begin(self, self._on_view)
 
     def close(self) -> None:
-        """Rest."""
+        """Stop following the store."""
         if self._store is not None:
             self._store.end(self)
         self._view = None
 
     def put(self, value: Any, reason: str = "") -> None:
-        """The store cannot be read: what was shown goes."""
+        """Clear the shown content if the store cannot be read."""
         self.error = reason
         if value is None and self._view is not None:
             self._view = None
@@ -113,7 +113,7 @@ class Scene(Feed):
             self._keep_out.log(message, now)
 
     def _update(self, now: int) -> SceneUpdate:
-        """All there is, in place of all that was."""
+        """Return an update that replaces everything with the current content."""
         from bridge.web.feeds.robot import disc  # it follows the gateway, too: who needs no scene does without
 
         at = Timestamp(*divmod(now, 1_000_000_000))
@@ -152,7 +152,7 @@ class Scene(Feed):
         return entities
 
     def _mask(self, now: int) -> bytes | None:
-        """Where robots keep out by the flags of the map in use, None where none is."""
+        """Return the keep-out zones by the flags of the current map, None without a map."""
         grid = None if self._view is None else self._view.grid
         if grid is None:
             return None
@@ -164,7 +164,7 @@ class Scene(Feed):
         return MessageWriter(self._grid).message(message)
 
     def end(self) -> None:
-        """End its thread."""
+        """Stop the thread."""
         self.close()
         if self._store is not None:
             self._store.close()

@@ -1,8 +1,8 @@
-"""The SDK's server: where it listens, its channels, what it says to all clients.
+"""The SDK's server: its address, its channels, and warnings to all clients.
 
-The protocol is ``foxglove.sdk.v1`` (https://github.com/foxglove/foxglove-sdk). What the SDK 0.30 does by itself, from
-its sources and as measured: each client has a queue of `BACKLOG` messages, whose oldest are dropped where it is slow,
-and one of as many announcements and replies, whose overflow cuts it; so does a frame of its own of more than 16 MiB.
+The protocol is ``foxglove.sdk.v1`` (https://github.com/foxglove/foxglove-sdk). Behavior of the SDK 0.30, from its
+sources and measurements: each client has a queue of `BACKLOG` messages, whose oldest are dropped if the client is slow,
+and a queue of as many announcements and replies, whose overflow disconnects it. So does a frame from it over 16 MiB.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from foxglove.channels import SceneUpdateChannel
 from foxglove.websocket import Capability, ServerListener, StatusLevel
 
 BACKLOG = 256
-"""Messages, or announcements, that wait for a client."""
+"""Messages, or announcements, that are queued for a client."""
 
 
 class FoxgloveServer:
-    """Serves from its making on, on an address of loopback that nobody is told. Raises `RuntimeError`.
+    """Serves from its construction on, on an unpublished loopback address. Raises `RuntimeError` if it cannot listen.
 
     Attributes:
         inner: that address and port.
@@ -34,20 +34,20 @@ class FoxgloveServer:
                 name=name, host=host, port=0, context=self._context, server_listener=listener,
                 capabilities=capabilities, supported_encodings=["cdr", "json"], message_backlog_size=BACKLOG,
             )  # fmt: skip
-        except Exception as err:  # the SDK's own kinds, which it does not name
+        except Exception as err:  # the SDK does not document its exceptions
             raise RuntimeError(f"the Foxglove SDK cannot listen on {host}: {err}") from None
         self.inner = host, self._server.port
 
     def channel(self, topic: str, type_name: str, definition: str, metadata: dict[str, str]) -> Any:
         """Announce a topic of CDR; the channel has ``id()``, ``log(payload, time_ns)`` and ``close()``.
 
-        The SDK's own class `foxglove.Channel` would keep each channel for ever, also those of topics that are gone.
+        The SDK's class `foxglove.Channel` would keep every channel forever, also those of topics that no longer exist.
         """
         schema = foxglove.Schema(name=type_name, encoding="ros2msg", data=definition.encode())
         return self._context._create_channel(topic, message_encoding="cdr", schema=schema, metadata=metadata)
 
     def scene(self, topic: str) -> SceneUpdateChannel:
-        """Announce a scene."""
+        """Announce a channel for scene updates."""
         return SceneUpdateChannel(topic, context=self._context)
 
     def offer_services(self, services: list[foxglove.Service]) -> None:
@@ -55,24 +55,24 @@ class FoxgloveServer:
         self._server.add_services(services)
 
     def withdraw_services(self, names: list[str]) -> None:
-        """Take services back."""
+        """Withdraw services."""
         self._server.remove_services(names)
 
     def warn(self, text: str, name: str) -> None:
-        """Tell all clients something that is so until `forget`."""
+        """Show a warning in all clients until `clear_warning`."""
         self._server.publish_status(text, StatusLevel.Warning, name)
 
     def clear_warning(self, name: str) -> None:
-        """Take back what was told."""
+        """Remove a warning."""
         self._server.remove_status([name])
 
     def close(self) -> None:
-        """Cut all clients. Safe to call twice."""
+        """Disconnect all clients. Safe to call twice."""
         self._server.stop()
 
 
 def _hidden_address() -> str:
-    """One that a page which tries all ports of 127.0.0.1 does not find; systems other than Linux have no others."""
+    """Return a loopback address that a page scanning 127.0.0.1 does not find; only Linux has others."""
     if sys.platform != "linux":
         return "127.0.0.1"
     return f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(254) + 1}.{secrets.randbelow(254) + 1}"

@@ -1,4 +1,4 @@
-"""The hub's services for the app: announced with their definitions, called with CDR as the app made it."""
+"""The hub's services for the app: announced with their definitions, called with the app's CDR."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ _log = logging.getLogger("midspan.foxglove")
 
 CALL_SECONDS = 15.0
 MOST_CALLS = 16
-"""Calls under way at once, of all clients; each keeps a thread of the SDK's waiting."""
+"""Concurrent calls of all clients; each blocks one of the SDK's threads."""
 
 REPEAT_SECONDS = 10.0
 _REQUEST_SECONDS = 2.0
 _OF_NODES = ("rcl_interfaces/", "type_description_interfaces/")
-"""What every node serves for itself: its parameters are offered as such."""
+"""Services that every node has; parameters are offered separately."""
 
 
 class CallRefusedError(Exception):
-    """A call is not made, or has no reply; the app shows the text."""
+    """A call was not made, or has no reply; the app shows the text."""
 
 
 class ServiceKey(NamedTuple):
@@ -49,7 +49,7 @@ class ServiceKey(NamedTuple):
 
 
 class Services:
-    """All services but the parts of actions. On the worker's thread, but for the calls."""
+    """All services except those of actions. Everything but the calls runs on the worker's thread."""
 
     def __init__(self, host: Host, server: FoxgloveServer, visitors: Visitors) -> None:
         self._host, self._server, self._visitors = host, server, visitors
@@ -61,11 +61,11 @@ class Services:
 
     @property
     def count(self) -> int:
-        """Services that are announced."""
+        """Number of announced services."""
         return len(self._shown)
 
     def refresh(self) -> None:
-        """Announce services that came, and withdraw those that went."""
+        """Announce new services, and withdraw those that have disappeared."""
         services: dict[str, ServiceKey] = {}
         for end in self._host.node.hub.graph.servers():
             private = end.topic.startswith(TAPS) or end.type_name.startswith(_OF_NODES) or split(end.topic)[1]
@@ -76,7 +76,9 @@ class Services:
             self._server.withdraw_services(removed)
         for name in removed:
             del self._shown[name]
-        added = [added for name, key in sorted(services.items()) if name not in self._shown and (added := self._create(key))]
+        added = [
+            added for name, key in sorted(services.items()) if name not in self._shown and (added := self._create(key))
+        ]
         if added:
             self._server.offer_services(added)
 
@@ -94,7 +96,7 @@ class Services:
         return foxglove.Service(key.name, schema=kind, handler=partial(self._serve, key))
 
     def _request(self, key: ServiceKey) -> None:
-        """Ask the workers for a definition that is not installed; those that come are seen at the next look."""
+        """Request a definition that is not installed from the workers; `refresh` uses it once it has arrived."""
         now = time.monotonic()
         if now - self._requested.get(key, -REPEAT_SECONDS) >= REPEAT_SECONDS:
             self._requested = {other: at for other, at in self._requested.items() if now - at < REPEAT_SECONDS}
@@ -109,17 +111,17 @@ class Services:
                 self._registry.learn_ros2(key.type_name, definition)
                 self._host.loop.post(self.refresh)
         except (HubError, MessageTypeError) as err:
-            _log.warning("the definition of %s: %s", key.type_name, err)
+            _log.warning("cannot get the definition of %s: %s", key.type_name, err)
 
-    # -- on threads of the SDK's that may wait -------------------------------------------------------------------------
+    # -- on threads of the SDK, which may block ------------------------------------------------------------------------
 
     def _serve(self, key: ServiceKey, request: foxglove.ServiceRequest) -> bytes:
-        """Call; raises `CallRefusedError`."""
+        """Call the service; raises `CallRefusedError`."""
         visitor = self._visitors.visitor_of(request.client_id)
         if visitor is None or not visitor.grant.may_drive:
-            raise CallRefusedError("you may look, and not call (foxglove.drive, or the role of your token)")
+            raise CallRefusedError("you may watch, but not call services (see foxglove.drive, or your token's role)")
         if not self._room.acquire(blocking=False):
-            raise CallRefusedError(f"{MOST_CALLS} calls are under way; try again")
+            raise CallRefusedError(f"{MOST_CALLS} calls are pending; try again")
         try:
             _log.info("%s calls %s", visitor.who, key.name)
             return self._call(key, bytes(request.payload))
@@ -136,7 +138,7 @@ class Services:
             while not client.ready:
                 ready.clear()
                 if not client.ready and not ready.wait(max(end - time.monotonic(), 0.0)):
-                    raise CallRefusedError(f"the server of {key.name} does not take calls from here")
+                    raise CallRefusedError(f"the server of {key.name} is unreachable from here")
             replies: SimpleQueue[bytes | CallError] = SimpleQueue()
             abandon = client.call(checked, replies.put)
             try:
@@ -151,7 +153,7 @@ class Services:
         return reply
 
     def close(self) -> None:
-        """Ask no more."""
+        """Stop requesting definitions."""
         self._requests.close()
 
 

@@ -1,7 +1,7 @@
-"""Who the SDK's clients are: the front tells it, by a word that only it and this process know.
+"""The identities of the SDK's clients, passed from the front by a secret that only this process knows.
 
-The SDK knows its clients by numbers alone, and asks none of them who they are. So the front, which does, says as the
-first message of each connection that it advertises a channel whose topic is a secret made for it.
+The SDK numbers its clients, and does not authenticate them. So the front, which does, sends a first message on each
+connection: it advertises a channel whose topic is a secret generated for that client.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from threading import Lock
 from bridge.web.serving.access import Grant
 
 MARK = 0xFFFF_FFFF
-"""The number of the channel that the front advertises; a client that uses it itself is a stranger from then on."""
+"""The number of the channel that the front advertises; a client that uses it itself becomes unknown."""
 
 
 @dataclass(eq=False)
 class Visitor:
-    """One connection. ``sent`` counts the bytes that went to it."""
+    """One connection. ``sent`` counts the bytes sent to it."""
 
     grant: Grant
     address: str
@@ -29,12 +29,12 @@ class Visitor:
 
     @property
     def who(self) -> str:
-        """In words."""
+        """The client's name, if known, and its address."""
         return f"{self.grant.name} at {self.address}" if self.grant.name else self.address
 
 
 class Visitors:
-    """Safe to use from any thread."""
+    """Registry of the connected clients. Safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -43,7 +43,7 @@ class Visitors:
         self._clients: dict[int, Visitor] = {}
 
     def expect(self, visitor: Visitor) -> bytes:
-        """A connection is made for a visitor; the text that the SDK's server is to get first on it."""
+        """Register a connection; return the first text to send to the SDK's server on it."""
         secret = secrets.token_hex(16)
         with self._lock:
             self._open[visitor] = secret
@@ -52,27 +52,27 @@ class Visitors:
         return json.dumps({"op": "advertise", "channels": [channel]}).encode()
 
     def disconnected(self, visitor: Visitor) -> None:
-        """Its connection has ended."""
+        """Remove a visitor whose connection has ended."""
         with self._lock:
             self._secrets.pop(self._open.pop(visitor, ""), None)
 
     def identify(self, client: int, secret: str) -> None:
-        """The SDK has a client that said this word; a word is good once."""
+        """Link the SDK's client to the visitor with this secret, which is valid once."""
         with self._lock:
             visitor = self._secrets.pop(secret, None)
             if visitor is not None:
                 self._clients[client] = visitor
 
     def remove_client(self, client: int) -> None:
-        """The SDK's client is gone."""
+        """Remove a client that the SDK has closed."""
         with self._lock:
             self._clients.pop(client, None)
 
     def visitor_of(self, client: int) -> Visitor | None:
-        """Who a client of the SDK is, None for one that did not come by the front."""
+        """Return the visitor for a client of the SDK; None if it did not connect through the front."""
         return self._clients.get(client)
 
     def all(self) -> list[Visitor]:
-        """Those whose connections are open."""
+        """Return the visitors with open connections."""
         with self._lock:
             return list(self._open)

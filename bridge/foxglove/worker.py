@@ -40,18 +40,18 @@ if TYPE_CHECKING:
 _log = logging.getLogger("midspan.foxglove")
 
 GATHER_SECONDS = 0.1
-"""Changes of the hub's graph are gathered for so long: they come by the hundred."""
+"""Changes of the hub's graph are collected for this long: hundreds may arrive at once."""
 
 
 class FoxgloveWorker(Worker):
-    """Shows the hub to the Foxglove app, and is a node of the hub like any module."""
+    """Serves the hub to the Foxglove app; a node of the hub like any module."""
 
     def __init__(self) -> None:
         self._config: Config | None = None
         self._live: Live | None = None
 
     def start(self, config: Config) -> None:
-        """Open the node and the server; raises `RuntimeError` where the address is taken."""
+        """Open the node and the server; raises `RuntimeError` if the address is in use."""
         self._config = config
         SdkLog.install()
         self._live = Live(config)
@@ -59,32 +59,32 @@ class FoxgloveWorker(Worker):
         _log.info("the Foxglove app finds the hub at %s", self._live.front.address)
 
     def reload(self, config: Config) -> bool:
-        """The app connects again by itself, so a new start is all that is needed."""
+        """Request a restart after any change: the app reconnects by itself."""
         return config == self._config
 
     def health(self) -> Health:
-        """Where the server is; raises `TimeoutError` where the worker's thread hangs."""
+        """Return the server's address and load; raises `TimeoutError` if the worker's thread hangs."""
         assert self._live is not None
         self._live.host.loop.computes()
         self._live.check()
         return Health("running", self._live.text())
 
-    def diagnostics_wanted(self) -> bool:
-        """See `Worker`."""
-        return self._live is not None and has_subscribers(self._live.host.node.hub.graph)
+    def hears_diagnostics(self) -> bool:
+        """Return whether `/diagnostics` has subscribers."""
+        return self._live is not None and heard(self._live.host.node.hub.graph)
 
     def stop(self) -> None:
-        """Cut the clients, and leave the hub."""
+        """Disconnect the clients, and leave the hub."""
         live, self._live = self._live, None
         if live is not None:
             live.close()
 
 
 class Live:
-    """The parts of the server, put together.
+    """The server with all its parts.
 
     Attributes:
-        visitors: who is here, and as what.
+        visitors: the connected clients with their roles.
     """
 
     def __init__(self, config: Config) -> None:
@@ -117,28 +117,28 @@ class Live:
         self._started = time.monotonic()
 
     def start(self) -> None:
-        """Show what there is."""
+        """Start to serve."""
         loop = self.host.loop
         loop.start()
         if (gateway := self._gateway) is not None:
-            loop.call(lambda: gateway.watch(self))  # who drives by hand must not drive against a planner
+            loop.call(lambda: gateway.watch(self))  # manual driving must not compete with a planner
         self.host.answer("status", self._status)
         loop.every(1.0, self._tick)
         self._graph.changed()
         self.front.start()
 
     def changed(self, name: str, n: int, text: str) -> None:
-        """Nothing: it watches for `DrivingFeed.busy` alone."""
+        """Do nothing: only `DrivingFeed.busy` is used."""
 
     def check(self) -> None:
-        """Take up a new certificate; raises `RuntimeError` where nobody is served any more."""
+        """Load a new certificate; raises `RuntimeError` if the server has ended."""
         if self._tls is not None:
             self._tls.look()
         if self.front.trouble:
             raise RuntimeError(self.front.trouble)
 
     def text(self) -> str:
-        """Where it is, and what it shows."""
+        """Return the address, and the numbers of clients and topics."""
         clients = len(self.visitors.all())
         shown = f"{self._channels.count} topics, {self._channels.watched} watched"
         return f"{self.front.address}, {clients} client{'' if clients == 1 else 's'}, {shown}"
@@ -186,11 +186,11 @@ class Live:
         }  # fmt: skip
 
     def stop_publishing(self) -> None:
-        """Stop the robot where a client drives it, and publish nothing more. On the worker's thread."""
+        """Stop the robot if a client drives it, and stop publishing. To be called on the worker's thread."""
         self._publishing.close()
 
     def close(self) -> None:
-        """Stop the robot where a client drives it, cut the clients, then leave."""
+        """Stop the robot if a client drives it, disconnect the clients, then leave the hub."""
         self.host.loop.call(self.stop_publishing)
         self.front.close()
         self._server.close()
@@ -203,7 +203,7 @@ class Live:
 
 
 def _gateway(host: Host, config: Config) -> DrivingFeed:
-    from bridge.web.feeds.robot import DrivingFeed  # who only looks does without
+    from bridge.web.feeds.robot import DrivingFeed  # not needed for watching
 
     return DrivingFeed(host, config)
 
@@ -215,31 +215,31 @@ def _tls(config: Config) -> ServerTls:
 
 
 def _capabilities(section: FoxgloveSection) -> list[Capability]:
-    """What the app may offer; who may only look is refused where others may do more."""
+    """Return what the app may offer; a client that may only watch is refused when it tries more."""
     commands = [Capability.ClientPublish, Capability.Services] if section.commanded else []
     return [Capability.Parameters, *commands]
 
 
 class SdkLog(logging.Handler):
-    """What the SDK says of clients, a line for each bad frame: few enough for a log."""
+    """Rate-limits the SDK's log, which has a line for each invalid frame of a client."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self._log = ScarceLog("midspan.foxglove")
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Log it, or count it."""
+        """Log or count the record."""
         self._log.warn(f"the SDK: {record.getMessage()[:500]}")
 
     @classmethod
     def install(cls) -> None:
-        """Take all that the SDK logs in this process."""
+        """Receive everything that the SDK logs in this process."""
         logger = logging.getLogger("foxglove")
         logger.handlers, logger.propagate = [cls()], False
 
 
 class Gathered:
-    """Calls once for many changes, a moment later, on the worker's thread."""
+    """Merges many changes into one delayed call on the worker's thread."""
 
     def __init__(self, host: Host, callback: Callable[[], None]) -> None:
         self._host, self._callback = host, callback
@@ -247,7 +247,7 @@ class Gathered:
         self._due = False
 
     def changed(self) -> None:
-        """Something changed; may be called on any thread, also before the worker's runs."""
+        """Schedule the call. Safe from any thread, also before the worker's thread runs."""
         with self._lock:
             due, self._due = self._due, True
         if not due:

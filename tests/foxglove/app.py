@@ -1,4 +1,4 @@
-"""A client of the tests: speaks ``foxglove.sdk.v1`` itself, over a plain WebSocket.
+"""A client for the tests that implements ``foxglove.sdk.v1``, over a plain WebSocket.
 
 Source: https://github.com/foxglove/foxglove-sdk, ``rust/foxglove/src/protocol``: JSON texts, and binary frames of an
 opcode and little-endian numbers.
@@ -28,13 +28,13 @@ MESSAGE, CALL = 1, 2
 
 
 class App:
-    """One client.
+    """One client of the server.
 
     Attributes:
-        channels: what the server announces, by topic.
-        services: what it serves, by name.
-        messages: what came, by topic: time in nanoseconds and bytes.
-        said: all other texts that came.
+        channels: the announced channels, by topic.
+            services: the announced services, by name.
+            messages: received messages, by topic: time in nanoseconds and bytes.
+            texts: all other received texts.
     """
 
     def __init__(self, port: int, *, host: str = "127.0.0.1", query: str = "", **options: Any) -> None:
@@ -57,7 +57,7 @@ class App:
         self.socket.send(json.dumps(message))
 
     def read(self, seconds: float = 0.05) -> bool:
-        """Read one frame; whether there was one."""
+        """Read one frame; return whether there was one."""
         try:
             frame = self.socket.recv(timeout=seconds)
         except TimeoutError:
@@ -86,26 +86,26 @@ class App:
             removed = set(texts["serviceIds"])
             self.services = {name: entry for name, entry in self.services.items() if entry["id"] not in removed}
         elif texts.get("message", "").startswith("Unknown channel ID"):
-            # the SDK announces a channel before it knows it as announced; who is quick asks again
+            # the SDK announces a channel before it accepts subscriptions to it; a fast client asks again
             for number, topic in self._subscriptions.items():
                 self._ask(number, topic)
         else:
             self.texts.append(texts)
 
     def until(self, done: Callable[[], T], what: str, seconds: float = 15.0) -> T:
-        """Read until something is so."""
+        """Read until ``done`` returns something true."""
         end = time.monotonic() + seconds
         while not (result := done()):
-            assert time.monotonic() < end, f"{what} has not come in {seconds:g} s; said: {self.texts[-5:]}"
+            assert time.monotonic() < end, f"{what} did not arrive within {seconds:g} s; received: {self.texts[-5:]}"
             self.read()
         return result
 
     def channel(self, topic: str) -> dict[str, Any]:
-        """The announcement of a topic."""
+        """Wait for the announcement of a topic."""
         return self.until(lambda: self.channels.get(topic), f"the channel {topic}")
 
     def subscribe(self, topic: str) -> int:
-        """Watch a topic; the subscription's number."""
+        """Subscribe to a topic; return the subscription's number."""
         self.channel(topic)
         self._numbers += 1
         self._subscriptions[self._numbers] = topic
@@ -121,7 +121,7 @@ class App:
         self.send(op="unsubscribe", subscriptionIds=[number])
 
     def advertise(self, topic: str, type_name: str, encoding: str) -> int:
-        """Begin to publish; the channel's number."""
+        """Start to publish; return the channel's number."""
         self._numbers += 1
         channel = {"id": self._numbers, "topic": topic, "encoding": encoding, "schemaName": type_name}
         self.send(op="advertise", channels=[channel])
@@ -134,7 +134,7 @@ class App:
         self.socket.send(struct.pack("<BI", MESSAGE, number) + data)
 
     def call(self, service: str, request: bytes, encoding: str = "cdr") -> int:
-        """Call a service; the call's number."""
+        """Call a service; return the call's number."""
         number = self.until(lambda: self.services.get(service), f"the service {service}")["id"]
         self._numbers += 1
         head = struct.pack("<BIII", CALL, number, self._numbers, len(encoding))
@@ -142,20 +142,20 @@ class App:
         return self._numbers
 
     def sync(self) -> None:
-        """Wait until the server has done what was asked so far: it answers in the order of what comes."""
+        """Wait until the server has handled all requests so far: it answers in order."""
         self._numbers += 1
-        request_id = f"taken {self._numbers}"
+        request_id = f"sync {self._numbers}"
         self.send(op="getParameters", parameterNames=["nothing"], id=request_id)
-        self.until(lambda: any(texts.get("id") == request_id for texts in self.texts), "the answer to what was asked last")
+        self.until(lambda: any(texts.get("id") == request_id for texts in self.texts), "the answer to the last request")
 
     def received(self, topic: str, count: int = 1) -> list[tuple[int, bytes]]:
-        """Wait for so many messages of a topic."""
+        """Wait for ``count`` messages of a topic."""
         return self.until(
             lambda: self.messages[topic] if len(self.messages[topic]) >= count else None, f"{count} of {topic}"
         )
 
     def decoded(self, topic: str, number: int = -1) -> Any:
-        """A message as mcap-ros2-support decodes it by the channel's own schema."""
+        """Return a message, decoded by mcap-ros2-support with the channel's own schema."""
         channel = self.channel(topic)
         schema = Schema(1, channel["schema"].encode(), channel["schemaEncoding"], channel["schemaName"])
         decode = DecoderFactory().decoder_for(channel["encoding"], schema)
@@ -163,7 +163,7 @@ class App:
         return decode(self.messages[topic][number][1])
 
     def read_until_cut(self) -> None:
-        """Read until the server ends the connection, which raises `websockets.ConnectionClosed`."""
+        """Read until the server closes the connection, which raises `websockets.ConnectionClosed`."""
         self.until(lambda: False, "the end")
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The Foxglove server in the test's own process, on a hub of its own."""
+"""The Foxglove server in the test's own process, on its own hub."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.support.quick_hub import QuickHub
 
 
 class Desk:
-    """A server and a program on its hub (``far``)."""
+    """A server, and a program on its hub (``far``)."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -41,12 +41,12 @@ class Desk:
         return live
 
     def open_with(self, **sections: Any) -> None:
-        """The server once more, with sections of the configuration."""
+        """Restart the server with other sections of the configuration."""
         self.live.close()
         self.live = self.open(**sections)
 
     def publisher(self, topic: str, type_: str) -> HubPublisher:
-        """A publisher of the program's, for payloads as they are."""
+        """Return a publisher of the program, for raw payloads."""
         name = ros2_name(type_)
         qos = Qos(Reliability.RELIABLE, Durability.VOLATILE, depth=10)
         return self.far.hub.publisher(topic, name, self.far.registry.ros2(name).type_id, qos)
@@ -55,7 +55,7 @@ class Desk:
         return App(self.live.front.port, **options)
 
     def status(self) -> dict[str, Any]:
-        """What the server tells on the hub."""
+        """Return the server's status document."""
         (answer,) = self.far.hub.ask("status", {}, worker="foxglove")
         assert isinstance(answer.value, dict)
         return answer.value

@@ -1,4 +1,4 @@
-"""Topics of the hub as channels: announced, heard while they are watched, and their bytes handed on as they came."""
+"""Hub topics as channels: announced, subscribed while they are watched, and forwarded unchanged."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_topics_are_announced_with_their_definition_and_withdrawn(desk: Desk) ->
             "side": "zenoh", "latched": "false", "hash": desk.far.registry.ros2("nav_msgs/msg/Odometry").type_id,
         }  # fmt: skip
         desk.far.drop(end)
-        app.until(lambda: "/odom" not in app.channels, "the channel is gone")
+        app.until(lambda: "/odom" not in app.channels, "the channel is withdrawn")
         assert desk.status()["channels"] == 0
 
 
@@ -40,7 +40,7 @@ def test_bytes_arrive_unchanged_with_their_time(desk: Desk) -> None:
     publisher = desk.publisher("/said", "std_msgs/String")
     with desk.app() as app:
         app.subscribe("/said")
-        app.until(publisher.matched, "the hub is subscribed to")
+        app.until(publisher.matched, "the server subscribes")
         publisher.put(cdr("one"), 1_234)
         publisher.put(cdr("two") + b"\0\0\0", 5_678)  # with padding, as some writers leave it
         assert app.received("/said", 2) == [(1_234, cdr("one")), (5_678, cdr("two") + b"\0\0\0")]
@@ -56,7 +56,7 @@ def test_only_watched_topics_are_subscribed(desk: Desk) -> None:
         first, second = app.subscribe("/said"), other.subscribe("/said")
         for entry in (app, other):
             entry.sync()
-        app.until(publisher.matched, "it is heard")
+        app.until(publisher.matched, "it is subscribed")
         publisher.put(cdr("x"))
         app.received("/said")
         other.received("/said")
@@ -65,12 +65,12 @@ def test_only_watched_topics_are_subscribed(desk: Desk) -> None:
         app.unsubscribe(first)
         publisher.put(cdr("y"))
         assert len(other.received("/said", 2)) == 2
-        assert publisher.matched(), "the other one still watches"
+        assert publisher.matched(), "the other client still watches"
         other.unsubscribe(second)
-        until(lambda: not publisher.matched(), "nobody hears it")
+        until(lambda: not publisher.matched(), "it is unsubscribed")
         app.subscribe("/said")
-        app.until(publisher.matched, "it is heard again")
-    until(lambda: not publisher.matched(), "with its client its subscription ends")
+        app.until(publisher.matched, "it is subscribed again")
+    until(lambda: not publisher.matched(), "the subscription ends with its client")
 
 
 def test_a_late_client_receives_latched_messages(desk: Desk) -> None:
@@ -83,14 +83,14 @@ def test_a_late_client_receives_latched_messages(desk: Desk) -> None:
             late.subscribe("/map_name")
             assert late.received("/map_name")[0][1] == cdr("kitchen")
         desk.far.publish(end, {"data": "hall"})
-        app.until(lambda: app.messages["/map_name"][-1][1] == cdr("hall"), "the new one")
+        app.until(lambda: app.messages["/map_name"][-1][1] == cdr("hall"), "the new message")
         with desk.app() as late:
             late.subscribe("/map_name")
             assert late.received("/map_name")[0][1] == cdr("hall")
 
 
 class RecordingChannel:
-    """A channel of the SDK that notes what it is given."""
+    """A channel of the SDK that records the logged messages."""
 
     def __init__(self) -> None:
         self.logged: list[bytes] = []
@@ -114,7 +114,7 @@ def test_a_latched_message_may_arrive_before_its_publisher_is_in_the_graph() -> 
     recorded.logged.clear()
     channel.follow(HubTopic(key, tuple(ends)))
     channel.resend_latched()
-    # the first of them has made room, and the last but one keeps nothing
+    # the first of them was evicted, and nothing is cached for the last but one
     assert recorded.logged == [gid[:1] for gid in gids[2:] if gid != gids[-2]]
 
 
@@ -123,19 +123,19 @@ def test_the_second_type_of_a_topic_is_refused_and_reported(desk: Desk) -> None:
     with desk.app() as app:
         assert app.channel("/both")["schemaName"] == "std_msgs/msg/String"
         desk.far.advertise("/both", "std_msgs/Int8")
-        refused = until(lambda: desk.status()["refused"], "the other is refused")
+        refused = until(lambda: desk.status()["refused"], "the second type is refused")
         assert [(entry["topic"], entry["type"]) for entry in refused] == [("/both", "std_msgs/msg/Int8")]
-        assert "shown as std_msgs/msg/String" in refused[0]["reason"]
+        assert "offered with the type std_msgs/msg/String" in refused[0]["reason"]
 
 
 def test_a_client_that_never_reads_delays_no_other_and_has_a_bounded_backlog(desk: Desk) -> None:
     publisher = desk.publisher("/blob", "std_msgs/String")
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
         app.subscribe("/blob")
-        app.until(publisher.matched, "it is heard")
+        app.until(publisher.matched, "it is subscribed")
         deaf.subscribe("/blob")
         payload = cdr("x" * 100_000)
-        for sent in range(1, 601):  # 60 MB, of which what was not read is dropped
+        for sent in range(1, 601):  # 60 MB; unread messages are dropped
             publisher.put(payload)
             app.received("/blob", sent)
         assert len(app.messages["/blob"]) == 600
@@ -155,15 +155,15 @@ def test_invalid_frames_of_a_client_affect_no_other(desk: Desk) -> None:
     publisher = desk.publisher("/said", "std_msgs/String")
     with desk.app() as app, desk.app() as bad:
         app.subscribe("/said")
-        app.until(publisher.matched, "it is heard")
+        app.until(publisher.matched, "it is subscribed")
         bad.channel("/said")
         for frame in FRAMES:
             bad.socket.send(frame)
         bad.subscribe("/said")
-        bad.until(lambda: sum(entry["op"] == "status" for entry in bad.texts) > 8, "it is told what was wrong")
+        bad.until(lambda: sum(entry["op"] == "status" for entry in bad.texts) > 8, "it receives the errors")
         publisher.put(cdr("well"))
         assert app.received("/said")[0][1] == bad.received("/said")[0][1] == cdr("well")
-        with contextlib.suppress(websockets.ConnectionClosed):  # it is cut while it sends, or after
+        with contextlib.suppress(websockets.ConnectionClosed):  # it is disconnected while it sends, or afterwards
             bad.socket.send(b"\x01" + bytes(20 << 20))
         with pytest.raises(websockets.ConnectionClosed):
             bad.read_until_cut()

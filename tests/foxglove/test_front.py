@@ -1,4 +1,4 @@
-"""Who may come in to the Foxglove server, from which pages, and as what."""
+"""Access to the Foxglove server: which clients and pages may connect, and with which role."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def guarded(tmp_path: Path) -> Iterator[GuardedDesk]:
 
 
 def status_of(desk: Desk, **options: Any) -> int:
-    """The status of an answer to who is refused."""
+    """Return the HTTP status of a refusal."""
     with pytest.raises(InvalidStatus) as refused:
         desk.app(**options)
     return refused.value.response.status_code
@@ -94,11 +94,11 @@ def test_foreign_pages_may_not_connect(desk: Desk) -> None:
     assert status_of(desk, user_agent_header=FIREFOX) == 403
     for options in ({"origin": "https://app.foxglove.dev", "user_agent_header": FIREFOX}, {"origin": "file://"}, {}):
         with desk.app(**options) as app:
-            app.until(lambda: app.texts, "it is let in")
+            app.until(lambda: app.texts, "it is accepted")
     desk.open_with(foxglove={"origins": ["https://fox.example"]})
     assert status_of(desk, origin="https://app.foxglove.dev") == 403
     with desk.app(origin="https://Fox.example") as app:
-        app.until(lambda: app.texts, "it is let in")
+        app.until(lambda: app.texts, "it is accepted")
 
 
 def test_tokens_determine_name_and_role(guarded: GuardedDesk) -> None:
@@ -110,7 +110,7 @@ def test_tokens_determine_name_and_role(guarded: GuardedDesk) -> None:
         for app in (anna, hall):
             number = app.advertise("/said", "std_msgs/msg/String", "json")
             app.publish(number, b'{"data": "of %d"}' % (app is anna))
-        wait_for_status(hall, "you may look, and not publish")
+        wait_for_status(hall, "you may watch, but not publish")
         until(lambda: guarded.far.publishers("/said"), "anna publishes")
         anna.publish(number, b'{"data": "of anna"}')
         assert guarded.far.wait(subscription, 1)[-1]["data"].startswith("of ")
@@ -119,7 +119,7 @@ def test_tokens_determine_name_and_role(guarded: GuardedDesk) -> None:
             ("anna at 127.0.0.1", "drive"), ("hall at 127.0.0.1", "watch"),
         ]  # fmt: skip
         assert status["text"].startswith(f"wss://127.0.0.1:{guarded.live.front.port}, 2 clients")
-    until(lambda: guarded.status()["clients"] == [], "they are gone")
+    until(lambda: guarded.status()["clients"] == [], "they are disconnected")
 
 
 def test_clients_without_a_valid_token_are_refused(
@@ -147,7 +147,7 @@ def test_a_client_that_bypasses_the_front_may_not_publish(desk: Desk) -> None:
     with contextlib.closing(App(port, host=host)) as app:
         app.send(op="advertise", channels=[{"id": MARK, "topic": "a" * 32, "encoding": "json", "schemaName": ""}])
         app.advertise("/said", "std_msgs/msg/String", "json")
-        wait_for_status(app, "you may look, and not publish")
+        wait_for_status(app, "you may watch, but not publish")
         assert not desk.far.publishers("/said")
 
 
@@ -162,8 +162,8 @@ def test_a_secret_is_valid_once(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr(visitors, "identify", record)
     with desk.app() as app:
-        app.until(lambda: app.texts, "it is let in")
-        ((client, secret),) = until(lambda: recorded, "it was said")
+        app.until(lambda: app.texts, "it is accepted")
+        ((client, secret),) = until(lambda: recorded, "the secret was used")
         identify(99, secret)
         assert visitors.visitor_of(99) is None
         assert visitors.all() == [visitors.visitor_of(client)]
@@ -193,7 +193,7 @@ def test_a_head_is_forwarded_without_its_secrets() -> None:
 
 
 def raw(desk: Desk, data: bytes) -> bytes:
-    """What is answered to some bytes, until the connection's end."""
+    """Send bytes, and return everything received until the connection ends."""
     with socket.create_connection(("127.0.0.1", desk.live.front.port), timeout=10) as peer:
         received = b""
         with contextlib.suppress(ConnectionError):
@@ -210,7 +210,7 @@ def test_other_protocols_are_refused_and_disconnected(desk: Desk, monkeypatch: p
     assert b"for the Foxglove app" in raw(desk, b"HELO robot\r\n\r\n")
     assert raw(desk, b"GET /" + b"x" * 100_000) == b""
     monkeypatch.setattr(front, "HEAD_SECONDS", 0.2)
-    assert raw(desk, b"GET / HTTP/1.1\r\n") == b"", "who does not go on is cut"
+    assert raw(desk, b"GET / HTTP/1.1\r\n") == b"", "an incomplete request is disconnected"
     with desk.app() as app:
         app.until(lambda: app.texts, "others are served")
 
@@ -220,19 +220,23 @@ def test_the_number_of_clients_is_limited(desk: Desk, monkeypatch: pytest.Monkey
     with desk.app(), desk.app() as app:
         assert status_of(desk) == 503
         app.until(lambda: app.texts, "the others are served")
-    until(lambda: not desk.status()["clients"], "they are gone")
+    until(lambda: not desk.status()["clients"], "they are disconnected")
     with desk.app() as app:
         app.until(lambda: app.texts, "there is room again")
 
 
-def test_a_client_that_reads_nothing_is_disconnected_and_delays_no_other(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_client_that_reads_nothing_is_disconnected_and_delays_no_other(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(front, "STILL_SECONDS", 2.0)
     monkeypatch.setattr(front, "MOST_UNREAD", 1 << 20)
     publisher = desk.publisher("/flood", "std_msgs/String")
     secret = cdr("x" * 500_000)
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
         deaf.subscribe("/flood")
-        deaf.until(publisher.matched, "it is heard")  # a client that no longer reads does not subscribe twice either
+        deaf.until(
+            publisher.matched, "it is subscribed"
+        )  # a client that no longer reads does not subscribe twice either
         app.subscribe("/flood")
         app.sync()
         shares: list[int] = []
@@ -245,9 +249,11 @@ def test_a_client_that_reads_nothing_is_disconnected_and_delays_no_other(desk: D
             shares.append(len(app.messages["/flood"]) - before)
             return len(desk.status()["clients"]) == 1
 
-        until(cut, "the deaf one is cut", 30)
+        until(cut, "the client that does not read is disconnected", 30)
         wait_for_status = desk.status()
-        assert sum(shares) >= 2 * len(shares), f"while one takes nothing the other gets {shares} of 4 each: {wait_for_status}"
+        assert sum(shares) >= 2 * len(shares), (
+            f"while one client reads nothing the other receives {shares} of 4 each: {wait_for_status}"
+        )
         (left,) = app.messages["/flood"][-1:]
         assert left[1] == secret
 

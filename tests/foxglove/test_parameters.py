@@ -1,4 +1,4 @@
-"""Parameters of ROS 2 nodes for the app: read while it asks, set where it may."""
+"""Parameters of ROS 2 nodes for the app: read on request, set if permitted."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.support.wait import until
 
 
 class Node:
-    """A node with parameters on the hub, by the three services that tools use."""
+    """A node with parameters on the hub, with the three services that tools use."""
 
     def __init__(self, desk: Desk, name: str, values: Mapping[str, ParameterValue]) -> None:
         self.values = dict(values)
@@ -74,10 +74,14 @@ VALUES = {
 
 
 def answers(app: App, request: str) -> dict[str, Any]:
-    """The parameters of an answer, by name."""
+    """Wait for an answer, and return its parameters by name."""
 
     def values() -> dict[str, Any] | None:
-        parameters_ = [parameter for parameter in app.texts if parameter["op"] == "parameterValues" and parameter.get("id") == request]
+        parameters_ = [
+            parameter
+            for parameter in app.texts
+            if parameter["op"] == "parameterValues" and parameter.get("id") == request
+        ]
         return parameters_[-1] if parameters_ else None
 
     return {parameter["name"]: parameter for parameter in app.until(values, "the parameters")["parameters"]}
@@ -104,15 +108,15 @@ def test_parameters_of_all_nodes_are_returned_on_request(desk: Desk) -> None:
         }
         assert list(read_parameters(app, "/ns/base.count", "/ns/base.none")) == ["/ns/base.count"]
         node.values["count"] = ParameterValue(ParameterType.INTEGER, 4)
-        until(lambda: read_parameters(app, "/ns/base.count")["/ns/base.count"]["value"] == 4, "a change is read", 10)
+        until(lambda: read_parameters(app, "/ns/base.count")["/ns/base.count"]["value"] == 4, "the change is read", 10)
         node.close()
-        until(lambda: not read_parameters(app), "it is gone", 10)
+        until(lambda: not read_parameters(app), "it is removed", 10)
 
 
 def test_nodes_are_queried_only_while_clients_request(desk: Desk) -> None:
     node = Node(desk, "/base", VALUES)
     with desk.app() as app:
-        app.until(lambda: app.texts, "it is let in")
+        app.until(lambda: app.texts, "it is accepted")
         desk.far.advertise("/said", "std_msgs/String")
         app.channel("/said")
         assert node.read_parameters == 0
@@ -124,7 +128,7 @@ def test_a_watching_client_may_not_set_parameters(desk: Desk) -> None:
     with desk.app() as app:
         app.until(lambda: read_parameters(app), "they are read")
         app.send(op="setParameters", parameters=[{"name": "/base.count", "value": 5}], id="w")
-        wait_for_status(app, "you may look, and not set parameters")
+        wait_for_status(app, "you may read parameters, but not set them")
         assert answers(app, "w")["/base.count"]["value"] == node.values["count"].content == 3
 
 
@@ -150,7 +154,8 @@ def test_parameters_are_set_with_their_nodes_type(desk: Desk) -> None:
         )
         wait_for_status(app, "/base refuses fixed: it is fixed")
         (update,) = other.until(
-            lambda: [parameter for parameter in other.texts if parameter["op"] == "parameterValues"], "others are told"
+            lambda: [parameter for parameter in other.texts if parameter["op"] == "parameterValues"],
+            "the others are notified",
         )
         assert update["parameters"] == [{"name": "/base.speed", "value": 3.0, "type": "float64"}]
 

@@ -1,4 +1,4 @@
-"""The app's client and real rospy, rclpy and zenoh programs, by the real daemon."""
+"""A client of the app's protocol with real rospy, rclpy and zenoh programs, through the real daemon."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Robot(Deployment):
             except OSError:
                 return None
 
-        return until(join, "the server takes clients", 40)
+        return until(join, "the server accepts clients", 40)
 
     def document(self) -> dict[str, Any]:
         return next((each for each in self.status() if each.get("worker") == "foxglove"), {})
@@ -64,7 +64,7 @@ def robot(of_the_file: Robot) -> Iterator[Robot]:
 
 
 def string(text: str) -> bytes:
-    """A String in CDR, by rosbags."""
+    """Return a String in CDR, serialized by rosbags."""
     kind = STORE.types["std_msgs/msg/String"]
     return bytes(STORE.serialize_cdr(kind(data=text), "std_msgs/msg/String"))
 

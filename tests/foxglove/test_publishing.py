@@ -1,4 +1,4 @@
-"""What clients publish: on the hub as they said it, by role; velocities for as long as they are said."""
+"""Clients' messages on the hub: unchanged, by role; velocities only while they are repeated."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def velocity(x: float, turn: float = 0.0) -> bytes:
 
 
 def wait_for_status(app: App, text: str) -> dict[str, Any]:
-    """Wait for a status with these words."""
+    """Wait for a status message that contains a text."""
     return app.until(
         lambda: next((entry for entry in app.texts if text in entry.get("message", "")), None), f"a status: {text}"
     )
@@ -51,10 +51,10 @@ def test_json_and_cdr_reach_the_hub(driven: Desk, type_name: str) -> None:
             ends = [entry for entry in driven.status()["topics"] if entry["end"] == "publisher"]
             return [(entry["by"], entry["messages"]) for entry in ends]
 
-        until(lambda: counts() == [("127.0.0.1", 1)] * 2, "each is counted, which is done once it was said")
+        until(lambda: counts() == [("127.0.0.1", 1)] * 2, "each message is counted, after it was published")
         app.unadvertise(as_json)
         until(lambda: len(driven.far.publishers("/said")) == 1, "one is withdrawn")
-    until(lambda: not driven.far.publishers("/said"), "with its client the other one ends")
+    until(lambda: not driven.far.publishers("/said"), "the other publisher ends with its client")
 
 
 def test_a_watching_client_publishes_nothing(desk: Desk) -> None:
@@ -68,13 +68,13 @@ def test_invalid_channels_and_messages_are_reported(driven: Desk) -> None:
     subscription = driven.far.subscribe("/n", "std_msgs/Int8")
     with driven.app() as app:
         for topic, type_name, encoding, reason in (
-            ("/a", "std_msgs/msg/String", "protobuf", "messages come as cdr or json"),
-            ("a b", "std_msgs/msg/String", "json", "it is no topic"),
-            ("/_midspan/a", "std_msgs/msg/String", "json", "it is no topic"),
+            ("/a", "std_msgs/msg/String", "protobuf", "the encoding must be cdr or json"),
+            ("a b", "std_msgs/msg/String", "json", "not a topic name"),
+            ("/_midspan/a", "std_msgs/msg/String", "json", "not a topic name"),
             ("/a", "robot_msgs/msg/Mood", "json", "robot_msgs/msg/Mood"),
-            ("/a", "no type", "json", "'no type' is no type"),
-            ("/wheels/cmd_vel", TWIST, "json", "velocities are taken on /cmd_vel"),
-            ("/anything", "geometry_msgs/msg/TwistStamped", "json", "velocities are taken on /cmd_vel"),
+            ("/a", "no type", "json", "'no type' is not a type name"),
+            ("/wheels/cmd_vel", TWIST, "json", "velocities are accepted on /cmd_vel"),
+            ("/anything", "geometry_msgs/msg/TwistStamped", "json", "velocities are accepted on /cmd_vel"),
         ):
             app.advertise(topic, type_name, encoding)
             wait_for_status(app, reason)
@@ -82,7 +82,7 @@ def test_invalid_channels_and_messages_are_reported(driven: Desk) -> None:
         number = app.advertise("/n", "std_msgs/msg/Int8", "json")
         until(lambda: driven.far.publishers("/n"), "it is published")
         for data, reason in (
-            (b"{", "it is not JSON"), (b"[" * 100_000, "it is not JSON"), (b"3", "no JSON object"),
+            (b"{", "it is not JSON"), (b"[" * 100_000, "it is not JSON"), (b"3", "not a JSON object"),
             (b'{"data": 300}', "data is int8, not 300"), (b'{"dat": 3}', "has no field 'dat'"),
             (b"\xff", "it is not JSON"),
         ):  # fmt: skip
@@ -106,11 +106,11 @@ def test_a_velocity_expires_and_zero_follows_once(driven: Desk) -> None:
     with driven.app() as app:
         number = app.advertise("/cmd_vel", TWIST, "json")
         first = drive_until_received(driven, app, number, subscription)
-        assert first["linear"]["x"] == 0.3, "not faster than by hand in the console (web.speed)"
+        assert first["linear"]["x"] == 0.3, "limited as in the console (web.speed)"
         until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "zero after the silence")
         count = len(driven.far.wait(subscription, 1))
         assert [entry["linear"]["x"] for entry in driven.far.wait(subscription, 1)].count(0.0) == 1
-        (end,) = until(lambda: driven.far.publishers("/cmd_vel"), "the graph tells of its publisher")
+        (end,) = until(lambda: driven.far.publishers("/cmd_vel"), "its publisher is in the graph")
         assert not end.qos.latched
         late = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
         drive_until_received(driven, app, number, late)
@@ -123,12 +123,12 @@ def drive_until_received(desk: Desk, app: App, number: int, subscription: int) -
         moving = [entry for entry in desk.far.wait(subscription, 1, 0.05) if entry["linear"]["x"] > 0.0]
         return moving[-1] if moving else None
 
-    return until(receive, "a velocity is heard", 10)
+    return until(receive, "a velocity is received", 10)
 
 
 @pytest.mark.parametrize("end", ["unadvertise", "leave", "cut", "the server stops"])
 def test_zero_is_commanded_when_the_driver_leaves(driven: Desk, end: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hold, "HOLD_SECONDS", 60.0)  # it is not the silence that stops it
+    monkeypatch.setattr(hold, "HOLD_SECONDS", 60.0)  # so that the silence does not stop it
     subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
     with driven.app(close_timeout=0.1) as app:
         number = app.advertise("/cmd_vel", TWIST, "json")
@@ -166,7 +166,7 @@ def test_one_client_drives_at_a_time_and_none_against_a_planner(desk: Desk) -> N
             app.read()
             return any("nav2 drives" in entry.get("message", "") for entry in app.texts)
 
-        until(planner, "nobody drives against the planner")
+        until(planner, "driving against the planner is refused")
         until(lambda: desk.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "and zero was commanded")
 
 
@@ -175,7 +175,7 @@ def test_invalid_velocities_are_refused(driven: Desk) -> None:
     with driven.app() as app:
         number = app.advertise("/cmd_vel", TWIST, "json")
         app.publish(number, b'{"linear": {"x": "NaN"}}')
-        wait_for_status(app, "a velocity is a finite number")
+        wait_for_status(app, "a velocity must be finite")
         app.publish(number, b'{"linear": 3}')
         wait_for_status(app, "linear")
         assert driven.far.wait(subscription, 1, 0.1) == []

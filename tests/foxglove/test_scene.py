@@ -1,4 +1,4 @@
-"""The robot's shape, the store's places and the keep-out cells, as the app shows them."""
+"""The robot's shape, the store's places and the keep-out cells, as the app receives them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def store(desk: Desk, tmp_path: Path) -> Iterator[Store]:
 
 
 class Proto:
-    """A protobuf message by the numbers of its fields (protobuf.dev, "Encoding")."""
+    """A protobuf message, accessed by field number (protobuf.dev, "Encoding")."""
 
     def __init__(self, data: bytes) -> None:
         self._fields: dict[int, list[Any]] = {}
@@ -73,7 +73,7 @@ class Proto:
         return [Proto(part) for part in self._fields.get(number, [])]
 
     def inner(self, *numbers: int) -> Proto:
-        """A message within messages."""
+        """Return a nested message."""
         return self if not numbers else self.all_of(numbers[0])[0].inner(*numbers[1:])
 
     def text(self, number: int) -> str:
@@ -83,7 +83,7 @@ class Proto:
         return self._fields.get(number, [0])[0]
 
     def spot(self) -> tuple[float, float]:
-        """X and y of a Point3 or Vector3."""
+        """Return x and y of a Point3 or Vector3."""
         return self.number(1), self.number(2)
 
 
@@ -92,11 +92,11 @@ FRAME, ID, LOCKED, ARROWS, LINES, TEXTS = 2, 3, 5, 7, 11, 13
 
 
 def scene(app: App) -> dict[str, Proto]:
-    """The newest scene's entities by id."""
+    """Return the newest scene's entities by id."""
     channel = app.channel(SCENE)
     assert (channel["encoding"], channel["schemaName"]) == ("protobuf", "foxglove.SceneUpdate")
     update = Proto(app.messages[SCENE][-1][1])
-    assert [all_of.number(2) for all_of in update.all_of(1)] == [1], "what was shown before goes"
+    assert [all_of.number(2) for all_of in update.all_of(1)] == [1], "the previous content is deleted"
     return {all_of.text(ID): all_of for all_of in update.all_of(2)}
 
 
@@ -165,9 +165,9 @@ def test_the_store_is_polled_only_while_a_client_watches(
     with desk.app() as app:
         app.channel(SCENE)
         assert is_idle()
-        assert not clients, "nobody watches yet"
+        assert not clients, "no client watches yet"
         number = app.subscribe(SCENE)
         app.until(lambda: app.messages[SCENE], "a scene")
-        app.until(lambda: len(clients) > 3, "it is asked again and again")
+        app.until(lambda: len(clients) > 3, "it is polled repeatedly")
         app.unsubscribe(number)
         until(is_idle, "it rests")

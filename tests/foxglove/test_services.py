@@ -27,7 +27,7 @@ def codec() -> CallCodec:
 
 
 def failure(app: App, call: int) -> str:
-    """Why a call failed."""
+    """Return the reason for a failed call."""
 
     def failed() -> str:
         service = (text_ for text_ in app.texts if text_["op"] == "serviceCallFailure" and text_["callId"] == call)
@@ -66,11 +66,11 @@ def test_failed_calls_are_reported(driven: Desk, codec: CallCodec, monkeypatch: 
         assert "has not answered in 0.3 s" in failure(app, app.call("/light", codec.request({"data": True})))
         assert "CallRefusedError" in failure(app, app.call("/light", b"\0\1\0"))
         assert "Unsupported encoding" in failure(app, app.call("/light", b"{}", "json"))
-        until(lambda: serving.abandoned == 1, "its server is told that nobody waits any more")
+        until(lambda: serving.abandoned == 1, "its server is notified of the abandoned call")
         monkeypatch.setattr(services, "CALL_SECONDS", 30.0)
         calls = [app.call("/light", codec.request({"data": True})) for _ in range(services.MOST_CALLS)]
         assert len(serving.requests(1 + services.MOST_CALLS)) == 1 + services.MOST_CALLS
-        assert "16 calls are under way" in failure(app, app.call("/light", codec.request({"data": True})))
+        assert "16 calls are pending" in failure(app, app.call("/light", codec.request({"data": True})))
         serving.release()
         app.until(lambda: all(call in app.replies for call in calls), "the others have their replies")
 
@@ -78,7 +78,7 @@ def test_failed_calls_are_reported(driven: Desk, codec: CallCodec, monkeypatch: 
 def test_a_watching_client_may_not_call(desk: Desk) -> None:
     desk.far.serve("/light", "std_srvs/SetBool", reply={"success": True, "message": "on"})
     with desk.app() as app:
-        app.until(lambda: app.texts, "it is let in")
+        app.until(lambda: app.texts, "it is accepted")
         desk.far.advertise("/said", "std_msgs/String")
         app.channel("/said")
         assert not app.services
