@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 _SECONDS = 10.0
 _FIND_SECONDS = 2.0
-_FIND_AGAIN = 0.05
+_FIND_PERIOD = 0.05
 _TRIES = 8
 _ALIVE = "@sync/alive/*/*"
 
@@ -30,9 +30,9 @@ class StoreClient:
     def __init__(self, space: KeySpace, daemon: str) -> None:
         self._space = space
         end = time.monotonic() + _FIND_SECONDS  # not at once where the daemon, too, has only begun
-        while not (found := space.tokens(_ALIVE)) and time.monotonic() < end:
-            time.sleep(_FIND_AGAIN)
-        copies = sorted((name != daemon, name, zid) for _, _, zid, name in (token.split("/", 3) for token in found))
+        while not (tokens := space.tokens(_ALIVE)) and time.monotonic() < end:
+            time.sleep(_FIND_PERIOD)
+        copies = sorted((name != daemon, name, zid) for _, _, zid, name in (token.split("/", 3) for token in tokens))
         if not copies:
             raise StoreError("no daemon on the hub keeps a store; set store.enabled to true in its configuration")
         _, self.daemon, self._zid = copies[0]
@@ -43,14 +43,14 @@ class StoreClient:
 
     def digest(self) -> list[list[Any]]:
         """Kind, name, version and size of every value, to be compared with a later one."""
-        said = json_object(self._ask("digest", "", json.dumps({"wire": WIRE}).encode())[0].body or b"{}")
-        check_wire(said)
-        found: list[list[Any]] = said.get("entries", [])
-        return sorted(found, key=lambda entry: entry[:2])
+        reply = json_object(self._ask("digest", "", json.dumps({"wire": WIRE}).encode())[0].body or b"{}")
+        check_wire(reply)
+        entries: list[list[Any]] = reply.get("entries", [])
+        return sorted(entries, key=lambda entry: entry[:2])
 
     def names(self, kind: ValueKind[Any]) -> list[str]:
         """The names of a kind's values, sorted."""
-        return sorted(name for each, name in self.keys() if each == kind.name)
+        return sorted(name for other, name in self.keys() if other == kind.name)
 
     def get(self, kind: ValueKind[T], name: str) -> T | None:
         """A value, None where the store has none."""
@@ -64,15 +64,15 @@ class StoreClient:
         """Write and delete in one transaction, on that daemon's disk when this returns; raises `StoreError`."""
         self._write(writes, {})
 
-    def change(self, made: Callable[[], Sequence[Write[Any]]]) -> None:
+    def change(self, make: Callable[[], Sequence[Write[Any]]]) -> None:
         """Write what ``made`` makes of what the store holds; raises `StoreError`.
 
         Where one of its keys was written meanwhile, nothing is written, and it is made anew: nobody's change is lost.
         """
         for _ in range(_TRIES):
             known = {f"{kind}/{name}": [ns, replica] for kind, name, ns, replica, _ in self.digest()}
-            writes = made()
-            keys = [f"{each.kind.name}/{each.name}" for each in writes]
+            writes = make()
+            keys = [f"{write.kind.name}/{write.name}" for write in writes]
             if not writes or self._write(writes, {key: known.get(key) for key in keys}):
                 return
         raise StoreError("others write the same all the time; try again")
@@ -85,16 +85,16 @@ class StoreClient:
         """Write; False, and nothing is written, where a key has another stamp than this."""
         bodies: list[bytes] = []
         heads: list[Mapping[str, Any]] = []
-        for each in writes:
-            key = f"{each.kind.name}/{check_name(each.name)}"
-            if each.value is None:
+        for write in writes:
+            key = f"{write.kind.name}/{check_name(write.name)}"
+            if write.value is None:
                 heads.append({"key": key, "size": None})
             else:
-                bodies.append(each.kind.encode(each.name, each.value)[0])
+                bodies.append(write.kind.encode(write.name, write.value)[0])
                 heads.append({"key": key, "size": len(bodies[-1])})
         head = json.dumps({"wire": WIRE, "writes": heads, **({"stamps": stamps} if stamps else {})}).encode()
-        said = self._ask("write", "", b"\n".join((head, b"".join(bodies))))[0].body
-        return not json_object(said or b"{}").get("stale")
+        reply = self._ask("write", "", b"\n".join((head, b"".join(bodies))))[0].body
+        return not json_object(reply or b"{}").get("stale")
 
     def current_map(self) -> str:
         """The name of the map that is in use, "" where none was chosen."""
@@ -111,13 +111,13 @@ class StoreClient:
         if not names:
             return {}
         keys = json.dumps({"wire": WIRE, "keys": [f"{kind.name}/{name}" for name in names]}).encode()
-        found: dict[str, T] = {}
+        values: dict[str, T] = {}
         under = f"@sync/fetch/{self._zid}/"
         for item in self._ask("fetch", "/**", keys):
             if item.body is not None:
                 _, name = key_of(item.key.removeprefix(under))
-                found[name] = kind.decode(name, item.body)
-        return dict(sorted(found.items()))
+                values[name] = kind.decode(name, item.body)
+        return dict(sorted(values.items()))
 
     def _ask(self, verb: str, rest: str, body: bytes) -> list[Any]:
         try:

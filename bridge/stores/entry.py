@@ -22,12 +22,12 @@ class StoreError(RuntimeError):
 def json_object(data: bytes, refusal: str = "it is not a JSON object") -> dict[str, Any]:
     """The JSON object in some bytes; raises `StoreError` with the text of the refusal where they hold none."""
     try:
-        found = json.loads(data)
+        value = json.loads(data)
     except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
+        value = None
+    if not isinstance(value, dict):
         raise StoreError(refusal)
-    return found
+    return value
 
 
 MAX_NAME = 254  # bytes; YARP's longest name of a map (MapGrid2D::read)
@@ -42,8 +42,8 @@ def check_name(name: str) -> str:
         msg = f"the name {name[:40]!r} has {size} bytes; a name has 1 to {MAX_NAME}"
     elif not name.isprintable():
         msg = f"the name {name!r} has characters that cannot be printed"
-    elif found := sorted(_FORBIDDEN & set(name)):
-        msg = f"the name {name!r} has {' '.join(found)}; a name has none of {' '.join(sorted(_FORBIDDEN))}"
+    elif forbidden := sorted(_FORBIDDEN & set(name)):
+        msg = f"the name {name!r} has {' '.join(forbidden)}; a name has none of {' '.join(sorted(_FORBIDDEN))}"
     elif name[0] in "@." or name != name.strip():
         msg = f"the name {name!r} begins with @ or a dot, or has blanks at its ends"
     else:
@@ -133,8 +133,8 @@ def conflict(one: StoreEntry, other: StoreEntry) -> Conflict | None:
 
 
 def _when(entry: StoreEntry) -> str:
-    seconds, rest = divmod(entry.version.stamp.ns, 1_000_000_000)
-    return f"{time.strftime('%Y-%m-%d %H:%M:%S', time.gmtime(seconds))}.{rest // 1_000_000:03} UTC"
+    seconds, nanoseconds = divmod(entry.version.stamp.ns, 1_000_000_000)
+    return f"{time.strftime('%Y-%m-%d %H:%M:%S', time.gmtime(seconds))}.{nanoseconds // 1_000_000:03} UTC"
 
 
 def _what(entry: StoreEntry) -> str:

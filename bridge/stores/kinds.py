@@ -36,12 +36,12 @@ _MOST_POINTS = 10_000
 _POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
-def _write_json(found: Json) -> bytes:
+def _write_json(value: Json) -> bytes:
     """A body that holds a JSON object; raises `StoreError` where a number is none."""
     try:
-        return json.dumps(found, ensure_ascii=False, allow_nan=False).encode()
+        return json.dumps(value, ensure_ascii=False, allow_nan=False).encode()
     except ValueError:
-        raise StoreError(f"it has a number or a text that JSON cannot carry: {found!r:.200}") from None
+        raise StoreError(f"it has a number or a text that JSON cannot carry: {value!r:.200}") from None
 
 
 def location_json(location: Map2DLocation) -> Json:
@@ -124,12 +124,12 @@ def _finite(value: Any, what: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise StoreError(f"{what} is no number: {value!r:.60}")
     try:
-        found = float(value)
+        number = float(value)
     except OverflowError:
-        found = math.inf
-    if not math.isfinite(found):
+        number = math.inf
+    if not math.isfinite(number):
         raise StoreError(f"{what} is no finite number")
-    return found
+    return number
 
 
 def _text(found: Json, key: str) -> str:
@@ -220,10 +220,10 @@ def _size(head: Any) -> tuple[int, int]:
 
 
 def _origin(head: Any) -> list[float]:
-    found = [_finite(number, "origin") for number in _several(head, "origin")]
-    if len(found) != 3:
+    origin = [_finite(number, "origin") for number in _several(head, "origin")]
+    if len(origin) != 3:
         raise StoreError("a map's origin has three numbers")
-    return found
+    return origin
 
 
 def _whole(head: Any, key: str) -> int:

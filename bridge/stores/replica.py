@@ -46,8 +46,8 @@ class Change:
     here: bool
 
 
-Heard = Callable[[Change], Any]
-Sent = Callable[[Sequence[StoreEntry]], Any]
+OnChange = Callable[[Change], Any]
+SendEntries = Callable[[Sequence[StoreEntry]], Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +70,8 @@ class Replica:
         self._live = sum(known.size is not None for known in self._known.values())
         self._lock = threading.RLock()
         self._last = 0
-        self._watches: list[tuple[frozenset[str], Heard]] = []
-        self._senders: list[Sent] = []
+        self._watches: list[tuple[frozenset[str], OnChange]] = []
+        self._senders: list[SendEntries] = []
         self._events = SerialExecutor("store-events")
         self._closed = False
 
@@ -99,7 +99,7 @@ class Replica:
         """The names of a kind's values, sorted."""
         with self._lock:
             return sorted(
-                name for (each, name), known in self._known.items() if each == kind and known.size is not None
+                name for (other, name), known in self._known.items() if other == kind and known.size is not None
             )
 
     def stamp(self, key: Key) -> ChangeStamp | None:
@@ -142,7 +142,7 @@ class Replica:
         with self._lock:
             self._check_open()
             entries = [self._stamped(key, body, oldest=oldest) for key, body in changes.items()]
-            self._take(entries, here=True)
+            self._apply(entries, here=True)
             for send in self._senders:
                 send(entries)
         return entries
@@ -164,28 +164,28 @@ class Replica:
                     return False
             elif entry.body is None and entry.version.stamp.ns <= self._oldest():
                 return False
-            self._take([entry], here=False)
+            self._apply([entry], here=False)
         return True
 
-    def watch(self, heard: Heard, kinds: Iterable[str] = ()) -> Callable[[], None]:
+    def watch(self, on_change: OnChange, kinds: Iterable[str] = ()) -> Callable[[], None]:
         """Call back for every change of some kinds (none: of all) until the returned function is called.
 
         It is called on the replica's own thread, for one change after the other, and is to return soon.
         """
-        return self._joined(self._watches, (frozenset(kinds), heard))
+        return self._joined(self._watches, (frozenset(kinds), on_change))
 
-    def on_write(self, send: Sent) -> Callable[[], None]:
+    def on_write(self, send: SendEntries) -> Callable[[], None]:
         """Have what is written here sent, on the writer's thread, until the returned function is called."""
         return self._joined(self._senders, send)
 
-    def _joined(self, among: list[T], what: T) -> Callable[[], None]:
+    def _joined(self, callbacks: list[T], callback: T) -> Callable[[], None]:
         with self._lock:
-            among.append(what)
+            callbacks.append(callback)
 
         def close() -> None:
             with self._lock:
-                if what in among:
-                    among.remove(what)
+                if callback in callbacks:
+                    callbacks.remove(callback)
 
         return close
 
@@ -229,7 +229,7 @@ class Replica:
         data, encoding = (None, "") if body is None else body
         return StoreEntry(*key, data, encoding, version)
 
-    def _take(self, entries: Sequence[StoreEntry], *, here: bool) -> None:
+    def _apply(self, entries: Sequence[StoreEntry], *, here: bool) -> None:
         size, live = self._size, self._live
         for entry in entries:
             before = self._known.get(entry.key)
@@ -237,15 +237,15 @@ class Replica:
             size += (0 if entry.body is None else len(entry.body)) - (before_size or 0)
             live += (entry.body is not None) - (before_size is not None)
         self._check_room(size, live)
-        gone = self._forgettable(entries)
-        self._table.write(entries, gone)
+        expired = self._forgettable(entries)
+        self._table.write(entries, expired)
         self._size, self._live = size, live
         for entry in entries:
             self._known[entry.key] = _Known(entry.version, None if entry.body is None else len(entry.body))
-        for key in gone:
+        for key in expired:
             del self._known[key]
         for entry in entries:
-            self._tell(Change(entry.kind, entry.name, entry.body is None, entry.version.origin, here))
+            self._notify(Change(entry.kind, entry.name, entry.body is None, entry.version.origin, here))
 
     def _check_room(self, size: int, live: int) -> None:
         if live > max(self.limits.keys, self._live):
@@ -275,16 +275,16 @@ class Replica:
 
     def _compare(self, entry: StoreEntry) -> None:
         ours = self.entry(*entry.key)
-        found = None if ours is None else conflict(ours, entry)
-        if found is not None:
+        conflict_ = None if ours is None else conflict(ours, entry)
+        if conflict_ is not None:
             self.conflict_count += 1
-            self._lost.append(str(found))
-            _log.warning("%s", found)
+            self._lost.append(str(conflict_))
+            _log.warning("%s", conflict_)
 
-    def _tell(self, change: Change) -> None:
-        for kinds, heard in tuple(self._watches):
+    def _notify(self, change: Change) -> None:
+        for kinds, on_change in tuple(self._watches):
             if not kinds or change.kind in kinds:
-                self._events.submit(lambda heard=heard: heard(change))  # type: ignore[misc]
+                self._events.submit(lambda on_change=on_change: on_change(change))  # type: ignore[misc]
 
     def _check_open(self) -> None:
         if self._closed:

@@ -51,8 +51,8 @@ def read_files(path: Path, jail: Path | None = None) -> list[Write[Any]]:
             return [Write(MAP, grid.name or path.stem, grid)]
         if not read_text(path).lstrip().startswith("Version:"):
             return [Write(MAP, name, grid) for name, grid in load_maps(path, jail).items()]
-        places, beside = Places.load(path, jail), extras_file(path)
-        return places_writes(places, Extras.load(beside, jail) if beside.exists() else Extras())
+        places, extras = Places.load(path, jail), extras_file(path)
+        return places_writes(places, Extras.load(extras, jail) if extras.exists() else Extras())
     except MapFileError as err:
         raise StoreError(str(err)) from None
 
@@ -97,9 +97,9 @@ def import_at_start(store: Store, section: StoreSection) -> None:
             if key == "maps" and writes and writes[0].kind is MAP:
                 writes.append(Write(CURRENT, THE_MAP, writes[0].name))
             changes: dict[Key, Body | None] = {
-                (each.kind.name, check_name(each.name)): each.kind.encode(each.name, each.value)
-                for each in writes
-                if not store.replica.remembers(each.kind.name, each.name)
+                (write.kind.name, check_name(write.name)): write.kind.encode(write.name, write.value)
+                for write in writes
+                if not store.replica.remembers(write.kind.name, write.name)
             }
             store.replica.write(changes, oldest=True)
         except StoreError as err:
@@ -152,9 +152,9 @@ class StoreService:
         """Close it. Safe to call twice."""
         with self._lock:
             self._closed = True
-            found, self._open = self._open, None
-        if found is not None:
-            store, share, hub = found
+            opened, self._open = self._open, None
+        if opened is not None:
+            store, share, hub = opened
             share.close()
             hub.close()
             store.replica.close()
@@ -176,8 +176,8 @@ class StoreService:
         return store, share, hub
 
     def _status(self, store: Store, share: StoreSync, hub: Hub) -> dict[str, Any]:
-        found = store.status()
-        counts = ", ".join(f"{count} {kind}{'' if count == 1 else 's'}" for kind, count in found["keys"].items())
+        content = store.status()
+        counts = ", ".join(f"{count} {kind}{'' if count == 1 else 's'}" for kind, count in content["keys"].items())
         others = share.others()
         shared = f"shared with {', '.join(others)}" if others else "shared with no other"
         return {
@@ -191,5 +191,5 @@ class StoreService:
             "routes": [],
             "refused": [],
             "warnings": [],
-            "store": {**found, "others": others, "refused": share.refused},
+            "store": {**content, "others": others, "refused": share.refused},
         }

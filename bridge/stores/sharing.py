@@ -35,13 +35,13 @@ from bridge.stores.wire import BUCKETS, bucket, check_wire, digests, entry_of, i
 _log = logging.getLogger(__name__)
 
 PERIOD = 10.0  # seconds after which a replica compares itself with the others, though nothing asked for it
-_AGAIN = 1.0
+_RETRY_SECONDS = 1.0
 _MOST_TRIES = 5
 _MOST_WAITING = 1000  # samples and questions that wait to be looked at; a sample beyond is left to the next comparison
 _BATCH_KEYS, _BATCH_BYTES = 200, 64 << 20
 _MOST_KEYS = 100_000
 _MOST_WRITE = 1 << 20
-_NO_OBJECT = "the question is not a JSON object"
+_NOT_AN_OBJECT = "the question is not a JSON object"
 
 
 class StoreSync:
@@ -61,16 +61,16 @@ class StoreSync:
         self._closed = False
         self._aligning = threading.Thread(target=self._run, name="store-aligning", daemon=True)
         self._withdraw = replica.on_write(self._written)
-        space.subscribe("*/*", self._heard)
-        space.serve("*/*", lambda question: self._asked(question, self._answer_values), complete=True)
+        space.subscribe("*/*", self._on_item)
+        space.serve("*/*", lambda question: self._on_query(question, self._answer_values), complete=True)
         for verb, answer in (
             (f"digest/{zid}", self._answer_digest),
             (f"fetch/{zid}/**", self._answer_fetch),
             (f"write/{zid}", self._answer_write),
         ):
-            space.serve(f"@sync/{verb}", lambda question, answer=answer: self._asked(question, answer))  # type: ignore[misc]
+            space.serve(f"@sync/{verb}", lambda question, answer=answer: self._on_query(question, answer))  # type: ignore[misc]
         space.announce(f"@sync/alive/{zid}/{replica.origin}")
-        space.watch("@sync/alive/*/*", self._came_or_went)
+        space.watch("@sync/alive/*/*", self._on_replica)
         self._aligning.start()
 
     def others(self) -> list[str]:
@@ -114,7 +114,7 @@ class StoreSync:
 
     # What others write
 
-    def _heard(self, item: KeyItem) -> None:
+    def _on_item(self, item: KeyItem) -> None:
         with self._wake:
             full = self._waiting >= _MOST_WAITING
             self._waiting += not full
@@ -122,14 +122,14 @@ class StoreSync:
                 self._due.update(dict.fromkeys(self._others, 0))
                 self._wake.notify()
         if not full:
-            self._serving.submit(lambda: self._take_waiting(item))
+            self._serving.submit(lambda: self._merge_queued(item))
 
-    def _take_waiting(self, item: KeyItem) -> None:
+    def _merge_queued(self, item: KeyItem) -> None:
         with self._wake:
             self._waiting -= 1
-        self._take(item, item.key)
+        self._merge(item, item.key)
 
-    def _take(self, item: KeyItem, text: str) -> None:
+    def _merge(self, item: KeyItem, text: str) -> None:
         try:
             key = key_of(text)
             if not item.attached and not item.ns:
@@ -143,7 +143,7 @@ class StoreSync:
 
     # What others ask
 
-    def _asked(self, question: KeyQuery, answer: Any) -> None:
+    def _on_query(self, question: KeyQuery, answer: Any) -> None:
         with self._wake:
             full = self._waiting >= _MOST_WAITING
             self._waiting += not full
@@ -173,24 +173,24 @@ class StoreSync:
                     question.reply(item_of(entry))
 
     def _answer_digest(self, question: KeyQuery) -> None:
-        theirs = _texts(_asked_in(question.body), "digests", BUCKETS)
+        theirs = _texts(_request_of(question.body), "digests", BUCKETS)
         versions = self._replica.versions()
         ours = digests(versions)
         differ = {number for number in range(BUCKETS) if number >= len(theirs) or theirs[number] != ours[number]}
-        found = [
+        entries = [
             [*key, stamp.ns, stamp.replica, size] for key, (stamp, size) in versions.items() if bucket(key) in differ
         ]
-        question.reply(KeyItem(f"@sync/digest/{self._zid}", json.dumps({"wire": WIRE, "entries": found}).encode()))
+        question.reply(KeyItem(f"@sync/digest/{self._zid}", json.dumps({"wire": WIRE, "entries": entries}).encode()))
 
     def _answer_fetch(self, question: KeyQuery) -> None:
-        for text in _texts(_asked_in(question.body), "keys", _MOST_KEYS):
+        for text in _texts(_request_of(question.body), "keys", _MOST_KEYS):
             entry = self._replica.entry(*key_of(text))
             if entry is not None:
                 question.reply(item_of(entry, f"@sync/fetch/{self._zid}/"))
 
     def _answer_write(self, question: KeyQuery) -> None:
         end = question.body.find(b"\n", 0, _MOST_WRITE)
-        head = _asked_in(question.body[: max(end, 0)])
+        head = _request_of(question.body[: max(end, 0)])
         writes, stamps = head.get("writes"), head.get("stamps", {})
         if not isinstance(writes, list) or not isinstance(stamps, dict):
             raise StoreError("it has nothing to write")
@@ -217,12 +217,12 @@ class StoreSync:
 
     # Alignment
 
-    def _came_or_went(self, token: str, came: bool) -> None:
+    def _on_replica(self, token: str, joined: bool) -> None:
         zid, _, daemon = token.removeprefix("@sync/alive/").partition("/")
         if zid == self._zid:
             return
         with self._wake:
-            if came:
+            if joined:
                 self._others[zid] = daemon
                 self._due[zid] = 0
                 self._wake.notify()
@@ -235,7 +235,7 @@ class StoreSync:
         regular = time.monotonic() + self._period
         while True:
             with self._wake:
-                pause = _AGAIN if any(self._due.values()) else regular - time.monotonic()
+                pause = _RETRY_SECONDS if any(self._due.values()) else regular - time.monotonic()
                 if not self._closed and 0 not in self._due.values():
                     self._wake.wait(max(pause, 0.01))
                 if self._closed:
@@ -268,18 +268,18 @@ class StoreSync:
         if not answers:
             return False
         under = f"@sync/fetch/{zid}/"
-        said = json_object(answers[0].body or b"", _NO_OBJECT)
-        if why := refusal(said.get("wire")):
-            self._refuse(zid, why)
+        reply = json_object(answers[0].body or b"", _NOT_AN_OBJECT)
+        if reason := refusal(reply.get("wire")):
+            self._refuse(zid, reason)
             return True
-        for batch in self._batches(_entries(said)):
+        for batch in self._batches(_entries(reply)):
             for item in self._space.ask(f"{under}**", json.dumps({"wire": WIRE, "keys": batch}).encode(), 30.0):
                 if self._closed:
                     return True
-                self._take(item, item.key.removeprefix(under))
+                self._merge(item, item.key.removeprefix(under))
         return True
 
-    def _refuse(self, zid: str, why: str) -> None:
+    def _refuse(self, zid: str, reason: str) -> None:
         """Say once of each store that it cannot be understood."""
         with self._wake:
             new = zid in self._others and zid not in self._strangers
@@ -287,7 +287,7 @@ class StoreSync:
                 self._strangers.add(zid)
                 self.refused += 1
         if new:
-            _log.warning("the store of %s is not taken: %s", self._others.get(zid), why)
+            _log.warning("the store of %s is not taken: %s", self._others.get(zid), reason)
 
     def _batches(self, theirs: Iterable[Sequence[Any]]) -> Iterable[list[str]]:
         """The keys of which the other has a later version, in parts of bounded size."""
@@ -314,29 +314,29 @@ class StoreSync:
 
 def _texts(found: dict[str, Any], key: str, most: int) -> list[str]:
     value = found.get(key, [])
-    if not isinstance(value, list) or len(value) > most or not all(isinstance(each, str) for each in value):
+    if not isinstance(value, list) or len(value) > most or not all(isinstance(text, str) for text in value):
         raise StoreError(f"{key} is no list of up to {most} texts")
     return value
 
 
 def _sizes(writes: Iterable[Any]) -> Iterable[tuple[str, int | None]]:
-    for each in writes:
-        key, size = (each.get("key"), each.get("size")) if isinstance(each, dict) else (None, None)
+    for write in writes:
+        key, size = (write.get("key"), write.get("size")) if isinstance(write, dict) else (None, None)
         whole = size is None or (isinstance(size, int) and not isinstance(size, bool) and size > 0)
         if not isinstance(key, str) or not whole:
-            raise StoreError(f"{each!r:.80} is nothing to write")
+            raise StoreError(f"{write!r:.80} is nothing to write")
         yield key, size
 
 
-def _asked_in(body: bytes) -> dict[str, Any]:
+def _request_of(body: bytes) -> dict[str, Any]:
     """What a question says; raises `StoreError` where it is none, or in a version that cannot be understood."""
-    said = json_object(body, _NO_OBJECT)
-    check_wire(said)
-    return said
+    request = json_object(body, _NOT_AN_OBJECT)
+    check_wire(request)
+    return request
 
 
-def _entries(said: dict[str, Any]) -> list[Sequence[Any]]:
-    entries = said.get("entries")
+def _entries(reply: dict[str, Any]) -> list[Sequence[Any]]:
+    entries = reply.get("entries")
     if not isinstance(entries, list) or len(entries) > _MOST_KEYS:
         raise StoreError("the other store's answer cannot be read")
-    return [each for each in entries if isinstance(each, list) and len(each) == 5 and isinstance(each[4], int)]
+    return [entry for entry in entries if isinstance(entry, list) and len(entry) == 5 and isinstance(entry[4], int)]

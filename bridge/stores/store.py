@@ -11,7 +11,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from bridge.stores.entry import StoreError, check_name
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, OBJECT, PATH, ValueKind
-from bridge.stores.replica import Body, Change, Heard, Key, Replica
+from bridge.stores.replica import Body, Change, OnChange, Key, Replica
 from yarp_compat.dev.extras import AreaBehaviour
 
 __all__ = ["Change", "Store", "Write"]
@@ -19,7 +19,7 @@ __all__ = ["Change", "Store", "Write"]
 T = TypeVar("T")
 
 THE_MAP = "map"
-_BESIDE: dict[str, ValueKind[Any]] = {AREA.name: BEHAVIOUR}  # what goes where a key of another kind goes
+_COMPANIONS: dict[str, ValueKind[Any]] = {AREA.name: BEHAVIOUR}  # what goes where a key of another kind goes
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +58,10 @@ def rename_writes(values: Values, kind: ValueKind[Any], old: str, new: str) -> l
     if check_name(new) in values.names(kind):
         raise StoreError(f"{kind.name} {new!r} is there already")
     writes: list[Write[Any]] = [Write(kind, new, value), Write(kind, old, None)]
-    beside = _BESIDE.get(kind.name)
-    kept = None if beside is None else values.get(beside, old)
-    if beside is not None and kept is not None:
-        writes.append(Write(beside, new, kept))
+    companion = _COMPANIONS.get(kind.name)
+    companion_value = None if companion is None else values.get(companion, old)
+    if companion is not None and companion_value is not None:
+        writes.append(Write(companion, new, companion_value))
     return writes + (_moved(values, old, new) if kind is MAP else [])
 
 
@@ -70,8 +70,8 @@ def _moved(values: Values, old: str, new: str) -> list[Write[Any]]:
     writes: list[Write[Any]] = []
     kinds: tuple[ValueKind[Any], ...] = (LOCATION, AREA, OBJECT)
     for kind in kinds:
-        here = {name: value for name, value in values.all(kind).items() if value.map_id == old}
-        writes += [Write(kind, name, replace(value, map_id=new)) for name, value in here.items()]
+        on_map = {name: value for name, value in values.all(kind).items() if value.map_id == old}
+        writes += [Write(kind, name, replace(value, map_id=new)) for name, value in on_map.items()]
     for name, path in values.all(PATH).items():
         if any(point.map_id == old for point in path.waypoints):
             points = [replace(point, map_id=new) if point.map_id == old else point for point in path.waypoints]
@@ -89,8 +89,8 @@ class Store:
 
     def get(self, kind: ValueKind[T], name: str) -> T | None:
         """A value, a copy of the caller's own; None where the store has none."""
-        found = self.replica.get(kind.name, name)
-        return None if found is None else kind.decode(name, found[0])
+        body = self.replica.get(kind.name, name)
+        return None if body is None else kind.decode(name, body[0])
 
     def names(self, kind: ValueKind[Any]) -> list[str]:
         """The names of a kind's values, sorted."""
@@ -98,8 +98,8 @@ class Store:
 
     def all(self, kind: ValueKind[T]) -> dict[str, T]:
         """All values of a kind, in the order of their names."""
-        found = {name: self.get(kind, name) for name in self.names(kind)}
-        return {name: value for name, value in found.items() if value is not None}
+        values = {name: self.get(kind, name) for name in self.names(kind)}
+        return {name: value for name, value in values.items() if value is not None}
 
     def put(self, kind: ValueKind[T], name: str, value: T) -> None:
         """Write a value; raises `StoreError` where its name, its size or the value itself cannot be."""
@@ -108,10 +108,10 @@ class Store:
     def delete(self, kind: ValueKind[Any], name: str) -> bool:
         """Delete a value; whether there was one."""
         with self.replica.still():
-            there = self.replica.has(kind.name, name)
-            if there:
+            exists = self.replica.has(kind.name, name)
+            if exists:
                 self.write([Write(kind, name, None)])
-        return there
+        return exists
 
     def clear(self, kind: ValueKind[Any]) -> int:
         """Delete all values of a kind; how many there were."""
@@ -127,19 +127,19 @@ class Store:
     def write(self, writes: Sequence[Write[Any]]) -> None:
         """Write and delete in one transaction, of a key the last; raises `StoreError`, and nothing has changed."""
         changes: dict[Key, Body | None] = {}
-        for each in writes:
-            kind, name = each.kind, check_name(each.name)
-            changes[kind.name, name] = None if each.value is None else kind.encode(name, each.value)
+        for write_ in writes:
+            kind, name = write_.kind, check_name(write_.name)
+            changes[kind.name, name] = None if write_.value is None else kind.encode(name, write_.value)
         write_all(self.replica, changes)
 
     def behaviour(self, area: str) -> AreaBehaviour:
         """What an area asks of robots: as it is kept beside it, else as its description has it; nothing by default."""
-        kept = self.get(BEHAVIOUR, area)
-        found = self.get(AREA, area) if kept is None else None
-        if found is None:
-            return kept or AreaBehaviour()
+        stored = self.get(BEHAVIOUR, area)
+        described = self.get(AREA, area) if stored is None else None
+        if described is None:
+            return stored or AreaBehaviour()
         try:
-            return AreaBehaviour.from_text(found.description) or AreaBehaviour()
+            return AreaBehaviour.from_text(described.description) or AreaBehaviour()
         except ValueError as err:
             raise StoreError(f"area {area!r}: {err}") from None
 
@@ -153,9 +153,9 @@ class Store:
             raise StoreError(f"there is no map {name!r}; those that are: {', '.join(self.names(MAP)) or 'none'}")
         self.put(CURRENT, THE_MAP, name)
 
-    def watch(self, heard: Heard, *kinds: ValueKind[Any]) -> Callable[[], None]:
+    def watch(self, on_change: OnChange, *kinds: ValueKind[Any]) -> Callable[[], None]:
         """As `Replica.watch`, by kinds; none: of all."""
-        return self.replica.watch(heard, [kind.name for kind in kinds])
+        return self.replica.watch(on_change, [kind.name for kind in kinds])
 
     def status(self) -> dict[str, Any]:
         """What it holds, for the status document."""
@@ -164,8 +164,8 @@ class Store:
 
 def write_all(replica: Replica, changes: Mapping[Key, Body | None]) -> None:
     """Write what was checked, delete what goes beside a deleted key; raises `StoreError`, and nothing has changed."""
-    beside = {
-        (_BESIDE[kind].name, name): None for (kind, name), body in changes.items() if not body and kind in _BESIDE
+    companions = {
+        (_COMPANIONS[kind].name, name): None for (kind, name), body in changes.items() if not body and kind in _COMPANIONS
     }
     with replica.still():
-        replica.write({key: body for key, body in (beside | dict(changes)).items() if body or replica.has(*key)})
+        replica.write({key: body for key, body in (companions | dict(changes)).items() if body or replica.has(*key)})

@@ -64,14 +64,14 @@ class EntryTable:
 
     def body(self, kind: str, name: str) -> tuple[bytes | None, str]:
         """A key's value and its encoding."""
-        with self._told():
+        with self._store_errors():
             wanted = "SELECT body, encoding FROM entries WHERE kind = ? AND name = ?"
             row = self._base.execute(wanted, (kind, name)).fetchone()
         return (None, "") if row is None else (row[0], row[1])
 
     def write(self, entries: Sequence[StoreEntry], gone: Iterable[tuple[str, str]] = ()) -> None:
         """Write entries and forget deleted keys for good, in one transaction that is durable when this returns."""
-        with self._told():
+        with self._store_errors():
             self._base.execute("BEGIN IMMEDIATE")
             try:
                 insert = "INSERT OR REPLACE INTO entries VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
@@ -105,7 +105,7 @@ class EntryTable:
         base.execute("COMMIT")
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _store_errors(self) -> Iterator[None]:
         try:
             yield
         except sqlite3.Error as err:

@@ -68,19 +68,19 @@ def version_of(item: KeyItem) -> Version:
         if not isinstance(seen, dict) or len(seen) > MOST_SEEN:
             raise StoreError("it does not say what its writer knew")
         stamp = stamp_of(about.get("ns"), about.get("replica"))
-        found = {each.replica: each.ns for each in (stamp_of(ns, replica) for replica, ns in seen.items())}
+        seen_ns = {stamp_.replica: stamp_.ns for stamp_ in (stamp_of(ns, replica) for replica, ns in seen.items())}
         origin = about.get("origin")
         if not isinstance(origin, str) or not origin.isprintable() or not 0 < len(origin) <= _MOST_ORIGIN:
             raise StoreError("it does not say which daemon wrote it")
-        return Version(stamp, origin, {**found, stamp.replica: stamp.ns})
+        return Version(stamp, origin, {**seen_ns, stamp.replica: stamp.ns})
     stamp = stamp_of(item.ns, item.writer)
     return Version(stamp, f"zenoh {stamp.replica[:8]}")
 
 
-def check_wire(said: Mapping[str, Any]) -> None:
+def check_wire(document: Mapping[str, Any]) -> None:
     """Raise `StoreError` where something was said in a version that cannot be understood."""
-    if why := refusal(said.get("wire")):
-        raise StoreError(why)
+    if reason := refusal(document.get("wire")):
+        raise StoreError(reason)
 
 
 def stamp_of(ns: Any, replica: Any) -> ChangeStamp:
@@ -94,11 +94,11 @@ def stamp_of(ns: Any, replica: Any) -> ChangeStamp:
 
 def digests(versions: Mapping[Key, tuple[ChangeStamp, int]]) -> list[str]:
     """A digest of the stamps in each of `BUCKETS` parts of the keys: equal where all of a part are the same."""
-    found = [0] * BUCKETS
+    buckets = [0] * BUCKETS
     for key, (stamp, _) in versions.items():
         text = f"{key[0]}/{key[1]}/{stamp.ns}/{stamp.replica}".encode()
-        found[bucket(key)] ^= int.from_bytes(hashlib.blake2b(text, digest_size=_DIGEST).digest())
-    return [f"{digest:016x}" for digest in found]
+        buckets[bucket(key)] ^= int.from_bytes(hashlib.blake2b(text, digest_size=_DIGEST).digest())
+    return [f"{digest:016x}" for digest in buckets]
 
 
 def bucket(key: Key) -> int:
