@@ -1,1 +1,1 @@
-"""The store of maps and locations: one copy at every daemon, in an embedded database, shared on the hub."""
+"""The store of maps and locations: a replica at every daemon, in an embedded database, synchronized over the hub."""

@@ -1,4 +1,4 @@
-"""The store as a verb of the command line has it: one daemon's copy, asked over the hub."""
+"""The store as the command line uses it: a client of one daemon's replica, over the hub."""
 
 from __future__ import annotations
 
@@ -25,49 +25,49 @@ _ALIVE = "@sync/alive/*/*"
 
 
 class StoreClient:
-    """Reads and writes one daemon's copy, preferably ``daemon``'s; `StoreError` if none is on the hub within 2 s."""
+    """Reads and writes one replica, preferably ``daemon``'s; `StoreError` if none is on the hub within 2 s."""
 
     def __init__(self, space: KeySpace, daemon: str) -> None:
         self._space = space
-        end = time.monotonic() + _FIND_SECONDS  # not at once where the daemon, too, has only begun
+        end = time.monotonic() + _FIND_SECONDS  # the daemon may have just started
         while not (tokens := space.tokens(_ALIVE)) and time.monotonic() < end:
             time.sleep(_FIND_PERIOD)
         copies = sorted((name != daemon, name, zid) for _, _, zid, name in (token.split("/", 3) for token in tokens))
         if not copies:
-            raise StoreError("no daemon on the hub keeps a store; set store.enabled to true in its configuration")
+            raise StoreError("no daemon on the hub has a store; set store.enabled to true in its configuration")
         _, self.daemon, self._zid = copies[0]
 
     def keys(self) -> set[tuple[str, str]]:
-        """Kind and name of every value."""
+        """Return kind and name of every value."""
         return {(kind, name) for kind, name, _, _, size in self.digest() if size}
 
     def digest(self) -> list[list[Any]]:
-        """Kind, name, version and size of every value, to be compared with a later one."""
+        """Return kind, name, version and size of every value, to compare with a later digest."""
         reply = json_object(self._ask("digest", "", json.dumps({"wire": WIRE}).encode())[0].body or b"{}")
         check_wire(reply)
         entries: list[list[Any]] = reply.get("entries", [])
         return sorted(entries, key=lambda entry: entry[:2])
 
     def names(self, kind: ValueKind[Any]) -> list[str]:
-        """The names of a kind's values, sorted."""
+        """Return the names of a kind's values, sorted."""
         return sorted(name for other, name in self.keys() if other == kind.name)
 
     def get(self, kind: ValueKind[T], name: str) -> T | None:
-        """A value, None where the store has none."""
+        """Return a value, None if it does not exist."""
         return self._fetch(kind, [name] if check_name(name) in self.names(kind) else []).get(name)
 
     def all(self, kind: ValueKind[T]) -> dict[str, T]:
-        """All values of a kind, in the order of their names."""
+        """Return all values of a kind, sorted by name."""
         return self._fetch(kind, self.names(kind))
 
     def write(self, writes: Sequence[Write[Any]]) -> None:
-        """Write and delete in one transaction, on that daemon's disk when this returns; raises `StoreError`."""
+        """Write and delete in one transaction; it is on the daemon's disk when this returns. Raises `StoreError`."""
         self._write(writes, {})
 
     def change(self, make: Callable[[], Sequence[Write[Any]]]) -> None:
-        """Write what ``made`` makes of what the store holds; raises `StoreError`.
+        """Write what ``make`` returns, based on the store's current content; raises `StoreError`.
 
-        Where one of its keys was written meanwhile, nothing is written, and it is made anew: nobody's change is lost.
+        If one of the keys was changed meanwhile, nothing is written and ``make`` is called again: no change is lost.
         """
         for _ in range(_TRIES):
             known = {f"{kind}/{name}": [ns, replica] for kind, name, ns, replica, _ in self.digest()}
@@ -75,14 +75,14 @@ class StoreClient:
             keys = [f"{write.kind.name}/{write.name}" for write in writes]
             if not writes or self._write(writes, {key: known.get(key) for key in keys}):
                 return
-        raise StoreError("others write the same all the time; try again")
+        raise StoreError("other clients keep changing the same keys; try again")
 
     def rename(self, kind: ValueKind[Any], old: str, new: str) -> None:
-        """Give a value another name; raises `StoreError` where the old one is not there or the new one is."""
+        """Rename a value; raises `StoreError` if the old name does not exist or the new one does."""
         self.change(lambda: rename_writes(self, kind, old, new))
 
     def _write(self, writes: Sequence[Write[Any]], stamps: Mapping[str, list[Any] | None]) -> bool:
-        """Write; False, and nothing is written, where a key has another stamp than this."""
+        """Write; return False, without writing, if a key's stamp differs from ``stamps``."""
         bodies: list[bytes] = []
         heads: list[Mapping[str, Any]] = []
         for write in writes:
@@ -97,14 +97,14 @@ class StoreClient:
         return not json_object(reply or b"{}").get("stale")
 
     def current_map(self) -> str:
-        """The name of the map that is in use, "" where none was chosen."""
+        """Return the name of the current map, "" if none was chosen."""
         return self.get(CURRENT, THE_MAP) or ""
 
     def use_map(self, name: str) -> None:
-        """Choose the map that is in use; raises `StoreError` where none has the name."""
+        """Choose the current map; raises `StoreError` if there is no map of that name."""
         names = self.names(MAP)
         if name not in names:
-            raise StoreError(f"there is no map {name!r}; those that are: {', '.join(names) or 'none'}")
+            raise StoreError(f"no map {name!r}; existing maps: {', '.join(names) or 'none'}")
         self.write([Write(CURRENT, THE_MAP, name)])
 
     def _fetch(self, kind: ValueKind[T], names: Sequence[str]) -> dict[str, T]:
@@ -125,6 +125,6 @@ class StoreClient:
         except HubError as err:
             raise StoreError(str(err)) from None
         if not answers:
-            refused = "or a door between the machines refuses this (hub.open.trusted)"
+            refused = "or access between the machines refuses this (hub.open.trusted)"
             raise StoreError(f"the store of {self.daemon} did not answer; {refused}")
         return answers

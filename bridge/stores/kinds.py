@@ -1,10 +1,10 @@
-"""What the store holds: each kind of value, and how it is written as bytes.
+"""The kinds of values in the store, and how each is encoded.
 
-Locations, areas, paths, objects and links are JSON: metres, and YARP's degrees, named in the keys. A map is a line
-of JSON, then the occupancy and the flags, each a zlib stream. The line says ``{"midspan": "map", "version": 1, "name",
-"width", "height", "resolution", "origin": [x, y, theta_deg], "occupancy": <bytes>, "flags": <bytes>}`` and ends with a
-newline. Cells are a byte each, row by row from the top one: occupancy 0 to 100 or 255 for unknown, flags 0 to 5 as YARP
-numbers them. A map in three dimensions is a file: OctoMap's ``.bt`` or ``.ot``, or a binary ``.pcd``.
+Locations, areas, paths, objects and links are JSON, in meters and YARP's degrees, as the keys state. A map is a line
+of JSON, then the occupancy and the flags, each a zlib stream. The line is ``{"midspan": "map", "version": 1, "name",
+"width", "height", "resolution", "origin": [x, y, theta_deg], "occupancy": <bytes>, "flags": <bytes>}`` and a newline.
+Each cell is a byte, row by row from the top: occupancy 0 to 100 or 255 for unknown, flags 0 to 5 with YARP's values.
+A three-dimensional map is a file: OctoMap's ``.bt`` or ``.ot``, or a binary ``.pcd``.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ _POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def _write_json(value: Json) -> bytes:
-    """A body that holds a JSON object; raises `StoreError` where a number is none."""
+    """Encode a JSON object; raises `StoreError` for values that JSON cannot represent."""
     try:
         return json.dumps(value, ensure_ascii=False, allow_nan=False).encode()
     except ValueError:
-        raise StoreError(f"it has a number or a text that JSON cannot carry: {value!r:.200}") from None
+        raise StoreError(f"a number or text cannot be represented in JSON: {value!r:.200}") from None
 
 
 def location_json(location: Map2DLocation) -> Json:
-    """``{"map", "x", "y", "theta_deg", "description"}``."""
+    """Return ``{"map", "x", "y", "theta_deg", "description"}``."""
     pose = {"x": location.x, "y": location.y, "theta_deg": location.theta}
     return {"map": location.map_id, **pose, "description": location.description}
 
@@ -56,7 +56,7 @@ def _json_location(found: Json) -> Map2DLocation:
 
 
 def area_json(area: Map2DArea) -> Json:
-    """``{"map", "points": [[x, y], ...], "description"}``."""
+    """Return ``{"map", "points": [[x, y], ...], "description"}``."""
     points = [[point.x, point.y] for point in area.points]
     return {"map": area.map_id, "points": points, "description": area.description}
 
@@ -67,7 +67,7 @@ def _json_area(found: Json) -> Map2DArea:
 
 
 def path_json(path: Map2DPath) -> Json:
-    """``{"waypoints": [location, ...], "description"}``."""
+    """Return ``{"waypoints": [location, ...], "description"}``."""
     return {"waypoints": [location_json(point) for point in path.waypoints], "description": path.description}
 
 
@@ -77,7 +77,7 @@ def _json_path(found: Json) -> Map2DPath:
 
 
 def object_json(thing: Map2DObject) -> Json:
-    """``{"map", "x", "y", "z", "roll", "pitch", "yaw", "description"}``."""
+    """Return ``{"map", "x", "y", "z", "roll", "pitch", "yaw", "description"}``."""
     pose = {key: getattr(thing, key) for key in _POSE}
     return {"map": thing.map_id, **pose, "description": thing.description}
 
@@ -88,7 +88,7 @@ def _json_object(found: Json) -> Map2DObject:
 
 
 def behaviour_json(behaviour: AreaBehaviour) -> Json:
-    """``{"max_speed", "on_obstacle", "keep_out"}``; the speed in m/s, null where there is no limit."""
+    """Return ``{"max_speed", "on_obstacle", "keep_out"}``; the speed in m/s, null without a limit."""
     return {key: getattr(behaviour, key) for key in ("max_speed", "on_obstacle", "keep_out")}
 
 
@@ -97,7 +97,7 @@ def _json_behaviour(found: Json) -> AreaBehaviour:
     limit = None if speed is None else _finite(speed, "max_speed")
     keep_out = found.get("keep_out", False)
     if not isinstance(keep_out, bool):
-        raise StoreError(f"keep_out is true or false, not {keep_out!r:.60}")
+        raise StoreError(f"keep_out must be true or false, not {keep_out!r:.60}")
     try:
         return AreaBehaviour(max_speed=limit, on_obstacle=_text(found, "on_obstacle"), keep_out=keep_out)
     except ValueError as err:
@@ -105,7 +105,7 @@ def _json_behaviour(found: Json) -> AreaBehaviour:
 
 
 def link_json(link: MapLink) -> Json:
-    """``{"from", "to", "cost"}``: the names of two locations."""
+    """Return ``{"from", "to", "cost"}``, with the names of two locations."""
     return {"from": link.first, "to": link.second, "cost": link.cost}
 
 
@@ -122,39 +122,39 @@ def _number(found: Json, key: str) -> float:
 
 def _finite(value: Any, what: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise StoreError(f"{what} is no number: {value!r:.60}")
+        raise StoreError(f"{what} is not a number: {value!r:.60}")
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise StoreError(f"{what} is no finite number")
+        raise StoreError(f"{what} is not a finite number")
     return number
 
 
 def _text(found: Json, key: str) -> str:
     value = found.get(key, "")
     if not isinstance(value, str):
-        raise StoreError(f"{key} is no text: {value!r:.60}")
+        raise StoreError(f"{key} is not a text: {value!r:.60}")
     return value
 
 
 def _several(found: Json, key: str) -> Sequence[Any]:
     value = found.get(key, [])
     if not isinstance(value, list) or len(value) > _MOST_POINTS:
-        raise StoreError(f"{key} is no list of up to {_MOST_POINTS}")
+        raise StoreError(f"{key} is not a list of up to {_MOST_POINTS} elements")
     return value
 
 
 def _point(value: Any) -> Vec2D:
     if not isinstance(value, list) or len(value) != 2:
-        raise StoreError(f"a point is [x, y], not {value!r:.60}")
+        raise StoreError(f"a point must be [x, y], not {value!r:.60}")
     return Vec2D(_finite(value[0], "x"), _finite(value[1], "y"))
 
 
 def _object(value: Any) -> Json:
     if not isinstance(value, dict):
-        raise StoreError(f"a waypoint is a JSON object, not {value!r:.60}")
+        raise StoreError(f"a waypoint must be a JSON object, not {value!r:.60}")
     return value
 
 
@@ -166,7 +166,7 @@ _FLAGS = bytes(MapFlag)
 
 
 def _write_map(name: str, grid: MapGrid2D) -> bytes:
-    """A map's body under a name, whatever its own."""
+    """Encode a map under this name, which may differ from its own."""
     streams = [zlib.compress(np.ascontiguousarray(cells).data, _LEVEL) for cells in (grid.occupancy, grid.flags)]
     _check(grid.occupancy.tobytes(), _OCCUPANCY, "occupancy")
     _check(grid.flags.tobytes(), _FLAGS, "flags")
@@ -185,13 +185,13 @@ def _write_map(name: str, grid: MapGrid2D) -> bytes:
 
 
 def _read_map(name: str, body: bytes) -> MapGrid2D:
-    """The map of a body, under the name that it has in the store; raises `StoreError`."""
+    """Decode a map, under its name in the store; raises `StoreError`."""
     head, start = _head(body)
     width, height = _size(head)
     middle = start + _whole(head, "occupancy")
     end = middle + _whole(head, "flags")
     if end != len(body):
-        raise StoreError(f"the map has {len(body)} bytes, and its head says {end}")
+        raise StoreError(f"the map has {len(body)} bytes, but its head requires {end}")
     occupancy = _cells(body[start:middle], width, height, _OCCUPANCY, "occupancy")
     flags = _cells(body[middle:], width, height, _FLAGS, "flags")
     x, y, theta = _origin(head)
@@ -206,14 +206,14 @@ def _head(body: bytes) -> tuple[Any, int]:
     end = body.find(b"\n", 0, _MOST_HEAD)
     head = json_object(body[: max(end, 0)])
     if head.get("midspan") != "map" or head.get("version") != _VERSION:
-        raise StoreError(f"it is no map of version {_VERSION}: {json.dumps(head)[:80]}")
+        raise StoreError(f"not a map of version {_VERSION}: {json.dumps(head)[:80]}")
     return head, end + 1
 
 
 def _size(head: Any) -> tuple[int, int]:
     width, height = _whole(head, "width"), _whole(head, "height")
     if not width or not height:
-        raise StoreError(f"a map of {width} x {height} cells has none")
+        raise StoreError(f"a map of {width} x {height} cells is empty")
     if width * height > MAX_CELLS:
         raise StoreError(too_large(width, height))
     return width, height
@@ -222,40 +222,40 @@ def _size(head: Any) -> tuple[int, int]:
 def _origin(head: Any) -> list[float]:
     origin = [_finite(number, "origin") for number in _several(head, "origin")]
     if len(origin) != 3:
-        raise StoreError("a map's origin has three numbers")
+        raise StoreError("a map's origin must have three numbers")
     return origin
 
 
 def _whole(head: Any, key: str) -> int:
     value = head.get(key)
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise StoreError(f"{key} is no whole number: {value!r:.60}")
+        raise StoreError(f"{key} is not a non-negative integer: {value!r:.60}")
     return value
 
 
 def _cells(part: bytes, width: int, height: int, good: bytes, what: str) -> NDArray[np.uint8]:
     try:
-        # one byte more than there should be shows a longer stream, and no more of it is unpacked
+        # one byte more than expected detects a longer stream, without unpacking the rest
         data = zlib.decompressobj().decompress(part, width * height + 1)
     except zlib.error as err:
-        raise StoreError(f"the map's {what} cannot be unpacked: {err}") from None
+        raise StoreError(f"the map's {what} cannot be decompressed: {err}") from None
     if len(data) != width * height:
-        raise StoreError(f"the map's {what} has not the {width * height} cells that its head names")
+        raise StoreError(f"the map's {what} does not have the {width * height} cells that its head states")
     _check(data, good, what)
     return np.frombuffer(data, np.uint8).reshape(height, width).copy()
 
 
 def _check(data: bytes, good: bytes, what: str) -> None:
     if wrong := data.translate(None, good):
-        raise StoreError(f"the map's {what} has a cell of {wrong[0]}")
+        raise StoreError(f"the map's {what} has a cell with the invalid value {wrong[0]}")
 
 
 Map3D = Octomap | PointCloud
-"""A map in three dimensions."""
+"""A three-dimensional map."""
 
 
 def read_map3d(body: bytes) -> Map3D:
-    """The octomap or the cloud of a file's bytes, read to its end; raises `StoreError`, which names what is wrong."""
+    """Parse an octomap or point cloud completely; raises `StoreError` with the reason if it is invalid."""
     try:
         if not body.startswith(b"# Octomap"):
             return read_cloud(body)
@@ -267,7 +267,7 @@ def read_map3d(body: bytes) -> Map3D:
 
 
 def write_map3d(value: Map3D) -> bytes:
-    """The file of a map in three dimensions; raises `StoreError`."""
+    """Encode a three-dimensional map as a file; raises `StoreError`."""
     try:
         if isinstance(value, PointCloud):
             return write_pcd(value)
@@ -283,7 +283,7 @@ FILE = "application/octet-stream;midspan-map3d"
 
 @dataclass(frozen=True, slots=True)
 class ValueKind(Generic[T]):
-    """One kind of value, with functions from a value to bytes and back; they raise `StoreError`."""
+    """One kind of value, with functions that encode and decode it; they raise `StoreError`."""
 
     name: str
     encoding: str
@@ -292,7 +292,7 @@ class ValueKind(Generic[T]):
     read: Callable[[str, bytes], T]
 
     def encode(self, name: str, value: T) -> tuple[bytes, str]:
-        """A value's body and encoding; raises `StoreError`."""
+        """Return a value's body and encoding; raises `StoreError`."""
         try:
             body = self.write(name, value)
         except StoreError as err:
@@ -301,7 +301,7 @@ class ValueKind(Generic[T]):
         return body, self.encoding
 
     def decode(self, name: str, body: bytes) -> T:
-        """The value of a body; raises `StoreError`."""
+        """Return the value of a body; raises `StoreError`."""
         self._check_size(name, body)
         try:
             return self.read(name, body)
@@ -310,11 +310,11 @@ class ValueKind(Generic[T]):
 
     def _check_size(self, name: str, body: bytes) -> None:
         if len(body) > self.limit:
-            raise StoreError(f"{self.name} {name!r} has {len(body)} bytes, and may have {self.limit}")
+            raise StoreError(f"{self.name} {name!r} has {len(body)} bytes; the limit is {self.limit}")
 
 
 def _json_kind(name: str, write: Callable[[T], Json], read: Callable[[Json], T]) -> ValueKind[T]:
-    """A kind whose bodies are JSON and do not hold their own name."""
+    """Return a kind whose bodies are JSON that does not contain the name."""
     return ValueKind(
         name, JSON, 1 << 20, lambda _, value: _write_json(write(value)), lambda _, body: read(json_object(body))
     )
@@ -330,9 +330,9 @@ PATH = _json_kind("path", path_json, _json_path)
 OBJECT = _json_kind("object", object_json, _json_object)
 LINK = _json_kind("link", link_json, _json_link)
 BEHAVIOUR = _json_kind("behaviour", behaviour_json, _json_behaviour)
-"""What an area asks of robots, under the area's name."""
+"""The rules of an area for robots, under the area's name."""
 CURRENT: ValueKind[str] = _json_kind("current", lambda name: {"map": name}, lambda found: _text(found, "map"))
-"""Which one is current, of what there may be one only: under ``map`` a map's name."""
+"""The current one of a kind: under ``map``, the name of the current map."""
 
 KINDS: dict[str, ValueKind[Any]] = {
     kind.name: kind for kind in (MAP, MAP3D, LOCATION, AREA, BEHAVIOUR, PATH, OBJECT, LINK, CURRENT)

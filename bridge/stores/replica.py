@@ -1,4 +1,4 @@
-"""One daemon's copy of the store, as bytes: what is written here or comes from others, merged key by key."""
+"""One daemon's replica of the store, as bytes: local and remote changes, merged key by key."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 _DAY_NS = 86_400 * 1_000_000_000
-_MOST_CONFLICTS = 20  # conflicts that the status names
+_MOST_CONFLICTS = 20  # conflicts listed in the status
 Key = tuple[str, str]
 Body = tuple[bytes, str]  # a value's bytes and their encoding
 
 
 @dataclass(frozen=True, slots=True)
 class StoreLimits:
-    """What a replica holds at most: values, their bytes, deleted keys, and days for which it remembers these."""
+    """Upper limits of a replica: values, their bytes, tombstones of deleted keys, and days for which these are kept."""
 
     keys: int = 10_000
     size: int = 1 << 30
@@ -37,7 +37,7 @@ class StoreLimits:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A key was written or deleted by the daemon ``origin``; ``here``: at this replica."""
+    """A key was written or deleted by the daemon ``origin``; ``here``: through this replica."""
 
     kind: str
     name: str
@@ -57,7 +57,7 @@ class _Known:
 
 
 class Replica:
-    """See the module. Safe to use from any thread; raises `StoreError` where the file cannot be used."""
+    """A replica of the store. Safe to use from any thread; raises `StoreError` if the file cannot be used."""
 
     def __init__(self, file: Path, origin: str, limits: StoreLimits | None = None) -> None:
         self.origin, self.limits = origin, limits or StoreLimits()
@@ -76,7 +76,7 @@ class Replica:
         self._closed = False
 
     def get(self, kind: str, name: str) -> Body | None:
-        """A key's value, None where it has none."""
+        """Return a key's value, None if it has none."""
         with self._lock:
             self._check_open()
             known = self._known.get((kind, name))
@@ -86,7 +86,7 @@ class Replica:
         return None if body is None else (body, encoding)
 
     def entry(self, kind: str, name: str) -> StoreEntry | None:
-        """A key with its version, None where it was never there; deleted ones have no body."""
+        """Return a key with its version, None if it never existed; a deleted key has no body."""
         with self._lock:
             self._check_open()
             known = self._known.get((kind, name))
@@ -96,35 +96,35 @@ class Replica:
             return StoreEntry(kind, name, body, encoding, known.version)
 
     def names(self, kind: str) -> list[str]:
-        """The names of a kind's values, sorted."""
+        """Return the names of a kind's values, sorted."""
         with self._lock:
             return sorted(
                 name for (other, name), known in self._known.items() if other == kind and known.size is not None
             )
 
     def stamp(self, key: Key) -> ChangeStamp | None:
-        """When a key was written or deleted last, as far as this is remembered."""
+        """Return when a key was last written or deleted, None if that is not known."""
         with self._lock:
             known = self._known.get(key)
             return None if known is None else known.version.stamp
 
     def has(self, kind: str, name: str) -> bool:
-        """Whether a key has a value."""
+        """Return whether a key has a value."""
         with self._lock:
             known = self._known.get((kind, name))
             return known is not None and known.size is not None
 
     def still(self) -> threading.RLock:
-        """A lock: while it is held nothing is written by others."""
+        """Return a lock that blocks other writers while it is held."""
         return self._lock
 
     def remembers(self, kind: str, name: str) -> bool:
-        """Whether the key has a value, or had one that was deleted."""
+        """Return whether the key has a value or a tombstone."""
         with self._lock:
             return (kind, name) in self._known
 
     def versions(self) -> Mapping[Key, tuple[ChangeStamp, int]]:
-        """Every key's stamp and its value's size; deleted ones too, as long as they are remembered."""
+        """Return every key's stamp and the size of its value, including tombstones."""
         oldest = self._oldest()
         with self._lock:
             return {
@@ -134,10 +134,10 @@ class Replica:
             }
 
     def write(self, changes: Mapping[Key, Body | None], *, oldest: bool = False) -> list[StoreEntry]:
-        """Write values, or delete them (None), in one transaction; on the disk when this returns.
+        """Write values, or delete them (None), in one transaction; it is on the disk when this returns.
 
-        With ``oldest`` they are older than anything that was ever written, and hold only where nothing is. Raises
-        `StoreError` where the store is full, or the file cannot be written; then nothing has changed.
+        With ``oldest`` the values are older than any other, so they apply only to keys without a value. Raises
+        `StoreError` if the store is full or the file cannot be written; then nothing has changed.
         """
         with self._lock:
             self._check_open()
@@ -148,11 +148,11 @@ class Replica:
         return entries
 
     def merge(self, entry: StoreEntry) -> bool:
-        """Take an entry of another replica; whether it holds now. Raises `StoreError` where it cannot be written."""
+        """Merge another replica's entry; return whether it is now current; raises `StoreError` if writing fails."""
         with self._lock:
             self._check_open()
             known = self._known.get(entry.key)
-            if not entry.version.seen:  # of a program that knows zenoh alone: it changes what it finds
+            if not entry.version.seen:  # from a plain zenoh program: it overwrites the current version
                 before = None if known is None else known.version
                 version = follow(before, entry.version.stamp, entry.version.origin)
                 entry = replace(entry, version=version)
@@ -168,14 +168,14 @@ class Replica:
         return True
 
     def watch(self, on_change: OnChange, kinds: Iterable[str] = ()) -> Callable[[], None]:
-        """Call back for every change of some kinds (none: of all) until the returned function is called.
+        """Call back for every change of some kinds (all if empty) until the returned function is called.
 
-        It is called on the replica's own thread, for one change after the other, and is to return soon.
+        Callbacks run one after the other on the replica's own thread, and must not block.
         """
         return self._joined(self._watches, (frozenset(kinds), on_change))
 
     def on_write(self, send: SendEntries) -> Callable[[], None]:
-        """Have what is written here sent, on the writer's thread, until the returned function is called."""
+        """Pass local changes to ``send``, on the writer's thread, until the returned function is called."""
         return self._joined(self._senders, send)
 
     def _joined(self, callbacks: list[T], callback: T) -> Callable[[], None]:
@@ -190,9 +190,9 @@ class Replica:
         return close
 
     def status(self) -> dict[str, Any]:
-        """How many keys of each kind, and what was lost to others, for the status document.
+        """Return the number of keys of each kind, and the conflicts, for the status document.
 
-        ``changed`` is the stamp of the newest change, by whichever replica: seconds since 1970.
+        ``changed`` is the stamp of the newest change in any replica: seconds since 1970.
         """
         with self._lock:
             live = [kind for (kind, _), known in self._known.items() if known.size is not None]
@@ -207,7 +207,7 @@ class Replica:
             }
 
     def close(self) -> None:
-        """Close the file; changes that wait to be heard are heard before. Safe to call twice."""
+        """Close the file, after calling back for pending changes. Safe to call twice."""
         with self._lock:
             if self._closed:
                 return
@@ -220,10 +220,10 @@ class Replica:
         now = self._last = max(time.time_ns(), self._last + 1)
         if oldest:
             now = OLDEST
-        # a key from a machine whose clock is ahead is changed all the same, and other keys keep our time
+        # if the key's last writer had a clock ahead, this change is stamped after it; other keys keep the local time
         above = 0 if before is None else before.version.stamp.ns + 1
         if above >= LATEST:
-            msg = f"{key[0]} {key[1]!r} was written with a time that cannot be followed; delete it at its origin"
+            msg = f"{key[0]} {key[1]!r} has the latest possible time stamp; delete it at its origin"
             raise StoreError(msg)
         version = follow(None if before is None else before.version, ChangeStamp(max(now, above), self.id), self.origin)
         data, encoding = (None, "") if body is None else body
@@ -249,15 +249,15 @@ class Replica:
 
     def _check_room(self, size: int, live: int) -> None:
         if live > max(self.limits.keys, self._live):
-            msg = f"the store has {self._live} values, and may have {self.limits.keys} (store.keys)"
+            msg = f"the store has {self._live} values; the limit is {self.limits.keys} (store.keys)"
         elif size > max(self.limits.size, self._size):
-            msg = f"the store has {self._size >> 20} MB, and may have {self.limits.size >> 20} MB (store.megabytes)"
+            msg = f"the store has {self._size >> 20} MB; the limit is {self.limits.size >> 20} MB (store.megabytes)"
         else:
             return
         raise StoreError(msg)
 
     def _forgettable(self, entries: Sequence[StoreEntry]) -> list[Key]:
-        """Deleted keys that are remembered no longer: too old, or too many."""
+        """Return the tombstones to drop: those that are too old, or too many."""
         coming = sum(entry.body is None for entry in entries)
         if not coming:
             return []

@@ -1,6 +1,6 @@
-"""The store of one process: its file in the state folder, its place on the hub, and the files it imports.
+"""The store of one process: its file in the state folder, its synchronization over the hub, and its imports.
 
-It is opened at its first use.
+It is opened on first use.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ _log = logging.getLogger(__name__)
 
 
 FORMS_3D = (".bt", ".ot", ".pcd", ".ply")
-"""Files of maps in three dimensions: octomaps and clouds."""
+"""Files of three-dimensional maps: octomaps and point clouds."""
 
 
 def read_files(path: Path, jail: Path | None = None) -> list[Write[Any]]:
-    """What a file holds: a map (``.map``, ROS's YAML), a collection of maps, places, or a map in three dimensions.
+    """Read a file with a map (``.map``, ROS's YAML), a collection of maps, places, or a three-dimensional map.
 
     Raises `StoreError`.
 
-    With a ``jail`` the file names no other outside of that folder.
+    With a ``jail`` the file may refer only to files in that folder.
     """
     try:
         if path.suffix.lower() in FORMS_3D:
@@ -71,7 +71,7 @@ def _map3d(path: Path) -> Map3D:
 
 
 def places_writes(places: Places, extras: Extras) -> list[Write[Any]]:
-    """Places and what is beside them, as they are written into the store."""
+    """Return the writes that store places and their extras."""
     by_kind: list[tuple[Any, dict[str, Any]]] = [
         (LOCATION, places.locations),
         (OBJECT, places.objects),
@@ -84,10 +84,10 @@ def places_writes(places: Places, extras: Extras) -> list[Write[Any]]:
 
 
 def import_at_start(store: Store, section: StoreSection) -> None:
-    """Read the files that the configuration names; what the store knows, or had deleted, stays as it is.
+    """Import the files named in the configuration; keys that the store has, or had and deleted, keep their state.
 
-    What is imported is older than anything that was ever written: a machine that joins a deployment with files of its
-    own changes nothing there. A file that cannot be read is logged, and keeps nothing else from the store.
+    Imported values are older than any written one: a machine that joins a deployment with its own files changes nothing
+    there. A file that cannot be read is logged, and does not prevent the other imports.
     """
     for key, path in (("maps", section.maps), ("locations", section.locations)):
         if path is None:
@@ -103,21 +103,21 @@ def import_at_start(store: Store, section: StoreSection) -> None:
             }
             store.replica.write(changes, oldest=True)
         except StoreError as err:
-            _log.error("store.%s: nothing of it is imported: %s", key, err)
+            _log.error("store.%s: nothing imported: %s", key, err)
         else:
-            _log.info("store.%s: %d of %d values of %s are new", key, len(changes), len(writes), path)
+            _log.info("store.%s: imported %d of %d values from %s", key, len(changes), len(writes), path)
 
 
 _WORKER = "store"
 
 
 class StoreService:
-    """Opens the store. Safe to use from any thread.
+    """Opens and closes the store. Safe to use from any thread.
 
     Args:
         config: the configuration.
-        alone: the module that has this process, and so a copy, for itself; "" in the daemon's own worker.
-        join: makes a node of this name on the hub, which answers on the control plane under the other name.
+        alone: name of the module with a process, and so a replica, of its own; "" in the daemon's modules worker.
+            join: creates a node of the first name on the hub, which uses the second name on the control plane.
     """
 
     def __init__(self, config: Config, alone: str, join: Callable[[str, str], Hub]) -> None:
@@ -129,18 +129,18 @@ class StoreService:
 
     @property
     def store(self) -> Store:
-        """The store; raises `StoreError` if it is switched off or its file is of no use, `HubError` without the hub."""
+        """The store; raises `StoreError` if it is disabled or its file is unusable, `HubError` without the hub."""
         with self._lock:
             if self._open is None:
                 if self._closed:
                     raise StoreError("the store is closed")
                 if self._config.store.enabled is False:
-                    raise StoreError("the store is switched off (store.enabled)")
+                    raise StoreError("the store is disabled (store.enabled)")
                 self._open = self._opened()
             return self._open[0]
 
     def trouble(self) -> str:
-        """Open it where the configuration wants it always; the reason why that fails, "" where it does not."""
+        """Open the store if the configuration always wants it; return why that fails, "" if it does not."""
         if self._config.store.enabled is True:
             try:
                 _ = self.store
@@ -149,7 +149,7 @@ class StoreService:
         return ""
 
     def close(self) -> None:
-        """Close it. Safe to call twice."""
+        """Close the store. Safe to call twice."""
         with self._lock:
             self._closed = True
             opened, self._open = self._open, None
@@ -179,7 +179,7 @@ class StoreService:
         content = store.status()
         counts = ", ".join(f"{count} {kind}{'' if count == 1 else 's'}" for kind, count in content["keys"].items())
         others = share.others()
-        shared = f"shared with {', '.join(others)}" if others else "shared with no other"
+        shared = f"shared with {', '.join(others)}" if others else "not shared"
         return {
             "daemon": self._config.name,
             "worker": self._name,

@@ -1,15 +1,15 @@
-"""A replica on the hub: sends the others what is written here, takes what they write, and aligns with who comes back.
+"""Synchronizes a replica over the hub: sends local changes, merges remote ones, and aligns with replicas that join.
 
-Beneath ``midspan/store/<domain>/``::
+Below ``midspan/store/<domain>/``::
 
-    <kind>/<name>               the values, as puts and deletes, and for whoever asks; wildcards are fine
-    @sync/alive/<zid>/<daemon>  a token for each replica
-    @sync/digest/<zid>          asks a replica where it has other versions than these digests show
-    @sync/fetch/<zid>/**        asks it for entries; each answer is under .../<kind>/<name>
-    @sync/write/<zid>           asks it to write (`bridge.stores.client`), perhaps only over the versions of some stamps
+    <kind>/<name>               the values: puts and deletes, and queries; wildcards are allowed
+    @sync/alive/<zid>/<daemon>  a liveliness token for each replica
+    @sync/digest/<zid>          query: which versions differ from these digests
+    @sync/fetch/<zid>/**        query for entries; each reply is under .../<kind>/<name>
+    @sync/write/<zid>           query that writes (`bridge.stores.client`), optionally only over given versions
 
-A key that starts with ``@`` is not heard by those who listen to everything, and a machine that the door does not trust
-can ask for values and digests but neither write nor answer (`bridge.hub.security.access`).
+Wildcard subscriptions do not match a key that starts with ``@``. A machine that is not trusted can query values and
+digests, but neither write nor reply (`bridge.hub.security.access`).
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from bridge.stores.wire import BUCKETS, bucket, check_wire, digests, entry_of, i
 
 _log = logging.getLogger(__name__)
 
-PERIOD = 10.0  # seconds after which a replica compares itself with the others, though nothing asked for it
+PERIOD = 10.0  # seconds between regular comparisons with the other replicas
 _RETRY_SECONDS = 1.0
 _MOST_TRIES = 5
-_MOST_WAITING = 1000  # samples and questions that wait to be looked at; a sample beyond is left to the next comparison
+_MOST_WAITING = 1000  # queued samples and queries; the next comparison recovers further samples
 _BATCH_KEYS, _BATCH_BYTES = 200, 64 << 20
 _MOST_KEYS = 100_000
 _MOST_WRITE = 1 << 20
-_NOT_AN_OBJECT = "the question is not a JSON object"
+_NOT_AN_OBJECT = "the query is not a JSON object"
 
 
 class StoreSync:
-    """Shares a replica from the start on; closes ``space``; compares every ``period`` seconds."""
+    """Synchronizes a replica from its construction on; closes ``space``; compares every ``period`` seconds."""
 
     def __init__(self, replica: Replica, space: KeySpace, zid: str, period: float = PERIOD) -> None:
         self._replica, self._space, self._zid, self._period = replica, space, zid, period
@@ -74,18 +74,18 @@ class StoreSync:
         self._aligning.start()
 
     def others(self) -> list[str]:
-        """The daemons whose replicas are reached now."""
+        """Return the daemons whose replicas are reachable now."""
         with self._wake:
             return sorted(self._others.values())
 
     def align(self) -> None:
-        """Compare with all others soon."""
+        """Schedule a comparison with all other replicas."""
         with self._wake:
             self._due.update(dict.fromkeys(self._others, 0))
             self._wake.notify()
 
     def close(self) -> None:
-        """Send what waits, and leave the hub."""
+        """Send pending changes, and leave the hub."""
         self._withdraw()
         self._sending.close()
         with self._wake:
@@ -95,7 +95,7 @@ class StoreSync:
         self._serving.close()
         self._aligning.join(2.0)
 
-    # What is written here
+    # Local changes
 
     def _written(self, entries: Sequence[StoreEntry]) -> None:
         with self._wake:
@@ -112,7 +112,7 @@ class StoreSync:
         if entry is not None:
             self._space.send(item_of(entry))
 
-    # What others write
+    # Changes of others
 
     def _on_item(self, item: KeyItem) -> None:
         with self._wake:
@@ -139,16 +139,16 @@ class StoreSync:
         except StoreError as err:
             with self._wake:
                 self.refused += 1
-            _log.warning("%s is not taken: %s", text[:300], err)
+            _log.warning("%s is not merged: %s", text[:300], err)
 
-    # What others ask
+    # Queries of others
 
     def _on_query(self, question: KeyQuery, answer: Any) -> None:
         with self._wake:
             full = self._waiting >= _MOST_WAITING
             self._waiting += not full
         if full:
-            question.fail("the store has too many questions at once; ask again later")
+            question.fail("the store has too many concurrent queries; try again later")
             question.end()
         else:
             self._serving.submit(lambda: self._answer_waiting(question, answer))
@@ -193,7 +193,7 @@ class StoreSync:
         head = _request_of(question.body[: max(end, 0)])
         writes, stamps = head.get("writes"), head.get("stamps", {})
         if not isinstance(writes, list) or not isinstance(stamps, dict):
-            raise StoreError("it has nothing to write")
+            raise StoreError("the query has nothing to write")
         changes: dict[Key, Body | None] = {}
         start = end + 1
         for text, size in _sizes(writes):
@@ -206,7 +206,7 @@ class StoreSync:
             KINDS[kind].decode(name, body)
             changes[key] = body, KINDS[kind].encoding
         if start != len(question.body):
-            raise StoreError("the values are not as long as they should be")
+            raise StoreError("the values do not have the stated lengths")
         with self._replica.still():
             versions = self._replica.versions() if stamps else {}
             now = {text: versions.get(key_of(text)) for text in stamps}
@@ -255,14 +255,14 @@ class StoreSync:
             aligned = False
         except Exception:
             _log.exception("cannot compare with the store of session %s", zid)
-            aligned = True  # the next regular comparison may fare better
+            aligned = True  # the next regular comparison may succeed
         if not aligned and tries < _MOST_TRIES:
             with self._wake:
                 if zid in self._others:
                     self._due.setdefault(zid, tries + 1)
 
     def _align(self, zid: str) -> bool:
-        """Take what another replica has and this one has not; False where it does not answer."""
+        """Merge the entries that another replica has and this one lacks; return False if it does not answer."""
         question = json.dumps({"wire": WIRE, "digests": digests(self._replica.versions())}).encode()
         answers = self._space.ask(f"@sync/digest/{zid}", question)
         if not answers:
@@ -280,17 +280,17 @@ class StoreSync:
         return True
 
     def _refuse(self, zid: str, reason: str) -> None:
-        """Say once of each store that it cannot be understood."""
+        """Log once for each replica that it cannot be understood."""
         with self._wake:
             new = zid in self._others and zid not in self._strangers
             if new:
                 self._strangers.add(zid)
                 self.refused += 1
         if new:
-            _log.warning("the store of %s is not taken: %s", self._others.get(zid), reason)
+            _log.warning("the store of %s is not merged: %s", self._others.get(zid), reason)
 
     def _batches(self, theirs: Iterable[Sequence[Any]]) -> Iterable[list[str]]:
-        """The keys of which the other has a later version, in parts of bounded size."""
+        """Yield the keys of which the other replica has a later version, in batches of bounded size."""
         ours = self._replica.versions()
         keys: list[str] = []
         size = 0
@@ -315,7 +315,7 @@ class StoreSync:
 def _texts(found: dict[str, Any], key: str, most: int) -> list[str]:
     value = found.get(key, [])
     if not isinstance(value, list) or len(value) > most or not all(isinstance(text, str) for text in value):
-        raise StoreError(f"{key} is no list of up to {most} texts")
+        raise StoreError(f"{key} is not a list of up to {most} texts")
     return value
 
 
@@ -324,12 +324,12 @@ def _sizes(writes: Iterable[Any]) -> Iterable[tuple[str, int | None]]:
         key, size = (write.get("key"), write.get("size")) if isinstance(write, dict) else (None, None)
         whole = size is None or (isinstance(size, int) and not isinstance(size, bool) and size > 0)
         if not isinstance(key, str) or not whole:
-            raise StoreError(f"{write!r:.80} is nothing to write")
+            raise StoreError(f"{write!r:.80} cannot be written")
         yield key, size
 
 
 def _request_of(body: bytes) -> dict[str, Any]:
-    """What a question says; raises `StoreError` where it is none, or in a version that cannot be understood."""
+    """Parse a query's body; raises `StoreError` if it is invalid or has an incompatible version."""
     request = json_object(body, _NOT_AN_OBJECT)
     check_wire(request)
     return request
@@ -338,5 +338,5 @@ def _request_of(body: bytes) -> dict[str, Any]:
 def _entries(reply: dict[str, Any]) -> list[Sequence[Any]]:
     entries = reply.get("entries")
     if not isinstance(entries, list) or len(entries) > _MOST_KEYS:
-        raise StoreError("the other store's answer cannot be read")
+        raise StoreError("the other store's reply is invalid")
     return [entry for entry in entries if isinstance(entry, list) and len(entry) == 5 and isinstance(entry[4], int)]

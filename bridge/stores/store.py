@@ -1,6 +1,6 @@
-"""The store as modules use it: maps, locations and the like as values.
+"""The store as modules use it: maps, locations and the like as Python values.
 
-What is written is on the disk when the call returns, and on its way to the other machines; see `bridge.stores.sharing`.
+A change is on the disk when the call returns, and on its way to the other machines; see `bridge.stores.sharing`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from bridge.stores.entry import StoreError, check_name
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, OBJECT, PATH, ValueKind
-from bridge.stores.replica import Body, Change, OnChange, Key, Replica
+from bridge.stores.replica import Body, Change, Key, OnChange, Replica
 from yarp_compat.dev.extras import AreaBehaviour
 
 __all__ = ["Change", "Store", "Write"]
@@ -19,12 +19,12 @@ __all__ = ["Change", "Store", "Write"]
 T = TypeVar("T")
 
 THE_MAP = "map"
-_COMPANIONS: dict[str, ValueKind[Any]] = {AREA.name: BEHAVIOUR}  # what goes where a key of another kind goes
+_COMPANIONS: dict[str, ValueKind[Any]] = {AREA.name: BEHAVIOUR}  # deleted and renamed with a key of the first kind
 
 
 @dataclass(frozen=True, slots=True)
 class Write(Generic[T]):
-    """A value to be written under a name, or deleted where it is None."""
+    """A value to write under a name, or a deletion if it is None."""
 
     kind: ValueKind[T]
     name: str
@@ -35,28 +35,28 @@ class Values(Protocol):
     """The store, or a client of it."""
 
     def get(self, kind: ValueKind[T], name: str) -> T | None:
-        """A value, None where there is none."""
+        """Return a value, None if it does not exist."""
 
     def all(self, kind: ValueKind[T]) -> dict[str, T]:
-        """All values of a kind."""
+        """Return all values of a kind."""
 
     def names(self, kind: ValueKind[Any]) -> list[str]:
-        """The names of a kind's values."""
+        """Return the names of a kind's values."""
 
     def current_map(self) -> str:
-        """The name of the map that is in use, "" where none was chosen."""
+        """Return the name of the current map, "" if none was chosen."""
 
 
 def rename_writes(values: Values, kind: ValueKind[Any], old: str, new: str) -> list[Write[Any]]:
-    """What gives a value another name; raises `StoreError` where the old one is not there or the new one is.
+    """Return the writes that rename a value; raises `StoreError` if the old name does not exist or the new one does.
 
-    What an area asks of robots goes along; so do, with a map, the places that are on it.
+    An area is renamed with its rules, a map with the places on it.
     """
     value = values.get(kind, old)
     if value is None:
-        raise StoreError(f"there is no {kind.name} {old!r}")
+        raise StoreError(f"no {kind.name} {old!r}")
     if check_name(new) in values.names(kind):
-        raise StoreError(f"{kind.name} {new!r} is there already")
+        raise StoreError(f"{kind.name} {new!r} exists already")
     writes: list[Write[Any]] = [Write(kind, new, value), Write(kind, old, None)]
     companion = _COMPANIONS.get(kind.name)
     companion_value = None if companion is None else values.get(companion, old)
@@ -66,7 +66,7 @@ def rename_writes(values: Values, kind: ValueKind[Any], old: str, new: str) -> l
 
 
 def _moved(values: Values, old: str, new: str) -> list[Write[Any]]:
-    """What brings the places of a map to another one, and chooses that where the map was in use."""
+    """Return the writes that move a map's places to another map, and choose that if the map was the current one."""
     writes: list[Write[Any]] = []
     kinds: tuple[ValueKind[Any], ...] = (LOCATION, AREA, OBJECT)
     for kind in kinds:
@@ -88,25 +88,25 @@ class Store:
         self.replica = replica
 
     def get(self, kind: ValueKind[T], name: str) -> T | None:
-        """A value, a copy of the caller's own; None where the store has none."""
+        """Return a copy of a value, None if it does not exist."""
         body = self.replica.get(kind.name, name)
         return None if body is None else kind.decode(name, body[0])
 
     def names(self, kind: ValueKind[Any]) -> list[str]:
-        """The names of a kind's values, sorted."""
+        """Return the names of a kind's values, sorted."""
         return self.replica.names(kind.name)
 
     def all(self, kind: ValueKind[T]) -> dict[str, T]:
-        """All values of a kind, in the order of their names."""
+        """Return all values of a kind, sorted by name."""
         values = {name: self.get(kind, name) for name in self.names(kind)}
         return {name: value for name, value in values.items() if value is not None}
 
     def put(self, kind: ValueKind[T], name: str, value: T) -> None:
-        """Write a value; raises `StoreError` where its name, its size or the value itself cannot be."""
+        """Write a value; raises `StoreError` if its name, its size or the value itself is invalid."""
         self.write([Write(kind, name, value)])
 
     def delete(self, kind: ValueKind[Any], name: str) -> bool:
-        """Delete a value; whether there was one."""
+        """Delete a value; return whether it existed."""
         with self.replica.still():
             exists = self.replica.has(kind.name, name)
             if exists:
@@ -114,18 +114,18 @@ class Store:
         return exists
 
     def clear(self, kind: ValueKind[Any]) -> int:
-        """Delete all values of a kind; how many there were."""
+        """Delete all values of a kind; return their number."""
         names = self.names(kind)
         self.write([Write(kind, name, None) for name in names])
         return len(names)
 
     def rename(self, kind: ValueKind[Any], old: str, new: str) -> None:
-        """Give a value another name; raises `StoreError` where the old one is not there or the new one is."""
+        """Rename a value; raises `StoreError` if the old name does not exist or the new one does."""
         with self.replica.still():
             self.write(rename_writes(self, kind, old, new))
 
     def write(self, writes: Sequence[Write[Any]]) -> None:
-        """Write and delete in one transaction, of a key the last; raises `StoreError`, and nothing has changed."""
+        """Write and delete in one transaction (the last change of a key applies); `StoreError` means no change."""
         changes: dict[Key, Body | None] = {}
         for write_ in writes:
             kind, name = write_.kind, check_name(write_.name)
@@ -133,7 +133,7 @@ class Store:
         write_all(self.replica, changes)
 
     def behaviour(self, area: str) -> AreaBehaviour:
-        """What an area asks of robots: as it is kept beside it, else as its description has it; nothing by default."""
+        """Return an area's rules for robots: as stored, else from its description, else the defaults."""
         stored = self.get(BEHAVIOUR, area)
         described = self.get(AREA, area) if stored is None else None
         if described is None:
@@ -144,28 +144,30 @@ class Store:
             raise StoreError(f"area {area!r}: {err}") from None
 
     def current_map(self) -> str:
-        """The name of the map that is in use, "" where none was chosen."""
+        """Return the name of the current map, "" if none was chosen."""
         return self.get(CURRENT, THE_MAP) or ""
 
     def use_map(self, name: str) -> None:
-        """Choose the map that is in use; raises `StoreError` where none has the name."""
+        """Choose the current map; raises `StoreError` if there is no map of that name."""
         if not self.replica.has(MAP.name, name):
-            raise StoreError(f"there is no map {name!r}; those that are: {', '.join(self.names(MAP)) or 'none'}")
+            raise StoreError(f"no map {name!r}; existing maps: {', '.join(self.names(MAP)) or 'none'}")
         self.put(CURRENT, THE_MAP, name)
 
     def watch(self, on_change: OnChange, *kinds: ValueKind[Any]) -> Callable[[], None]:
-        """As `Replica.watch`, by kinds; none: of all."""
+        """Call back for every change of these kinds, of all if none are given; see `Replica.watch`."""
         return self.replica.watch(on_change, [kind.name for kind in kinds])
 
     def status(self) -> dict[str, Any]:
-        """What it holds, for the status document."""
+        """Return the content's summary for the status document."""
         return self.replica.status()
 
 
 def write_all(replica: Replica, changes: Mapping[Key, Body | None]) -> None:
-    """Write what was checked, delete what goes beside a deleted key; raises `StoreError`, and nothing has changed."""
+    """Write encoded values, and delete the companions of deleted keys; `StoreError` means no change."""
     companions = {
-        (_COMPANIONS[kind].name, name): None for (kind, name), body in changes.items() if not body and kind in _COMPANIONS
+        (_COMPANIONS[kind].name, name): None
+        for (kind, name), body in changes.items()
+        if not body and kind in _COMPANIONS
     }
     with replica.still():
         replica.write({key: body for key, body in (companions | dict(changes)).items() if body or replica.has(*key)})

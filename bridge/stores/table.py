@@ -1,9 +1,9 @@
-"""The store's file: an SQLite database with one row for each key, deleted ones among them.
+"""The store's file: an SQLite database with one row for each key, including deleted ones.
 
 Every transaction is on the disk before it is acknowledged: write-ahead log with ``synchronous = FULL``, which syncs the
 log at each commit (https://www.sqlite.org/pragma.html#pragma_synchronous). So neither a killed process nor a power cut
-takes back what was acknowledged, and a transaction is there wholly or not at all. The file is locked as long as it is
-open: a second process has a replica, and a file, of its own.
+loses an acknowledged transaction, and a transaction is applied completely or not at all. The file is locked while it is
+open: a second process needs its own replica and file.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ CREATE TABLE IF NOT EXISTS entries (
 
 
 class EntryTable:
-    """The rows; one thread at a time may use them.
+    """The rows of the file; only one thread at a time may use them.
 
-    Makes the file where it is missing. Raises `StoreError` where it cannot be opened, is no database, or another
-    process has it.
+    Creates a missing file. Raises `StoreError` if the file cannot be opened, is not a database, or is in use by another
+    process.
     """
 
     def __init__(self, file: Path) -> None:
@@ -53,24 +53,24 @@ class EntryTable:
 
     @property
     def replica(self) -> str:
-        """This copy's id: 16 bytes in hexadecimal, the same for the file's whole life."""
+        """This replica's id: 16 bytes in hexadecimal, fixed for the file's lifetime."""
         return str(self._base.execute("SELECT value FROM about WHERE word = 'replica'").fetchone()[0])
 
     def versions(self) -> Iterator[tuple[tuple[str, str], Version, int | None]]:
-        """All keys with their version and the size of their value, None where it is deleted."""
+        """Yield all keys with their version and the size of their value, None if it is deleted."""
         rows = self._base.execute("SELECT kind, name, ns, replica, origin, seen, length(body) FROM entries")
         for kind, name, ns, replica, origin, seen, size in rows:
             yield (kind, name), Version(ChangeStamp(ns, replica), origin, json.loads(seen)), size
 
     def body(self, kind: str, name: str) -> tuple[bytes | None, str]:
-        """A key's value and its encoding."""
+        """Return a key's value and its encoding."""
         with self._store_errors():
             wanted = "SELECT body, encoding FROM entries WHERE kind = ? AND name = ?"
             row = self._base.execute(wanted, (kind, name)).fetchone()
         return (None, "") if row is None else (row[0], row[1])
 
     def write(self, entries: Sequence[StoreEntry], gone: Iterable[tuple[str, str]] = ()) -> None:
-        """Write entries and forget deleted keys for good, in one transaction that is durable when this returns."""
+        """Write entries and remove expired tombstones, in one transaction that is durable when this returns."""
         with self._store_errors():
             self._base.execute("BEGIN IMMEDIATE")
             try:
@@ -95,7 +95,7 @@ class EntryTable:
         base.execute("PRAGMA journal_size_limit = 4194304")
         form = base.execute("PRAGMA user_version").fetchone()[0]
         if form > _FORM:
-            msg = f"the store {self._file} was written by a newer Midspan (form {form}, this one knows {_FORM})"
+            msg = f"the store {self._file} was written by a newer Midspan (form {form}; this one reads {_FORM})"
             raise StoreError(msg)
         base.execute("BEGIN IMMEDIATE")
         for statement in _SCHEMA.split(";"):
@@ -117,8 +117,8 @@ class EntryTable:
         if isinstance(err, sqlite3.OperationalError):
             return f"the store {self._file}: {err}"
         return (
-            f"the store {self._file} cannot be read: {err}; move it out of the way, and this machine begins with what"
-            " the others keep"
+            f"the store {self._file} cannot be read: {err}; move it away, and this machine starts with the content"
+            " of the other machines"
         )
 
 
@@ -132,5 +132,5 @@ def _row(entry: StoreEntry) -> tuple[object, ...]:
 def _new_replica() -> str:
     while True:
         name = os.urandom(16)
-        if name[0] and name[-1]:  # zenoh strips zeros off the ends of an id
+        if name[0] and name[-1]:  # zenoh strips zeros from the ends of an id
             return name.hex()
