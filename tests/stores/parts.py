@@ -42,7 +42,7 @@ class Shared:
         )
         self.share = StoreSync(self.replica, self.hub.keyspace(prefix(self.domain)), self.hub.zid)
 
-    def leave(self) -> None:
+    def disconnect(self) -> None:
         """Leave the hub; the store goes on alone."""
         if self.share is not None and self.hub is not None:
             self.share.close()
@@ -57,5 +57,5 @@ class Shared:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
-        self.leave()
+        self.disconnect()
         self.replica.close()

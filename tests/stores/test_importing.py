@@ -29,7 +29,7 @@ def section(tmp_path: Path) -> StoreSection:
     return StoreSection(maps=tmp_path / "maps_collection.ini", locations=file)
 
 
-def test_all_is_imported_once(make: Make, section: StoreSection) -> None:
+def test_files_are_imported_once(make: Make, section: StoreSection) -> None:
     store = make()
     import_at_start(store, section)
     assert store.names(MAP) == ["m1", "m2"]
@@ -47,7 +47,7 @@ def test_all_is_imported_once(make: Make, section: StoreSection) -> None:
     assert store.replica.versions() == before
 
 
-def test_what_a_machine_imports_changes_nothing_where_it_joins(make: Make, section: StoreSection) -> None:
+def test_imports_of_a_joining_machine_change_no_written_value(make: Make, section: StoreSection) -> None:
     old, new = make("old"), make("new")
     old.put(LOCATION, "kitchen", Map2DLocation("m1", 9.0))
     old.put(MAP, "m1", grid("m1", seed=2))
@@ -60,15 +60,15 @@ def test_what_a_machine_imports_changes_nothing_where_it_joins(make: Make, secti
         entry = new.replica.entry(*key)
         assert entry is not None
         old.replica.merge(entry)
-    for each in (old, new):
-        assert each.get(LOCATION, "kitchen") == Map2DLocation("m1", 9.0)
-        assert each.get(MAP, "m1") == grid("m1", seed=2)
-        assert each.names(MAP) == ["m1", "m2"]
-        assert each.replica.status()["conflicts"] == 0
+    for name_ in (old, new):
+        assert name_.get(LOCATION, "kitchen") == Map2DLocation("m1", 9.0)
+        assert name_.get(MAP, "m1") == grid("m1", seed=2)
+        assert name_.names(MAP) == ["m1", "m2"]
+        assert name_.replica.status()["conflicts"] == 0
 
 
 @pytest.mark.parametrize("text", ["mapfile: nowhere.map\n", "Version:\n9\n", "nonsense\n", None])
-def test_a_file_that_cannot_be_read_is_told_and_nothing_else_stops(
+def test_an_unreadable_file_is_reported_and_the_others_are_imported(
     make: Make, section: StoreSection, tmp_path: Path, caplog: pytest.LogCaptureFixture, text: str | None
 ) -> None:
     store = make()

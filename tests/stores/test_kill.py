@@ -38,22 +38,22 @@ def write(file: Path, first: int, kill_at: int) -> int:
         [sys.executable, WRITER, file, str(first), str(MORE_THAN_ANY)], {"PYTHONPATH": str(ROOT)}, pipes=True
     ) as process:
         assert process.popen.stdout is not None
-        told = -1
+        acknowledged_ = -1
         for line in process.popen.stdout:
-            told = int(line)
-            if told == kill_at:
+            acknowledged_ = int(line)
+            if acknowledged_ == kill_at:
                 process.signal(signal.SIGKILL)
-        assert told >= kill_at, process.output()
-        return told
+        assert acknowledged_ >= kill_at, process.output()
+        return acknowledged_
 
 
 def check(file: Path, acknowledged: int) -> None:
     """Every name holds the last value that was acknowledged for it, or the one that was under way."""
     replica = Replica(file, "reader")
     try:
-        found = {name: value.x for name, value in Store(replica).all(LOCATION).items()}
+        stored = {name: value.x for name, value in Store(replica).all(LOCATION).items()}
     finally:
         replica.close()
     wanted = {f"l{number % 400}": float(number) for number in range(acknowledged + 1)}
     under_way = {f"l{(acknowledged + 1) % 400}": float(acknowledged + 1)}
-    assert found in (wanted, wanted | under_way)
+    assert stored in (wanted, wanted | under_way)

@@ -43,11 +43,11 @@ class Keeper(Module):
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    with Place(tmp_path) as found:
-        yield found
+    with Place(tmp_path) as place_:
+        yield place_
 
 
-def test_a_module_has_the_store_and_the_status_tells_of_it(place: Place) -> None:
+def test_a_module_uses_the_store_and_the_status_shows_it(place: Place) -> None:
     place.worker.start(place.config(OWN))
     until(lambda: (place.status("keeper") or {}).get("heard") == ["kitchen"], "the module hears")
     status = until(lambda: place.status("store"), "the store tells of itself")
@@ -56,7 +56,7 @@ def test_a_module_has_the_store_and_the_status_tells_of_it(place: Place) -> None
     assert (place.folder / "here" / "store.sqlite").exists()
 
 
-def test_a_store_without_any_module(place: Place) -> None:
+def test_the_store_runs_without_modules(place: Place) -> None:
     config = place.config(store={"enabled": True})
     assert worker_kinds()["modules"].enabled(config)
     assert not worker_kinds()["modules"].enabled(place.config())
@@ -65,7 +65,7 @@ def test_a_store_without_any_module(place: Place) -> None:
     until(lambda: place.status("store"), "the store is there")
 
 
-def test_a_store_that_is_off_or_taken_is_told(place: Place) -> None:
+def test_a_disabled_store_or_one_in_use_is_reported(place: Place) -> None:
     place.worker.start(place.config(OWN, store={"enabled": False}))
     health = place.worker.health()
     assert (health.state, health.text) == ("waiting", "keeper waiting: the store is switched off (store.enabled)")
@@ -85,7 +85,7 @@ def test_a_store_that_is_off_or_taken_is_told(place: Place) -> None:
     other.stop()
 
 
-def test_a_module_that_runs_alone_has_a_copy_of_its_own(place: Place) -> None:
+def test_a_module_in_a_separate_process_has_its_own_replica(place: Place) -> None:
     config = place.config(OWN, store={"enabled": True})
     daemon = Shared(config.model_copy(update={"modules": Config().modules}))
     alone = ModulesWorker("keeper")

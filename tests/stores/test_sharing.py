@@ -45,101 +45,101 @@ def names(shared: Shared) -> list[str]:
 
 
 def same(*stores: Shared) -> bool:
-    return all(each.replica.versions() == stores[0].replica.versions() for each in stores)
+    return all(store.replica.versions() == stores[0].replica.versions() for store in stores)
 
 
 def all_joined(*stores: Shared) -> None:
-    for each in stores:
-        until(lambda each=each: len(each.others()) == len(stores) - 1, "all reach each other", SECONDS)
+    for store in stores:
+        until(lambda store=store: len(store.others()) == len(stores) - 1, "all reach each other", SECONDS)
 
 
-def test_what_one_writes_all_have(hub: QuickHub, tmp_path: Path) -> None:
-    with Shared(tmp_path, "one", hub.endpoint) as one, Shared(tmp_path, "two", hub.endpoint) as two:
-        all_joined(one, two)
-        heard: list[tuple[str, str, bool, str, bool]] = []
-        two.store.watch(lambda c: heard.append((c.kind, c.name, c.deleted, c.origin, c.here)))
-        one.store.put(MAP, "m1", grid())
-        one.store.put(LOCATION, "the kitchen", KITCHEN)
-        until(lambda: names(two) and two.store.names(MAP), "both have come", SECONDS)
-        assert two.store.get(MAP, "m1") == grid()
-        assert two.store.get(LOCATION, "the kitchen") == KITCHEN
-        two.store.delete(LOCATION, "the kitchen")
-        until(lambda: not names(one), "the deletion has come", SECONDS)
-        until(lambda: len(heard) == 3, "all is heard", SECONDS)
-        assert heard == [
+def test_a_write_reaches_all_replicas(hub: QuickHub, tmp_path: Path) -> None:
+    with Shared(tmp_path, "one", hub.endpoint) as first_store, Shared(tmp_path, "two", hub.endpoint) as second_store:
+        all_joined(first_store, second_store)
+        changes: list[tuple[str, str, bool, str, bool]] = []
+        second_store.store.watch(lambda c: changes.append((c.kind, c.name, c.deleted, c.origin, c.here)))
+        first_store.store.put(MAP, "m1", grid())
+        first_store.store.put(LOCATION, "the kitchen", KITCHEN)
+        until(lambda: names(second_store) and second_store.store.names(MAP), "both have come", SECONDS)
+        assert second_store.store.get(MAP, "m1") == grid()
+        assert second_store.store.get(LOCATION, "the kitchen") == KITCHEN
+        second_store.store.delete(LOCATION, "the kitchen")
+        until(lambda: not names(first_store), "the deletion has come", SECONDS)
+        until(lambda: len(changes) == 3, "all is heard", SECONDS)
+        assert changes == [
             ("map", "m1", False, "one", False),
             ("location", "the kitchen", False, "one", False),
             ("location", "the kitchen", True, "two", True),
         ]
-        assert one.replica.status()["conflicts"] == two.replica.status()["conflicts"] == 0
+        assert first_store.replica.status()["conflicts"] == second_store.replica.status()["conflicts"] == 0
 
 
-def test_three_cut_apart_and_joined_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_three_separated_replicas_converge_after_joining_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with contextlib.ExitStack() as stack:
         first, second = (stack.enter_context(QuickHub()) for _ in range(2))
-        one = stack.enter_context(Shared(tmp_path, "one", first.endpoint))
-        two = stack.enter_context(Shared(tmp_path, "two", first.endpoint))
-        three = stack.enter_context(Shared(tmp_path, "three", first.endpoint))
-        all_joined(one, two, three)
+        first_store = stack.enter_context(Shared(tmp_path, "one", first.endpoint))
+        second_store = stack.enter_context(Shared(tmp_path, "two", first.endpoint))
+        third_store = stack.enter_context(Shared(tmp_path, "three", first.endpoint))
+        all_joined(first_store, second_store, third_store)
         for number in range(20):
-            one.store.put(LOCATION, f"common{number}", KITCHEN)
-        until(lambda: same(one, two, three) and len(names(three)) == 20, "all begin alike", SECONDS)
-        for each in (two, three):  # two is alone, three on another router
-            each.leave()
-        three.join(second.endpoint)
-        one.store.put(LOCATION, "of one", KITCHEN)
-        one.store.delete(LOCATION, "common1")
-        one.store.put(LOCATION, "both", Map2DLocation("m1", 1.0))
-        one.store.put(LOCATION, "common3", Map2DLocation("m1", 31.0))
-        one.store.put(MAP, "m1", grid())
-        two.store.put(LOCATION, "of two", KITCHEN)
-        two.store.delete(LOCATION, "common2")
-        two.store.put(LOCATION, "both", Map2DLocation("m1", 2.0))
-        two.store.delete(LOCATION, "common3")
-        three.store.put(LOCATION, "of three", KITCHEN)
-        three.store.put(AREA, "hall", Map2DArea("m1", [], "hall"))
-        three.store.put(LOCATION, "common1", KITCHEN)  # later than one's deletion
-        assert names(two) != names(one)
+            first_store.store.put(LOCATION, f"common{number}", KITCHEN)
+        until(lambda: same(first_store, second_store, third_store) and len(names(third_store)) == 20, "all begin alike", SECONDS)
+        for store in (second_store, third_store):  # two is alone, three on another router
+            store.disconnect()
+        third_store.join(second.endpoint)
+        first_store.store.put(LOCATION, "of one", KITCHEN)
+        first_store.store.delete(LOCATION, "common1")
+        first_store.store.put(LOCATION, "both", Map2DLocation("m1", 1.0))
+        first_store.store.put(LOCATION, "common3", Map2DLocation("m1", 31.0))
+        first_store.store.put(MAP, "m1", grid())
+        second_store.store.put(LOCATION, "of two", KITCHEN)
+        second_store.store.delete(LOCATION, "common2")
+        second_store.store.put(LOCATION, "both", Map2DLocation("m1", 2.0))
+        second_store.store.delete(LOCATION, "common3")
+        third_store.store.put(LOCATION, "of three", KITCHEN)
+        third_store.store.put(AREA, "hall", Map2DArea("m1", [], "hall"))
+        third_store.store.put(LOCATION, "common1", KITCHEN)  # later than one's deletion
+        assert names(second_store) != names(first_store)
         with caplog.at_level(logging.WARNING):
-            three.leave()
-            for each in (two, three):
-                each.join(first.endpoint)
-            until(lambda: same(one, two, three), "all are alike again", SECONDS)
+            third_store.disconnect()
+            for store in (second_store, third_store):
+                store.join(first.endpoint)
+            until(lambda: same(first_store, second_store, third_store), "all are alike again", SECONDS)
         expected = sorted(
             {f"common{n}" for n in range(20)} - {"common2", "common3"} | {"both", "of one", "of two", "of three"}
         )
-        for each in (one, two, three):
-            assert names(each) == expected
-            both = each.store.get(LOCATION, "both")
+        for store in (first_store, second_store, third_store):
+            assert names(store) == expected
+            both = store.store.get(LOCATION, "both")
             assert both is not None
             assert both.x == 2.0
-            assert each.store.names(MAP) == ["m1"]
-            assert each.store.names(AREA) == ["hall"]
+            assert store.store.names(MAP) == ["m1"]
+            assert store.store.names(AREA) == ["hall"]
         lost = {record.getMessage() for record in caplog.records if "apart from each other" in record.getMessage()}
-        told = [next(text for text in lost if f"location '{name}'" in text) for name in ("both", "common1", "common3")]
-        assert "at two and at one" in told[0]
-        assert '"x": 2.0' in told[0]
-        assert '"x": 1.0' in told[0]
-        assert "at three and at one" in told[1]
-        assert "deleted" in told[1]
-        assert "at two and at one" in told[2]
+        messages = [next(text for text in lost if f"location '{name}'" in text) for name in ("both", "common1", "common3")]
+        assert "at two and at one" in messages[0]
+        assert '"x": 2.0' in messages[0]
+        assert '"x": 1.0' in messages[0]
+        assert "at three and at one" in messages[1]
+        assert "deleted" in messages[1]
+        assert "at two and at one" in messages[2]
         assert len({text for text in lost if "location 'common" in text or "both" in text}) == len(lost)
 
 
-def test_a_deletion_reaches_who_was_away(hub: QuickHub, tmp_path: Path) -> None:
-    with Shared(tmp_path, "one", hub.endpoint) as one, Shared(tmp_path, "two", hub.endpoint) as two:
+def test_a_deletion_reaches_a_replica_that_was_disconnected(hub: QuickHub, tmp_path: Path) -> None:
+    with Shared(tmp_path, "one", hub.endpoint) as first_store, Shared(tmp_path, "two", hub.endpoint) as second_store:
         for number in range(300):  # more than one batch
-            one.store.put(LOCATION, f"l{number}", KITCHEN)
-        until(lambda: len(names(two)) == 300, "all have come", SECONDS)
-        two.leave()
-        one.store.clear(LOCATION)
-        two.join(hub.endpoint)
-        until(lambda: not names(two), "all are deleted", SECONDS)
-        assert same(one, two)
-        assert two.replica.status()["conflicts"] == 0
+            first_store.store.put(LOCATION, f"l{number}", KITCHEN)
+        until(lambda: len(names(second_store)) == 300, "all have come", SECONDS)
+        second_store.disconnect()
+        first_store.store.clear(LOCATION)
+        second_store.join(hub.endpoint)
+        until(lambda: not names(second_store), "all are deleted", SECONDS)
+        assert same(first_store, second_store)
+        assert second_store.replica.status()["conflicts"] == 0
 
 
-def test_what_hears_all_puts_and_deletes_holds_the_same(hub: QuickHub, tmp_path: Path) -> None:
+def test_a_subscriber_of_all_puts_and_deletes_has_the_same_content(hub: QuickHub, tmp_path: Path) -> None:
     """As zenohd's storage manager does: by key, the latest timestamp."""
     held: dict[str, tuple[int, str, bytes | None]] = {}
 
@@ -151,51 +151,51 @@ def test_what_hears_all_puts_and_deletes_holds_the_same(hub: QuickHub, tmp_path:
             held[key] = ns, writer, body
 
     with (
-        Shared(tmp_path, "one", hub.endpoint) as one,
-        Shared(tmp_path, "two", hub.endpoint) as two,
+        Shared(tmp_path, "one", hub.endpoint) as first_store,
+        Shared(tmp_path, "two", hub.endpoint) as second_store,
         plain(hub) as session,
         session.declare_subscriber("midspan/store/**", keep),
     ):
-        all_joined(one, two)
-        for each, name in ((one, "a"), (two, "b")):  # again, until the way to the listener is known
+        all_joined(first_store, second_store)
+        for store, name in ((first_store, "a"), (second_store, "b")):  # again, until the way to the listener is known
             until(
-                lambda each=each, name=name: each.store.put(LOCATION, name, KITCHEN) or f"location/{name}" in held,
+                lambda store=store, name=name: store.store.put(LOCATION, name, KITCHEN) or f"location/{name}" in held,
                 "it hears",
                 SECONDS,
             )
-        one.store.put(MAP, "m1", grid())
-        until(lambda: same(one, two), "both are alike", SECONDS)
-        two.store.delete(LOCATION, "a")
-        until(lambda: len(held) == 3 and same(one, two) and held["location/a"][2] is None, "all came", SECONDS)
-        for (kind, name), (stamp, _) in one.replica.versions().items():
-            entry = one.replica.entry(kind, name)
+        first_store.store.put(MAP, "m1", grid())
+        until(lambda: same(first_store, second_store), "both are alike", SECONDS)
+        second_store.store.delete(LOCATION, "a")
+        until(lambda: len(held) == 3 and same(first_store, second_store) and held["location/a"][2] is None, "all came", SECONDS)
+        for (kind, name), (stamp, _) in first_store.replica.versions().items():
+            entry = first_store.replica.entry(kind, name)
             assert held[f"{kind}/{name}"] == (stamp.ns, stamp.replica, entry.body if entry else None)
 
 
 def test_any_zenoh_program_reads_and_writes(hub: QuickHub, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with Shared(tmp_path, "one", hub.endpoint) as one, plain(hub) as session:
-        one.store.put(LOCATION, "kitchen", KITCHEN)
-        one.store.put(LOCATION, "hall", KITCHEN)
-        one.store.put(MAP, "m1", grid())
-        one.store.delete(LOCATION, "hall")
-        found = until(lambda: list(session.get("midspan/store/0/location/kitchen")), "it is answered", SECONDS)
-        assert json.loads(found[0].ok.payload.to_bytes()) == {
+    with Shared(tmp_path, "one", hub.endpoint) as first_store, plain(hub) as session:
+        first_store.store.put(LOCATION, "kitchen", KITCHEN)
+        first_store.store.put(LOCATION, "hall", KITCHEN)
+        first_store.store.put(MAP, "m1", grid())
+        first_store.store.delete(LOCATION, "hall")
+        replies = until(lambda: list(session.get("midspan/store/0/location/kitchen")), "it is answered", SECONDS)
+        assert json.loads(replies[0].ok.payload.to_bytes()) == {
             "map": "m1", "x": 1.0, "y": 2.5, "theta_deg": 90.0, "description": 'the "kitchen", große',
         }  # fmt: skip
-        assert str(found[0].ok.encoding) == "application/json"
+        assert str(replies[0].ok.encoding) == "application/json"
         keys = {str(reply.ok.key_expr): reply.ok for reply in session.get("midspan/store/**")}
         assert set(keys) == {"midspan/store/0/location/kitchen", "midspan/store/0/map/m1"}
         stamp = keys["midspan/store/0/location/kitchen"].timestamp
-        version = one.replica.versions()["location", "kitchen"][0]
+        version = first_store.replica.versions()["location", "kitchen"][0]
         assert (stamp.get_time_as_ntp64().as_nanos(), bytes(stamp.get_id()).hex()) == (version.ns, version.replica)
         head, _, cells = keys["midspan/store/0/map/m1"].payload.to_bytes().partition(b"\n")
         about = json.loads(head)
         assert (about["width"], about["height"], about["occupancy"] + about["flags"]) == (20, 30, len(cells))
 
         session.put("midspan/store/0/location/door", b'{"map": "m1", "x": 4}')
-        until(lambda: one.store.get(LOCATION, "door") == Map2DLocation("m1", 4.0), "it is taken", SECONDS)
+        until(lambda: first_store.store.get(LOCATION, "door") == Map2DLocation("m1", 4.0), "it is taken", SECONDS)
         session.delete("midspan/store/0/location/kitchen")
-        until(lambda: names(one) == ["door"], "it is deleted", SECONDS)
+        until(lambda: names(first_store) == ["door"], "it is deleted", SECONDS)
         with caplog.at_level(logging.WARNING):
             for key, body in (
                 ("midspan/store/0/location/bad", b"[]"),
@@ -206,95 +206,95 @@ def test_any_zenoh_program_reads_and_writes(hub: QuickHub, tmp_path: Path, caplo
             ):
                 session.put(key, body)
             session.put("midspan/store/0/location/good", b"{}")
-            until(lambda: "good" in names(one), "the good one is taken", SECONDS)
-        assert names(one) == ["door", "good"]
-        assert one.store.names(MAP) == ["m1"]
+            until(lambda: "good" in names(first_store), "the good one is taken", SECONDS)
+        assert names(first_store) == ["door", "good"]
+        assert first_store.store.names(MAP) == ["m1"]
         assert len([1 for record in caplog.records if "is not taken" in record.getMessage()]) >= 3
 
 
-def test_a_client_reads_what_it_wrote(hub: QuickHub, tmp_path: Path) -> None:
+def test_a_client_reads_its_own_writes(hub: QuickHub, tmp_path: Path) -> None:
     with Hub.open(hub.settings("cli")) as session:
         space = session.keyspace(prefix(0))
         with pytest.raises(StoreError, match=r"set store\.enabled to true"):
             StoreClient(space, "two")
-        with Shared(tmp_path, "one", hub.endpoint) as one, Shared(tmp_path, "two", hub.endpoint) as two:
-            all_joined(one, two)
+        with Shared(tmp_path, "one", hub.endpoint) as first_store, Shared(tmp_path, "two", hub.endpoint) as second_store:
+            all_joined(first_store, second_store)
             client = until(lambda: wanted(space, "two"), "the daemon's own copy is found", SECONDS)
             area = Map2DArea("m1", [], "hall")
             client.write([Write(LOCATION, "a b", KITCHEN), Write(MAP, "m1", grid()), Write(AREA, "hall", area)])
-            assert two.store.get(LOCATION, "a b") == KITCHEN
+            assert second_store.store.get(LOCATION, "a b") == KITCHEN
             assert client.get(LOCATION, "a b") == KITCHEN
             assert client.all(MAP) == {"m1": grid()}
             client.use_map("m1")
             assert client.current_map() == "m1"
-            until(lambda: one.store.current_map() == "m1", "the other daemon has it too", SECONDS)
+            until(lambda: first_store.store.current_map() == "m1", "the other daemon has it too", SECONDS)
             client.write([Write(LOCATION, "a b", None), Write(LOCATION, "never", None)])
             assert client.names(LOCATION) == []
             assert client.get(LOCATION, "a b") is None
-            two.store.put(BEHAVIOUR, "hall", AreaBehaviour(keep_out=True))
+            second_store.store.put(BEHAVIOUR, "hall", AreaBehaviour(keep_out=True))
             client.write([Write(AREA, "hall", None)])
-            assert two.store.names(BEHAVIOUR) == []
-            for bad, why in (
+            assert second_store.store.names(BEHAVIOUR) == []
+            for bad, reason in (
                 (Write(LOCATION, "a/b", KITCHEN), "the name 'a/b' has /"),
                 (Write(LOCATION, "a", Map2DLocation("m1", float("inf"))), "JSON cannot carry"),
             ):
-                with pytest.raises(StoreError, match=why):
+                with pytest.raises(StoreError, match=reason):
                     client.write([bad])
             with pytest.raises(StoreError, match="there is no map 'm2'; those that are: m1"):
                 client.use_map("m2")
-            two.replica.limits = StoreLimits(keys=1)
+            second_store.replica.limits = StoreLimits(keys=1)
             with pytest.raises(StoreError, match=r"store\.keys"):
                 client.write([Write(LOCATION, "one more", KITCHEN)])
 
 
-def test_a_change_is_made_of_the_newest_version(hub: QuickHub, tmp_path: Path) -> None:
-    with Hub.open(hub.settings("cli")) as session, Shared(tmp_path, "one", hub.endpoint) as one:
+def test_a_change_is_based_on_the_newest_version(hub: QuickHub, tmp_path: Path) -> None:
+    with Hub.open(hub.settings("cli")) as session, Shared(tmp_path, "one", hub.endpoint) as first_store:
         client = StoreClient(session.keyspace(prefix(0)), "one")
-        one.store.put(LOCATION, "kitchen", KITCHEN)
+        first_store.store.put(LOCATION, "kitchen", KITCHEN)
         seen = []
 
         def moved() -> list[Write[Any]]:
-            found = client.get(LOCATION, "kitchen")
-            assert found is not None
-            seen.append(found.x)
+            replies = client.get(LOCATION, "kitchen")
+            assert replies is not None
+            seen.append(replies.x)
             if len(seen) == 1:  # somebody else writes between reading and writing
-                one.store.put(LOCATION, "kitchen", replace(found, y=7.0))
-            return [Write(LOCATION, "kitchen", replace(found, x=found.x + 1.0))]
+                first_store.store.put(LOCATION, "kitchen", replace(replies, y=7.0))
+            return [Write(LOCATION, "kitchen", replace(replies, x=replies.x + 1.0))]
 
         client.change(moved)
         assert len(seen) == 2
-        assert one.store.get(LOCATION, "kitchen") == replace(KITCHEN, x=KITCHEN.x + 1.0, y=7.0)
+        assert first_store.store.get(LOCATION, "kitchen") == replace(KITCHEN, x=KITCHEN.x + 1.0, y=7.0)
         with pytest.raises(StoreError, match="others write the same all the time"):
-            client.change(lambda: (one.store.put(LOCATION, "new", KITCHEN), [Write(LOCATION, "new", None)])[1])
-        assert one.store.get(LOCATION, "new") == KITCHEN
+            client.change(lambda: (first_store.store.put(LOCATION, "new", KITCHEN), [Write(LOCATION, "new", None)])[1])
+        assert first_store.store.get(LOCATION, "new") == KITCHEN
 
 
-def test_a_client_renames_a_map_with_what_is_on_it(hub: QuickHub, tmp_path: Path) -> None:
-    with Hub.open(hub.settings("cli")) as session, Shared(tmp_path, "one", hub.endpoint) as one:
-        client, store = StoreClient(session.keyspace(prefix(0)), "one"), one.store
+def test_a_client_renames_a_map_with_its_places(hub: QuickHub, tmp_path: Path) -> None:
+    with Hub.open(hub.settings("cli")) as session, Shared(tmp_path, "one", hub.endpoint) as first_store:
+        client, store = StoreClient(session.keyspace(prefix(0)), "one"), first_store.store
         corners = [Vec2D(0, 0), Vec2D(1, 0), Vec2D(1, 1)]
         elsewhere = replace(KITCHEN, map_id="m2")
-        way = Map2DPath([KITCHEN, elsewhere])
+        path = Map2DPath([KITCHEN, elsewhere])
         store.write([
             Write(MAP, "m1", grid()), Write(LOCATION, "kitchen", KITCHEN), Write(LOCATION, "far", elsewhere),
             Write(AREA, "hall", Map2DArea("m1", corners)), Write(BEHAVIOUR, "hall", AreaBehaviour(keep_out=True)),
-            Write(PATH, "way", way),
+            Write(PATH, "way", path),
         ])  # fmt: skip
         store.use_map("m1")
         client.rename(MAP, "m1", "house")
         client.rename(AREA, "hall", "big hall")
         assert (store.names(MAP), store.current_map()) == (["house"], "house")
-        there = replace(KITCHEN, map_id="house")
-        assert store.all(LOCATION) == {"kitchen": there, "far": elsewhere}
+        moved_kitchen = replace(KITCHEN, map_id="house")
+        assert store.all(LOCATION) == {"kitchen": moved_kitchen, "far": elsewhere}
         assert store.all(AREA) == {"big hall": Map2DArea("house", corners)}
         assert store.all(BEHAVIOUR) == {"big hall": AreaBehaviour(keep_out=True)}
-        assert store.get(PATH, "way") == Map2DPath([there, elsewhere])
-        for old, new, why in (("none", "x", "there is no location 'none'"), ("far", "kitchen", "is there already")):
-            with pytest.raises(StoreError, match=why):
+        assert store.get(PATH, "way") == Map2DPath([moved_kitchen, elsewhere])
+        for old, new, reason in (("none", "x", "there is no location 'none'"), ("far", "kitchen", "is there already")):
+            with pytest.raises(StoreError, match=reason):
                 client.rename(LOCATION, old, new)
 
 
-def test_a_client_that_was_first_waits_for_the_store(hub: QuickHub, tmp_path: Path) -> None:
+def test_a_client_waits_for_a_store_that_starts_later(hub: QuickHub, tmp_path: Path) -> None:
     with Hub.open(hub.settings("cli")) as session, ThreadPoolExecutor() as pool:
         space = session.keyspace(prefix(0))
         client = pool.submit(StoreClient, space, "one")
@@ -302,9 +302,9 @@ def test_a_client_that_was_first_waits_for_the_store(hub: QuickHub, tmp_path: Pa
             assert client.result(SECONDS).daemon == "one"
 
 
-def test_hostile_questions_and_samples_are_refused(hub: QuickHub, tmp_path: Path) -> None:
-    with Shared(tmp_path, "one", hub.endpoint) as one, plain(hub) as session:
-        zid = one.hub.zid if one.hub else ""
+def test_invalid_queries_and_samples_are_refused(hub: QuickHub, tmp_path: Path) -> None:
+    with Shared(tmp_path, "one", hub.endpoint) as first_store, plain(hub) as session:
+        zid = first_store.hub.zid if first_store.hub else ""
         write = f"midspan/store/0/@sync/write/{zid}"
         until(lambda: [r.err for r in session.get(write, payload=b"")], "it is there", SECONDS)
         for body in (
@@ -329,8 +329,8 @@ def test_hostile_questions_and_samples_are_refused(hub: QuickHub, tmp_path: Path
         assert answers == [b'{"stale": true}']
         for verb in ("digest", "fetch"):
             for body in (b"", b"[]", b'{"digests": 1, "keys": 1}', b'{"digests": [1], "keys": ["a/b/c"]}'):
-                rest = "/**" if verb == "fetch" else ""
-                replies = list(session.get(f"midspan/store/0/@sync/{verb}/{zid}{rest}", payload=body))
+                suffix = "/**" if verb == "fetch" else ""
+                replies = list(session.get(f"midspan/store/0/@sync/{verb}/{zid}{suffix}", payload=body))
                 assert [reply.err is not None for reply in replies] == [True], body
         for attached in (
             b"{",
@@ -346,8 +346,8 @@ def test_hostile_questions_and_samples_are_refused(hub: QuickHub, tmp_path: Path
         ):
             session.put("midspan/store/0/location/bad", b"{}", attachment=attached)
         session.put("midspan/store/0/location/good", b"{}")
-        until(lambda: names(one), "the good one is taken", SECONDS)
-        assert names(one) == ["good"]
+        until(lambda: names(first_store), "the good one is taken", SECONDS)
+        assert names(first_store) == ["good"]
 
 
 def wanted(space: KeySpace, daemon: str) -> StoreClient | None:
@@ -369,12 +369,12 @@ def plain(hub: QuickHub) -> Iterator[zenoh.Session]:
         yield session
 
 
-def test_a_store_of_another_major_is_not_taken(hub: QuickHub, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with Shared(tmp_path, "one", hub.endpoint) as one, plain(hub) as session:
-        asked: list[bytes] = []
+def test_a_replica_of_another_major_version_is_not_merged(hub: QuickHub, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with Shared(tmp_path, "one", hub.endpoint) as first_store, plain(hub) as session:
+        queries: list[bytes] = []
 
         def digest(query: zenoh.Query) -> None:
-            asked.append(query.payload.to_bytes() if query.payload else b"")
+            queries.append(query.payload.to_bytes() if query.payload else b"")
             entries = [["location", "strange", 7, "aa", 2]]
             query.reply(query.key_expr, json.dumps({"wire": "2.0", "entries": entries}))
 
@@ -383,17 +383,17 @@ def test_a_store_of_another_major_is_not_taken(hub: QuickHub, tmp_path: Path, ca
         with caplog.at_level(logging.WARNING):
             token = session.liveliness().declare_token(f"midspan/store/0/@sync/alive/{zid}/far")
             until(lambda: "the store of far is not taken" in caplog.text, "it is refused", SECONDS)
-        assert caplog.text.count("the store of far is not taken: it uses version 2.0") == 1
-        assert json.loads(asked[0])["wire"] == WIRE
+        assert caplog.text.count("the store of far is not taken: it speaks version 2.0") == 1
+        assert json.loads(queries[0])["wire"] == WIRE
         version = {"ns": 7, "replica": "aa", "origin": "far", "seen": {}}
         for name, wire in (("strange", "2.0"), ("later", "1.7")):
             attached = json.dumps({**version, "wire": wire, "more": 1}).encode()
             session.put(f"midspan/store/0/location/{name}", b"{}", attachment=attached)
-        until(lambda: names(one), "that of a later minor is taken", SECONDS)
-        assert names(one) == ["later"]
-        assert "location/strange is not taken: it uses version 2.0" in caplog.text
-        assert one.hub is not None
-        question = f"midspan/store/0/@sync/digest/{one.hub.zid}"
+        until(lambda: names(first_store), "that of a later minor is taken", SECONDS)
+        assert names(first_store) == ["later"]
+        assert "location/strange is not taken: it speaks version 2.0" in caplog.text
+        assert first_store.hub is not None
+        question = f"midspan/store/0/@sync/digest/{first_store.hub.zid}"
         (refused,) = session.get(question, payload=b'{"wire": "2.0", "digests": []}')
         assert b"uses version 2.0" in refused.err.payload.to_bytes()
         (taken,) = session.get(question, payload=b'{"wire": "1.7", "digests": [], "more": 1}')

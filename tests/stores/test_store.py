@@ -66,8 +66,8 @@ VALUES: list[tuple[ValueKind[Any], Any]] = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "value"), VALUES, ids=lambda each: getattr(each, "name", type(each).__name__))
-def test_every_kind_comes_back(make: Make, kind: ValueKind[Any], value: Any) -> None:
+@pytest.mark.parametrize(("kind", "value"), VALUES, ids=lambda value_: getattr(value_, "name", type(value_).__name__))
+def test_every_kind_is_read_back(make: Make, kind: ValueKind[Any], value: Any) -> None:
     store = make()
     store.put(kind, "m1", value)
     assert store.get(kind, "m1") == value
@@ -75,7 +75,7 @@ def test_every_kind_comes_back(make: Make, kind: ValueKind[Any], value: Any) -> 
     assert make().all(kind) == {"m1": value}
 
 
-def test_the_kinds_are_all_tested() -> None:
+def test_all_kinds_are_tested() -> None:
     assert {kind.name for kind, _ in VALUES} == KINDS.keys()
 
 
@@ -95,7 +95,7 @@ def test_names_are_listed_by_kind(store: Store) -> None:
     assert store.replica.status()["deleted"] == 3
 
 
-def test_renaming_fails_whole(store: Store) -> None:
+def test_a_failed_rename_changes_nothing(store: Store) -> None:
     area = Map2DArea("m1", CORNERS)
     behaviour = AreaBehaviour(max_speed=0.5)
     store.write([Write(AREA, "a", area), Write(BEHAVIOUR, "a", behaviour), Write(AREA, "b", area)])
@@ -113,7 +113,7 @@ def test_renaming_fails_whole(store: Store) -> None:
     assert store.all(BEHAVIOUR) == {}
 
 
-def test_an_areas_behaviour_is_kept_beside_it_or_told_by_its_description(store: Store) -> None:
+def test_an_areas_behaviour_is_stored_separately_or_in_its_description(store: Store) -> None:
     store.put(AREA, "a", Map2DArea("m1", CORNERS, "ramp, max_speed=0.2 on_obstacle=wait"))
     assert store.behaviour("a") == AreaBehaviour(max_speed=0.2, on_obstacle="wait")
     store.put(BEHAVIOUR, "a", AreaBehaviour(keep_out=True))
@@ -123,7 +123,7 @@ def test_an_areas_behaviour_is_kept_beside_it_or_told_by_its_description(store: 
     assert store.behaviour("nowhere") == AreaBehaviour()
 
 
-def test_the_current_map_is_one_that_is_there(store: Store) -> None:
+def test_the_current_map_must_exist(store: Store) -> None:
     assert store.current_map() == ""
     with pytest.raises(StoreError, match="there is no map 'm1'; those that are: none"):
         store.use_map("m1")
@@ -132,12 +132,12 @@ def test_the_current_map_is_one_that_is_there(store: Store) -> None:
     assert store.current_map() == "m1"
 
 
-def test_a_map_has_the_name_that_it_is_stored_under(store: Store) -> None:
+def test_a_map_is_read_with_its_name_in_the_store(store: Store) -> None:
     store.put(MAP, "other", grid("m1"))
-    found = store.get(MAP, "other")
-    assert found is not None
-    assert found.name == "other"
-    assert np.array_equal(found.flags, grid().flags)
+    stored_map = store.get(MAP, "other")
+    assert stored_map is not None
+    assert stored_map.name == "other"
+    assert np.array_equal(stored_map.flags, grid().flags)
 
 
 @pytest.mark.parametrize(
@@ -145,19 +145,19 @@ def test_a_map_has_the_name_that_it_is_stored_under(store: Store) -> None:
     ["", "a/b", "../a", "..", ".", ".hidden", "a\\b", "a*", "a$", "a?b", "a#b", "a%2Fb", "@a", "a\nb", "a\0", " a",
      "a" * 255, "ü" * 128, "\ud800"],
 )  # fmt: skip
-def test_a_name_that_cannot_be_is_refused(store: Store, name: str) -> None:
+def test_an_invalid_name_is_refused(store: Store, name: str) -> None:
     with pytest.raises(StoreError, match="name"):
         store.put(LOCATION, name, KITCHEN)
     assert store.names(LOCATION) == []
 
 
-def test_many_names_can_be(store: Store) -> None:
+def test_valid_names_are_accepted(store: Store) -> None:
     for name in ("a", "the kitchen", "küche", "1st-floor_(b)", "a" * 254, "台所", "a.b"):
         store.put(LOCATION, name, KITCHEN)
     assert len(store.names(LOCATION)) == 7
 
 
-def test_one_bad_write_of_several_leaves_all_undone(store: Store) -> None:
+def test_one_invalid_write_of_several_cancels_all(store: Store) -> None:
     with pytest.raises(StoreError, match="JSON cannot carry"):
         store.write([Write(LOCATION, "a", KITCHEN), Write(LOCATION, "b", Map2DLocation("m1", float("nan")))])
     with pytest.raises(StoreError, match="a cell of 6"):
@@ -206,12 +206,12 @@ HEAD = {"midspan": "map", "version": 1, "width": 30, "height": 20, "resolution":
         (MAP3D, b"ply\nformat ascii 1.0\nelement vertex 100000000\nproperty float x\nend_header\n"),
     ],
 )
-def test_a_body_that_is_none_is_refused(kind: ValueKind[Any], body: bytes) -> None:
+def test_an_invalid_body_is_refused(kind: ValueKind[Any], body: bytes) -> None:
     with pytest.raises(StoreError, match=f"{kind.name} 'a'"):
         kind.decode("a", body)
 
 
-def test_a_map_that_unpacks_to_more_cells_than_it_has_is_refused() -> None:
+def test_a_map_with_more_cells_than_stated_is_refused() -> None:
     small, large = MAP.encode("a", grid(shape=(2, 2)))[0], MAP.encode("a", MapGrid2D.of(np.zeros((4000, 4000))))[0]
     head = json.loads(large.partition(b"\n")[0])
     head.update(width=2, height=2)
@@ -220,28 +220,28 @@ def test_a_map_that_unpacks_to_more_cells_than_it_has_is_refused() -> None:
         MAP.decode("a", json.dumps(head).encode() + b"\n" + large.partition(b"\n")[2])
 
 
-def test_changes_are_heard_in_order(store: Store) -> None:
-    heard: list[Change] = []
+def test_changes_are_reported_in_order(store: Store) -> None:
+    changes: list[Change] = []
     areas: list[Change] = []
-    close = store.watch(heard.append)
+    close = store.watch(changes.append)
     store.watch(areas.append, AREA)
     store.put(LOCATION, "a", KITCHEN)
     store.put(AREA, "z", Map2DArea("m1", CORNERS))
     store.delete(LOCATION, "a")
-    until(lambda: len(heard) == 3, "all changes are heard")
-    assert heard == [
+    until(lambda: len(changes) == 3, "all changes are heard")
+    assert changes == [
         Change("location", "a", deleted=False, origin="one", here=True),
         Change("area", "z", deleted=False, origin="one", here=True),
         Change("location", "a", deleted=True, origin="one", here=True),
     ]
-    assert areas == heard[1:2]
+    assert areas == changes[1:2]
     close()
     store.put(AREA, "y", Map2DArea("m1", CORNERS))
     until(lambda: len(areas) == 2, "the other still hears")
-    assert len(heard) == 3
+    assert len(changes) == 3
 
 
-def test_a_full_store_takes_no_more_and_goes_on(make: Make) -> None:
+def test_a_full_store_refuses_values_and_keeps_working(make: Make) -> None:
     store = make(limits=StoreLimits(keys=2, size=10_000))
     store.put(LOCATION, "a", KITCHEN)
     store.put(LOCATION, "b", KITCHEN)
@@ -255,7 +255,7 @@ def test_a_full_store_takes_no_more_and_goes_on(make: Make) -> None:
     assert store.names(LOCATION) == ["b", "c"]
 
 
-def test_deleted_keys_are_remembered_up_to_a_number(make: Make) -> None:
+def test_the_number_of_tombstones_is_limited(make: Make) -> None:
     store = make(limits=StoreLimits(deleted=3))
     for number in range(6):
         store.put(LOCATION, str(number), KITCHEN)
@@ -265,13 +265,13 @@ def test_deleted_keys_are_remembered_up_to_a_number(make: Make) -> None:
     assert sorted(name for _, name in make().replica.versions()) == ["3", "4", "5"]
 
 
-def test_a_second_process_cannot_have_the_file(make: Make, tmp_path: Path) -> None:
+def test_a_second_process_cannot_open_the_file(make: Make, tmp_path: Path) -> None:
     make()
     with pytest.raises(StoreError, match="in use by another process"):
         Replica(tmp_path / "one.sqlite", "two")
 
 
-def test_a_file_that_is_no_store_is_told(tmp_path: Path) -> None:
+def test_an_invalid_file_is_reported(tmp_path: Path) -> None:
     file = tmp_path / "s.sqlite"
     file.write_bytes(b"a" * 5000)
     with pytest.raises(StoreError, match="move it out of the way"):
@@ -284,7 +284,7 @@ def test_a_file_that_is_no_store_is_told(tmp_path: Path) -> None:
         Replica(file, "one")
 
 
-def test_a_closed_store_says_so(store: Store) -> None:
+def test_a_closed_store_raises(store: Store) -> None:
     store.replica.close()
     with pytest.raises(StoreError, match="closed"):
         store.get(LOCATION, "a")
@@ -292,7 +292,7 @@ def test_a_closed_store_says_so(store: Store) -> None:
         store.put(LOCATION, "a", KITCHEN)
 
 
-def test_what_is_acknowledged_is_synced_to_the_disk(tmp_path: Path) -> None:
+def test_acknowledged_changes_are_synced_to_the_disk(tmp_path: Path) -> None:
     file = tmp_path / "s.sqlite"
     table = EntryTable(file)
     try:
