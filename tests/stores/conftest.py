@@ -1,4 +1,4 @@
-"""Stores in folders of the tests' own."""
+"""Stores in the tests' own folders."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Make = Callable[..., Store]
 
 @pytest.fixture
 def make(tmp_path: Path) -> Iterator[Make]:
-    """Opens the store of a name; all are closed at the end."""
+    """Return a function that opens the store of a name; all are closed at the end."""
     opened: list[Store] = []
 
     def open_store(name: str = "one", limits: StoreLimits | None = None) -> Store:
@@ -30,5 +30,5 @@ def make(tmp_path: Path) -> Iterator[Make]:
 
 @pytest.fixture
 def store(make: Make) -> Store:
-    """One store."""
+    """Return one store."""
     return make()

@@ -1,4 +1,4 @@
-"""What the tests of shared stores have in common: a deployment of stores, each on a router of its own."""
+"""Common parts of the tests of synchronized stores: a deployment of stores, each with its own router."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from bridge.stores.wire import prefix
 
 
 class Shared:
-    """A store on the hub of a router.
+    """A store on a router's hub.
 
     Args:
-        folder: where its file is.
-        name: the daemon's.
-        router: endpoint that its session connects to, None for none.
-        limits: what it holds at most.
-        domain: the hub's.
+        folder: folder of its file.
+            name: the daemon's name.
+            router: endpoint that its session connects to, None to stay disconnected.
+            limits: limits of the store.
+            domain: the hub's domain.
     """
 
     def __init__(
@@ -43,14 +43,14 @@ class Shared:
         self.share = StoreSync(self.replica, self.hub.keyspace(prefix(self.domain)), self.hub.zid)
 
     def disconnect(self) -> None:
-        """Leave the hub; the store goes on alone."""
+        """Leave the hub; the store keeps working on its own."""
         if self.share is not None and self.hub is not None:
             self.share.close()
             self.hub.close()
             self.share = self.hub = None
 
     def others(self) -> list[str]:
-        """Whom it reaches."""
+        """Return the daemons of the reachable replicas."""
         return self.share.others() if self.share is not None else []
 
     def __enter__(self) -> Self:

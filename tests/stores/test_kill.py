@@ -1,4 +1,4 @@
-"""A store whose process is killed in the middle of its writes: nothing that it acknowledged is lost."""
+"""A store whose process is killed while it writes: no acknowledged change is lost."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.support.process import Process
 
 WRITER = Path(__file__).with_name("writer.py")
 MORE_THAN_ANY = 10**9
-"""Puts that the writer would make: it is killed in the middle however late that comes."""
+"""More puts than the writer can make: it is killed in the middle, however late."""
 
 
 @pytest.mark.thorough
@@ -27,13 +27,13 @@ def test_kill_in_the_middle_of_writes(tmp_path: Path, again: int) -> None:
     last = random.randrange(100, 900)
     acknowledged = write(file, 0, kill_at=last)
     check(file, acknowledged)
-    if again:  # the file of a killed process is written on, and that one is killed too
+    if again:  # a second process continues with the file, and is killed too
         acknowledged = write(file, acknowledged + 1, kill_at=acknowledged + 50)
         check(file, acknowledged)
 
 
 def write(file: Path, first: int, kill_at: int) -> int:
-    """Have a process write, kill it at a number, and return the last number that it acknowledged."""
+    """Start a writing process, kill it at a number, and return the last number that it acknowledged."""
     with Process(
         [sys.executable, WRITER, file, str(first), str(MORE_THAN_ANY)], {"PYTHONPATH": str(ROOT)}, pipes=True
     ) as process:
@@ -48,7 +48,7 @@ def write(file: Path, first: int, kill_at: int) -> int:
 
 
 def check(file: Path, acknowledged: int) -> None:
-    """Every name holds the last value that was acknowledged for it, or the one that was under way."""
+    """Check that every name has its last acknowledged value, or the one being written."""
     replica = Replica(file, "reader")
     try:
         stored = {name: value.x for name, value in Store(replica).all(LOCATION).items()}

@@ -1,4 +1,4 @@
-"""The store of the modules' worker: opened where it is wanted, told in the status, given to modules."""
+"""The store of the modules' worker: opened if wanted, shown in the status, used by modules."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OWN = {"name": "keeper", "factory": "tests.stores.test_service:Keeper"}
 
 
 class Keeper(Module):
-    """Says in its status what it heard of the store."""
+    """Reports received changes of the store in its status."""
 
     name: ClassVar[str] = "keeper"
 
@@ -49,9 +49,9 @@ def place(tmp_path: Path) -> Iterator[Place]:
 
 def test_a_module_uses_the_store_and_the_status_shows_it(place: Place) -> None:
     place.worker.start(place.config(OWN))
-    until(lambda: (place.status("keeper") or {}).get("heard") == ["kitchen"], "the module hears")
-    status = until(lambda: place.status("store"), "the store tells of itself")
-    assert status["text"] == "1 location; shared with no other"
+    until(lambda: (place.status("keeper") or {}).get("heard") == ["kitchen"], "the module receives the change")
+    status = until(lambda: place.status("store"), "the store reports its status")
+    assert status["text"] == "1 location; not shared"
     assert status["store"]["keys"] == {"location": 1}
     assert (place.folder / "here" / "store.sqlite").exists()
 
@@ -62,13 +62,13 @@ def test_the_store_runs_without_modules(place: Place) -> None:
     assert not worker_kinds()["modules"].enabled(place.config())
     place.worker.start(config)
     assert (place.worker.health().state, place.worker.health().text) == ("running", "store")
-    until(lambda: place.status("store"), "the store is there")
+    until(lambda: place.status("store"), "the store reports its status")
 
 
 def test_a_disabled_store_or_one_in_use_is_reported(place: Place) -> None:
     place.worker.start(place.config(OWN, store={"enabled": False}))
     health = place.worker.health()
-    assert (health.state, health.text) == ("waiting", "keeper waiting: the store is switched off (store.enabled)")
+    assert (health.state, health.text) == ("waiting", "keeper: waiting the store is disabled (store.enabled)")
     place.worker.stop()
     config = place.config(store={"enabled": True})
     holder = Shared(config)
@@ -92,7 +92,7 @@ def test_a_module_in_a_separate_process_has_its_own_replica(place: Place) -> Non
     try:
         store = daemon.stores.store
         alone.start(config)
-        until(lambda: store.names(LOCATION) == ["kitchen"], "what the module wrote is there")
+        until(lambda: store.names(LOCATION) == ["kitchen"], "the module's value has arrived")
     finally:
         alone.stop()
         daemon.close()

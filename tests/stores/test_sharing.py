@@ -1,4 +1,4 @@
-"""Stores of several daemons on one hub: what one writes all have; cut apart and joined again; plain zenoh programs."""
+"""Replicas of several daemons on one hub: convergence, also after separation, and plain zenoh programs."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def same(*stores: Shared) -> bool:
 
 def all_joined(*stores: Shared) -> None:
     for store in stores:
-        until(lambda store=store: len(store.others()) == len(stores) - 1, "all reach each other", SECONDS)
+        until(lambda store=store: len(store.others()) == len(stores) - 1, "all replicas reach each other", SECONDS)
 
 
 def test_a_write_reaches_all_replicas(hub: QuickHub, tmp_path: Path) -> None:
@@ -60,12 +60,12 @@ def test_a_write_reaches_all_replicas(hub: QuickHub, tmp_path: Path) -> None:
         second_store.store.watch(lambda c: changes.append((c.kind, c.name, c.deleted, c.origin, c.here)))
         first_store.store.put(MAP, "m1", grid())
         first_store.store.put(LOCATION, "the kitchen", KITCHEN)
-        until(lambda: names(second_store) and second_store.store.names(MAP), "both have come", SECONDS)
+        until(lambda: names(second_store) and second_store.store.names(MAP), "both values have arrived", SECONDS)
         assert second_store.store.get(MAP, "m1") == grid()
         assert second_store.store.get(LOCATION, "the kitchen") == KITCHEN
         second_store.store.delete(LOCATION, "the kitchen")
-        until(lambda: not names(first_store), "the deletion has come", SECONDS)
-        until(lambda: len(changes) == 3, "all is heard", SECONDS)
+        until(lambda: not names(first_store), "the deletion has arrived", SECONDS)
+        until(lambda: len(changes) == 3, "all changes are received", SECONDS)
         assert changes == [
             ("map", "m1", False, "one", False),
             ("location", "the kitchen", False, "one", False),
@@ -74,7 +74,9 @@ def test_a_write_reaches_all_replicas(hub: QuickHub, tmp_path: Path) -> None:
         assert first_store.replica.status()["conflicts"] == second_store.replica.status()["conflicts"] == 0
 
 
-def test_three_separated_replicas_converge_after_joining_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_three_separated_replicas_converge_after_joining_again(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     with contextlib.ExitStack() as stack:
         first, second = (stack.enter_context(QuickHub()) for _ in range(2))
         first_store = stack.enter_context(Shared(tmp_path, "one", first.endpoint))
@@ -83,7 +85,11 @@ def test_three_separated_replicas_converge_after_joining_again(tmp_path: Path, c
         all_joined(first_store, second_store, third_store)
         for number in range(20):
             first_store.store.put(LOCATION, f"common{number}", KITCHEN)
-        until(lambda: same(first_store, second_store, third_store) and len(names(third_store)) == 20, "all begin alike", SECONDS)
+        until(
+            lambda: same(first_store, second_store, third_store) and len(names(third_store)) == 20,
+            "all start with the same content",
+            SECONDS,
+        )
         for store in (second_store, third_store):  # two is alone, three on another router
             store.disconnect()
         third_store.join(second.endpoint)
@@ -104,7 +110,7 @@ def test_three_separated_replicas_converge_after_joining_again(tmp_path: Path, c
             third_store.disconnect()
             for store in (second_store, third_store):
                 store.join(first.endpoint)
-            until(lambda: same(first_store, second_store, third_store), "all are alike again", SECONDS)
+            until(lambda: same(first_store, second_store, third_store), "all have the same content again", SECONDS)
         expected = sorted(
             {f"common{n}" for n in range(20)} - {"common2", "common3"} | {"both", "of one", "of two", "of three"}
         )
@@ -115,8 +121,10 @@ def test_three_separated_replicas_converge_after_joining_again(tmp_path: Path, c
             assert both.x == 2.0
             assert store.store.names(MAP) == ["m1"]
             assert store.store.names(AREA) == ["hall"]
-        lost = {record.getMessage() for record in caplog.records if "apart from each other" in record.getMessage()}
-        messages = [next(text for text in lost if f"location '{name}'" in text) for name in ("both", "common1", "common3")]
+        lost = {record.getMessage() for record in caplog.records if "concurrently" in record.getMessage()}
+        messages = [
+            next(text for text in lost if f"location '{name}'" in text) for name in ("both", "common1", "common3")
+        ]
         assert "at two and at one" in messages[0]
         assert '"x": 2.0' in messages[0]
         assert '"x": 1.0' in messages[0]
@@ -130,7 +138,7 @@ def test_a_deletion_reaches_a_replica_that_was_disconnected(hub: QuickHub, tmp_p
     with Shared(tmp_path, "one", hub.endpoint) as first_store, Shared(tmp_path, "two", hub.endpoint) as second_store:
         for number in range(300):  # more than one batch
             first_store.store.put(LOCATION, f"l{number}", KITCHEN)
-        until(lambda: len(names(second_store)) == 300, "all have come", SECONDS)
+        until(lambda: len(names(second_store)) == 300, "all have arrived", SECONDS)
         second_store.disconnect()
         first_store.store.clear(LOCATION)
         second_store.join(hub.endpoint)
@@ -164,9 +172,13 @@ def test_a_subscriber_of_all_puts_and_deletes_has_the_same_content(hub: QuickHub
                 SECONDS,
             )
         first_store.store.put(MAP, "m1", grid())
-        until(lambda: same(first_store, second_store), "both are alike", SECONDS)
+        until(lambda: same(first_store, second_store), "both have the same content", SECONDS)
         second_store.store.delete(LOCATION, "a")
-        until(lambda: len(held) == 3 and same(first_store, second_store) and held["location/a"][2] is None, "all came", SECONDS)
+        until(
+            lambda: len(held) == 3 and same(first_store, second_store) and held["location/a"][2] is None,
+            "all came",
+            SECONDS,
+        )
         for (kind, name), (stamp, _) in first_store.replica.versions().items():
             entry = first_store.replica.entry(kind, name)
             assert held[f"{kind}/{name}"] == (stamp.ns, stamp.replica, entry.body if entry else None)
@@ -178,7 +190,7 @@ def test_any_zenoh_program_reads_and_writes(hub: QuickHub, tmp_path: Path, caplo
         first_store.store.put(LOCATION, "hall", KITCHEN)
         first_store.store.put(MAP, "m1", grid())
         first_store.store.delete(LOCATION, "hall")
-        replies = until(lambda: list(session.get("midspan/store/0/location/kitchen")), "it is answered", SECONDS)
+        replies = until(lambda: list(session.get("midspan/store/0/location/kitchen")), "there is a reply", SECONDS)
         assert json.loads(replies[0].ok.payload.to_bytes()) == {
             "map": "m1", "x": 1.0, "y": 2.5, "theta_deg": 90.0, "description": 'the "kitchen", große',
         }  # fmt: skip
@@ -193,7 +205,7 @@ def test_any_zenoh_program_reads_and_writes(hub: QuickHub, tmp_path: Path, caplo
         assert (about["width"], about["height"], about["occupancy"] + about["flags"]) == (20, 30, len(cells))
 
         session.put("midspan/store/0/location/door", b'{"map": "m1", "x": 4}')
-        until(lambda: first_store.store.get(LOCATION, "door") == Map2DLocation("m1", 4.0), "it is taken", SECONDS)
+        until(lambda: first_store.store.get(LOCATION, "door") == Map2DLocation("m1", 4.0), "it is merged", SECONDS)
         session.delete("midspan/store/0/location/kitchen")
         until(lambda: names(first_store) == ["door"], "it is deleted", SECONDS)
         with caplog.at_level(logging.WARNING):
@@ -206,10 +218,10 @@ def test_any_zenoh_program_reads_and_writes(hub: QuickHub, tmp_path: Path, caplo
             ):
                 session.put(key, body)
             session.put("midspan/store/0/location/good", b"{}")
-            until(lambda: "good" in names(first_store), "the good one is taken", SECONDS)
+            until(lambda: "good" in names(first_store), "the valid one is merged", SECONDS)
         assert names(first_store) == ["door", "good"]
         assert first_store.store.names(MAP) == ["m1"]
-        assert len([1 for record in caplog.records if "is not taken" in record.getMessage()]) >= 3
+        assert len([1 for record in caplog.records if "is not merged" in record.getMessage()]) >= 3
 
 
 def test_a_client_reads_its_own_writes(hub: QuickHub, tmp_path: Path) -> None:
@@ -217,9 +229,12 @@ def test_a_client_reads_its_own_writes(hub: QuickHub, tmp_path: Path) -> None:
         space = session.keyspace(prefix(0))
         with pytest.raises(StoreError, match=r"set store\.enabled to true"):
             StoreClient(space, "two")
-        with Shared(tmp_path, "one", hub.endpoint) as first_store, Shared(tmp_path, "two", hub.endpoint) as second_store:
+        with (
+            Shared(tmp_path, "one", hub.endpoint) as first_store,
+            Shared(tmp_path, "two", hub.endpoint) as second_store,
+        ):
             all_joined(first_store, second_store)
-            client = until(lambda: wanted(space, "two"), "the daemon's own copy is found", SECONDS)
+            client = until(lambda: wanted(space, "two"), "the daemon's own replica is found", SECONDS)
             area = Map2DArea("m1", [], "hall")
             client.write([Write(LOCATION, "a b", KITCHEN), Write(MAP, "m1", grid()), Write(AREA, "hall", area)])
             assert second_store.store.get(LOCATION, "a b") == KITCHEN
@@ -236,11 +251,11 @@ def test_a_client_reads_its_own_writes(hub: QuickHub, tmp_path: Path) -> None:
             assert second_store.store.names(BEHAVIOUR) == []
             for bad, reason in (
                 (Write(LOCATION, "a/b", KITCHEN), "the name 'a/b' has /"),
-                (Write(LOCATION, "a", Map2DLocation("m1", float("inf"))), "JSON cannot carry"),
+                (Write(LOCATION, "a", Map2DLocation("m1", float("inf"))), "cannot be represented in JSON"),
             ):
                 with pytest.raises(StoreError, match=reason):
                     client.write([bad])
-            with pytest.raises(StoreError, match="there is no map 'm2'; those that are: m1"):
+            with pytest.raises(StoreError, match="no map 'm2'; existing maps: m1"):
                 client.use_map("m2")
             second_store.replica.limits = StoreLimits(keys=1)
             with pytest.raises(StoreError, match=r"store\.keys"):
@@ -257,14 +272,14 @@ def test_a_change_is_based_on_the_newest_version(hub: QuickHub, tmp_path: Path) 
             replies = client.get(LOCATION, "kitchen")
             assert replies is not None
             seen.append(replies.x)
-            if len(seen) == 1:  # somebody else writes between reading and writing
+            if len(seen) == 1:  # another client writes between reading and writing
                 first_store.store.put(LOCATION, "kitchen", replace(replies, y=7.0))
             return [Write(LOCATION, "kitchen", replace(replies, x=replies.x + 1.0))]
 
         client.change(moved)
         assert len(seen) == 2
         assert first_store.store.get(LOCATION, "kitchen") == replace(KITCHEN, x=KITCHEN.x + 1.0, y=7.0)
-        with pytest.raises(StoreError, match="others write the same all the time"):
+        with pytest.raises(StoreError, match="other clients keep changing the same keys"):
             client.change(lambda: (first_store.store.put(LOCATION, "new", KITCHEN), [Write(LOCATION, "new", None)])[1])
         assert first_store.store.get(LOCATION, "new") == KITCHEN
 
@@ -289,7 +304,7 @@ def test_a_client_renames_a_map_with_its_places(hub: QuickHub, tmp_path: Path) -
         assert store.all(AREA) == {"big hall": Map2DArea("house", corners)}
         assert store.all(BEHAVIOUR) == {"big hall": AreaBehaviour(keep_out=True)}
         assert store.get(PATH, "way") == Map2DPath([moved_kitchen, elsewhere])
-        for old, new, reason in (("none", "x", "there is no location 'none'"), ("far", "kitchen", "is there already")):
+        for old, new, reason in (("none", "x", "no location 'none'"), ("far", "kitchen", "exists already")):
             with pytest.raises(StoreError, match=reason):
                 client.rename(LOCATION, old, new)
 
@@ -306,7 +321,7 @@ def test_invalid_queries_and_samples_are_refused(hub: QuickHub, tmp_path: Path) 
     with Shared(tmp_path, "one", hub.endpoint) as first_store, plain(hub) as session:
         zid = first_store.hub.zid if first_store.hub else ""
         write = f"midspan/store/0/@sync/write/{zid}"
-        until(lambda: [r.err for r in session.get(write, payload=b"")], "it is there", SECONDS)
+        until(lambda: [r.err for r in session.get(write, payload=b"")], "the store responds", SECONDS)
         for body in (
             b"",
             b"{}",
@@ -346,12 +361,12 @@ def test_invalid_queries_and_samples_are_refused(hub: QuickHub, tmp_path: Path) 
         ):
             session.put("midspan/store/0/location/bad", b"{}", attachment=attached)
         session.put("midspan/store/0/location/good", b"{}")
-        until(lambda: names(first_store), "the good one is taken", SECONDS)
+        until(lambda: names(first_store), "the valid one is merged", SECONDS)
         assert names(first_store) == ["good"]
 
 
 def wanted(space: KeySpace, daemon: str) -> StoreClient | None:
-    """A client of a daemon's own copy, None while it is not known yet."""
+    """Return a client of a daemon's own replica, None while it is not discovered."""
     with contextlib.suppress(StoreError):
         client = StoreClient(space, daemon)
         return client if client.daemon == daemon else None
@@ -360,7 +375,7 @@ def wanted(space: KeySpace, daemon: str) -> StoreClient | None:
 
 @contextlib.contextmanager
 def plain(hub: QuickHub) -> Iterator[zenoh.Session]:
-    """A session as any zenoh program has it: a client of the router, with zenoh's defaults."""
+    """Open a session of a plain zenoh program: a client of the router, with zenoh's defaults."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([hub.endpoint]))
@@ -369,7 +384,9 @@ def plain(hub: QuickHub) -> Iterator[zenoh.Session]:
         yield session
 
 
-def test_a_replica_of_another_major_version_is_not_merged(hub: QuickHub, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_replica_of_another_major_version_is_not_merged(
+    hub: QuickHub, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     with Shared(tmp_path, "one", hub.endpoint) as first_store, plain(hub) as session:
         queries: list[bytes] = []
 
@@ -382,16 +399,16 @@ def test_a_replica_of_another_major_version_is_not_merged(hub: QuickHub, tmp_pat
         kept = session.declare_queryable(f"midspan/store/0/@sync/digest/{zid}", digest, complete=True)
         with caplog.at_level(logging.WARNING):
             token = session.liveliness().declare_token(f"midspan/store/0/@sync/alive/{zid}/far")
-            until(lambda: "the store of far is not taken" in caplog.text, "it is refused", SECONDS)
-        assert caplog.text.count("the store of far is not taken: it speaks version 2.0") == 1
+            until(lambda: "the store of far is not merged" in caplog.text, "it is refused", SECONDS)
+        assert caplog.text.count("the store of far is not merged: it speaks version 2.0") == 1
         assert json.loads(queries[0])["wire"] == WIRE
         version = {"ns": 7, "replica": "aa", "origin": "far", "seen": {}}
         for name, wire in (("strange", "2.0"), ("later", "1.7")):
             attached = json.dumps({**version, "wire": wire, "more": 1}).encode()
             session.put(f"midspan/store/0/location/{name}", b"{}", attachment=attached)
-        until(lambda: names(first_store), "that of a later minor is taken", SECONDS)
+        until(lambda: names(first_store), "that of a later minor version is merged", SECONDS)
         assert names(first_store) == ["later"]
-        assert "location/strange is not taken: it speaks version 2.0" in caplog.text
+        assert "location/strange is not merged: it speaks version 2.0" in caplog.text
         assert first_store.hub is not None
         question = f"midspan/store/0/@sync/digest/{first_store.hub.zid}"
         (refused,) = session.get(question, payload=b'{"wire": "2.0", "digests": []}')

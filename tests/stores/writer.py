@@ -1,4 +1,4 @@
-"""Writes locations into a store, and says each one's number once the store has acknowledged it."""
+"""Writes locations into a store, and prints each one's number once the store has acknowledged it."""
 
 from __future__ import annotations
 
