@@ -263,7 +263,7 @@ class TransformBuffer:
                 return False
             frame.forget_sources()
             frame.kind = NONE
-            self._history.forget(frame.number)
+            self._history.remove(frame.number)
             self.changes += 1
             return True
 
@@ -293,13 +293,13 @@ class TransformBuffer:
         if target == source:
             return self._identity(target, stamp)
         try:
-            one, two = self._frames.numbers[target], self._frames.numbers[source]
+            target_number, source_number = self._frames.numbers[target], self._frames.numbers[source]
         except KeyError:
-            one, two = self._number(target, "target"), self._number(source, "source")
-        found = self._history.lookup(one, two, stamp, horizon)
-        if found is None:
+            target_number, source_number = self._number(target, "target"), self._number(source, "source")
+        result = self._history.lookup(target_number, source_number, stamp, horizon)
+        if result is None:
             raise self._error(target, source)
-        translation, rotation, stamp = found
+        translation, rotation, stamp = result
         return Transform(target, source, stamp, translation, rotation)
 
     def _identity(self, name: str, stamp: int) -> Transform:
@@ -318,7 +318,7 @@ class TransformBuffer:
 
     def _error(self, target: str, source: str) -> TransformError:
         """The error of a lookup, in tf2's words, which people search for."""
-        answer, stamp, bound, trouble = self._history.why()
+        answer, stamp, bound, trouble = self._history.failure()
         if answer == LOOP:
             self.loops += 1
             return LookupError_(errors.LOOP)
@@ -329,10 +329,10 @@ class TransformBuffer:
     def _poses(
         self, target: str, source: str, times: NDArray[np.int64], horizon: int
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        one, two = self._number(target, "target"), self._number(source, "source")
-        if one == two:
+        target_number, source_number = self._number(target, "target"), self._number(source, "source")
+        if target_number == source_number:
             return np.tile([0.0] * 6 + [1.0], (len(times), 1)), np.ones(len(times), np.bool_)
-        return self._history.lookup_many(one, two, times, horizon)
+        return self._history.lookup_many(target_number, source_number, times, horizon)
 
     def _wait(self, timeout: float, ask: Callable[[], Transform]) -> Transform:
         """Ask again whenever something new has come, up to the deadline."""

@@ -67,9 +67,9 @@ CURES = {
 """What is wrong, and how to mend it."""
 
 
-def refusal(why: FrameRefusal, parent: str, child: str, stamp: int, authority: str) -> str:
+def refusal(reason: FrameRefusal, parent: str, child: str, stamp: int, authority: str) -> str:
     """Why a transform was not taken up."""
-    return f'{why}: the transform from "{parent}" to "{child}" at {seconds(stamp):.9f} of "{authority}": {CURES[why]}'
+    return f'{reason}: the transform from "{parent}" to "{child}" at {seconds(stamp):.9f} of "{authority}": {CURES[reason]}'
 
 
 def empty_name(role: str) -> str:
@@ -95,19 +95,19 @@ def extrapolation(asked: int, bound: int, trouble: int, target: str, source: str
     between = f", when looking up transform from frame [{source}] to frame [{target}]"
     if trouble == EMPTY:
         return between
-    one, two = seconds(asked), seconds(bound)
+    requested, available = seconds(asked), seconds(bound)
     if trouble == SINGLE:
         return (
-            f"Lookup would require extrapolation at time {one:.9f}, but only time {two:.9f} is in the buffer{between}"
+            f"Lookup would require extrapolation at time {requested:.9f}, but only time {available:.9f} is in the buffer{between}"
         )
     ahead, known = ("future", "latest") if trouble == FUTURE else ("past", "earliest")
     return (
         f"Lookup would require extrapolation {seconds(abs(asked - bound)):.9f}s into the {ahead}.  Requested time"
-        f" {one:.9f} but the {known} data is at time {two:.9f}{between}"
+        f" {requested:.9f} but the {known} data is at time {available:.9f}{between}"
     )
 
 
 def seconds(stamp: int) -> float:
     """Nanoseconds as tf2 makes them seconds."""
-    whole, rest = divmod(stamp, _SECOND)
-    return whole + 1e-9 * rest
+    whole, nanoseconds = divmod(stamp, _SECOND)
+    return whole + 1e-9 * nanoseconds

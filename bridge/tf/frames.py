@@ -40,11 +40,11 @@ class Frame:
 
     def sources(self, since: int) -> dict[tuple[int, str], int]:
         """Parents and authorities, each with the stamp of its last transform; the newest first."""
-        found = {(self.parent, self.authority): self.stamp}
+        stamps = {(self.parent, self.authority): self.stamp}
         for source, stamp in reversed(self._earlier.items()):
             if stamp >= since:
-                found.setdefault(source, stamp)
-        return found
+                stamps.setdefault(source, stamp)
+        return stamps
 
     def forget_sources(self) -> None:
         """Forget the frame's sources."""

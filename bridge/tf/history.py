@@ -148,9 +148,9 @@ def _slerp(a: Quaternion, b: Quaternion, ratio: cython.double) -> Quaternion:
     if angle == 0.0:
         return a
     whole: cython.double = sin(angle)
-    one: cython.double = sin((1.0 - ratio) * angle) / whole
-    two: cython.double = sign * sin(ratio * angle) / whole
-    return Quaternion(one * a.x + two * b.x, one * a.y + two * b.y, one * a.z + two * b.z, one * a.w + two * b.w)
+    weight_a: cython.double = sin((1.0 - ratio) * angle) / whole
+    weight_b: cython.double = sign * sin(ratio * angle) / whole
+    return Quaternion(weight_a * a.x + weight_b * b.x, weight_a * a.y + weight_b * b.y, weight_a * a.z + weight_b * b.z, weight_a * a.w + weight_b * b.w)
 
 
 @cython.cfunc
@@ -186,8 +186,8 @@ def _of_matrix(q: Quaternion) -> Quaternion:
 @cython.exceptval(check=False)
 def _composed(a: Pose, b: Pose) -> Pose:
     """`_behind`, as tf2 does it with a fixed frame: normalised, as matrices are."""
-    found: Pose = _behind(Pose(a.v, _normalized(a.q)), Pose(b.v, _normalized(b.q)))
-    return Pose(found.v, _of_matrix(_normalized(found.q)))
+    pose: Pose = _behind(Pose(a.v, _normalized(a.q)), Pose(b.v, _normalized(b.q)))
+    return Pose(pose.v, _of_matrix(_normalized(pose.q)))
 
 
 @cython.cfunc
@@ -379,7 +379,7 @@ class TransformHistory:
         p: Pose = self._pose
         return (p.v.x, p.v.y, p.v.z), (p.q.x, p.q.y, p.q.z, p.q.w), self._stamp
 
-    def why(self) -> tuple[int, int, int, int]:
+    def failure(self) -> tuple[int, int, int, int]:
         """Of the last lookup that found nothing: the answer, its time, and the bound and the trouble in the history.
 
         The bound is the time that is known next to the one asked for, the trouble one of `EMPTY` to `PAST`; both are
@@ -400,11 +400,11 @@ class TransformHistory:
         """
         self._check(target)
         self._check(source)
-        found: NDArray[np.float64] = np.full((len(stamps), 7), np.nan)
+        poses: NDArray[np.float64] = np.full((len(stamps), 7), np.nan)
         known: NDArray[np.bool_] = np.zeros(len(stamps), np.bool_)
         times: cython.longlong[::1] = _view(stamps)
-        rows: cython.double[:, ::1] = found
-        said: cython.uchar[::1] = known.view(np.uint8)
+        rows: cython.double[:, ::1] = poses
+        valid: cython.uchar[::1] = known.view(np.uint8)
         p: Pose
         n: cython.Py_ssize_t
         with cython.nogil:
@@ -413,8 +413,8 @@ class TransformHistory:
                     p = self._pose
                     rows[n, 0], rows[n, 1], rows[n, 2] = p.v.x, p.v.y, p.v.z
                     rows[n, 3], rows[n, 4], rows[n, 5], rows[n, 6] = p.q.x, p.q.y, p.q.z, p.q.w
-                    times[n], said[n] = self._stamp, 1
-        return found, known
+                    times[n], valid[n] = self._stamp, 1
+        return poses, known
 
     def newest(self, frame: Int) -> tuple[int, int]:
         """Number of a frame's newest parent and its stamp; 0, 0 where there is none."""
@@ -432,7 +432,7 @@ class TransformHistory:
             return 0, 0, 0
         return self._stamps[self._place(frame, 0)], self._stamps[self._place(frame, count - 1)], count
 
-    def forget(self, frame: Int) -> None:
+    def remove(self, frame: Int) -> None:
         """A frame's samples and its kind."""
         self._check(frame)
         self._count[frame] = 0
@@ -466,11 +466,11 @@ class TransformHistory:
             raise ValueError(f"frame {frame} has no ring: begin() gives it one")
         if not 0 <= stamp < _LAST_STAMP and self._kind[frame] == _TIMED:
             raise ValueError(f"a stamp of {stamp} ns: give one from 0 to 146 years")
-        answer: Int = self._put(frame, parent, stamp, pose, False)
+        answer: Int = self._store(frame, parent, stamp, pose, False)
         if answer == _FULL:
             if self._capacity[frame] < LARGEST:
                 self._give(frame, GROWTH * self._capacity[frame])
-            answer = self._put(frame, parent, stamp, pose, True)
+            answer = self._store(frame, parent, stamp, pose, True)
         return answer
 
     @cython.cfunc
@@ -492,10 +492,10 @@ class TransformHistory:
     @cython.cfunc
     @cython.nogil
     @cython.exceptval(check=False)
-    def _move(self, one: Int, two: Int) -> cython.void:
-        self._stamps[two] = self._stamps[one]
-        self._parents[two] = self._parents[one]
-        self._write(two, self._read(one))
+    def _move(self, origin: Int, target: Int) -> cython.void:
+        self._stamps[target] = self._stamps[origin]
+        self._parents[target] = self._parents[origin]
+        self._write(target, self._read(origin))
 
     @cython.cfunc
     @cython.inline
@@ -518,7 +518,7 @@ class TransformHistory:
     @cython.cfunc
     @cython.nogil
     @cython.exceptval(check=False)
-    def _put(self, frame: Int, parent: Int, stamp: Int, pose: Pose, force: cython.bint) -> Int:
+    def _store(self, frame: Int, parent: Int, stamp: Int, pose: Pose, force: cython.bint) -> Int:
         """Put a sample in its place; with ``force``, a full ring's oldest sample goes."""
         flaw: Int = _flaw(pose)
         if flaw != _DONE:
@@ -536,16 +536,16 @@ class TransformHistory:
             if after > 0 and self._stamps[self._place(frame, after - 1)] == stamp:
                 return _REPEATED
             latest: Int = max(newest, stamp)
-            gone: Int = 0
-            while gone < count and self._stamps[self._place(frame, gone)] + self.span < latest:
-                gone += 1
-            if count - gone == self._capacity[frame]:
+            dropped: Int = 0
+            while dropped < count and self._stamps[self._place(frame, dropped)] + self.span < latest:
+                dropped += 1
+            if count - dropped == self._capacity[frame]:
                 if not force:
                     return _FULL
-                gone += 1
-            self._first[frame] = (self._first[frame] + gone) & (self._capacity[frame] - 1)
-            count -= gone
-            at = after - gone if after > gone else 0
+                dropped += 1
+            self._first[frame] = (self._first[frame] + dropped) & (self._capacity[frame] - 1)
+            count -= dropped
+            at = after - dropped if after > dropped else 0
             for n in range(count, at, -1):
                 self._move(self._place(frame, n - 1), self._place(frame, n))
         else:
@@ -560,14 +560,14 @@ class TransformHistory:
     @cython.inline
     @cython.nogil
     @cython.exceptval(check=False)
-    def _between(self, one: Int, two: Int, time: Int) -> Pose:
+    def _between(self, first: Int, second: Int, time: Int) -> Pose:
         """The pose at a time, on the line through two samples; before, between or after them."""
-        ratio: cython.double = float(time - self._stamps[one]) / float(self._stamps[two] - self._stamps[one])
-        rest: cython.double = 1.0 - ratio
-        a: Pose = self._read(one)
-        b: Pose = self._read(two)
+        ratio: cython.double = float(time - self._stamps[first]) / float(self._stamps[second] - self._stamps[first])
+        complement: cython.double = 1.0 - ratio
+        a: Pose = self._read(first)
+        b: Pose = self._read(second)
         return Pose(
-            Vector(rest * a.v.x + ratio * b.v.x, rest * a.v.y + ratio * b.v.y, rest * a.v.z + ratio * b.v.z),
+            Vector(complement * a.v.x + ratio * b.v.x, complement * a.v.y + ratio * b.v.y, complement * a.v.z + ratio * b.v.z),
             _slerp(a.q, b.q, ratio),
         )
 
@@ -619,7 +619,7 @@ class TransformHistory:
     @cython.inline
     @cython.nogil
     @cython.exceptval(check=False)
-    def _at(self, frame: Int, time: Int, horizon: Int) -> Sample:
+    def _sample_at(self, frame: Int, time: Int, horizon: Int) -> Sample:
         """A frame at a time; 0 is the newest. The bound and the trouble say why there is nothing."""
         count: Int = self._count[frame]
         nothing: Sample = Sample(0, _unit())
@@ -642,11 +642,11 @@ class TransformHistory:
             self._trouble = _SINGLE if count == 1 else _FUTURE if late > 0 else _PAST
             return nothing
         low: Int = self._last_before(frame, time)
-        one: Int = self._place(frame, low)
-        two: Int = self._place(frame, low + 1)
-        if self._stamps[one] == time or self._parents[one] != self._parents[two]:
-            return Sample(self._parents[one], self._read(one))
-        return Sample(self._parents[one], self._between(one, two, time))
+        before: Int = self._place(frame, low)
+        after: Int = self._place(frame, low + 1)
+        if self._stamps[before] == time or self._parents[before] != self._parents[after]:
+            return Sample(self._parents[before], self._read(before))
+        return Sample(self._parents[before], self._between(before, after, time))
 
     @cython.cfunc
     @cython.nogil
@@ -720,7 +720,7 @@ class TransformHistory:
         while frame != end and frame != other:
             if self._kind[frame] == _NONE:
                 return Way(_ROOT, frame, pose)
-            above = self._at(frame, time, horizon)
+            above = self._sample_at(frame, time, horizon)
             if above.parent == 0:
                 return Way(_GAP, frame, pose)
             pose = _behind(pose, above.pose)

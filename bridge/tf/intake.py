@@ -72,9 +72,9 @@ class Intake:
             if isinstance(begun, FrameRefusal):
                 return self._refuse(begun, parent_name, child_name, stamp, authority)
             frame, parent = begun
-        refusal = self._late(frame, stamp, static)
+        refusal = self._stamp_flaw(frame, stamp, static)
         if refusal is None:
-            refusal = self._took(
+            refusal = self._record(
                 self._history.insert(frame.number, parent, stamp, pose), frame, parent, stamp, authority
             )
         return None if refusal is None else self._refuse(refusal, parent_name, child_name, stamp, authority)
@@ -90,16 +90,16 @@ class Intake:
         for stamp, names, at in message.read(cdr):
             link = links.get(names)
             if link is None or link[0].kind == NONE:
-                pair = message.both(names)
+                pair = message.split_names(names)
                 pose = struct.unpack_from("<7d", cdr, at)
                 answers.append(self.set(*pair, stamp, pose[:3], pose[3:], authority, static))
                 self._link(names, *pair)
                 continue
             frame, parent = link
-            refusal = self._late(frame, stamp, static)
+            refusal = self._stamp_flaw(frame, stamp, static)
             if refusal is None:
                 answer = self._history.insert_at(frame.number, parent, stamp, cdr, at)
-                refusal = self._took(answer, frame, parent, stamp, authority)
+                refusal = self._record(answer, frame, parent, stamp, authority)
             if refusal is not None:
                 self._refuse(refusal, self._frames[parent].name, frame.name, stamp, authority)
             answers.append(refusal)
@@ -118,12 +118,12 @@ class Intake:
         self, parent: str, child: str, stamp: int, pose: tuple[float, ...], static: bool
     ) -> tuple[Frame, int] | FrameRefusal:
         """The frames of a transform that may be new, or whose names were not in their normal form."""
-        if wrong := self._wrong(parent, child, pose):
-            return wrong
+        if flaw := self._names_flaw(parent, child, pose):
+            return flaw
         frame = self._known.get(child)
         if frame is None:
-            if not static and (late := self._untimely(stamp)):
-                return late
+            if not static and (stamp_flaw := self._clock_flaw(stamp)):
+                return stamp_flaw
             frame = self._frames.get(child)
         above = self._frames.get(parent).number
         self._history.make_room(max(frame.number, above))
@@ -133,7 +133,7 @@ class Intake:
             self._known[child] = frame
         return frame, above
 
-    def _wrong(self, parent: str, child: str, pose: tuple[float, ...]) -> FrameRefusal | None:
+    def _names_flaw(self, parent: str, child: str, pose: tuple[float, ...]) -> FrameRefusal | None:
         """The checks that tf2 makes before it gives new frames a number."""
         if not child:
             return FrameRefusal.NO_CHILD_FRAME_ID
@@ -145,13 +145,13 @@ class Intake:
             return FrameRefusal.TOO_MANY_FRAMES
         return _REFUSALS.get(pose_flaw(*pose))
 
-    def _late(self, frame: Frame, stamp: int, static: bool) -> FrameRefusal | None:
+    def _stamp_flaw(self, frame: Frame, stamp: int, static: bool) -> FrameRefusal | None:
         """The flaw of a stamp of a known frame's transform; the stamps of static ones are not checked."""
         if self._now is None and 0 <= stamp < LAST_STAMP:
             return None
-        return None if static and frame.kind != TIMED else self._untimely(stamp)
+        return None if static and frame.kind != TIMED else self._clock_flaw(stamp)
 
-    def _untimely(self, stamp: int) -> FrameRefusal | None:
+    def _clock_flaw(self, stamp: int) -> FrameRefusal | None:
         if not 0 <= stamp < LAST_STAMP:
             return FrameRefusal.INVALID_STAMP
         if self._now is None:
@@ -161,7 +161,7 @@ class Intake:
             return None
         return FrameRefusal.FUTURE if 0 < ahead < OTHER_SCALE else FrameRefusal.TIME_SCALE
 
-    def _took(self, answer: int, frame: Frame, parent: int, stamp: int, authority: str) -> FrameRefusal | None:
+    def _record(self, answer: int, frame: Frame, parent: int, stamp: int, authority: str) -> FrameRefusal | None:
         """Note the source of a transform that the history took."""
         if answer != DONE:
             return _REFUSALS[answer]
@@ -170,10 +170,10 @@ class Intake:
         frame.stamp = stamp
         return None
 
-    def _refuse(self, why: FrameRefusal, parent: str, child: str, stamp: int, authority: str) -> FrameRefusal:
-        self.refused[why] += 1
-        told = errors.refusal(why, parent, child, stamp, authority)
-        self.last_refused[why] = told
-        if self.refused[why] == 1:  # more of a kind are counted only: a publisher may send a hundred a second
-            _log.warning("%s (more of these are only counted)", told)
-        return why
+    def _refuse(self, reason: FrameRefusal, parent: str, child: str, stamp: int, authority: str) -> FrameRefusal:
+        self.refused[reason] += 1
+        message_ = errors.refusal(reason, parent, child, stamp, authority)
+        self.last_refused[reason] = message_
+        if self.refused[reason] == 1:  # more of a kind are counted only: a publisher may send a hundred a second
+            _log.warning("%s (more of these are only counted)", message_)
+        return reason

@@ -76,7 +76,7 @@ def read(cdr: bytes) -> list[Span]:
     return spans
 
 
-def both(names: bytes) -> tuple[str, str]:
+def split_names(names: bytes) -> tuple[str, str]:
     """Parent and child, of a span's names."""
     length = int.from_bytes(names[:4], "little")
     child = 8 + ((length + 3) & ~3)

@@ -37,11 +37,11 @@ class Stamped(NamedTuple):
 
 def read(cdr: bytes) -> list[Stamped]:
     """The transforms of a message; raises `ValueError` if the bytes are not a TFMessage."""
-    found = []
+    transforms = []
     for stamp, names, at in message.read(cdr):
         x, y, z, qx, qy, qz, qw = _POSE.unpack_from(cdr, at)
-        found.append(Stamped(*message.both(names), stamp, (x, y, z), (qx, qy, qz, qw)))
-    return found
+        transforms.append(Stamped(*message.split_names(names), stamp, (x, y, z), (qx, qy, qz, qw)))
+    return transforms
 
 
 def write(transforms: Iterable[Stamped]) -> bytes:
@@ -50,16 +50,16 @@ def write(transforms: Iterable[Stamped]) -> bytes:
     count = 0
     for parent, child, stamp, moved, turned in transforms:
         seconds, nanoseconds = divmod(stamp, _SECOND)
-        one, two = parent.encode(), child.encode()
+        parent_bytes, child_bytes = parent.encode(), child.encode()
         data += bytes(-len(data) % 4)
         try:
-            data += _STAMP.pack(seconds, nanoseconds, len(one) + 1)
+            data += _STAMP.pack(seconds, nanoseconds, len(parent_bytes) + 1)
         except struct.error as err:
             raise ValueError(f"the stamp {stamp} of {child!r} does not fit a message: {err}") from None
-        data += one
+        data += parent_bytes
         data += bytes(1 + -(len(data) + 1) % 4)
-        data += _COUNT.pack(len(two) + 1)
-        data += two
+        data += _COUNT.pack(len(child_bytes) + 1)
+        data += child_bytes
         data += bytes(1 + (_START - len(data) - 1) % 8)
         data += _POSE.pack(*moved, *turned)
         count += 1

@@ -80,11 +80,11 @@ def _below(frames: Iterable[FrameInfo]) -> tuple[dict[str, list[str]], dict[str,
 def _remark(info: FrameInfo | None) -> str:
     if info is None:
         return ""
-    said = f"  ({_times(info)}, {info.authority or 'nobody named'})"
+    text = f"  ({_times(info)}, {info.authority or 'nobody named'})"
     if len(info.sources) > 1:
-        who = ", ".join(f"{s.authority or 'nobody named'} under {s.parent}" for s in info.sources)
-        said += f"  SEVERAL SOURCES: {who}"
-    return said
+        sources = ", ".join(f"{s.authority or 'nobody named'} under {s.parent}" for s in info.sources)
+        text += f"  SEVERAL SOURCES: {sources}"
+    return text
 
 
 def _times(info: FrameInfo) -> str:

@@ -117,7 +117,7 @@ def test_a_frame_without_a_row_is_refused(history: ModuleType, frame: int) -> No
         lambda: rings.lookup_many(1, frame, np.array([START]), 0),
         lambda: rings.newest(frame),
         lambda: rings.ends(frame),
-        lambda: rings.forget(frame),
+        lambda: rings.remove(frame),
     ):
         with pytest.raises(IndexError, match="no row"):
             call()
@@ -154,8 +154,8 @@ def test_a_stamp_beyond_all_has_no_pose(history: ModuleType, stamp: int) -> None
     for n in range(5):
         rings.insert(1, 2, START + n, POSE)
     assert rings.lookup(2, 1, stamp, 0) is None
-    assert rings.why()[1] == stamp
-    assert rings.why()[2] == (START if stamp < 0 else START + 4)
+    assert rings.failure()[1] == stamp
+    assert rings.failure()[2] == (START if stamp < 0 else START + 4)
 
 
 def test_rings_grow_apart(history: ModuleType) -> None:

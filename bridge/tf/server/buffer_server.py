@@ -20,10 +20,10 @@ from bridge.tf.transform import Transform
 ACTION, LOOKUP = "/tf2_buffer_server", "tf2_msgs/action/LookupTransform"
 FRAMES, FRAME_GRAPH = "/tf2_frames", "tf2_msgs/srv/FrameGraph"
 
-KEPT_SECONDS = 10.0
+RESULT_SECONDS = 10.0
 """How long a result may be fetched; there may be a hundred goals a second, and nobody comes back to an old one."""
 
-_LOOK_SECONDS = 0.005
+_POLL_SECONDS = 0.005
 _SECOND = 1_000_000_000
 _ERRORS: dict[type[TransformError], int] = {
     LookupError_: 1,
@@ -43,20 +43,20 @@ class BufferServer:
         self._timer: Timer | None = None
         self._seen = -1
         self._ended: Counter[str] = Counter()
-        node.action_server(ACTION, LOOKUP, self._take, self._cancel, kept=KEPT_SECONDS)
-        node.server(FRAMES, FRAME_GRAPH, self._tell_frames)
+        node.action_server(ACTION, LOOKUP, self._on_goal, self._cancel, kept=RESULT_SECONDS)
+        node.server(FRAMES, FRAME_GRAPH, self._reply_frames)
 
     def status(self) -> dict[str, Any]:
         """For the module's part of the status document."""
         return {"waiting": len(self._waiting), **self._ended}
 
-    def _take(self, goal: Goal) -> bool:
+    def _on_goal(self, goal: Goal) -> bool:
         lookup = _Lookup(goal, self._node.clock.elapsed_ns())
         goal.execute()
         if not self._end(lookup):
             self._waiting[goal.id] = lookup
             if self._timer is None:
-                self._timer = self._node.loop.every(_LOOK_SECONDS, self._look)
+                self._timer = self._node.loop.every(_POLL_SECONDS, self._retry)
         return True
 
     def _cancel(self, goal: Goal) -> bool:
@@ -65,12 +65,12 @@ class BufferServer:
             goal.canceled()
         return True
 
-    def _look(self) -> None:
+    def _retry(self) -> None:
         """Ask again for those that wait, where something new has come or their time is over."""
         changes, now = self._buffer.changes, self._node.clock.elapsed_ns()
         new, self._seen = changes != self._seen, changes
         for lookup in list(self._waiting.values()):
-            if new or lookup.over(now):
+            if new or lookup.expired(now):
                 self._end(lookup)
         if not self._waiting and self._timer is not None:
             self._timer.close()
@@ -79,23 +79,23 @@ class BufferServer:
     def _end(self, lookup: _Lookup) -> bool:
         """Give the answer, or the error where nothing is left to wait for."""
         try:
-            found = lookup.ask(self._buffer)
+            transform = lookup.run(self._buffer)
         except TransformError as err:
-            final = isinstance(err, InvalidArgumentError) or lookup.over(self._node.clock.elapsed_ns())
+            final = isinstance(err, InvalidArgumentError) or lookup.expired(self._node.clock.elapsed_ns())
             if final:
                 code = _ERRORS.get(type(err), _TRANSFORM_ERROR)
-                self._answer(lookup, "failed", {"error": {"error": code, "error_string": str(err)}})
+                self._finish(lookup, "failed", {"error": {"error": code, "error_string": str(err)}})
             return final
-        self._answer(lookup, "found", {"transform": stamped(found)})
+        self._finish(lookup, "found", {"transform": stamped(transform)})
         return True
 
-    def _answer(self, lookup: _Lookup, how: str, result: dict[str, Any]) -> None:
+    def _finish(self, lookup: _Lookup, outcome: str, result: dict[str, Any]) -> None:
         """Answer a lookup, and take it from those that wait first."""
         self._waiting.pop(lookup.goal.id, None)
-        self._ended[how] += 1
+        self._ended[outcome] += 1
         lookup.goal.succeed(result)
 
-    def _tell_frames(self, _request: dict[str, Any], answer: Answer) -> None:
+    def _reply_frames(self, _request: dict[str, Any], answer: Answer) -> None:
         answer({"frame_yaml": self._buffer.yaml()})
 
 
@@ -107,18 +107,18 @@ class _Lookup:
         self._began = now
         self._until = now + _nanoseconds(goal.goal["timeout"])
 
-    def over(self, now: int) -> bool:
+    def expired(self, now: int) -> bool:
         """Whether its time is over, or was set back."""
         return not self._began <= now < self._until
 
-    def ask(self, buffer: TransformBuffer) -> Transform:
+    def run(self, buffer: TransformBuffer) -> Transform:
         """Look it up; raises `TransformError`."""
-        asked = self.goal.goal
-        target, source, stamp = asked["target_frame"], asked["source_frame"], _nanoseconds(asked["source_time"])
-        if not asked["advanced"]:
+        request = self.goal.goal
+        target, source, stamp = request["target_frame"], request["source_frame"], _nanoseconds(request["source_time"])
+        if not request["advanced"]:
             return buffer.lookup_transform(target, source, stamp)
-        target_stamp = _nanoseconds(asked["target_time"])
-        return buffer.lookup_transform_full(target, target_stamp, source, stamp, asked["fixed_frame"])
+        target_stamp = _nanoseconds(request["target_time"])
+        return buffer.lookup_transform_full(target, target_stamp, source, stamp, request["fixed_frame"])
 
 
 def stamped(transform: Transform) -> dict[str, Any]:

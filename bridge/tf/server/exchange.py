@@ -56,27 +56,27 @@ class Exchange:
         with self._lock:
             sound = [t for t in transforms if 0.0 <= t.timestamp < _LAST_SECOND]
             flaw = None if len(sound) == len(transforms) else FrameRefusal.INVALID_STAMP
-            flaw = self._set([t for t in sound if not t.isStatic and self._timely(t)], static=False) or flaw
+            flaw = self._set([t for t in sound if not t.isStatic and self._is_current(t)], static=False) or flaw
             return self._set([t for t in sound if t.isStatic], static=True) or flaw
 
-    def give(self) -> list[FrameTransform]:
+    def frames(self) -> list[FrameTransform]:
         """All frames that YARP programs are to see now."""
         with self._lock:
-            return self.view.give()
+            return self.view.frames()
 
-    def delete(self, one: str, other: str) -> bool:
+    def delete(self, first: str, second: str) -> bool:
         """Forget what YARP programs set between two frames; whether there was any."""
         with self._lock:
             static = sum(1 for _ in self.view.own_static())
-            one, other = _plain(one), _plain(other)
-            gone = self.view.delete(one, other)
-            for child in gone:
+            first, second = _plain(first), _plain(second)
+            deleted = self.view.delete(first, second)
+            for child in deleted:
                 self.buffer.remove(child)
             if static != sum(1 for _ in self.view.own_static()):
-                self._tell_static()
-            if not gone and ANY not in (one, other) and self.view.is_from_hub(one, other):
-                _log.warning("%s, %s cannot be deleted by YARP programs: another side says it", one, other)
-        return bool(gone)
+                self._publish_static_frames()
+            if not deleted and ANY not in (first, second) and self.view.is_from_hub(first, second):
+                _log.warning("%s, %s cannot be deleted by YARP programs: another side says it", first, second)
+        return bool(deleted)
 
     def receive(self, cdr: bytes, authority: str, *, static: bool) -> None:
         """Take up a message of the hub; ``authority`` sent it."""
@@ -94,7 +94,7 @@ class Exchange:
             self.buffer.clear()
             self.view.forget_timed()
 
-    def _timely(self, transform: FrameTransform) -> bool:
+    def _is_current(self, transform: FrameTransform) -> bool:
         if self.view.is_static(_plain(transform.dst_frame_id)):
             self.ignored["static"] += 1
             return False
@@ -115,23 +115,23 @@ class Exchange:
             return None
         stamped = [self._stamped(transform) for transform in transforms]
         if static:
-            self._begin_again(stamped)
+            self._reset_frames(stamped)
         refusals = self.buffer.set_transforms(stamped, YARP, static=static)
         taken = []
-        for transform, told, refusal in zip(transforms, stamped, refusals, strict=True):
+        for transform, published, refusal in zip(transforms, stamped, refusals, strict=True):
             if refusal is None:
-                self.view.spell(transform.src_frame_id)
-                self.view.spell(transform.dst_frame_id)
-                own = replace(transform, timestamp=self._clock.seen(transform.timestamp))
-                self.view.set(own, told)
-                taken.append(told)
+                self.view.remember_spelling(transform.src_frame_id)
+                self.view.remember_spelling(transform.dst_frame_id)
+                shown = replace(transform, timestamp=self._clock.seen(transform.timestamp))
+                self.view.set(shown, published)
+                taken.append(published)
         if taken and static:
-            self._tell_static()
+            self._publish_static_frames()
         elif taken:
             self._publish(write(taken))
         return next((refusal for refusal in refusals if refusal not in _HARMLESS), None)
 
-    def _begin_again(self, stamped: Iterable[Stamped]) -> None:
+    def _reset_frames(self, stamped: Iterable[Stamped]) -> None:
         """Forget histories of frames that become static: their first transform says what they are."""
         for transform in stamped:
             if not self.view.is_static(transform.child_frame_id):
@@ -145,7 +145,7 @@ class Exchange:
         parent, child = _plain(transform.src_frame_id), _plain(transform.dst_frame_id)
         return Stamped(parent, child, self._clock.of_run(transform.timestamp), moved, turned)
 
-    def _tell_static(self) -> None:
+    def _publish_static_frames(self) -> None:
         self._publish_static(write(self._stamped(transform) for transform in self.view.own_static()))
 
 

@@ -83,7 +83,7 @@ class TransformServer(Module):
         generations = host.yarp.generations
         stream = FrameStream(
             host.yarp.output(ports + STREAM),
-            self._exchange.give,
+            self._exchange.frames,
             lambda profile: generations.of("", profile).generation,
             section.period,
         )

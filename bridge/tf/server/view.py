@@ -52,7 +52,7 @@ class YarpClock:
 ANY = "*"
 """The name that stands for every frame where transforms are deleted."""
 
-_PATIENCE = 1.25
+_MARGIN = 1.25
 """By how much longer a frame of the hub is shown than its lifetime: one sent just that often is late now and then."""
 
 
@@ -105,7 +105,7 @@ class View:
         entry = self._entries.get(child)
         return entry is not None and entry.ours and bool(entry.transform.isStatic)
 
-    def spell(self, name: str) -> None:
+    def remember_spelling(self, name: str) -> None:
         """Remember how the first YARP program that sets a frame writes its name: it finds it in no other spelling."""
         plain = name.lstrip("/")
         if plain in self._spelled:
@@ -117,21 +117,21 @@ class View:
                     parent, child = self._spelled.get(entry.parent, entry.parent), self._spelled.get(child, child)
                     entry.transform = replace(entry.transform, src_frame_id=parent, dst_frame_id=child)
 
-    def set(self, transform: FrameTransform, told: Stamped) -> None:
+    def set(self, transform: FrameTransform, published: Stamped) -> None:
         """Show a frame that a YARP program set, as it wrote it and as it went to the hub."""
         until = math.inf if transform.isStatic else transform.timestamp + self.yarp_lifetime
-        self._show(told.child_frame_id, ShownFrame(transform, told.frame_id, told.stamp, until, ours=True))
+        self._show(published.child_frame_id, ShownFrame(transform, published.frame_id, published.stamp, until, ours=True))
 
-    def set_from_hub(self, told: Stamped, *, static: bool) -> None:
+    def set_from_hub(self, published: Stamped, *, static: bool) -> None:
         """Show a frame of the hub; a static one does not expire."""
-        parent, child = told.frame_id.lstrip("/"), told.child_frame_id.lstrip("/")
-        until = math.inf if static else self._now() + _PATIENCE * self.ros_lifetime
+        parent, child = published.frame_id.lstrip("/"), published.child_frame_id.lstrip("/")
+        until = math.inf if static else self._now() + _MARGIN * self.ros_lifetime
         spelled = self._spelled.get
         names = spelled(parent, parent), spelled(child, child)
-        transform = FrameTransform(*names, 0.0, int(static), *told.translation, *told.rotation)
-        self._show(child, ShownFrame(transform, parent, told.stamp, until, ours=False))
+        transform = FrameTransform(*names, 0.0, int(static), *published.translation, *published.rotation)
+        self._show(child, ShownFrame(transform, parent, published.stamp, until, ours=False))
 
-    def give(self) -> list[FrameTransform]:
+    def frames(self) -> list[FrameTransform]:
         """All frames; those of the hub as of now."""
         now = self._now()
         self._expire(now)
@@ -143,16 +143,16 @@ class View:
             given.append(transform)
         return given
 
-    def delete(self, one: str, other: str) -> list[str]:
+    def delete(self, first: str, second: str) -> list[str]:
         """Forget what YARP programs set between two frames, either way round, or with any frame; the children."""
-        found = [child for child, entry in self._entries.items() if entry.ours and _between(entry, child, one, other)]
-        for child in found:
+        children = [child for child, entry in self._entries.items() if entry.ours and _between(entry, child, first, second)]
+        for child in children:
             del self._entries[child]
-        return found
+        return children
 
-    def is_from_hub(self, one: str, other: str) -> bool:
+    def is_from_hub(self, first: str, second: str) -> bool:
         """Whether the transform between two frames is one of the hub."""
-        return any(not entry.ours and _between(entry, child, one, other) for child, entry in self._entries.items())
+        return any(not entry.ours and _between(entry, child, first, second) for child, entry in self._entries.items())
 
     def own_static(self) -> Iterator[FrameTransform]:
         """The static frames that YARP programs set."""
@@ -183,12 +183,12 @@ class View:
         return False
 
     def _expire(self, now: float) -> None:
-        gone = [child for child, entry in self._entries.items() if entry.until < now]
-        for child in gone:
+        expired = [child for child, entry in self._entries.items() if entry.until < now]
+        for child in expired:
             del self._entries[child]
 
 
-def _between(entry: ShownFrame, child: str, one: str, other: str) -> bool:
-    if one == ANY or other == ANY:
-        return one in (ANY, entry.parent) and other in (ANY, child)
-    return (entry.parent, child) in ((one, other), (other, one))
+def _between(entry: ShownFrame, child: str, first: str, second: str) -> bool:
+    if first == ANY or second == ANY:
+        return first in (ANY, entry.parent) and second in (ANY, child)
+    return (entry.parent, child) in ((first, second), (second, first))

@@ -66,7 +66,7 @@ class Getter(FrameTransformStorageGetRPC):
 
     def getTransformsRPC(self) -> tuple[ReturnValue, list[FrameTransform]]:
         """All frames."""
-        return OK, self._exchange.give()
+        return OK, self._exchange.frames()
 
 
 _SOON = 0.2
@@ -82,11 +82,11 @@ class FrameStream:
     def __init__(
         self,
         port: HostedPort,
-        give: Callable[[], list[FrameTransform]],
+        frames: Callable[[], list[FrameTransform]],
         generation: Callable[[Profile], Generation],  # the release of the programs of a dialect
         period: float,
     ) -> None:
-        self._port, self._give, self._generation, self._period = port, give, generation, period
+        self._port, self._frames, self._generation, self._period = port, frames, generation, period
         self._last = 0.0
 
     def tick(self) -> None:
@@ -101,7 +101,7 @@ class FrameStream:
         now = time.monotonic()
         if self._port.has_readers and now - self._last >= part * self._period:
             self._last = now
-            self._port.write(_All(self._give(), self._generation))
+            self._port.write(_All(self._frames(), self._generation))
 
 
 class _All(AllTransforms):

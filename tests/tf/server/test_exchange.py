@@ -55,7 +55,7 @@ class Place:
         self.exchange.receive(write([Stamped(parent, child, stamp, (x, 0.0, 0.0), UNIT)]), "/node", static=static)
 
     def seen(self) -> dict[str, FrameTransform]:
-        return {transform.dst_frame_id: transform for transform in self.exchange.give()}
+        return {transform.dst_frame_id: transform for transform in self.exchange.frames()}
 
 
 @pytest.fixture
@@ -185,7 +185,7 @@ def test_frames_of_other_sides_are_not_yarps_to_delete(place: Place, caplog: pyt
     rpc = Setter(place.exchange)
     with pytest.raises(CallFailed):
         rpc.deleteTransformRPC("base", "lidar")
-    assert "another side says it" in caplog.text
+    assert "another side publishes it" in caplog.text
     caplog.clear()
     rpc.clearAllRPC()
     assert list(place.seen()) == ["lidar"]
