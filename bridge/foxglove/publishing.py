@@ -79,7 +79,7 @@ class Coder:
 
     Raises:
         UnknownYetError: the type's definition has been requested.
-            NotPublishedError: there is no such type.
+        NotPublishedError: there is no such type.
     """
 
     def __init__(self, host: Host, definitions: Definitions, channel: Advertised) -> None:

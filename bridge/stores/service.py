@@ -117,7 +117,7 @@ class StoreService:
     Args:
         config: the configuration.
         alone: name of the module with a process, and so a replica, of its own; "" in the daemon's modules worker.
-            join: creates a node of the first name on the hub, which uses the second name on the control plane.
+        join: creates a node of the first name on the hub, which uses the second name on the control plane.
     """
 
     def __init__(self, config: Config, alone: str, join: Callable[[str, str], Hub]) -> None:

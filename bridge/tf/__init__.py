@@ -1,1 +1,1 @@
-"""Transforms between frames over time: what tf2's buffer does, on flat arrays and compiled kernels."""
+"""Transforms between frames over time: the functions of tf2's buffer, on flat arrays and compiled kernels."""

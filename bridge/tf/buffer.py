@@ -1,4 +1,4 @@
-"""The transform buffer: histories of frames, and lookups in them by names."""
+"""The transform buffer: histories of frames, and lookups by frame names."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _SECOND = 1_000_000_000
 
 
 class TransformBuffer:
-    """Histories of frames, and transforms between any two of them at any time in them, as tf2's buffer has.
+    """Histories of frames, and transforms between any two of them at any time, as in tf2's buffer.
 
-    Safe to use from any thread. Stamps are in ns. Slashes that a name begins with are left out.
+    Safe to use from any thread. Stamps are in ns. Leading slashes of names are ignored.
 
     Args:
         cache_time: seconds of history before each frame's newest transform.
         max_future: seconds that a stamp may be ahead of the clock (amcl and gmapping stamp ahead).
-        now: the clock's time in ns; without it stamps are not held against any.
+        now: the clock's time in ns; without it stamps are not compared with a clock.
     """
 
     def __init__(
@@ -44,33 +44,33 @@ class TransformBuffer:
         self._frames = FrameTable()
         self._history = TransformHistory(round(cache_time * _SECOND))
         self._intake = Intake(self._frames, self._history, round(max_future * _SECOND), now)
-        self.refused = self._intake.refused  # how many transforms were not taken up, by why
-        self.last_refused = self._intake.last_refused  # the last of each, in words
+        self.refused = self._intake.refused  # number of refused transforms, by reason
+        self.last_refused = self._intake.last_refused  # the last refusal of each reason, as text
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
         self._waiting = 0
-        self.changes = 0  # grows whenever something was taken up or forgotten, so that a lookup may have another answer
+        self.changes = 0  # increases with every change that may affect lookups
         self.clears = 0
-        self.loops = 0  # lookups that ended in a loop
+        self.loops = 0  # lookups that failed because of a loop
 
     def set_transform(
         self,
         frame_id: str,  # the parent
-        child_frame_id: str,  # the child. Whether it is static is said by its first transform, as in tf2.
-        stamp: int,  # ns; not looked at where the child is static
+        child_frame_id: str,  # the child; its first transform determines whether it is static, as in tf2
+        stamp: int,  # ns; ignored if the child is static
         translation: Sequence[float],  # x, y, z in m
         rotation: Sequence[float],  # x, y, z, w
-        authority: str = "",  # who says so
+        authority: str = "",  # the publisher
         *,
-        static: bool = False,  # it holds for all times
+        static: bool = False,  # valid at all times
     ) -> FrameRefusal | None:
-        """Take up the pose of a child frame in its parent.
+        """Insert the pose of a child frame in its parent.
 
         Returns:
-            None, or why it was not taken up, which is counted too.
+            None, or the reason why it was refused, which is also counted.
 
         Raises:
-            TypeError, ValueError: what was given are not numbers, or not as many.
+            TypeError, ValueError: the arguments are not numbers, or not the right number of them.
         """
         with self._lock:
             refusal = self._intake.set(frame_id, child_frame_id, stamp, translation, rotation, authority, static)
@@ -81,10 +81,10 @@ class TransformBuffer:
     def set_transforms(
         self, samples: Iterable[Sample], authority: str = "", *, static: bool = False
     ) -> list[FrameRefusal | None]:
-        """Take up many transforms at once: each as (parent, child, stamp, translation, rotation).
+        """Insert many transforms at once, each as (parent, child, stamp, translation, rotation).
 
-        Lookups see all of them or none. For each of them `set_transform` says what is given and raised; what came
-        before one that raises is taken up.
+        Lookups see all of them or none. Each is handled and raises as in `set_transform`; those before one that raises
+        are inserted.
         """
         with self._lock:
             try:
@@ -94,22 +94,22 @@ class TransformBuffer:
 
     @property
     def waiting(self) -> int:
-        """Lookups that wait for what they need."""
+        """Number of lookups that wait for their transforms."""
         return self._waiting
 
     def set_message(self, cdr: bytes, authority: str = "", *, static: bool = False) -> list[FrameRefusal | None]:
-        """Take up a message of `/tf` or `/tf_static`, straight from its bytes.
+        """Insert a message of `/tf` or `/tf_static` directly from its bytes.
 
         Args:
             cdr: ``tf2_msgs/msg/TFMessage`` with its encapsulation header.
-            authority: who says so.
-            static: it is of `/tf_static`.
+            authority: the publisher.
+            static: whether it is from `/tf_static`.
 
         Returns:
-            For each transform None, or why it was not taken up.
+            For each transform None, or the reason why it was refused.
 
         Raises:
-            ValueError: the bytes are no such message.
+            ValueError: the bytes are not such a message.
         """
         with self._lock:
             refusals = self._intake.set_message(cdr, authority, static)
@@ -123,20 +123,20 @@ class TransformBuffer:
 
     def lookup_transform(
         self,
-        target_frame: str,  # frame that data are wanted in
-        source_frame: str,  # frame that they are in
+        target_frame: str,  # frame to transform data to
+        source_frame: str,  # frame that the data are in
         stamp: int = LATEST,  # ns, or `LATEST`
         *,
-        timeout: float = 0.0,  # seconds to wait until there is one
-        # seconds before and behind each frame's history for which it goes on moving as it did
+        timeout: float = 0.0,  # seconds to wait for the transform
+        # seconds before and after each frame's history for which its motion is extrapolated
         extrapolate: float = 0.0,
     ) -> Transform:
-        """The pose of the source frame in the target frame, which takes data from the source to the target.
+        """Return the pose of the source frame in the target frame, which transforms data from the source to the target.
 
         Raises:
-            LookupError_: a frame is not known, or there is a loop.
-            ConnectivityError: there is no way between them.
-            ExtrapolationError: the stamp is outside of what is known.
+            LookupError_: a frame is unknown, or there is a loop.
+            ConnectivityError: the frames are not connected.
+            ExtrapolationError: the stamp is outside the known history.
             InvalidArgumentError: a name is empty.
         """
         horizon = round(extrapolate * _SECOND)
@@ -148,16 +148,16 @@ class TransformBuffer:
 
     def lookup_transform_full(
         self,
-        target_frame: str,  # frame that data are wanted in
+        target_frame: str,  # frame to transform data to
         target_stamp: int,  # its time in ns, or `LATEST`
-        source_frame: str,  # frame that they are in
+        source_frame: str,  # frame that the data are in
         source_stamp: int,  # its time
-        fixed_frame: str,  # the frame that does not move between the two
+        fixed_frame: str,  # the frame that does not move between the two times
         *,
-        timeout: float = 0.0,  # as in `lookup_transform`, which says what is raised too
+        timeout: float = 0.0,  # as in `lookup_transform`, which lists the exceptions too
         extrapolate: float = 0.0,  # as there
     ) -> Transform:
-        """The pose that the source frame had at one time in the target frame at another."""
+        """Return the pose of the source frame at one time in the target frame at another time."""
         horizon = round(extrapolate * _SECOND)
         target, source, fixed = (name.lstrip("/") for name in (target_frame, source_frame, fixed_frame))
 
@@ -174,24 +174,23 @@ class TransformBuffer:
 
     def lookup_many(
         self,
-        target_frame: str,  # frame that data are wanted in
-        source_frame: str,  # frame that they are in
+        target_frame: str,  # frame to transform data to
+        source_frame: str,  # frame that the data are in
         stamps: ArrayLike,  # (N), ns
         *,
-        # where given, the target frame is where it was in this frame at ``target_stamp``; else it moves on with the
-        # stamps
+        # if given, the target frame is where it was in this frame at ``target_stamp``; else it moves with the stamps
         fixed_frame: str = "",
         target_stamp: int = LATEST,  # ns, or `LATEST`
         extrapolate: float = 0.0,  # as in `lookup_transform`
     ) -> TransformsInTime:
-        """The poses of the source frame at many times, for the correction of a scan that was taken on the move.
+        """Return the poses of the source frame at many times, to correct a scan that was measured in motion.
 
         Returns:
-            The poses; a stamp without one does not spoil the others.
+            The poses; a stamp without one does not affect the others.
 
         Raises:
-            LookupError_: a frame is not known.
-            TransformError: there is no fixed frame at ``target_stamp``: as `lookup_transform` says.
+            LookupError_: a frame is unknown.
+            TransformError: the fixed frame is unavailable at ``target_stamp``; see `lookup_transform`.
         """
         horizon = round(extrapolate * _SECOND)
         target, source, fixed = (name.lstrip("/") for name in (target_frame, source_frame, fixed_frame))
@@ -212,7 +211,7 @@ class TransformBuffer:
         timeout: float = 0.0,
         extrapolate: float = 0.0,
     ) -> tuple[bool, str]:
-        """Whether `lookup_transform` would have an answer, and why not."""
+        """Return whether `lookup_transform` would succeed, and if not, why."""
         try:
             self.lookup_transform(target_frame, source_frame, stamp, timeout=timeout, extrapolate=extrapolate)
         except TransformError as err:
@@ -230,7 +229,7 @@ class TransformBuffer:
         timeout: float = 0.0,
         extrapolate: float = 0.0,
     ) -> tuple[bool, str]:
-        """Whether `lookup_transform_full` would have an answer, and why not."""
+        """Return whether `lookup_transform_full` would succeed, and if not, why."""
         try:
             self.lookup_transform_full(
                 target_frame,
@@ -246,7 +245,7 @@ class TransformBuffer:
         return True, ""
 
     def clear(self) -> None:
-        """Forget all but static frames: for a clock that was set back."""
+        """Remove all but static frames, for a clock that was set back."""
         with self._lock:
             self._history.clear()
             for frame in self._frames:
@@ -256,7 +255,7 @@ class TransformBuffer:
             self.changes += 1
 
     def remove(self, child_frame_id: str) -> bool:
-        """Forget a frame's transforms, static or not; whether it had any."""
+        """Remove a frame's transforms, static or not; return whether it had any."""
         with self._lock:
             frame = self._frames.known.pop(child_frame_id.lstrip("/"), None)
             if frame is None:
@@ -268,28 +267,28 @@ class TransformBuffer:
             return True
 
     def frames(self) -> list[FrameInfo]:
-        """What is known of each frame that has a parent, by name."""
+        """Return information on each frame that has a parent, sorted by name."""
         with self._lock:
             return self._frames.infos(self._history)
 
     def conflicts(self) -> list[FrameInfo]:
-        """The frames that had more than one parent within the history: see their sources."""
+        """Return the frames that had more than one parent within the history; their sources show the publishers."""
         return [info for info in self.frames() if len(info.parents) > 1]
 
     def tree(self) -> str:
-        """The tree as text."""
+        """Return the tree as text."""
         return tree.as_text(self.frames())
 
     def dot(self) -> str:
-        """The tree for Graphviz."""
+        """Return the tree for Graphviz."""
         return tree.as_dot(self.frames())
 
     def yaml(self) -> str:
-        """All frames as tf2 tells them (service ``tf2_frames``)."""
+        """Return all frames in the format of tf2's service ``tf2_frames``."""
         return tree.as_yaml(self.frames())
 
     def _pose(self, target: str, source: str, stamp: int, horizon: int) -> Transform:
-        """The pose of the source in the target; ``horizon`` ns may be extrapolated."""
+        """Return the pose of the source in the target, extrapolated by up to ``horizon`` ns."""
         if target == source:
             return self._identity(target, stamp)
         try:
@@ -317,7 +316,7 @@ class TransformBuffer:
         return number
 
     def _error(self, target: str, source: str) -> TransformError:
-        """The error of a lookup, in tf2's words, which people search for."""
+        """Return the error of a failed lookup, with tf2's text, which people search for."""
         answer, stamp, bound, trouble = self._history.failure()
         if answer == LOOP:
             self.loops += 1
@@ -335,7 +334,7 @@ class TransformBuffer:
         return self._history.lookup_many(target_number, source_number, times, horizon)
 
     def _wait(self, timeout: float, ask: Callable[[], Transform]) -> Transform:
-        """Ask again whenever something new has come, up to the deadline."""
+        """Retry whenever a transform arrives, until the deadline."""
         end = time.monotonic() + timeout
         while True:
             try:

@@ -1,6 +1,6 @@
-"""Why a transform is not to be had, or was refused: errors named as in tf2, and their texts.
+"""Reasons why a transform is unavailable or was refused: errors named as in tf2, with their texts.
 
-The texts of a lookup are those of tf2 0.7.6 (buffer_core.cpp, cache.cpp), which people search for.
+The texts of lookups are those of tf2 0.7.6 (buffer_core.cpp, cache.cpp), which people search for.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from bridge.tf.layout import EMPTY, FUTURE, SINGLE
 
 
 class TransformError(Exception):
-    """No transform."""
+    """A transform is unavailable."""
 
 
-class LookupError_(TransformError, LookupError):  # noqa: N801, N818  # Python's own LookupError is another
-    """A frame is not known, or the frames make a loop."""
+class LookupError_(TransformError, LookupError):  # noqa: N801, N818  # Python has its own LookupError
+    """A frame is unknown, or the frames form a loop."""
 
 
 class ConnectivityError(TransformError):
@@ -23,15 +23,15 @@ class ConnectivityError(TransformError):
 
 
 class ExtrapolationError(TransformError):
-    """The time lies outside the history."""
+    """The time is outside the history."""
 
 
 class InvalidArgumentError(TransformError, ValueError):
-    """A question that has no answer: an empty name."""
+    """The lookup is invalid: a name is empty."""
 
 
 class FrameRefusal(StrEnum):
-    """Why a transform was not taken up. Those that begin with TF are tf2's own, by the words of its log."""
+    """Why a transform was refused. Reasons that begin with TF are tf2's, as named in its log."""
 
     SELF_TRANSFORM = "TF_SELF_TRANSFORM"
     NO_CHILD_FRAME_ID = "TF_NO_CHILD_FRAME_ID"
@@ -53,37 +53,38 @@ CURES = {
     FrameRefusal.SELF_TRANSFORM: "frame_id and child_frame_id are the same",
     FrameRefusal.NO_CHILD_FRAME_ID: "child_frame_id is not set",
     FrameRefusal.NO_FRAME_ID: "frame_id is not set",
-    FrameRefusal.NAN_INPUT: "a value is not a number: look where its publisher divides by zero",
-    FrameRefusal.DENORMALIZED_QUATERNION: "the rotation's length is not 1: normalise it (0, 0, 0, 1 is no rotation)",
-    FrameRefusal.OLD_DATA: "it is older than the history that is kept before the newest one: its clock is behind, or"
-    " was set back, or a second publisher runs on another clock",
-    FrameRefusal.REPEATED_DATA: "there is one with this stamp: it was sent twice, or comes by two ways",
-    FrameRefusal.INVALID_STAMP: "its stamp is no time",
-    FrameRefusal.FUTURE: "its stamp is further ahead of the clock than max_future: set the machines' clocks",
-    FrameRefusal.TIME_SCALE: "its stamp is of another time scale: its publisher runs on the machine's clock and this on"
-    " the simulation's, or the other way round (use_sim_time)",
-    FrameRefusal.TOO_MANY_FRAMES: "there are too many frames: a publisher makes up names",
+    FrameRefusal.NAN_INPUT: "a value is not a number: find out where its publisher divides by zero",
+    FrameRefusal.DENORMALIZED_QUATERNION: "the rotation's length is not 1: normalize it (0, 0, 0, 1 is no rotation)",
+    FrameRefusal.OLD_DATA: "it is older than the history before the newest transform: its clock is behind, or was set"
+    " back, or a second publisher runs on another clock",
+    FrameRefusal.REPEATED_DATA: "there is one with this stamp: it was sent twice, or arrives by two paths",
+    FrameRefusal.INVALID_STAMP: "its stamp is not a valid time",
+    FrameRefusal.FUTURE: "its stamp is further ahead of the clock than max_future: synchronize the machines' clocks",
+    FrameRefusal.TIME_SCALE: "its stamp is of another time scale: its publisher uses the system clock, and this daemon"
+    " the simulation's, or vice versa (use_sim_time)",
+    FrameRefusal.TOO_MANY_FRAMES: "there are too many frames: a publisher generates names",
 }
-"""What is wrong, and how to mend it."""
+"""What is wrong, and how to fix it."""
 
 
 def refusal(reason: FrameRefusal, parent: str, child: str, stamp: int, authority: str) -> str:
-    """Why a transform was not taken up."""
-    return f'{reason}: the transform from "{parent}" to "{child}" at {seconds(stamp):.9f} of "{authority}": {CURES[reason]}'
+    """Return why a transform was refused, as text."""
+    link = f'"{parent}" to "{child}"'
+    return f'{reason}: the transform from {link} at {seconds(stamp):.9f} of "{authority}": {CURES[reason]}'
 
 
 def empty_name(role: str) -> str:
-    """A lookup of a frame without a name."""
+    """Return the error for an empty frame name."""
     return f"Invalid argument passed to lookupTransform argument {role}_frame in tf2 frame_ids cannot be empty"
 
 
 def unknown_name(name: str, role: str) -> str:
-    """A lookup of an unknown frame."""
+    """Return the error for an unknown frame."""
     return f'"{name}" passed to lookupTransform argument {role}_frame does not exist. '
 
 
 def connectivity(target: str, source: str) -> str:
-    """There is no way between two frames."""
+    """Return the error for two frames that are not connected."""
     return (
         f"Could not find a connection between '{target}' and '{source}' because they are not part of the same"
         " tree.Tf has two or more unconnected trees."
@@ -91,23 +92,22 @@ def connectivity(target: str, source: str) -> str:
 
 
 def extrapolation(asked: int, bound: int, trouble: int, target: str, source: str) -> str:
-    """Why there is nothing at a time; the numbers are rounded as in tf2's texts."""
+    """Return the error for a time without data; numbers are rounded as in tf2's texts."""
     between = f", when looking up transform from frame [{source}] to frame [{target}]"
     if trouble == EMPTY:
         return between
-    requested, available = seconds(asked), seconds(bound)
+    time, other = seconds(asked), seconds(bound)
     if trouble == SINGLE:
-        return (
-            f"Lookup would require extrapolation at time {requested:.9f}, but only time {available:.9f} is in the buffer{between}"
-        )
+        only = f"only time {other:.9f} is in the buffer{between}"
+        return f"Lookup would require extrapolation at time {time:.9f}, but {only}"
     ahead, known = ("future", "latest") if trouble == FUTURE else ("past", "earliest")
     return (
         f"Lookup would require extrapolation {seconds(abs(asked - bound)):.9f}s into the {ahead}.  Requested time"
-        f" {requested:.9f} but the {known} data is at time {available:.9f}{between}"
+        f" {time:.9f} but the {known} data is at time {other:.9f}{between}"
     )
 
 
 def seconds(stamp: int) -> float:
-    """Nanoseconds as tf2 makes them seconds."""
+    """Convert nanoseconds to seconds, rounded as in tf2."""
     whole, nanoseconds = divmod(stamp, _SECOND)
     return whole + 1e-9 * nanoseconds

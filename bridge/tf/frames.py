@@ -1,4 +1,4 @@
-"""The frames of a buffer: their names, their numbers and their sources."""
+"""The frames of a buffer: names, numbers and sources."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from bridge.tf.layout import NONE, STATIC
 from bridge.tf.transform import FrameInfo, TransformSource
 
 MAX_FRAMES = 10_000
-"""Most frames; a publisher that makes up names does not fill the memory."""
+"""Largest number of frames, so that a publisher that generates names does not fill the memory."""
 
 MAX_SOURCES = 16
-"""Most sources of a frame that are remembered."""
+"""Largest number of sources that are stored for a frame."""
 
 
 class Frame:
-    """One frame, by its number in the arrays."""
+    """One frame, with its number in the arrays."""
 
     __slots__ = ("_earlier", "authority", "kind", "name", "number", "parent", "stamp")
 
@@ -30,7 +30,7 @@ class Frame:
         self._earlier: dict[tuple[int, str], int] = {}
 
     def switch(self, parent: int, authority: str) -> None:
-        """The last transform came from another authority or has another parent than the one before."""
+        """Store that the newest transform has another parent or authority than the previous one."""
         if self.parent:
             self._earlier.pop((self.parent, self.authority), None)
             self._earlier[self.parent, self.authority] = self.stamp
@@ -39,7 +39,7 @@ class Frame:
         self.parent, self.authority = parent, authority
 
     def sources(self, since: int) -> dict[tuple[int, str], int]:
-        """Parents and authorities, each with the stamp of its last transform; the newest first."""
+        """Return parents and authorities, each with the stamp of its last transform; the newest first."""
         stamps = {(self.parent, self.authority): self.stamp}
         for source, stamp in reversed(self._earlier.items()):
             if stamp >= since:
@@ -47,7 +47,7 @@ class Frame:
         return stamps
 
     def forget_sources(self) -> None:
-        """Forget the frame's sources."""
+        """Remove the frame's sources."""
         self.parent, self.authority, self.stamp = 0, "", 0
         self._earlier.clear()
 
@@ -57,16 +57,16 @@ class FrameTable:
 
     def __init__(self) -> None:
         self.numbers: dict[str, int] = {}
-        self.known: dict[str, Frame] = {}  # those that have transforms, or had and were cleared
+        self.known: dict[str, Frame] = {}  # frames that have transforms, or had some before they were cleared
         self._frames: list[Frame] = [Frame("", 0)]
 
     @property
     def full(self) -> bool:
-        """Whether there is no room for a parent and a child."""
+        """Whether there is no room for two more frames."""
         return len(self._frames) > MAX_FRAMES - 2
 
     def get(self, name: str) -> Frame:
-        """The frame of this name, made where it is new."""
+        """Return the frame of this name; create it if it is new."""
         number = self.numbers.get(name)
         if number is not None:
             return self._frames[number]
@@ -82,7 +82,7 @@ class FrameTable:
         return iter(self._frames[1:])
 
     def infos(self, history: TransformHistory) -> list[FrameInfo]:
-        """What is known of each frame that has a parent, by name."""
+        """Return information on each frame that has a parent, sorted by name."""
         return sorted((self._info(f, history) for f in self if f.kind != NONE and f.parent), key=lambda info: info.name)
 
     def _info(self, frame: Frame, history: TransformHistory) -> FrameInfo:

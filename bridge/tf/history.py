@@ -2,12 +2,12 @@
 """All frames' histories, and lookups in them: a kernel, compiled by Cython (`bridge.kernels`).
 
 The rules are those of tf2 0.7.6 (github.com/ros/geometry2: buffer_core.cpp walkToTopParent and getLatestCommonTime,
-cache.cpp findClosest and interpolate), so that answers and errors are the same. Rotations are used as they are, not
-normalised first, since tf2 does so.
+cache.cpp findClosest and interpolate), so that results and errors are the same. Rotations are not normalized before
+use, as in tf2.
 
-A frame's samples are a ring in the arrays of all samples, from its oldest on. What is compiled checks no index, since
-the history alone has the arrays: each ring lies within them, each sample's parent is a frame with a row, and a frame's
-number that comes from outside is checked where it comes in.
+A frame's samples are a ring in the arrays of all samples, starting with its oldest. The compiled code checks no index:
+only the history can access the arrays, each ring lies within them, each sample's parent is a frame with a row, and
+frame numbers from callers are checked on entry.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if cython.compiled:
 SMALLEST = 64
 GROWTH = 4
 LARGEST = 1 << 14
-"""Most samples of a frame: 10 s at 1.6 kHz. The oldest go where there are more."""
+"""Largest number of a frame's samples: 10 s at 1.6 kHz. Beyond it the oldest are dropped."""
 
 Found = tuple[Translation, Rotation, int]
 """A pose, and its stamp in ns."""
@@ -40,13 +40,13 @@ Vector: TypeAlias = cython.struct(x=cython.double, y=cython.double, z=cython.dou
 Quaternion: TypeAlias = cython.struct(x=cython.double, y=cython.double, z=cython.double, w=cython.double)
 Pose: TypeAlias = cython.struct(v=Vector, q=Quaternion)
 Sample: TypeAlias = cython.struct(parent=Int, pose=Pose)
-"""The number of the parent, 0 for nothing, and the frame's pose in it."""
+"""The parent's number, 0 if there is no sample, and the frame's pose in it."""
 Newest: TypeAlias = cython.struct(parent=Int, stamp=Int)
-"""A frame's newest parent, 0 for none, and its stamp, 0 where it holds for all times."""
+"""A frame's newest parent, 0 for none, and its stamp, 0 if it is valid at all times."""
 Way: TypeAlias = cython.struct(end=Int, frame=Int, pose=Pose)
-"""How a way up ended, at which frame, and the pose of its first frame in that."""
+"""How a walk up the tree ended, at which frame, and the pose of its first frame in that."""
 
-# C variables, read without Python's lock
+# C variables, read without the GIL
 _NONE = cython.declare(Int, layout.NONE)
 _TIMED = cython.declare(Int, layout.TIMED)
 _STATIC = cython.declare(Int, layout.STATIC)
@@ -67,7 +67,7 @@ _MAX_DEPTH = cython.declare(Int, layout.MAX_DEPTH)
 _TOLERANCE = cython.declare(cython.double, layout.TOLERANCE)
 _LAST_STAMP = cython.declare(Int, layout.LAST_STAMP)
 _NEVER = cython.declare(Int, 1 << 62)
-# ends of a way up
+# ends of a walk up
 _THERE = cython.declare(Int, 0)
 _ROOT = cython.declare(Int, 1)
 _GAP = cython.declare(Int, 2)
@@ -79,7 +79,7 @@ _ENDLESS = cython.declare(Int, 3)
 @cython.nogil
 @cython.exceptval(check=False)
 def _product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """First ``b``, then ``a``."""
+    """Return the product: first ``b``, then ``a``."""
     return Quaternion(
         a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
         a.w * b.y + a.y * b.w + a.z * b.x - a.x * b.z,
@@ -100,7 +100,7 @@ def _inverse(q: Quaternion) -> Quaternion:
 @cython.nogil
 @cython.exceptval(check=False)
 def _rotate(q: Quaternion, v: Vector) -> Vector:
-    """A vector, rotated; longer by the square of the rotation's length."""
+    """Rotate a vector; the result is scaled by the square of the rotation's length."""
     turned: Quaternion = _product(_product(q, Quaternion(v.x, v.y, v.z, 0.0)), _inverse(q))
     return Vector(turned.x, turned.y, turned.z)
 
@@ -110,7 +110,7 @@ def _rotate(q: Quaternion, v: Vector) -> Vector:
 @cython.nogil
 @cython.exceptval(check=False)
 def _behind(a: Pose, b: Pose) -> Pose:
-    """A pose that is given in ``b``, where ``b`` is given."""
+    """Transform a pose given in ``b`` to the frame that ``b`` is given in."""
     turned: Vector = _rotate(b.q, a.v)
     return Pose(Vector(turned.x + b.v.x, turned.y + b.v.y, turned.z + b.v.z), _product(b.q, a.q))
 
@@ -119,7 +119,7 @@ def _behind(a: Pose, b: Pose) -> Pose:
 @cython.nogil
 @cython.exceptval(check=False)
 def _back(p: Pose) -> Pose:
-    """The pose the other way round."""
+    """Return the inverse pose."""
     q: Quaternion = _inverse(p.q)
     return Pose(_rotate(q, Vector(-p.v.x, -p.v.y, -p.v.z)), q)
 
@@ -136,21 +136,26 @@ def _unit() -> Pose:
 @cython.nogil
 @cython.exceptval(check=False)
 def _slerp(a: Quaternion, b: Quaternion, ratio: cython.double) -> Quaternion:
-    """The rotation on the short way from ``a`` (ratio 0) to ``b`` (1); beyond them, it goes on turning as fast."""
+    """Interpolate on the shorter arc from ``a`` (ratio 0) to ``b`` (1); beyond them, continue at the same rate."""
     dot: cython.double = a.x * b.x + a.y * b.y + a.z * b.z + a.w * b.w
     lengths: cython.double = (a.x * a.x + a.y * a.y + a.z * a.z + a.w * a.w) * (
         b.x * b.x + b.y * b.y + b.z * b.z + b.w * b.w
     )
     sign: cython.double = -1.0 if dot < 0.0 else 1.0
     cosine: cython.double = abs(dot) / sqrt(lengths)
-    # rounding may give a cosine a bit over 1, of which tf2 makes NaN
+    # rounding may give a cosine slightly above 1, for which tf2 returns NaN
     angle: cython.double = acos(min(cosine, 1.0))
     if angle == 0.0:
         return a
     whole: cython.double = sin(angle)
     weight_a: cython.double = sin((1.0 - ratio) * angle) / whole
     weight_b: cython.double = sign * sin(ratio * angle) / whole
-    return Quaternion(weight_a * a.x + weight_b * b.x, weight_a * a.y + weight_b * b.y, weight_a * a.z + weight_b * b.z, weight_a * a.w + weight_b * b.w)
+    return Quaternion(
+        weight_a * a.x + weight_b * b.x,
+        weight_a * a.y + weight_b * b.y,
+        weight_a * a.z + weight_b * b.z,
+        weight_a * a.w + weight_b * b.w,
+    )
 
 
 @cython.cfunc
@@ -165,7 +170,7 @@ def _normalized(q: Quaternion) -> Quaternion:
 @cython.nogil
 @cython.exceptval(check=False)
 def _of_matrix(q: Quaternion) -> Quaternion:
-    """The one of the two quaternions of a rotation that tf2 makes of its matrix: w, else the largest, is positive."""
+    """Return the rotation's quaternion that tf2 gets from a matrix: w, else the largest component, is positive."""
     x: cython.double = abs(q.x)
     y: cython.double = abs(q.y)
     z: cython.double = abs(q.z)
@@ -185,7 +190,7 @@ def _of_matrix(q: Quaternion) -> Quaternion:
 @cython.nogil
 @cython.exceptval(check=False)
 def _composed(a: Pose, b: Pose) -> Pose:
-    """`_behind`, as tf2 does it with a fixed frame: normalised, as matrices are."""
+    """`_behind`, as tf2 does it with a fixed frame: normalized, like matrices."""
     pose: Pose = _behind(Pose(a.v, _normalized(a.q)), Pose(b.v, _normalized(b.q)))
     return Pose(pose.v, _of_matrix(_normalized(pose.q)))
 
@@ -217,7 +222,7 @@ def _known(common: Int) -> Int:
 
 
 def _view(array: Any) -> Any:
-    return memoryview(array)  # uncompiled, it gives Python's numbers
+    return memoryview(array)  # if not compiled, it returns Python's numbers
 
 
 def _zeros(*shape: int, kind: Any = np.int64) -> Any:
@@ -225,7 +230,7 @@ def _zeros(*shape: int, kind: Any = np.int64) -> Any:
 
 
 def _grown(old: Any, rows: int) -> Any:
-    """An array's copy with more rows."""
+    """Return an array's copy with more rows."""
     array = np.asarray(old)
     new = np.zeros((rows, *array.shape[1:]), array.dtype)
     new[: len(array)] = array
@@ -233,7 +238,7 @@ def _grown(old: Any, rows: int) -> Any:
 
 
 def pose_flaw(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> int:
-    """What is wrong with a pose: `DONE`, `NAN` or `DENORMALIZED`."""
+    """Return what is wrong with a pose: `DONE`, `NAN` or `DENORMALIZED`."""
     return _flaw(Pose(Vector(x, y, z), Quaternion(qx, qy, qz, qw)))
 
 
@@ -250,13 +255,13 @@ def compose(
     then: tuple[float, ...],
     then_rotation: tuple[float, ...],
 ) -> tuple[Translation, Rotation]:
-    """A pose with another behind it, as tf2 makes it with a fixed frame."""
+    """Compose two poses as tf2 does it with a fixed frame."""
     p: Pose = _composed(_pose(first, first_rotation), _pose(then, then_rotation))
     return (p.v.x, p.v.y, p.v.z), (p.q.x, p.q.y, p.q.z, p.q.w)
 
 
 def compose_many(poses: cython.double[:, ::1], then: tuple[float, ...], then_rotation: tuple[float, ...]) -> None:
-    """`compose` of each of the poses (N, 7), in place."""
+    """Apply `compose` to each of the poses (N, 7), in place."""
     behind: Pose = _pose(then, then_rotation)
     p: Pose
     n: cython.Py_ssize_t
@@ -275,17 +280,17 @@ def compose_many(poses: cython.double[:, ::1], then: tuple[float, ...], then_rot
 @cython.final
 @cython.cclass
 class TransformHistory:
-    """Samples of frames, which are numbered from 1. Its user's lock is held during every call.
+    """Samples of frames, which are numbered from 1. The caller must hold its lock during every call.
 
     Args:
-        span: ns that are kept before each frame's newest sample.
+        span: ns of history before each frame's newest sample.
     """
 
     span = cython.declare(Int, visibility="readonly")
     _rows: Int
     _used: Int
-    # of each frame: the first place of its ring, how many places it has (a power of two), which of them has the oldest
-    # sample, how many samples there are, and its kind
+    # of each frame: the first index of its ring, the ring's size (a power of two), the oldest sample's place in it,
+    # the number of samples, and the frame's kind
     _start: cython.longlong[::1]
     _capacity: cython.longlong[::1]
     _first: cython.longlong[::1]
@@ -315,7 +320,7 @@ class TransformHistory:
         self._rows = 64
 
     def make_room(self, frame: Int) -> None:
-        """Have a row for a frame of this number."""
+        """Allocate a row for a frame of this number."""
         if frame < self._rows:
             return
         rows = 2 * frame
@@ -328,7 +333,7 @@ class TransformHistory:
         self._rows = rows
 
     def begin(self, frame: Int, static: bool) -> None:
-        """Give a frame without transforms its kind and its ring."""
+        """Set the kind of a frame without transforms, and allocate its ring."""
         self._check(frame)
         if self._capacity[frame] == 0:
             self._give(frame, 1 if static else SMALLEST)
@@ -336,7 +341,7 @@ class TransformHistory:
         self._count[frame] = 0
 
     def insert(self, frame: Int, parent: Int, stamp: Int, pose: tuple[float, ...]) -> int:
-        """Put a sample in its place by time; the ring grows where it is full.
+        """Insert a sample by time; a full ring grows.
 
         Args:
             frame: a frame that has begun.
@@ -345,13 +350,13 @@ class TransformHistory:
             pose: x, y, z in m, and the rotation's x, y, z, w.
 
         Returns:
-            `DONE`, or what is wrong with it.
+            `DONE`, or what is wrong with the sample.
         """
         x, y, z, qx, qy, qz, qw = pose
         return self._insert(frame, parent, stamp, Pose(Vector(x, y, z), Quaternion(qx, qy, qz, qw)))
 
     def insert_at(self, frame: Int, parent: Int, stamp: Int, cdr: bytes, at: cython.Py_ssize_t) -> int:
-        """`insert` of a pose that stands in a message, as 7 float64, little-endian, from byte ``at`` on."""
+        """Apply `insert` to a pose in a message: 7 float64, little-endian, from byte ``at`` on."""
         if not 0 <= at <= len(cdr) - 56:
             raise IndexError(f"a message of {len(cdr)} bytes has no pose at byte {at}")
         pose: Pose = _unit()
@@ -364,11 +369,11 @@ class TransformHistory:
         return self._insert(frame, parent, stamp, pose)
 
     def lookup(self, target: Int, source: Int, stamp: Int, horizon: Int) -> Found | None:
-        """The pose of ``source`` in ``target``, two different frames; None where there is none: see `why`.
+        """Return the pose of ``source`` in ``target``, two different frames; None if there is none: see `failure`.
 
         Args:
-            target: its number.
-            source: its number.
+            target: its frame number.
+            source: its frame number.
             stamp: ns, 0 for the newest time at which both are known.
             horizon: ns that may be extrapolated.
         """
@@ -380,22 +385,22 @@ class TransformHistory:
         return (p.v.x, p.v.y, p.v.z), (p.q.x, p.q.y, p.q.z, p.q.w), self._stamp
 
     def failure(self) -> tuple[int, int, int, int]:
-        """Of the last lookup that found nothing: the answer, its time, and the bound and the trouble in the history.
+        """Return the result of a failed lookup, its time, and the bound and the cause within the history.
 
-        The bound is the time that is known next to the one asked for, the trouble one of `EMPTY` to `PAST`; both are
-        of an extrapolation alone.
+        The bound is the known time nearest to the requested one, the cause is one of `EMPTY` to `PAST`; both are valid
+        only for an extrapolation.
         """
         return self._answer, self._stamp, self._bound, self._trouble
 
     def lookup_many(
         self, target: Int, source: Int, stamps: NDArray[np.int64], horizon: Int
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Poses (N, 7), NaN where there is none, and whether there is one (N), as `lookup` says; other threads run.
+        """Return poses (N, 7), NaN if unknown, and whether each is known (N), as in `lookup`; releases the GIL.
 
         Args:
             target: number of a frame.
-            source: number of another.
-            stamps: (N), contiguous; they become those of the answers.
+            source: number of another frame.
+            stamps: (N), contiguous; replaced by the results' stamps.
             horizon: ns that may be extrapolated.
         """
         self._check(target)
@@ -417,7 +422,7 @@ class TransformHistory:
         return poses, known
 
     def newest(self, frame: Int) -> tuple[int, int]:
-        """Number of a frame's newest parent and its stamp; 0, 0 where there is none."""
+        """Return the number of a frame's newest parent and its stamp; 0, 0 if it has none."""
         self._check(frame)
         if self._count[frame] == 0:
             return 0, 0
@@ -425,7 +430,7 @@ class TransformHistory:
         return self._parents[at], self._stamps[at]
 
     def ends(self, frame: Int) -> tuple[int, int, int]:
-        """A frame's oldest stamp, its newest, and how many samples it has."""
+        """Return a frame's oldest stamp, its newest stamp, and its number of samples."""
         self._check(frame)
         count: Int = self._count[frame]
         if count == 0:
@@ -433,13 +438,13 @@ class TransformHistory:
         return self._stamps[self._place(frame, 0)], self._stamps[self._place(frame, count - 1)], count
 
     def remove(self, frame: Int) -> None:
-        """A frame's samples and its kind."""
+        """Remove a frame's samples and its kind."""
         self._check(frame)
         self._count[frame] = 0
         self._kind[frame] = _NONE
 
     def clear(self) -> None:
-        """Forget the samples of all frames but the static ones; their kind stays, as in tf2."""
+        """Remove the samples of all frames except static ones; their kind stays, as in tf2."""
         frame: Int
         for frame in range(self._rows):
             if self._kind[frame] == _TIMED:
@@ -455,7 +460,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _place(self, frame: Int, at: Int) -> Int:
-        """Where a frame's sample is, 0 the oldest."""
+        """Return the index of a frame's sample; 0 is the oldest."""
         return self._start[frame] + ((self._first[frame] + at) & (self._capacity[frame] - 1))
 
     @cython.cfunc
@@ -475,7 +480,7 @@ class TransformHistory:
 
     @cython.cfunc
     def _give(self, frame: Int, capacity: Int) -> cython.int:
-        """A frame's samples go to a larger ring, behind all that is used; the one that they leave stays unused."""
+        """Move a frame's samples to a larger ring, after all rings; the previous ring stays unused."""
         start: Int = self._used
         n: Int
         if start + capacity > len(self._stamps):
@@ -519,7 +524,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _store(self, frame: Int, parent: Int, stamp: Int, pose: Pose, force: cython.bint) -> Int:
-        """Put a sample in its place; with ``force``, a full ring's oldest sample goes."""
+        """Store a sample by time; with ``force``, a full ring drops its oldest sample."""
         flaw: Int = _flaw(pose)
         if flaw != _DONE:
             return flaw
@@ -561,13 +566,17 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _between(self, first: Int, second: Int, time: Int) -> Pose:
-        """The pose at a time, on the line through two samples; before, between or after them."""
+        """Return the pose at a time, on the line through two samples; before, between or after them."""
         ratio: cython.double = float(time - self._stamps[first]) / float(self._stamps[second] - self._stamps[first])
         complement: cython.double = 1.0 - ratio
         a: Pose = self._read(first)
         b: Pose = self._read(second)
         return Pose(
-            Vector(complement * a.v.x + ratio * b.v.x, complement * a.v.y + ratio * b.v.y, complement * a.v.z + ratio * b.v.z),
+            Vector(
+                complement * a.v.x + ratio * b.v.x,
+                complement * a.v.y + ratio * b.v.y,
+                complement * a.v.z + ratio * b.v.z,
+            ),
             _slerp(a.q, b.q, ratio),
         )
 
@@ -575,7 +584,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _beyond(self, frame: Int, time: Int, ahead: Int) -> Sample:
-        """The pose ``ahead`` ns outside the history, moving on as over as long a time, so that errors have a bound."""
+        """Extrapolate to ``ahead`` ns outside the history, from an equally long time, which bounds the error."""
         count: Int = self._count[frame]
         step: Int = 1 if ahead < 0 else -1
         edge: Int = 0 if ahead < 0 else count - 1
@@ -596,7 +605,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _last_before(self, frame: Int, time: Int) -> Int:
-        """The last sample at or before a time within the history, looked for from where an even rate would have it."""
+        """Return the last sample at or before a time in the history; the search starts where an even rate has it."""
         low: Int = 0
         high: Int = self._count[frame] - 1
         oldest: Int = self._stamps[self._place(frame, low)]
@@ -620,7 +629,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _sample_at(self, frame: Int, time: Int, horizon: Int) -> Sample:
-        """A frame at a time; 0 is the newest. The bound and the trouble say why there is nothing."""
+        """Return a frame's sample at a time; 0 is the newest. The bound and trouble tell why there is none."""
         count: Int = self._count[frame]
         nothing: Sample = Sample(0, _unit())
         if count == 0:
@@ -661,7 +670,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _meets(self, source: Int, last: Int, parent: Int) -> Int:
-        """Up to when a frame's way up, of ``last`` frames, is known to ``parent``; -1 where that is not on it."""
+        """Return until when ``parent`` is known on a frame's path up of ``last`` frames; -1 if it is not on it."""
         common: Int = _NEVER
         frame: Int = source
         above: Newest
@@ -677,7 +686,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _common_time(self, target: Int, source: Int) -> Int:
-        """Set the stamp to the newest time at which both frames are known, 0 for any time; `DONE`, or why not."""
+        """Set the stamp to the newest time at which both frames are known, 0 for any; return `DONE` or the failure."""
         common: Int = _NEVER
         frame: Int = source
         depth: Int = 0
@@ -713,7 +722,7 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _climb(self, frame: Int, end: Int, other: Int, time: Int, horizon: Int) -> Way:
-        """The way up from a frame to one of two."""
+        """Walk up the tree from a frame to one of two."""
         depth: Int = 0
         pose: Pose = _unit()
         above: Sample
@@ -734,14 +743,14 @@ class TransformHistory:
     @cython.nogil
     @cython.exceptval(check=False)
     def _walk(self, target: Int, source: Int, time: Int, horizon: Int) -> Int:
-        """Set the pose of ``source`` in ``target``, and its stamp; `DONE`, or why not."""
+        """Set the pose of ``source`` in ``target``, and its stamp; return `DONE` or the failure."""
         self._stamp = time
         if time == 0:
             self._answer = self._common_time(target, source)
             if self._answer != _DONE:
                 return self._answer
             time = self._stamp
-        time = min(max(time, -_LAST_STAMP), _LAST_STAMP)  # none is beyond it, and differences fit
+        time = min(max(time, -_LAST_STAMP), _LAST_STAMP)  # no stamp is beyond it, and differences fit 64 bits
         up: Way = self._climb(source, target, target, time, horizon)
         bound: Int = self._bound
         trouble: Int = self._trouble

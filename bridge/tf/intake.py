@@ -1,4 +1,4 @@
-"""Takes up the buffer's new transforms, or refuses them with the reason."""
+"""Inserts new transforms into the buffer, or refuses them with the reason."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ Sample = tuple[str, str, int, Sequence[float], Sequence[float]]
 """Parent, child, stamp in ns, translation in m, rotation (x, y, z, w)."""
 
 OTHER_SCALE = 86_400 * _SECOND
-"""A stamp that is a day from the clock's time is of another time scale: a simulation's beside the machine's."""
+"""A stamp that differs by a day from the clock is on another time scale, e.g. simulated instead of system time."""
 
 
 class Intake:
-    """Takes up transforms. Its user's lock is held during every call.
+    """Inserts transforms. The caller must hold its lock during every call.
 
     Args:
         max_future: ns that a stamp may be ahead of the clock.
-        now: the clock's time in ns, if there is one.
+        now: the clock's time in ns, None without a clock.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class Intake:
         return answers
 
     def _link(self, names: bytes, parent_name: str, child_name: str) -> None:
-        """Remember the frames that these bytes name, where they are known by now."""
+        """Store the frames that these bytes name, if they are known by now."""
         parent = self._numbers.get(parent_name.lstrip("/"))
         frame = self._known.get(child_name.lstrip("/"))
         if frame is not None and parent is not None and parent != frame.number:
@@ -117,7 +117,7 @@ class Intake:
     def _begin(
         self, parent: str, child: str, stamp: int, pose: tuple[float, ...], static: bool
     ) -> tuple[Frame, int] | FrameRefusal:
-        """The frames of a transform that may be new, or whose names were not in their normal form."""
+        """Return the frames of a transform that may be new, or whose names were not normalized."""
         if flaw := self._names_flaw(parent, child, pose):
             return flaw
         frame = self._known.get(child)
@@ -134,7 +134,7 @@ class Intake:
         return frame, above
 
     def _names_flaw(self, parent: str, child: str, pose: tuple[float, ...]) -> FrameRefusal | None:
-        """The checks that tf2 makes before it gives new frames a number."""
+        """Apply tf2's checks for new frames."""
         if not child:
             return FrameRefusal.NO_CHILD_FRAME_ID
         if not parent:
@@ -146,7 +146,7 @@ class Intake:
         return _REFUSALS.get(pose_flaw(*pose))
 
     def _stamp_flaw(self, frame: Frame, stamp: int, static: bool) -> FrameRefusal | None:
-        """The flaw of a stamp of a known frame's transform; the stamps of static ones are not checked."""
+        """Check the stamp of a known frame's transform; stamps of static ones are not checked."""
         if self._now is None and 0 <= stamp < LAST_STAMP:
             return None
         return None if static and frame.kind != TIMED else self._clock_flaw(stamp)
@@ -162,7 +162,7 @@ class Intake:
         return FrameRefusal.FUTURE if 0 < ahead < OTHER_SCALE else FrameRefusal.TIME_SCALE
 
     def _record(self, answer: int, frame: Frame, parent: int, stamp: int, authority: str) -> FrameRefusal | None:
-        """Note the source of a transform that the history took."""
+        """Store the source of an inserted transform, or return why the history refused it."""
         if answer != DONE:
             return _REFUSALS[answer]
         if frame.parent != parent or frame.authority != authority:
@@ -174,6 +174,6 @@ class Intake:
         self.refused[reason] += 1
         message_ = errors.refusal(reason, parent, child, stamp, authority)
         self.last_refused[reason] = message_
-        if self.refused[reason] == 1:  # more of a kind are counted only: a publisher may send a hundred a second
+        if self.refused[reason] == 1:  # further ones are only counted: a publisher may send hundreds a second
             _log.warning("%s (more of these are only counted)", message_)
         return reason

@@ -1,4 +1,4 @@
-"""Numbers by which the history says what it answers, and its bounds."""
+"""Result codes of the history, and its limits."""
 
 from __future__ import annotations
 
@@ -7,32 +7,32 @@ from typing import Final
 NONE: Final = 0
 TIMED: Final = 1
 STATIC: Final = 2
-"""Kinds of frames: without a transform yet, moving, fixed."""
+"""Kinds of frames: without a transform, timed, static."""
 
 DONE: Final = 0
 LOOP: Final = 1
 CONNECTIVITY: Final = 2
 EXTRAPOLATION: Final = 3
-"""Answers of a lookup."""
+"""Results of a lookup."""
 
 EMPTY: Final = 0
 SINGLE: Final = 1
 FUTURE: Final = 2
 PAST: Final = 3
-"""Why there is nothing at a time: no sample, one sample of another time, all are older, all are newer."""
+"""Why there is no sample at a time: no sample, a single one at another time, all are older, all are newer."""
 
 NAN: Final = 1
 DENORMALIZED: Final = 2
 OLD: Final = 3
 REPEATED: Final = 4
 FULL: Final = 5
-"""Answers of an insertion, beside `DONE`; `FULL`: nothing was done, the ring is to grow."""
+"""Results of an insertion, besides `DONE`; `FULL`: nothing was inserted, the ring has to grow."""
 
 MAX_DEPTH: Final = 1000
-"""Frames of a chain: more are taken for a loop (tf2, buffer_core.h: MAX_GRAPH_DEPTH)."""
+"""Largest number of frames in a chain; longer ones count as loops (tf2, buffer_core.h: MAX_GRAPH_DEPTH)."""
 
 TOLERANCE: Final = 10e-3
-"""How far the square of a rotation's length may be from 1 (tf2, buffer_core.cpp)."""
+"""Allowed deviation of the square of a rotation's length from 1 (tf2, buffer_core.cpp)."""
 
 LAST_STAMP: Final = 1 << 62
-"""Stamps are from 0 to before this one, in ns: 146 years."""
+"""Stamps are at least 0 and less than this, in ns: 146 years."""

@@ -1,8 +1,8 @@
 # cython: cdivision=True
-"""Transforms straight from the bytes of a ``tf2_msgs/msg/TFMessage``, without a Python object for each part of it.
+"""Transforms directly from the bytes of a ``tf2_msgs/msg/TFMessage``, without a Python object for each part.
 
 A kernel, compiled by Cython (`bridge.kernels`). Compiled, ``source`` is a pointer; uncompiled, it is the bytes object.
-Every read is checked against the message's end before it is made.
+Every read is checked against the message's end in advance.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import cython
 
 Span = tuple[int, bytes, int]
-"""One transform: its stamp in ns, its two names as they stand in the message, and the byte at which its pose begins."""
+"""One transform: its stamp in ns, its two names as encoded in the message, and the byte at which its pose begins."""
 
 _POSE = cython.declare(cython.Py_ssize_t, 56)
 
@@ -29,7 +29,7 @@ def _load32(source: cython.p_const_uchar, at: cython.Py_ssize_t) -> cython.longl
 @cython.nogil
 @cython.exceptval(check=False)
 def _behind_string(source: cython.p_const_uchar, at: cython.Py_ssize_t, size: cython.Py_ssize_t) -> cython.Py_ssize_t:
-    """Where the string ends, with its NUL, whose length stands at ``at``; -1 where the message ends before."""
+    """Return where the string ends, with its NUL, whose length is at ``at``; -1 if the message ends before."""
     if at + 4 > size:
         return -1
     length: cython.Py_ssize_t = _load32(source, at)
@@ -39,10 +39,10 @@ def _behind_string(source: cython.p_const_uchar, at: cython.Py_ssize_t, size: cy
 
 
 def read(cdr: bytes) -> list[Span]:
-    """Take a message apart; raises `ValueError` if the bytes are no such message.
+    """Parse a message; raises `ValueError` if the bytes are not one.
 
     Args:
-        cdr: with its encapsulation header of 4 bytes, from behind which everything is aligned.
+        cdr: the message with its encapsulation header of 4 bytes, after which everything is aligned.
     """
     source: cython.p_const_uchar = cdr
     size: cython.Py_ssize_t = len(cdr)
@@ -77,11 +77,11 @@ def read(cdr: bytes) -> list[Span]:
 
 
 def split_names(names: bytes) -> tuple[str, str]:
-    """Parent and child, of a span's names."""
+    """Return parent and child from a span's names."""
     length = int.from_bytes(names[:4], "little")
     child = 8 + ((length + 3) & ~3)
     return str(names[4 : 4 + max(length - 1, 0)], "utf-8", "replace"), str(names[child:], "utf-8", "replace")
 
 
 def _refused(size: int) -> ValueError:
-    return ValueError(f"{size} bytes that are no tf2_msgs/msg/TFMessage (CDR, little-endian)")
+    return ValueError(f"these {size} bytes are not a tf2_msgs/msg/TFMessage (CDR, little-endian)")

@@ -1,8 +1,8 @@
-"""Transforms as they are in tf2_msgs/msg/TFMessage, and that message in CDR, written and read at once.
+"""The transforms of tf2_msgs/msg/TFMessage, and direct reading and writing of that message in CDR.
 
-A robot says hundreds of transforms a hundred times a second. Each is its stamp (two 32-bit integers), the parent's and
-the child's name (a length that counts the zero behind it, and the text), then seven doubles at a multiple of 8 bytes
-behind the encapsulation header.
+A robot publishes hundreds of transforms a hundred times a second. Each consists of its stamp (two 32-bit integers), the
+names of parent and child (a length that includes the trailing zero, and the text), then seven doubles, aligned to 8
+bytes after the encapsulation header.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Stamped(NamedTuple):
 
 
 def read(cdr: bytes) -> list[Stamped]:
-    """The transforms of a message; raises `ValueError` if the bytes are not a TFMessage."""
+    """Return the transforms of a message; raises `ValueError` if the bytes are not a TFMessage."""
     transforms = []
     for stamp, names, at in message.read(cdr):
         x, y, z, qx, qy, qz, qw = _POSE.unpack_from(cdr, at)
@@ -45,7 +45,7 @@ def read(cdr: bytes) -> list[Stamped]:
 
 
 def write(transforms: Iterable[Stamped]) -> bytes:
-    """A message of transforms; raises `ValueError` for a name without UTF-8, or a stamp beyond 32 bits of seconds."""
+    """Return a message of transforms; raises `ValueError` for a name that is not UTF-8 or a stamp out of range."""
     data = bytearray(_START + _COUNT.size)
     count = 0
     for parent, child, stamp, moved, turned in transforms:

@@ -1,4 +1,4 @@
-"""The answers of the buffer: a transform, many of them, and the facts of a frame."""
+"""The buffer's results: a transform, many of them, and information on a frame."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 LATEST = 0
-"""The stamp that asks for the newest time at which all frames on the way are known."""
+"""The stamp that requests the newest time at which all frames on the path are known."""
 
 
 class Transform(NamedTuple):
-    """The pose of ``child_frame_id`` in ``frame_id``: it takes a point's coordinates in the first to the second."""
+    """The pose of ``child_frame_id`` in ``frame_id``: it transforms coordinates in the child to the parent."""
 
     frame_id: str
     child_frame_id: str
-    stamp: int  #: ns; 0 where it holds for all times
+    stamp: int  #: ns; 0 if it is valid at all times
     translation: Vector  #: x, y, z in m
     rotation: Quaternion  #: x, y, z, w
 
 
 @dataclass(frozen=True, slots=True)
 class TransformsInTime:
-    """Answers to a lookup at N times."""
+    """The results of a lookup at N times."""
 
     stamps: NDArray[np.int64]  #: (N), ns
-    translations: NDArray[np.float64]  #: (N, 3) in m; NaN where there is none
-    rotations: NDArray[np.float64]  #: (N, 4), x, y, z, w; NaN where there is none
+    translations: NDArray[np.float64]  #: (N, 3) in m; NaN if unknown
+    rotations: NDArray[np.float64]  #: (N, 4), x, y, z, w; NaN if unknown
     known: NDArray[np.bool_]  #: (N), whether there is a transform
 
 
@@ -41,27 +41,25 @@ class TransformSource:
 
     parent: str
     authority: str
-    stamp: int  #: ns, of the newest that it said
+    stamp: int  #: ns, of its newest transform
 
 
 @dataclass(frozen=True, slots=True)
 class FrameInfo:
-    """The facts of a frame that has a parent."""
+    """Information on a frame that has a parent."""
 
     name: str
     parent: str
     authority: str
     static: bool
-    oldest: int  #: stamp in ns; 0 where static
-    newest: int  #: stamp in ns; 0 where static
+    oldest: int  #: stamp in ns; 0 if static
+    newest: int  #: stamp in ns; 0 if static
     samples: int
-    sources: tuple[
-        TransformSource, ...
-    ]  #: all within the history; more than one where several publishers say where the frame is
+    sources: tuple[TransformSource, ...]  #: all within the history; more than one if several publishers send the frame
 
     @property
     def rate(self) -> float:
-        """Transforms per second; 0 where static or too few to say."""
+        """Transforms per second; 0 if static or too few."""
         seconds = (self.newest - self.oldest) / 1e9
         return (self.samples - 1) / seconds if seconds > 0 else 0.0
 

@@ -10,7 +10,7 @@ from bridge.tf.transform import FrameInfo
 
 
 def as_text(frames: Iterable[FrameInfo]) -> str:
-    """A line for each frame, indented below its parent; frames of a loop come last, once each."""
+    """Return a line for each frame, indented below its parent; frames of a loop come last, once each."""
     below, infos = _below(frames)
     lines: list[str] = []
     shown = set[str]()
@@ -35,14 +35,14 @@ def as_text(frames: Iterable[FrameInfo]) -> str:
 
 
 def as_dot(frames: Iterable[FrameInfo]) -> str:
-    """A graph for Graphviz, as view_frames draws it: an arrow from each parent to its child."""
+    """Return a graph for Graphviz, as view_frames draws it: an arrow from each parent to its child."""
     return "\n".join(["digraph G {", *_edges(frames), "}"])
 
 
 def as_yaml(frames: Iterable[FrameInfo]) -> str:
-    """What the service ``tf2_frames`` answers: the fields of tf2's allFramesAsYAML, which view_frames reads.
+    """Return the reply of the service ``tf2_frames``: the fields of tf2's allFramesAsYAML, which view_frames reads.
 
-    As there, a static frame's times are 0 and its rate is 10000.
+    As in tf2, a static frame's times are 0 and its rate is 10000.
     """
     parts = [_yaml(info) for info in sorted(frames, key=lambda info: info.name)]
     return "".join(parts) or "{}"
@@ -80,9 +80,9 @@ def _below(frames: Iterable[FrameInfo]) -> tuple[dict[str, list[str]], dict[str,
 def _remark(info: FrameInfo | None) -> str:
     if info is None:
         return ""
-    text = f"  ({_times(info)}, {info.authority or 'nobody named'})"
+    text = f"  ({_times(info)}, {info.authority or 'unknown publisher'})"
     if len(info.sources) > 1:
-        sources = ", ".join(f"{s.authority or 'nobody named'} under {s.parent}" for s in info.sources)
+        sources = ", ".join(f"{s.authority or 'unknown publisher'} under {s.parent}" for s in info.sources)
         text += f"  SEVERAL SOURCES: {sources}"
     return text
 

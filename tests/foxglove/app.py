@@ -32,9 +32,9 @@ class App:
 
     Attributes:
         channels: the announced channels, by topic.
-            services: the announced services, by name.
-            messages: received messages, by topic: time in nanoseconds and bytes.
-            texts: all other received texts.
+        services: the announced services, by name.
+        messages: received messages, by topic: time in nanoseconds and bytes.
+        texts: all other received texts.
     """
 
     def __init__(self, port: int, *, host: str = "127.0.0.1", query: str = "", **options: Any) -> None:

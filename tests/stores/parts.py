@@ -18,10 +18,10 @@ class Shared:
 
     Args:
         folder: folder of its file.
-            name: the daemon's name.
-            router: endpoint that its session connects to, None to stay disconnected.
-            limits: limits of the store.
-            domain: the hub's domain.
+        name: the daemon's name.
+        router: endpoint that its session connects to, None to stay disconnected.
+        limits: limits of the store.
+        domain: the hub's domain.
     """
 
     def __init__(

@@ -1,1 +1,1 @@
-"""The transform server, which shares one buffer with other programs; it stands on the module host."""
+"""The transform server, a hosted module that shares one buffer with other programs."""

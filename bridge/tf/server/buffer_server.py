@@ -1,7 +1,7 @@
 """Lookups for programs without a buffer: the action ``/tf2_buffer_server`` and the service ``/tf2_frames``.
 
-They are those of tf2_ros (its BufferServer and Buffer), so that its BufferClient works against them, in ROS 1 and in
-ROS 2. As there, a lookup that fails is a goal that succeeded, with the error in its result.
+They match tf2_ros (its BufferServer and Buffer), so its BufferClient works with them, in ROS 1 and ROS 2. As there, a
+failed lookup is a succeeded goal with the error in its result.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ACTION, LOOKUP = "/tf2_buffer_server", "tf2_msgs/action/LookupTransform"
 FRAMES, FRAME_GRAPH = "/tf2_frames", "tf2_msgs/srv/FrameGraph"
 
 RESULT_SECONDS = 10.0
-"""How long a result may be fetched; there may be a hundred goals a second, and nobody comes back to an old one."""
+"""How long a result can be fetched; there may be a hundred goals a second, and clients fetch results at once."""
 
 _POLL_SECONDS = 0.005
 _SECOND = 1_000_000_000
@@ -31,11 +31,11 @@ _ERRORS: dict[type[TransformError], int] = {
     ExtrapolationError: 3,
     InvalidArgumentError: 4,
 }
-_TRANSFORM_ERROR = 6  # tf2_msgs/msg/TF2Error; the rest above
+_TRANSFORM_ERROR = 6  # tf2_msgs/msg/TF2Error; the other codes are above
 
 
 class BufferServer:
-    """Looks up transforms for others. All of it runs on the module's thread; its ends are closed with the node."""
+    """Performs lookups for clients, on the module's thread. Its endpoints are closed with the node."""
 
     def __init__(self, node: ModuleNode, buffer: TransformBuffer) -> None:
         self._node, self._buffer = node, buffer
@@ -47,7 +47,7 @@ class BufferServer:
         node.server(FRAMES, FRAME_GRAPH, self._reply_frames)
 
     def status(self) -> dict[str, Any]:
-        """For the module's part of the status document."""
+        """Return the counts for the module's status document."""
         return {"waiting": len(self._waiting), **self._ended}
 
     def _on_goal(self, goal: Goal) -> bool:
@@ -66,7 +66,7 @@ class BufferServer:
         return True
 
     def _retry(self) -> None:
-        """Ask again for those that wait, where something new has come or their time is over."""
+        """Retry waiting lookups if a transform has arrived or their time is over."""
         changes, now = self._buffer.changes, self._node.clock.elapsed_ns()
         new, self._seen = changes != self._seen, changes
         for lookup in list(self._waiting.values()):
@@ -77,7 +77,7 @@ class BufferServer:
             self._timer = None
 
     def _end(self, lookup: _Lookup) -> bool:
-        """Give the answer, or the error where nothing is left to wait for."""
+        """Send the result, or the error if waiting cannot help; return whether the lookup has ended."""
         try:
             transform = lookup.run(self._buffer)
         except TransformError as err:
@@ -90,7 +90,7 @@ class BufferServer:
         return True
 
     def _finish(self, lookup: _Lookup, outcome: str, result: dict[str, Any]) -> None:
-        """Answer a lookup, and take it from those that wait first."""
+        """Remove a lookup from the waiting ones, then answer it."""
         self._waiting.pop(lookup.goal.id, None)
         self._ended[outcome] += 1
         lookup.goal.succeed(result)
@@ -100,7 +100,7 @@ class BufferServer:
 
 
 class _Lookup:
-    """The lookup that one goal asks for, and its time limit."""
+    """The lookup of one goal, with its time limit."""
 
     def __init__(self, goal: Goal, now: int) -> None:
         self.goal = goal
@@ -108,11 +108,11 @@ class _Lookup:
         self._until = now + _nanoseconds(goal.goal["timeout"])
 
     def expired(self, now: int) -> bool:
-        """Whether its time is over, or was set back."""
+        """Return whether its time is over, or was set back."""
         return not self._began <= now < self._until
 
     def run(self, buffer: TransformBuffer) -> Transform:
-        """Look it up; raises `TransformError`."""
+        """Perform the lookup; raises `TransformError`."""
         request = self.goal.goal
         target, source, stamp = request["target_frame"], request["source_frame"], _nanoseconds(request["source_time"])
         if not request["advanced"]:
@@ -122,7 +122,7 @@ class _Lookup:
 
 
 def stamped(transform: Transform) -> dict[str, Any]:
-    """A transform as ``geometry_msgs/msg/TransformStamped``."""
+    """Return a transform as ``geometry_msgs/msg/TransformStamped``."""
     seconds, nanoseconds = divmod(transform.stamp, _SECOND)
     x, y, z = transform.translation
     qx, qy, qz, qw = transform.rotation

@@ -17,10 +17,10 @@ from yarp_compat.dev.frametransform import FrameTransform
 _log = logging.getLogger(__name__)
 
 YARP = "yarp"
-"""The authority of frames that YARP programs set."""
+"""The authority of frames set by YARP programs."""
 
 _HARMLESS = (None, FrameRefusal.OLD_DATA, FrameRefusal.REPEATED_DATA)
-"""What is no error of who set a transform: YARP's own servers keep the newest, and say nothing."""
+"""Refusals that are not reported to the client: YARP's own servers silently keep the newest."""
 
 _LAST_SECOND = float(1 << 31)
 
@@ -28,11 +28,11 @@ Publish = Callable[[bytes], None]
 
 
 class Exchange:
-    """Takes frames of both, and gives each the other's. Safe to use from any thread.
+    """Takes frames from YARP programs and the hub, and passes each side the other's. Safe to use from any thread.
 
     Args:
-        publish: publishes a message of the timed frames that YARP programs set.
-        publish_static: publishes one of all their static frames, for late joiners too.
+        publish: publishes a message with the timed frames set by YARP programs.
+        publish_static: publishes a message with all their static frames, latched.
     """
 
     def __init__(
@@ -40,18 +40,18 @@ class Exchange:
     ) -> None:
         self.buffer, self.view = buffer, view
         self.ignored: Counter[str] = Counter()
-        """Transforms of YARP programs that were not taken up though nothing is wrong with them, by why."""
+        """Transforms of YARP programs that were ignored though they are valid, by reason."""
         self._clock = clock
         self._publish, self._publish_static = publish, publish_static
         self._lock = threading.Lock()
 
     def set(self, transforms: Sequence[FrameTransform]) -> FrameRefusal | None:
-        """Take up what a YARP program sets, and publish it.
+        """Insert what a YARP program sets, and publish it.
 
-        What expired before it came is left out, as is a sample of a frame that is static until it is deleted.
+        Transforms that have expired on arrival are ignored, as are samples of a static frame until it is deleted.
 
         Returns:
-            None, or why one of them was refused; the others are taken up.
+            None, or why one of them was refused; the others are inserted.
         """
         with self._lock:
             sound = [t for t in transforms if 0.0 <= t.timestamp < _LAST_SECOND]
@@ -60,12 +60,12 @@ class Exchange:
             return self._set([t for t in sound if t.isStatic], static=True) or flaw
 
     def frames(self) -> list[FrameTransform]:
-        """All frames that YARP programs are to see now."""
+        """Return all frames that YARP programs see now."""
         with self._lock:
             return self.view.frames()
 
     def delete(self, first: str, second: str) -> bool:
-        """Forget what YARP programs set between two frames; whether there was any."""
+        """Delete the frames set by YARP programs between two frames; return whether there were any."""
         with self._lock:
             static = sum(1 for _ in self.view.own_static())
             first, second = _plain(first), _plain(second)
@@ -75,21 +75,21 @@ class Exchange:
             if static != sum(1 for _ in self.view.own_static()):
                 self._publish_static_frames()
             if not deleted and ANY not in (first, second) and self.view.is_from_hub(first, second):
-                _log.warning("%s, %s cannot be deleted by YARP programs: another side says it", first, second)
+                _log.warning("YARP programs cannot delete %s, %s: another side publishes it", first, second)
         return bool(deleted)
 
     def receive(self, cdr: bytes, authority: str, *, static: bool) -> None:
-        """Take up a message of the hub; ``authority`` sent it."""
+        """Insert a message from the hub, sent by ``authority``."""
         stamped = read(cdr)
         with self._lock:
             for transform, refusal in zip(
                 stamped, self.buffer.set_transforms(stamped, authority, static=static), strict=True
             ):
-                if refusal is None or refusal is FrameRefusal.REPEATED_DATA:  # who says it again says that it holds
+                if refusal is None or refusal is FrameRefusal.REPEATED_DATA:  # a repetition confirms the transform
                     self.view.set_from_hub(transform, static=static)
 
     def forget_timed(self) -> None:
-        """Forget all but static frames: time was set back."""
+        """Remove all but static frames, because time was set back."""
         with self._lock:
             self.buffer.clear()
             self.view.forget_timed()
@@ -103,8 +103,8 @@ class Exchange:
         self.ignored["expired"] += 1
         if self.ignored["expired"] == 1:
             _log.warning(
-                "the transform of %r came %.3f s after its stamp, expired: set its machine's clock, or"
-                " modules.transform_server.yarp_frame_lifetime (more are only counted)",
+                "the transform of %r arrived %.3f s after its stamp, expired: synchronize the clocks, or set"
+                " modules.transform_server.yarp_frame_lifetime (further ones are only counted)",
                 transform.dst_frame_id,
                 self._clock.age(transform.timestamp),
             )
@@ -132,7 +132,7 @@ class Exchange:
         return next((refusal for refusal in refusals if refusal not in _HARMLESS), None)
 
     def _reset_frames(self, stamped: Iterable[Stamped]) -> None:
-        """Forget histories of frames that become static: their first transform says what they are."""
+        """Remove the histories of frames that become static, since the first transform determines the kind."""
         for transform in stamped:
             if not self.view.is_static(transform.child_frame_id):
                 self.buffer.remove(transform.child_frame_id)
@@ -150,5 +150,5 @@ class Exchange:
 
 
 def _plain(name: str) -> str:
-    """A name as tf2 has it: without a leading slash, and valid in UTF-8."""
+    """Return a name in tf2's form: without a leading slash, and valid UTF-8."""
     return (name if name.isascii() else name.encode("utf-8", "replace").decode()).lstrip("/")

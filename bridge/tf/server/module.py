@@ -19,18 +19,18 @@ from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE
 from bridge.worker import Health
 from yarp_compat.dev.frametransform import GET, SERVER, SET, STREAM
 
-_MOST = 4096  # publishers that are remembered; then it begins anew
+_MOST = 4096  # cached publishers; a full cache is cleared
 
 
 class Authorities:
-    """Names publishers by the nodes that they belong to, or the side that a bridge worker speaks for."""
+    """Maps publishers to the names of their nodes, or to the side that a bridge worker publishes for."""
 
     def __init__(self, graph: HubGraph) -> None:
         self._graph = graph
         self._known: dict[bytes, str] = {}
 
     def name(self, gid: bytes) -> str:
-        """The name of the publisher with a GID; ``hub`` while the graph does not know it."""
+        """Return the name of the publisher with a GID; ``hub`` while the graph does not list it."""
         known = self._known.get(gid)
         if known is not None:
             return known
@@ -45,16 +45,16 @@ class Authorities:
         return known
 
 
-_DEPTH = 1000  # messages of `/tf` that may wait: every publisher of a robot sends its own at the same time
+_DEPTH = 1000  # queued messages of `/tf`: all publishers of a robot may send at the same time
 
 
 class TransformServer(Module):
-    """What `frameTransformServer` is to YARP's `frameTransformClient`, with the frames of all sides."""
+    """A replacement for YARP's `frameTransformServer`, with the frames of all sides."""
 
     name = "transform_server"
 
     def start(self, host: Host, section: Section) -> None:
-        """Subscribe to frames and open the ports."""
+        """Subscribe to transforms, and open the ports."""
         assert isinstance(section, TransformServerSection)
         self._section = section
         clock = YarpClock(host.clock, follows=section.clock == "run")
@@ -92,7 +92,7 @@ class TransformServer(Module):
         host.loop.every(section.period, stream.tick)
 
     def reload(self, section: Section) -> bool:
-        """Take up other lifetimes while it runs."""
+        """Apply changed lifetimes at run time; other changes need a restart."""
         assert isinstance(section, TransformServerSection)
         lifetimes = {
             "yarp_frame_lifetime": section.yarp_frame_lifetime,
@@ -105,11 +105,11 @@ class TransformServer(Module):
         return True
 
     def health(self) -> Health:
-        """How many frames it has."""
+        """Return the number of frames."""
         return Health("running", f"{len(self._view)} frames, {self._view.ours} of YARP programs")
 
     def status(self) -> dict[str, Any]:
-        """The refused transforms, and the sources that disagree."""
+        """Return the counts of frames and refusals, and the conflicting sources."""
         return {
             "frames": len(self._view),
             "frames_of_yarp": self._view.ours,

@@ -1,4 +1,4 @@
-"""The clock of the YARP programs, beside that of the run."""
+"""The frames that YARP programs see, and their clock."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _DAY = 86_400.0
 
 
 class YarpClock:
-    """The time as YARP programs have it, in seconds, and their stamps in the run's time.
+    """The time of YARP programs, in seconds, and the conversion of their stamps to the run's time.
 
-    With a simulated run they may be on its clock (a network clock) or still on the system's; a stamp tells by its scale
-    which of them its writer has.
+    In a simulated run they may use its clock (a network clock) or the system's; the scale of a stamp shows which clock
+    its writer uses.
 
     Args:
-        follows: YARP programs that read are on the run's clock; else on the system's.
+        follows: whether reading YARP programs use the run's clock; else they use the system's.
     """
 
     def __init__(self, run: RunClock, *, follows: bool) -> None:
@@ -30,41 +30,41 @@ class YarpClock:
         self._follows = follows or not run.simulated
 
     def now(self) -> float:
-        """The time of the programs that read."""
+        """Return the time of the reading programs."""
         return self._run.now_ns() / 1e9 if self._follows else time.time()
 
     def age(self, stamp: float) -> float:
-        """Seconds since a stamp, on its writer's clock."""
+        """Return the seconds since a stamp, on its writer's clock."""
         system = time.time()
         if self._run.simulated and abs(system - stamp) > _DAY:
             return self._run.now_ns() / 1e9 - stamp
         return system - stamp
 
     def seen(self, stamp: float) -> float:
-        """A writer's stamp on the clock of the programs that read."""
+        """Convert a writer's stamp to the clock of the reading programs."""
         return self.now() - self.age(stamp) if self._run.simulated else stamp
 
     def of_run(self, stamp: float) -> int:
-        """A writer's stamp in ns of the run's clock."""
+        """Convert a writer's stamp to ns of the run's clock."""
         return self._run.now_ns() - round(self.age(stamp) * 1e9) if self._run.simulated else round(stamp * 1e9)
 
 
 ANY = "*"
-"""The name that stands for every frame where transforms are deleted."""
+"""The name that matches every frame in a deletion."""
 
 _MARGIN = 1.25
-"""By how much longer a frame of the hub is shown than its lifetime: one sent just that often is late now and then."""
+"""Factor on the lifetime of the hub's frames, since a frame sent exactly that often is sometimes late."""
 
 
 class ShownFrame:
-    """One frame.
+    """One frame in the view.
 
     Attributes:
-        transform: what YARP programs get.
-        parent: its parent's name without the slash that YARP programs may write.
+        transform: as sent to YARP programs.
+        parent: its parent's name without the leading slash of some YARP programs.
         stamp: ns of the run's clock.
-        until: YARP's time from which on it is not shown.
-        ours: a YARP program set it; else it is told on the hub, and its publishers own it.
+        until: YARP's time at which it expires.
+        ours: whether a YARP program set it; else it is from the hub, and belongs to its publishers.
     """
 
     __slots__ = ("ours", "parent", "stamp", "transform", "until")
@@ -74,15 +74,15 @@ class ShownFrame:
 
 
 class View:
-    """The frames that YARP's own server of transforms would hold. Its user's lock is held during every call.
+    """The frames that YARP's own transform server would have. The caller must hold its lock during every call.
 
-    YARP's clients drop what they got by its stamp (0.2 s), and never end where frames form a loop; so frames of the hub
-    are stamped anew whenever they are given, and what would close a loop is left out.
+    YARP's clients drop transforms by their stamps (0.2 s), and never end if frames form a loop; so frames of the hub
+    get the current time whenever they are sent, and a frame that would close a loop is omitted.
 
     Args:
         now: YARP's time in seconds.
         yarp_lifetime: seconds after its stamp for which a frame of a YARP program is shown.
-        ros_lifetime: seconds after it was heard for which one of the hub is.
+        ros_lifetime: seconds after its arrival for which a frame of the hub is shown.
     """
 
     def __init__(self, now: Callable[[], float], yarp_lifetime: float, ros_lifetime: float) -> None:
@@ -90,23 +90,23 @@ class View:
         self.yarp_lifetime, self.ros_lifetime = yarp_lifetime, ros_lifetime
         self._entries: dict[str, ShownFrame] = {}
         self._spelled: dict[str, str] = {}
-        self.left_out: Counter[str] = Counter()  # transforms that are not shown, by why
+        self.left_out: Counter[str] = Counter()  # transforms that are not shown, by reason
 
     def __len__(self) -> int:
         return len(self._entries)
 
     @property
     def ours(self) -> int:
-        """How many of the frames YARP programs set."""
+        """Number of frames set by YARP programs."""
         return sum(entry.ours for entry in self._entries.values())
 
     def is_static(self, child: str) -> bool:
-        """Whether a frame that a YARP program set is static."""
+        """Return whether a frame set by a YARP program is static."""
         entry = self._entries.get(child)
         return entry is not None and entry.ours and bool(entry.transform.isStatic)
 
     def remember_spelling(self, name: str) -> None:
-        """Remember how the first YARP program that sets a frame writes its name: it finds it in no other spelling."""
+        """Store how the first YARP program that sets a frame spells its name: it looks for that spelling only."""
         plain = name.lstrip("/")
         if plain in self._spelled:
             return
@@ -118,9 +118,11 @@ class View:
                     entry.transform = replace(entry.transform, src_frame_id=parent, dst_frame_id=child)
 
     def set(self, transform: FrameTransform, published: Stamped) -> None:
-        """Show a frame that a YARP program set, as it wrote it and as it went to the hub."""
+        """Show a frame set by a YARP program, given as it was set and as it was published on the hub."""
         until = math.inf if transform.isStatic else transform.timestamp + self.yarp_lifetime
-        self._show(published.child_frame_id, ShownFrame(transform, published.frame_id, published.stamp, until, ours=True))
+        self._show(
+            published.child_frame_id, ShownFrame(transform, published.frame_id, published.stamp, until, ours=True)
+        )
 
     def set_from_hub(self, published: Stamped, *, static: bool) -> None:
         """Show a frame of the hub; a static one does not expire."""
@@ -132,7 +134,7 @@ class View:
         self._show(child, ShownFrame(transform, parent, published.stamp, until, ours=False))
 
     def frames(self) -> list[FrameTransform]:
-        """All frames; those of the hub as of now."""
+        """Return all frames; those of the hub get the current time."""
         now = self._now()
         self._expire(now)
         given = []
@@ -144,22 +146,24 @@ class View:
         return given
 
     def delete(self, first: str, second: str) -> list[str]:
-        """Forget what YARP programs set between two frames, either way round, or with any frame; the children."""
-        children = [child for child, entry in self._entries.items() if entry.ours and _between(entry, child, first, second)]
+        """Delete frames set by YARP programs between two frames, in either order, or `ANY`; return the children."""
+        children = [
+            child for child, entry in self._entries.items() if entry.ours and _between(entry, child, first, second)
+        ]
         for child in children:
             del self._entries[child]
         return children
 
     def is_from_hub(self, first: str, second: str) -> bool:
-        """Whether the transform between two frames is one of the hub."""
+        """Return whether the transform between two frames is from the hub."""
         return any(not entry.ours and _between(entry, child, first, second) for child, entry in self._entries.items())
 
     def own_static(self) -> Iterator[FrameTransform]:
-        """The static frames that YARP programs set."""
+        """Yield the static frames set by YARP programs."""
         return (entry.transform for entry in self._entries.values() if entry.ours and entry.transform.isStatic)
 
     def forget_timed(self) -> None:
-        """Forget all but static frames: time was set back."""
+        """Remove all but static frames, because time was set back."""
         self._entries = {child: entry for child, entry in self._entries.items() if entry.transform.isStatic}
 
     def _show(self, child: str, entry: ShownFrame) -> None:

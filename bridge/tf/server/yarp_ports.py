@@ -1,4 +1,4 @@
-"""The ports for YARP's clients of transforms: the RPC ports that they call, and the stream of all frames."""
+"""The ports for YARP's transform clients: the RPC ports that they call, and the stream of all frames."""
 
 # ruff: noqa: N802 - the methods' names are YARP's
 
@@ -23,10 +23,10 @@ from yarp_compat.wire.profile import Profile
 
 
 class Setter(FrameTransformStorageSetRPC):
-    """Takes transforms for the exchange.
+    """Passes transforms to the exchange.
 
     Args:
-        changed: hears that something was set or deleted.
+        changed: called after something was set or deleted.
     """
 
     def __init__(self, exchange: Exchange, changed: Callable[[], None] = lambda: None) -> None:
@@ -34,7 +34,7 @@ class Setter(FrameTransformStorageSetRPC):
         self._exchange, self._changed = exchange, changed
 
     def setTransformsRPC(self, transforms: list[FrameTransform]) -> ReturnValue:
-        """Take several."""
+        """Set several transforms."""
         refusal = self._exchange.set(transforms)
         self._changed()
         if refusal is not None:
@@ -42,59 +42,59 @@ class Setter(FrameTransformStorageSetRPC):
         return OK
 
     def setTransformRPC(self, transform: FrameTransform) -> ReturnValue:
-        """Take one."""
+        """Set one transform."""
         return self.setTransformsRPC([transform])
 
     def deleteTransformRPC(self, src: str, dst: str) -> ReturnValue:
-        """Forget what YARP programs set between two frames; as in YARP it fails where two named ones have nothing."""
+        """Delete frames set by YARP programs between two frames; as in YARP it fails if two named ones have none."""
         if not self._exchange.delete(src, dst) and ANY not in (src, dst):
-            raise CallFailed(reason=f"no YARP program set anything between {src} and {dst}")
+            raise CallFailed(reason=f"no YARP program has set a transform between {src} and {dst}")
         self._changed()
         return OK
 
     def clearAllRPC(self) -> ReturnValue:
-        """Forget all that YARP programs set."""
+        """Delete all frames set by YARP programs."""
         return self.deleteTransformRPC(ANY, ANY)
 
 
 class Getter(FrameTransformStorageGetRPC):
-    """Gives the exchange's frames."""
+    """Returns the exchange's frames."""
 
     def __init__(self, exchange: Exchange) -> None:
         super().__init__()
         self._exchange = exchange
 
     def getTransformsRPC(self) -> tuple[ReturnValue, list[FrameTransform]]:
-        """All frames."""
+        """Return all frames."""
         return OK, self._exchange.frames()
 
 
 _SOON = 0.2
-"""Part of the period after which what a YARP program sets is sent at once: a client that sets as often as the stream
-sends is then heard in step, and hardly anything that it says is skipped, also where it is late now and then."""
+"""Part of the period after which a YARP program's frames are sent at once: the frames of a client that sets them at the
+stream's rate are then sent in step, with hardly any skipped, even if the client is sometimes late."""
 
-_DUE = 0.9  # part of the period after which the rest is sent, so that both together do not send twice
+_DUE = 0.9  # part of the period after which everything is sent, so that nothing is sent twice
 
 
 class FrameStream:
-    """The streaming port. Used on the module's thread."""
+    """The streaming port. To be used on the module's thread."""
 
     def __init__(
         self,
         port: HostedPort,
         frames: Callable[[], list[FrameTransform]],
-        generation: Callable[[Profile], Generation],  # the release of the programs of a dialect
+        generation: Callable[[Profile], Generation],  # the YARP release for a dialect
         period: float,
     ) -> None:
         self._port, self._frames, self._generation, self._period = port, frames, generation, period
         self._last = 0.0
 
     def tick(self) -> None:
-        """Send all frames; called every period."""
+        """Send all frames; to be called every period."""
         self._send(_DUE)
 
     def changed(self) -> None:
-        """A YARP program has set something."""
+        """Send the frames soon, because a YARP program has set some."""
         self._send(_SOON)
 
     def _send(self, part: float) -> None:
@@ -105,12 +105,12 @@ class FrameStream:
 
 
 class _All(AllTransforms):
-    """All frames, with the outcome as each generation of YARP reads it."""
+    """All frames, with the outcome in the form of each generation of YARP."""
 
     def __init__(self, transforms: list[FrameTransform], generation: Callable[[Profile], Generation]) -> None:
         super().__init__(OK, transforms)
         self._generation = generation
 
     def to_wire(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> list[Buffer]:
-        """The bytes for a dialect."""
+        """Return the bytes for a dialect."""
         return super().to_wire(profile, generation or self._generation(profile))
