@@ -21,17 +21,17 @@ def time(ns):
 
 def lookup(client, params):
     """One lookup."""
-    one, two, stamp = params["target"], params["source"], time(params["stamp"])
+    target, source, stamp = params["target"], params["source"], time(params["stamp"])
     wait = rospy.Duration.from_sec(params["timeout"])
     try:
         if "fixed" in params:
-            found = client.lookup_transform_full(one, time(params["target_stamp"]), two, stamp, params["fixed"], wait)
+            transform = client.lookup_transform_full(target, time(params["target_stamp"]), source, stamp, params["fixed"], wait)
         else:
-            found = client.lookup_transform(one, two, stamp, wait)
+            transform = client.lookup_transform(target, source, stamp, wait)
     except tf2_py.TransformException as err:
         return {"error": type(err).__name__, "text": str(err)}
-    v, q = found.transform.translation, found.transform.rotation
-    return {"pose": [found.header.stamp.to_nsec(), v.x, v.y, v.z, q.x, q.y, q.z, q.w]}
+    v, q = transform.transform.translation, transform.transform.rotation
+    return {"pose": [transform.header.stamp.to_nsec(), v.x, v.y, v.z, q.x, q.y, q.z, q.w]}
 
 
 def main():

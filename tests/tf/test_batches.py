@@ -51,7 +51,7 @@ def everything(buffer: TransformBuffer, names: list[str], stamps: list[int]) -> 
     return answers
 
 
-def test_batches_and_messages_are_as_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_batches_and_messages_equal_single_insertions(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(logging.getLogger("bridge.tf.intake"), "disabled", True)
     dice = random.Random(4)
     for _ in range(150):
@@ -76,7 +76,7 @@ def test_batches_and_messages_are_as_one_by_one(monkeypatch: pytest.MonkeyPatch)
         assert everything(buffers[2], names, stamps) == expected
 
 
-def test_what_is_no_message_is_told_and_changes_nothing() -> None:
+def test_an_invalid_message_is_an_error_and_changes_nothing() -> None:
     buffer = TransformBuffer()
     whole = message([("map", "odom", START, (1, 2, 3), UNIT), ("odom", "base", START, (1, 2, 3), UNIT)])
     assert whole[-8:] == struct.pack("<d", 1.0)
@@ -91,16 +91,16 @@ def test_what_is_no_message_is_told_and_changes_nothing() -> None:
     assert buffer.lookup_transform("map", "base", START).translation == (2, 4, 6)
 
 
-def test_messages_make_a_whole_history() -> None:
+def test_messages_fill_the_history() -> None:
     buffer = TransformBuffer()
     for n in range(300):
         assert buffer.set_message(message([("map", "base", START + n * S // 100, (n, 0, 0), UNIT)])) == [None]
     assert buffer.frames()[0].samples == 300
-    found = buffer.lookup_many("map", "base", [START + n * S // 100 for n in range(300)])
-    assert found.translations[:, 0].tolist() == list(range(300))
+    poses = buffer.lookup_many("map", "base", [START + n * S // 100 for n in range(300)])
+    assert poses.translations[:, 0].tolist() == list(range(300))
 
 
-def test_large_messages_and_odd_ones() -> None:
+def test_large_and_unusual_messages() -> None:
     buffer = TransformBuffer()
     many = [("base", f"link{n}", START, (n, 0, 0), UNIT) for n in range(1000)]
     assert buffer.set_message(message(many), "arm") == [None] * 1000
@@ -112,7 +112,7 @@ def test_large_messages_and_odd_ones() -> None:
     assert buffer.lookup_transform("base", "größe").translation == (5, 0, 0)
 
 
-def test_a_removed_frame_comes_again_by_a_message() -> None:
+def test_a_message_inserts_a_removed_frame_again() -> None:
     buffer = TransformBuffer()
     for n in range(3):
         assert buffer.set_message(message([("a", "b", START + n, (n, 0, 0), UNIT)]), static=n == 1) == [None]
@@ -121,7 +121,7 @@ def test_a_removed_frame_comes_again_by_a_message() -> None:
         buffer.remove("b")
 
 
-def test_a_batch_wakes_who_waits_for_its_last() -> None:
+def test_a_batch_completes_a_waiting_lookup() -> None:
     buffer = TransformBuffer()
     answers: list[object] = []
     thread = threading.Thread(target=lambda: answers.append(buffer.lookup_transform("a", "d", timeout=40)))

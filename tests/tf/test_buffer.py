@@ -46,58 +46,58 @@ def buffer() -> TransformBuffer:
     return TransformBuffer()
 
 
-def test_nothing_is_extrapolated_unless_asked_for_and_then_no_further(buffer: TransformBuffer) -> None:
+def test_extrapolation_needs_a_request_and_is_bounded(buffer: TransformBuffer) -> None:
     moving(buffer, "odom", "base")
     late, early = START + S + S // 5, START - S // 5
-    for stamp, word in ((late, "future"), (early, "past")):
-        with pytest.raises(ExtrapolationError, match=f"0.200000000s into the {word}"):
+    for stamp, direction in ((late, "future"), (early, "past")):
+        with pytest.raises(ExtrapolationError, match=f"0.200000000s into the {direction}"):
             buffer.lookup_transform("odom", "base", stamp)
         with pytest.raises(ExtrapolationError):
             buffer.lookup_transform("odom", "base", stamp, extrapolate=0.19)
-        found = buffer.lookup_transform("odom", "base", stamp, extrapolate=0.2)
+        transform = buffer.lookup_transform("odom", "base", stamp, extrapolate=0.2)
         at = (stamp - START) / S
-        assert found.stamp == stamp
-        assert found.translation == pytest.approx((at, 0, 0))
-        assert found.rotation == pytest.approx(about_z(0.5 * at))
+        assert transform.stamp == stamp
+        assert transform.translation == pytest.approx((at, 0, 0))
+        assert transform.rotation == pytest.approx(about_z(0.5 * at))
 
 
-def test_a_frame_goes_on_as_it_did_over_as_long_a_time(buffer: TransformBuffer) -> None:
+def test_extrapolation_uses_the_motion_over_an_equal_time(buffer: TransformBuffer) -> None:
     moving(buffer, "odom", "base")
     jitter = START + S + S // 1000
     buffer.set_transform("odom", "base", jitter, (1.011, 0, 0), about_z(0.5))  # 1 cm off, 1 ms later
-    found = buffer.lookup_transform("odom", "base", jitter + S // 2, extrapolate=1.0)
-    assert found.translation[0] == pytest.approx(1.5, abs=0.03)
+    transform = buffer.lookup_transform("odom", "base", jitter + S // 2, extrapolate=1.0)
+    assert transform.translation[0] == pytest.approx(1.5, abs=0.03)
 
 
-def test_one_sample_says_nothing_of_other_times(buffer: TransformBuffer) -> None:
+def test_a_single_sample_is_valid_only_at_its_time(buffer: TransformBuffer) -> None:
     buffer.set_transform("odom", "base", START, (1, 2, 3), UNIT)
     with pytest.raises(ExtrapolationError, match="only time"):
         buffer.lookup_transform("odom", "base", START + 1, extrapolate=1.0)
 
 
-def test_the_last_parent_alone_is_extrapolated(buffer: TransformBuffer) -> None:
+def test_only_the_last_parent_is_extrapolated(buffer: TransformBuffer) -> None:
     moving(buffer, "odom", "base")
     buffer.set_transform("map", "base", START + 2 * S, (9, 0, 0), UNIT)
-    found = buffer.lookup_transform("map", "base", START + 2 * S + S // 10, extrapolate=0.5)
-    assert found.translation == (9, 0, 0)
+    transform = buffer.lookup_transform("map", "base", START + 2 * S + S // 10, extrapolate=0.5)
+    assert transform.translation == (9, 0, 0)
 
 
-def test_stamps_are_held_against_the_clock() -> None:
+def test_stamps_are_compared_with_the_clock() -> None:
     now = START
     buffer = TransformBuffer(max_future=2.0, now=lambda: now)
 
-    def told(stamp: int, **more: bool) -> FrameRefusal | None:
+    def refusal(stamp: int, **more: bool) -> FrameRefusal | None:
         return buffer.set_transform("map", "odom", stamp, (0, 0, 0), UNIT, "amcl", **more)
 
-    assert told(now - 60 * S) is None
-    assert told(now + 2 * S) is None
-    assert told(now + 2 * S + 1) is FrameRefusal.FUTURE
-    assert told(now + 3600 * S) is FrameRefusal.FUTURE
-    assert told(17 * S) is FrameRefusal.TIME_SCALE  # a simulation's
-    assert told(0) is FrameRefusal.TIME_SCALE
-    assert told(-1) is FrameRefusal.INVALID_STAMP
-    assert told(1 << 70) is FrameRefusal.INVALID_STAMP
-    assert told(1 << 61, static=True) is FrameRefusal.TIME_SCALE  # the frame has a history, which that would end
+    assert refusal(now - 60 * S) is None
+    assert refusal(now + 2 * S) is None
+    assert refusal(now + 2 * S + 1) is FrameRefusal.FUTURE
+    assert refusal(now + 3600 * S) is FrameRefusal.FUTURE
+    assert refusal(17 * S) is FrameRefusal.TIME_SCALE  # a simulation's
+    assert refusal(0) is FrameRefusal.TIME_SCALE
+    assert refusal(-1) is FrameRefusal.INVALID_STAMP
+    assert refusal(1 << 70) is FrameRefusal.INVALID_STAMP
+    assert refusal(1 << 61, static=True) is FrameRefusal.TIME_SCALE  # the frame has a history, which that would end
     assert buffer.set_transform("base", "laser", 0, (0, 0, 0), UNIT, static=True) is None
     assert buffer.refused == {
         FrameRefusal.FUTURE: 2,
@@ -108,10 +108,10 @@ def test_stamps_are_held_against_the_clock() -> None:
     assert "use_sim_time" in buffer.last_refused[FrameRefusal.TIME_SCALE]
     assert buffer.lookup_transform("map", "odom").stamp == now + 2 * S
     now = 5 * S  # a run on /clock that hears a stamp of the machine's clock
-    assert told(START) is FrameRefusal.TIME_SCALE
+    assert refusal(START) is FrameRefusal.TIME_SCALE
 
 
-def test_a_refusal_is_logged_once_of_its_kind(buffer: TransformBuffer, caplog: pytest.LogCaptureFixture) -> None:
+def test_each_kind_of_refusal_is_logged_once(buffer: TransformBuffer, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "bridge.tf.intake"):
         for _ in range(5):
             buffer.set_transform("a", "b", START, (math.nan, 0, 0), UNIT, "me")
@@ -128,7 +128,7 @@ def test_a_refusal_is_logged_once_of_its_kind(buffer: TransformBuffer, caplog: p
     ("stamp", "moved", "turned"),
     [(1.5, (0, 0, 0), UNIT), (START, (0, 0), UNIT), (START, (0, 0, 0), (0, 0, 1)), (START, ("x", 0, 0), UNIT)],
 )
-def test_what_are_no_numbers_is_told_to_the_caller(
+def test_arguments_that_are_not_numbers_raise(
     buffer: TransformBuffer, stamp: int, moved: tuple, turned: tuple
 ) -> None:
     with pytest.raises((TypeError, ValueError)):
@@ -138,7 +138,7 @@ def test_what_are_no_numbers_is_told_to_the_caller(
     assert buffer.lookup_transform("a", "b").translation == (1, 1, 1)
 
 
-def test_of_two_parents_the_newest_wins_and_both_are_told(buffer: TransformBuffer) -> None:
+def test_the_newest_of_two_parents_wins_and_both_are_reported(buffer: TransformBuffer) -> None:
     for n in range(5):
         at = START + n * S // 10
         buffer.set_transform("odom", "base", at, (1, 0, 0), UNIT, "wheels")
@@ -159,7 +159,7 @@ def test_of_two_parents_the_newest_wins_and_both_are_told(buffer: TransformBuffe
     assert not buffer.conflicts(), "wheels has been silent for the whole history"
 
 
-def test_loops_are_refused_where_they_are_met(buffer: TransformBuffer) -> None:
+def test_a_lookup_in_a_loop_fails(buffer: TransformBuffer) -> None:
     for parent, child in (("a", "b"), ("b", "c"), ("c", "a"), ("a", "d"), ("x", "elsewhere")):
         assert buffer.set_transform(parent, child, START, (1, 0, 0), UNIT) is None
     for stamp in (0, START):
@@ -170,7 +170,7 @@ def test_loops_are_refused_where_they_are_met(buffer: TransformBuffer) -> None:
     assert len(buffer.tree().splitlines()) == 7  # x, elsewhere, the loop's line, and its four
 
 
-def test_names(buffer: TransformBuffer) -> None:
+def test_names_ignore_leading_slashes(buffer: TransformBuffer) -> None:
     assert buffer.set_transform("/map", "/odom", START, (1, 0, 0), UNIT) is None
     assert buffer.lookup_transform("map", "/odom").frame_id == "map"
     assert buffer.set_transform("map", "/", START, (1, 0, 0), UNIT) is FrameRefusal.NO_CHILD_FRAME_ID
@@ -182,21 +182,21 @@ def test_names(buffer: TransformBuffer) -> None:
 
 
 @pytest.fixture
-def asker() -> Iterator[list[threading.Thread]]:
+def lookup_threads() -> Iterator[list[threading.Thread]]:
     threads: list[threading.Thread] = []
     yield threads
     for thread in threads:
         thread.join(30)
 
 
-def test_a_lookup_waits_for_what_comes(buffer: TransformBuffer, asker: list[threading.Thread]) -> None:
+def test_a_waiting_lookup_returns_when_the_transform_arrives(buffer: TransformBuffer, lookup_threads: list[threading.Thread]) -> None:
     answers: list[object] = []
 
-    def ask() -> None:
+    def look_up() -> None:
         answers.append(buffer.lookup_transform("map", "base", START + S // 2, timeout=40))
 
-    asker.append(threading.Thread(target=ask))
-    asker[0].start()
+    lookup_threads.append(threading.Thread(target=look_up))
+    lookup_threads[0].start()
     until(lambda: buffer.waiting == 1, "it waits", 30)
     buffer.set_transform("map", "odom", START, (1, 0, 0), UNIT, static=True)
     assert not answers
@@ -208,30 +208,30 @@ def test_a_lookup_waits_for_what_comes(buffer: TransformBuffer, asker: list[thre
 def test_a_wait_ends_at_its_deadline_with_the_reason(buffer: TransformBuffer) -> None:
     moving(buffer, "odom", "base")
     start = time.monotonic()
-    possible, why = buffer.can_transform("odom", "base", START + 9 * S, timeout=0.2)
+    possible, reason = buffer.can_transform("odom", "base", START + 9 * S, timeout=0.2)
     assert not possible
-    assert "into the future" in why
+    assert "into the future" in reason
     assert time.monotonic() - start >= 0.2
 
 
-def test_many_times_at_once(buffer: TransformBuffer) -> None:
+def test_lookup_many_equals_single_lookups(buffer: TransformBuffer) -> None:
     moving(buffer, "map", "odom", 1.0)
     moving(buffer, "odom", "base", 1.0)
     buffer.set_transform("base", "laser", 0, (0.2, 0, 0.1), UNIT, static=True)
     stamps = START + np.linspace(-S // 10, 11 * S // 10, 97).astype(np.int64)
-    found = buffer.lookup_many("map", "laser", stamps)
+    poses = buffer.lookup_many("map", "laser", stamps)
     full = buffer.lookup_many("base", "laser", stamps, fixed_frame="map", target_stamp=START + S)
-    assert 0 < found.known.sum() < len(stamps)
+    assert 0 < poses.known.sum() < len(stamps)
     for n, stamp in enumerate(stamps.tolist()):
-        assert found.known[n] == full.known[n] == (0 <= stamp - START <= S)
-        if not found.known[n]:
-            assert np.isnan(found.translations[n]).all()
+        assert poses.known[n] == full.known[n] == (0 <= stamp - START <= S)
+        if not poses.known[n]:
+            assert np.isnan(poses.translations[n]).all()
             assert np.isnan(full.rotations[n]).all()
             continue
-        one = buffer.lookup_transform("map", "laser", stamp)
-        assert (*found.translations[n], *found.rotations[n]) == (*one.translation, *one.rotation)
-        two = buffer.lookup_transform_full("base", START + S, "laser", stamp, "map")
-        assert (*full.translations[n], *full.rotations[n]) == (*two.translation, *two.rotation)
+        single = buffer.lookup_transform("map", "laser", stamp)
+        assert (*poses.translations[n], *poses.rotations[n]) == (*single.translation, *single.rotation)
+        advanced = buffer.lookup_transform_full("base", START + S, "laser", stamp, "map")
+        assert (*full.translations[n], *full.rotations[n]) == (*advanced.translation, *advanced.rotation)
     assert buffer.lookup_many("map", "laser", stamps, extrapolate=0.1).known.all()
     assert buffer.lookup_many("map", "map", [START, 0]).rotations.tolist() == [list(UNIT)] * 2
     assert buffer.lookup_many("map", "laser", [0]).stamps.tolist() == [START + S]
@@ -251,7 +251,7 @@ def test_clear_keeps_static_frames(buffer: TransformBuffer) -> None:
     assert [info.name for info in buffer.frames()] == ["base", "laser"]
 
 
-def test_a_removed_frame_may_come_again_as_another_kind(buffer: TransformBuffer) -> None:
+def test_a_removed_frame_may_return_with_another_kind(buffer: TransformBuffer) -> None:
     buffer.set_transform("a", "b", 0, (1, 0, 0), UNIT, static=True)
     assert buffer.remove("/b")
     assert not buffer.remove("b")
@@ -261,23 +261,23 @@ def test_a_removed_frame_may_come_again_as_another_kind(buffer: TransformBuffer)
     assert buffer.lookup_transform("a", "b", START + S // 2).translation == pytest.approx((0.5, 0, 0))
 
 
-def test_whole_histories_of_many_frames_are_kept(buffer: TransformBuffer) -> None:
+def test_complete_histories_of_many_frames_are_stored(buffer: TransformBuffer) -> None:
     for n in range(150):
         for k in range(200):
             buffer.set_transform("world", f"f{k}", START + n * S // 10, (n, k, 0), UNIT)
     for k in range(200):
-        found = buffer.lookup_many("world", f"f{k}", START + np.arange(150) * S // 10)
-        assert found.known.tolist() == [False] * 49 + [True] * 101  # 10 s before the newest, and that one
-        assert (found.translations[49:] == [(n, k, 0) for n in range(49, 150)]).all()
+        poses = buffer.lookup_many("world", f"f{k}", START + np.arange(150) * S // 10)
+        assert poses.known.tolist() == [False] * 49 + [True] * 101  # 10 s before the newest, and that one
+        assert (poses.translations[49:] == [(n, k, 0) for n in range(49, 150)]).all()
 
 
-def test_a_known_frame_may_get_a_new_parent_at_any_number(buffer: TransformBuffer) -> None:
+def test_a_known_frame_may_get_a_new_parent_with_any_number(buffer: TransformBuffer) -> None:
     for n in range(300):
         buffer.set_transform(f"new{n}", "base", START + n, (n, 0, 0), UNIT)
         assert buffer.lookup_transform(f"new{n}", "base").translation == (n, 0, 0)
 
 
-def test_a_fast_frame_fills_no_memory(buffer: TransformBuffer) -> None:
+def test_a_fast_frame_uses_bounded_memory(buffer: TransformBuffer) -> None:
     for n in range(LARGEST + 100):
         buffer.set_transform("a", "b", START + 1000 * n, (n, 0, 0), UNIT)
     (info,) = buffer.frames()
@@ -286,14 +286,14 @@ def test_a_fast_frame_fills_no_memory(buffer: TransformBuffer) -> None:
     assert buffer.lookup_transform("a", "b", info.oldest + 500).translation == pytest.approx((100.5, 0, 0))
 
 
-def test_made_up_names_fill_no_memory(buffer: TransformBuffer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_generated_names_use_bounded_memory(buffer: TransformBuffer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frames_module, "MAX_FRAMES", 10)
-    said = [buffer.set_transform("a", f"b{n}", START, (0, 0, 0), UNIT) for n in range(20)]
-    assert said.count(FrameRefusal.TOO_MANY_FRAMES) > 5
+    refusals = [buffer.set_transform("a", f"b{n}", START, (0, 0, 0), UNIT) for n in range(20)]
+    assert refusals.count(FrameRefusal.TOO_MANY_FRAMES) > 5
     assert buffer.set_transform("a", "b0", START + 1, (0, 0, 0), UNIT) is None
 
 
-def test_frames_tell_rate_age_and_authority(buffer: TransformBuffer) -> None:
+def test_frames_report_rate_age_and_authority(buffer: TransformBuffer) -> None:
     moving(buffer, "odom", "base", 2.0, rate=20)
     buffer.set_transform("base", "laser", 0, (0, 0, 1), UNIT, "urdf", static=True)
     base, laser = buffer.frames()
@@ -315,23 +315,23 @@ def test_frames_tell_rate_age_and_authority(buffer: TransformBuffer) -> None:
     assert '"base" -> "laser"[label="authority: urdf\\nstatic"];' in buffer.dot()
 
 
-def test_threads_look_up_while_others_tell(buffer: TransformBuffer, asker: list[threading.Thread]) -> None:
+def test_lookups_are_safe_during_insertions(buffer: TransformBuffer, lookup_threads: list[threading.Thread]) -> None:
     buffer.set_transform("a", "b0", START, (0, 0, 0), UNIT)
     wrong: list[object] = []
-    told = threading.Event()
+    started = threading.Event()
 
-    def ask() -> None:
-        while not told.is_set():
-            found = buffer.lookup_transform("a", "b0")
-            if found.translation[0] != (found.stamp - START) / 1000:
-                wrong.append(found)
+    def look_up() -> None:
+        while not started.is_set():
+            transform = buffer.lookup_transform("a", "b0")
+            if transform.translation[0] != (transform.stamp - START) / 1000:
+                wrong.append(transform)
 
     for _ in range(2):
-        asker.append(threading.Thread(target=ask))
-        asker[-1].start()
+        lookup_threads.append(threading.Thread(target=look_up))
+        lookup_threads[-1].start()
     for n in range(1, 3000):  # rings and arrays grow meanwhile
         buffer.set_transform("a", f"b{n % 40}", START + 1000 * n, (n, 0, 0), UNIT)
-    told.set()
-    for thread in asker:
+    started.set()
+    for thread in lookup_threads:
         thread.join(30)
     assert not wrong

@@ -21,23 +21,23 @@ UNIT = (0.0, 0.0, 0.0, 1.0)
 SECOND, HOUR = {"sec": 1}, {"sec": 3600}
 
 
-class Asked:
+class Served:
     """A buffer that is served, and a client of it."""
 
     def __init__(self) -> None:
         self.two = Two()
         self.buffer = TransformBuffer()
         self.clock = RunClock(simulated=True)
-        self.at(START)
+        self.set_time(START)
         self.two.server.clock = self.clock
         self.server = self.two.on(self.two.server, lambda: BufferServer(self.two.server, self.buffer))
         self.client = self.two.client.action_client(ACTION, LOOKUP)
         until(lambda: self.client.ready, "there is a server")
 
-    def at(self, now: int) -> None:
+    def set_time(self, now: int) -> None:
         """Simulated time goes on."""
-        seconds, rest = divmod(now, S)
-        self.clock.receive(b"\0\1\0\0" + seconds.to_bytes(4, "little") + rest.to_bytes(4, "little"))
+        seconds, nanoseconds = divmod(now, S)
+        self.clock.hear(b"\0\1\0\0" + seconds.to_bytes(4, "little") + nanoseconds.to_bytes(4, "little"))
 
     def lookup(self, target: str, source: str, stamp: int = 0, **more: Any) -> list[Any]:
         """Ends of one goal: they come later."""
@@ -46,17 +46,17 @@ class Asked:
         self.two.on(self.two.client, lambda: self.client.send(goal, lambda *end: ends.append(end)))
         return ends
 
-    def answer(self, *asked: Any, **more: Any) -> Any:
+    def answer(self, *served: Any, **more: Any) -> Any:
         """The result of a goal that ends at once."""
-        return result(self.lookup(*asked, **more))
+        return result(self.lookup(*served, **more))
 
-    def waits(self, count: int = 1) -> None:
+    def wait_for_waiting(self, count: int = 1) -> None:
         until(lambda: self.two.on(self.two.server, self.server.status)["waiting"] == count, "so many wait")
 
 
 def result(ends: list[Any]) -> Any:
-    goal, result, why = until(lambda: ends, "the goal ends")[0]
-    assert goal.status is GoalState.SUCCEEDED, why
+    goal, result, error = until(lambda: ends, "the goal ends")[0]
+    assert goal.status is GoalState.SUCCEEDED, error
     return result
 
 
@@ -65,12 +65,12 @@ def time(stamp: int) -> dict[str, int]:
 
 
 @pytest.fixture
-def asked() -> Iterator[Asked]:
-    made = Asked()
+def served() -> Iterator[Served]:
+    server = Served()
     try:
-        yield made
+        yield server
     finally:
-        made.two.close()
+        server.two.close()
 
 
 def moving(buffer: TransformBuffer, parent: str, child: str) -> None:
@@ -78,12 +78,12 @@ def moving(buffer: TransformBuffer, parent: str, child: str) -> None:
         buffer.set_transform(parent, child, START + n * S // 10, (n / 10, 0, 0), UNIT, "mover")
 
 
-def test_what_is_known_is_answered_at_once(asked: Asked) -> None:
-    moving(asked.buffer, "map", "base")
-    asked.buffer.set_transform("base", "laser", 0, (0, 2, 0), (0.0, 0.0, 0.6, 0.8), "urdf", static=True)
-    found = asked.answer("map", "laser", START + S // 4)
-    assert found["error"] == {"error": 0, "error_string": ""}
-    assert found["transform"] == {
+def test_known_transforms_are_returned_at_once(served: Served) -> None:
+    moving(served.buffer, "map", "base")
+    served.buffer.set_transform("base", "laser", 0, (0, 2, 0), (0.0, 0.0, 0.6, 0.8), "urdf", static=True)
+    transform = served.answer("map", "laser", START + S // 4)
+    assert transform["error"] == {"error": 0, "error_string": ""}
+    assert transform["transform"] == {
         "header": {"stamp": time(START + S // 4), "frame_id": "map"},
         "child_frame_id": "laser",
         "transform": {
@@ -92,70 +92,70 @@ def test_what_is_known_is_answered_at_once(asked: Asked) -> None:
         },
     }
     full = {"advanced": True, "target_time": time(START + S), "fixed_frame": "map"}
-    found = asked.answer("base", "base", START, **full)
-    assert found["transform"]["transform"]["translation"]["x"] == pytest.approx(-1)
+    transform = served.answer("base", "base", START, **full)
+    assert transform["transform"]["transform"]["translation"]["x"] == pytest.approx(-1)
 
 
-def test_errors_have_tf2s_numbers_and_words(asked: Asked) -> None:
-    moving(asked.buffer, "map", "base")
-    asked.buffer.set_transform("moon", "crater", 0, (0, 0, 0), UNIT, static=True)
-    for question, code, words in (
+def test_errors_have_tf2s_codes_and_texts(served: Served) -> None:
+    moving(served.buffer, "map", "base")
+    served.buffer.set_transform("moon", "crater", 0, (0, 0, 0), UNIT, static=True)
+    for question, code, message in (
         (("map", "nowhere"), 1, "does not exist"),
         (("map", "crater"), 2, "two or more unconnected trees"),
         (("map", "base", START + 9 * S), 3, "into the future"),
         (("map", ""), 4, "cannot be empty"),
     ):
-        said = asked.answer(*question)["error"]
-        assert (said["error"], words in said["error_string"]) == (code, True), said
-    assert asked.answer("map", "", timeout=HOUR)["error"]["error"] == 4, "there is nothing to wait for"
-    asked.buffer.set_transform("base", "map", 0, (0, 0, 0), UNIT, static=True)
-    said = asked.answer("map", "crater", START)["error"]
-    assert (said["error"], "loop" in said["error_string"]) == (1, True), said
-    assert asked.server.status() == {"waiting": 0, "failed": 6}
+        error_ = served.answer(*question)["error"]
+        assert (error_["error"], message in error_["error_string"]) == (code, True), error_
+    assert served.answer("map", "", timeout=HOUR)["error"]["error"] == 4, "there is nothing to wait for"
+    served.buffer.set_transform("base", "map", 0, (0, 0, 0), UNIT, static=True)
+    error_ = served.answer("map", "crater", START)["error"]
+    assert (error_["error"], "loop" in error_["error_string"]) == (1, True), error_
+    assert served.server.status() == {"waiting": 0, "failed": 6}
 
 
-def test_lookups_wait_for_what_comes_and_no_longer_than_they_may(asked: Asked) -> None:
-    patient = [asked.lookup("map", "base", START + n * S // 20, timeout=HOUR) for n in range(20)]
-    hasty = asked.lookup("map", "base", timeout=SECOND)
-    asked.waits(21)
-    asked.at(START + S - 1)
-    asked.buffer.set_transform("map", "odom", START, (0, 0, 0), UNIT)
-    asked.at(START + S)
+def test_lookups_wait_for_transforms_until_their_time_limit(served: Served) -> None:
+    patient = [served.lookup("map", "base", START + n * S // 20, timeout=HOUR) for n in range(20)]
+    hasty = served.lookup("map", "base", timeout=SECOND)
+    served.wait_for_waiting(21)
+    served.set_time(START + S - 1)
+    served.buffer.set_transform("map", "odom", START, (0, 0, 0), UNIT)
+    served.set_time(START + S)
     assert result(hasty)["error"]["error"] == 1
-    asked.waits(20)
+    served.wait_for_waiting(20)
     assert not any(patient)
-    moving(asked.buffer, "map", "base")
+    moving(served.buffer, "map", "base")
     for n, ends in enumerate(patient):
         assert result(ends)["transform"]["transform"]["translation"]["x"] == pytest.approx(n / 20)
-    assert asked.server.status() == {"waiting": 0, "found": 20, "failed": 1}
-    until(lambda: asked.server._timer is None, "it no longer polls")
+    assert served.server.status() == {"waiting": 0, "found": 20, "failed": 1}
+    until(lambda: served.server._timer is None, "it no longer polls")
 
 
-def test_a_clock_that_is_set_back_ends_what_waits(asked: Asked) -> None:
-    waits = asked.lookup("map", "base", timeout=SECOND)
-    asked.waits()
-    asked.at(5 * S)
-    assert result(waits)["error"]["error"] == 1
+def test_a_clock_that_is_set_back_ends_waiting_lookups(served: Served) -> None:
+    wait_for_waiting = served.lookup("map", "base", timeout=SECOND)
+    served.wait_for_waiting()
+    served.set_time(5 * S)
+    assert result(wait_for_waiting)["error"]["error"] == 1
 
 
-def test_a_lookup_that_waits_is_cancelled(asked: Asked) -> None:
-    ends = asked.lookup("map", "base", timeout=HOUR)
-    asked.waits()
-    asked.two.on(asked.two.client, asked.client.cancel)
+def test_a_waiting_lookup_is_canceled(served: Served) -> None:
+    ends = served.lookup("map", "base", timeout=HOUR)
+    served.wait_for_waiting()
+    served.two.on(served.two.client, served.client.cancel)
     until(lambda: ends, "the goal ends")
     assert ends[0][0].status is GoalState.CANCELED
-    asked.waits(0)
+    served.wait_for_waiting(0)
 
 
-def test_the_frames_are_told_as_tf2_tells_them(asked: Asked) -> None:
-    moving(asked.buffer, "map", "no")  # a word that YAML reads as another value
-    asked.buffer.set_transform("no", "laser", 0, (0, 2, 0), UNIT, static=True)
-    client = asked.two.client.client(FRAMES, FRAME_GRAPH)
+def test_frames_are_returned_in_tf2s_format(served: Served) -> None:
+    moving(served.buffer, "map", "no")  # a word that YAML reads as another value
+    served.buffer.set_transform("no", "laser", 0, (0, 2, 0), UNIT, static=True)
+    client = served.two.client.client(FRAMES, FRAME_GRAPH)
     until(lambda: client.ready, "there is a server")
     replies: list[Any] = []
     client.call({}, replies.append)
-    told = yaml.safe_load(until(lambda: replies, "a reply")[0]["frame_yaml"])
-    assert told["no"] == {
+    frames = yaml.safe_load(until(lambda: replies, "a reply")[0]["frame_yaml"])
+    assert frames["no"] == {
         "parent": "map",
         "broadcaster": "mover",
         "rate": 11.0,
@@ -163,21 +163,21 @@ def test_the_frames_are_told_as_tf2_tells_them(asked: Asked) -> None:
         "oldest_transform": START / S,
         "buffer_length": 1.0,
     }
-    assert told["laser"]["rate"] == 10000.0
-    assert told["laser"]["broadcaster"] == "no recorded authority"
+    assert frames["laser"]["rate"] == 10000.0
+    assert frames["laser"]["broadcaster"] == "no recorded authority"
     assert yaml.safe_load(TransformBuffer().yaml()) == {}
 
 
-def test_the_time_limit_of_a_lookup_does_not_depend_on_the_system_clock(asked: Asked) -> None:
+def test_the_time_limit_of_a_lookup_does_not_depend_on_the_system_clock(served: Served) -> None:
     now = [START]
-    asked.two.server.clock = RunClock(system=SystemClock(lambda: now[0], poll=0))
-    patient = asked.lookup("map", "base", timeout=HOUR)
-    asked.waits()
+    served.two.server.clock = RunClock(system=SystemClock(lambda: now[0], poll=0))
+    patient = served.lookup("map", "base", timeout=HOUR)
+    served.wait_for_waiting()
     for jump in (-2 * 3600 * S, 5 * 3600 * S):
         now[0] += jump
-        asked.buffer.set_transform("map", "other", now[0], (0, 0, 0), UNIT)
-        hasty = asked.lookup("map", "base", timeout={"nanosec": S // 10})
+        served.buffer.set_transform("map", "other", now[0], (0, 0, 0), UNIT)
+        hasty = served.lookup("map", "base", timeout={"nanosec": S // 10})
         assert result(hasty)["error"]["error"] == 1
     assert not patient
-    asked.buffer.set_transform("map", "base", now[0], (0, 0, 0), UNIT)
+    served.buffer.set_transform("map", "base", now[0], (0, 0, 0), UNIT)
     assert result(patient)["error"]["error"] == 0

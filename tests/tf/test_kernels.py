@@ -35,7 +35,7 @@ SCHEMA = Registry().schema("tf2_msgs/msg/TFMessage")
 
 def message(samples: list[tuple]) -> bytes:
     """A TFMessage of (parent, child, stamp, translation, rotation)."""
-    made = [
+    transforms_ = [
         {
             "header": {"stamp": {"sec": stamp // S, "nanosec": stamp % S}, "frame_id": parent},
             "child_frame_id": child,
@@ -46,7 +46,7 @@ def message(samples: list[tuple]) -> bytes:
         }
         for parent, child, stamp, moved, turned in samples
     ]
-    return MessageWriter(SCHEMA).message({"transforms": made})
+    return MessageWriter(SCHEMA).message({"transforms": transforms_})
 
 
 def run(steps: list[tuple], dice: random.Random) -> list[object]:
@@ -77,7 +77,7 @@ def run(steps: list[tuple], dice: random.Random) -> list[object]:
     return answers
 
 
-def test_both_forms_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_and_python_give_the_same_results(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(logging.getLogger("bridge.tf.intake"), "disabled", True)
     cases = list(trees.cases(11, TREES))
     compiled = [run(steps, random.Random(n)) for n, steps in enumerate(cases)]
@@ -124,7 +124,7 @@ def test_a_frame_without_a_row_is_refused(history: ModuleType, frame: int) -> No
     assert rings.ends(1) == (START, START, 1)
 
 
-def test_what_would_write_beside_the_rings_is_refused(history: ModuleType) -> None:
+def test_writes_outside_the_rings_are_refused(history: ModuleType) -> None:
     rings = history.TransformHistory(S)
     with pytest.raises(ValueError, match="no ring"):
         rings.insert(1, 2, START, POSE)
@@ -148,7 +148,7 @@ def test_what_would_write_beside_the_rings_is_refused(history: ModuleType) -> No
 
 
 @pytest.mark.parametrize("stamp", [-(1 << 63), -(1 << 62) - 1, -1, (1 << 62) + 1, (1 << 63) - 1])
-def test_a_stamp_beyond_all_has_no_pose(history: ModuleType, stamp: int) -> None:
+def test_a_stamp_out_of_range_has_no_pose(history: ModuleType, stamp: int) -> None:
     rings = history.TransformHistory(10 * S)
     rings.begin(1, False)
     for n in range(5):
@@ -158,7 +158,7 @@ def test_a_stamp_beyond_all_has_no_pose(history: ModuleType, stamp: int) -> None
     assert rings.failure()[2] == (START if stamp < 0 else START + 4)
 
 
-def test_rings_grow_apart(history: ModuleType) -> None:
+def test_growing_rings_do_not_overlap(history: ModuleType) -> None:
     rings = history.TransformHistory(1000 * S)
     frames = range(2, 100, 9)
     for frame in frames:
@@ -170,8 +170,8 @@ def test_rings_grow_apart(history: ModuleType) -> None:
     for frame in frames:
         assert rings.ends(frame) == (START, START + 699 * S, 700)
         for n in range(0, 700, 50):
-            found = rings.lookup(1, frame, START + n * S, 0)
-            assert found == ((float(frame), float(n), 3.0), POSE[3:], START + n * S)
+            result = rings.lookup(1, frame, START + n * S, 0)
+            assert result == ((float(frame), float(n), 3.0), POSE[3:], START + n * S)
 
 
 def test_a_sample_is_found_at_any_rate(history: ModuleType) -> None:
@@ -185,31 +185,31 @@ def test_a_sample_is_found_at_any_rate(history: ModuleType) -> None:
             rings.insert(1, 2, stamp, (float(stamp), *POSE[1:]))
         for stamp in stamps:
             assert rings.lookup(2, 1, stamp, 0)[0][0] == float(stamp)
-        for one, two in itertools.pairwise(stamps):
-            middle = one + (two - one) // 3
+        for before, after in itertools.pairwise(stamps):
+            middle = before + (after - before) // 3
             assert rings.lookup(2, 1, middle, 0)[0][0] == pytest.approx(middle, rel=1e-15)
 
 
-def test_broken_messages_are_told_in_both_forms() -> None:
+def test_invalid_messages_raise_in_both_forms() -> None:
     dice = random.Random(8)
     forms = [form("bridge.tf.message") for form in BOTH]
     whole = message([("map", "odom", START, *((1, 2, 3), (0, 0, 0, 1))), ("odom", "größe", 5, (1, 2, 3), (0, 0, 0, 1))])
-    told = 0
+    invalid = 0
     for _ in range(3000):
         broken = bytearray(whole[: dice.randint(0, len(whole))] if dice.random() < 0.3 else whole)
         for _ in range(dice.randint(0, 3)):
             if broken:
                 at = dice.randrange(len(broken))
                 broken[at] = dice.choice((0, 1, 4, 7, 127, 128, 255, dice.randrange(256)))
-        said = []
+        errors = []
         for form in forms:
             try:
-                said.append([(stamp, *form.both(names), at) for stamp, names, at in form.read(bytes(broken))])
+                errors.append([(stamp, *form.both(names), at) for stamp, names, at in form.read(bytes(broken))])
             except ValueError as err:
-                said.append(str(err))
-                told += 1
-        assert said[0] == said[1]
-    assert 1000 < told < 5000
+                errors.append(str(err))
+                invalid += 1
+        assert errors[0] == errors[1]
+    assert 1000 < invalid < 5000
 
 
 def test_a_message_is_read_to_its_last_byte(reader: ModuleType) -> None:
@@ -222,7 +222,7 @@ def test_a_message_is_read_to_its_last_byte(reader: ModuleType) -> None:
 
 
 @pytest.mark.skipif(kernels.built("bridge.tf.history") is None, reason="the kernel is not compiled")
-def test_many_lookups_let_other_threads_run() -> None:
+def test_lookup_many_releases_the_gil() -> None:
     buffer = TransformBuffer()
     for k in range(900):
         for n in range(2):

@@ -11,7 +11,7 @@ from bridge.messages.values import MessageWriter
 from bridge.tf.stamped import TF_TYPE, Stamped, read, write
 
 
-def test_the_bytes_are_those_of_the_general_writer() -> None:
+def test_the_bytes_equal_those_of_the_general_writer() -> None:
     registry, chance = Registry(), random.Random(6)
     schema = registry.schema(TF_TYPE)
     check = registry.hub_check(TF_TYPE, registry.ros2(TF_TYPE).type_id)

@@ -34,10 +34,10 @@ Answer = tuple
 
 def ask(buffer: TransformBuffer, step: tuple) -> Answer:
     try:
-        found = buffer.lookup_transform(*step[1:]) if step[0] == "ask" else buffer.lookup_transform_full(*step[1:])
+        transform = buffer.lookup_transform(*step[1:]) if step[0] == "ask" else buffer.lookup_transform_full(*step[1:])
     except TransformError as err:
         return NAMES[type(err).__name__], str(err)
-    return found.stamp, *found.translation, *found.rotation
+    return transform.stamp, *transform.translation, *transform.rotation
 
 
 def differ(ours: Answer | str, theirs: Answer | str) -> bool:
@@ -50,33 +50,33 @@ def differ(ours: Answer | str, theirs: Answer | str) -> bool:
     return ours[0] != theirs[0] or not all(abs(a - b) <= TOLERANCE for a, b in zip(ours[1:], theirs[1:], strict=True))
 
 
-def frames(told: str) -> dict[str, set[str]]:
+def frames(text: str) -> dict[str, set[str]]:
     """What is told of each frame, in any order and with any quotes."""
-    found: dict[str, set[str]] = {}
+    frames_: dict[str, set[str]] = {}
     name = ""
-    for line in "" if told == "{}" else told.replace('"', "").replace("'", "").splitlines():
+    for line in "" if text == "{}" else text.replace('"', "").replace("'", "").splitlines():
         if line.startswith(" "):
-            found[name].add(line.rstrip())
+            frames_[name].add(line.rstrip())
         else:
             name = line.strip()
-            found[name] = set()
-    return found
+            frames_[name] = set()
+    return frames_
 
 
 def same_text(ours: str, theirs: str) -> bool:
     """Ours is whole; tf2 lists all frames behind the word of a loop, and cuts the end off the times' text."""
-    said, _, between = theirs.split("\n")[0].partition(", when")
+    first_line, _, between = theirs.split("\n")[0].partition(", when")
     mine, _, ours_between = ours.partition(", when")
-    return between == ours_between and (mine == said or (len(said) in CUT and mine.startswith(said)))
+    return between == ours_between and (mine == first_line or (len(first_line) in CUT and mine.startswith(first_line)))
 
 
 @pytest.mark.thorough
 @needs_ros1
-def test_answers_and_errors_are_tf2s(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_and_errors_equal_tf2s(monkeypatch: pytest.MonkeyPatch) -> None:
     seed = int.from_bytes(os.urandom(4), "big")
     monkeypatch.setattr(logging.getLogger("bridge.tf.intake"), "disabled", True)  # each buffer says its first refusal
     refused = Counter[str]()
-    ours, asked = [], []
+    ours, questions = [], []
     with tempfile.TemporaryFile() as log:
         command = [ROS1_PYTHON, PEER, str(seed), str(TREES)]
         with subprocess.Popen(command, env=ros1_environment(), stdout=subprocess.PIPE, stderr=log) as peer:
@@ -89,24 +89,24 @@ def test_answers_and_errors_are_tf2s(monkeypatch: pytest.MonkeyPatch) -> None:
                         buffer.clear()
                     elif step[0] == "frames":
                         ours.append(buffer.yaml())
-                        asked.append((steps, step))
+                        questions.append((steps, step))
                     else:
                         ours.append(ask(buffer, step))
-                        asked.append((steps, step))
+                        questions.append((steps, step))
                 refused.update(buffer.refused)
             output, _ = peer.communicate()
         log.seek(0)
-        said = log.read().decode(errors="replace")
-    assert peer.returncode == 0, said[-2000:]
+        tf2_log = log.read().decode(errors="replace")
+    assert peer.returncode == 0, tf2_log[-2000:]
     theirs = marshal.loads(output)
     assert len(ours) == len(theirs) == 6 * TREES
-    wrong = [(a, b, *q) for a, b, q in zip(ours, theirs, asked, strict=True) if differ(a, b)]
+    wrong = [(a, b, *q) for a, b, q in zip(ours, theirs, questions, strict=True) if differ(a, b)]
     if wrong:
         pytest.fail(f"seed {seed}: {len(wrong)} differ; the first: {wrong[0]}")
     kinds = Counter(answer[0] if len(answer) == 2 else "found" for answer in ours if not isinstance(answer, str))
     assert min(kinds[name] for name in ("found", *NAMES.values())) > TREES // 100, kinds
     # tf2 names every flaw of a transform, so each of ours stands in its log at least as often
-    logged = Counter(re.findall(r"\b(TF_[A-Z_]+)", said))
+    logged = Counter(re.findall(r"\b(TF_[A-Z_]+)", tf2_log))
     assert set(refused) == set(logged)
-    assert all(logged[why] >= count for why, count in refused.items()), (seed, refused, logged)
-    assert all(refused[why] == logged[why] for why in ("TF_OLD_DATA", "TF_REPEATED_DATA")), (seed, refused, logged)
+    assert all(logged[reason] >= count for reason, count in refused.items()), (seed, refused, logged)
+    assert all(refused[reason] == logged[reason] for reason in ("TF_OLD_DATA", "TF_REPEATED_DATA")), (seed, refused, logged)

@@ -23,13 +23,13 @@ def answer(buffer, step):
     """The answer to one question."""
     try:
         if step[0] == "ask":
-            found = buffer.lookup_transform_core(step[1], step[2], stamp_of(step[3]))
+            transform = buffer.lookup_transform_core(step[1], step[2], stamp_of(step[3]))
         else:
-            found = buffer.lookup_transform_full_core(step[1], stamp_of(step[2]), step[3], stamp_of(step[4]), step[5])
+            transform = buffer.lookup_transform_full_core(step[1], stamp_of(step[2]), step[3], stamp_of(step[4]), step[5])
     except Exception as err:
         return type(err).__name__, str(err)
-    moved, turned = found.transform.translation, found.transform.rotation
-    return found.header.stamp.to_nsec(), moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w
+    moved, turned = transform.transform.translation, transform.transform.rotation
+    return transform.header.stamp.to_nsec(), moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w
 
 
 def main():

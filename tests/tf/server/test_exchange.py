@@ -21,7 +21,7 @@ from yarp_compat.dev.returnvalue import CallFailed
 UNIT = (0.0, 0.0, 0.0, 1.0)
 
 
-class Stopped:
+class StoppedClock:
     """Both clocks, which stand still until they are told."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -37,20 +37,20 @@ class Place:
         self.run, self.clock = run, YarpClock(run, follows=follows)
         self.view = View(self.clock.now, 0.2, 1.0)
         self.buffer = TransformBuffer(now=run.now_ns)
-        self.said: list[Stamped] = []
+        self.message: list[Stamped] = []
         self.static: list[list[Stamped]] = []
         self.exchange = Exchange(
             self.buffer,
             self.view,
             self.clock,
-            lambda cdr: self.said.extend(read(cdr)),
+            lambda cdr: self.message.extend(read(cdr)),
             lambda c: self.static.append(read(c)),
         )
 
     def set(self, *transforms: FrameTransform) -> FrameRefusal | None:
         return self.exchange.set(transforms)
 
-    def hear(self, parent: str, child: str, stamp: int | None = None, *, static: bool = False, x: float = 0.0) -> None:
+    def receive(self, parent: str, child: str, stamp: int | None = None, *, static: bool = False, x: float = 0.0) -> None:
         stamp = self.run.now_ns() if stamp is None else stamp
         self.exchange.receive(write([Stamped(parent, child, stamp, (x, 0.0, 0.0), UNIT)]), "/node", static=static)
 
@@ -59,12 +59,12 @@ class Place:
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Stopped:
-    return Stopped(monkeypatch)
+def clock(monkeypatch: pytest.MonkeyPatch) -> StoppedClock:
+    return StoppedClock(monkeypatch)
 
 
 @pytest.fixture
-def place(clock: Stopped) -> Place:
+def place(clock: StoppedClock) -> Place:
     return Place(RunClock())
 
 
@@ -72,52 +72,52 @@ def frame(parent: str, child: str, stamp: float, **values: Any) -> FrameTransfor
     return FrameTransform(parent, child, stamp, **values)
 
 
-def test_what_a_yarp_program_sets_is_published_once_and_leaves_after_its_time(place: Place, clock: Stopped) -> None:
+def test_a_yarp_programs_frame_is_published_once_and_expires(place: Place, clock: StoppedClock) -> None:
     given = frame("map", "base", clock.system, tX=1.0, tY=2.0, tZ=3.0, qX=0.6, qY=0.0, qZ=0.0, qW=0.8)
     assert place.set(given) is None
-    assert place.said == [Stamped("map", "base", 1_795_000_000_000_000_000, (1.0, 2.0, 3.0), (0.6, 0.0, 0.0, 0.8))]
+    assert place.message == [Stamped("map", "base", 1_795_000_000_000_000_000, (1.0, 2.0, 3.0), (0.6, 0.0, 0.0, 0.8))]
     clock.system += 0.19
     assert place.seen() == {"base": given}
     clock.system += 0.02
     assert place.seen() == {}
-    assert len(place.said) == 1
+    assert len(place.message) == 1
     assert place.buffer.lookup_transform("map", "base").translation == (1.0, 2.0, 3.0)
 
 
-def test_what_came_too_late_is_not_taken_up(place: Place, clock: Stopped) -> None:
+def test_an_expired_transform_is_ignored(place: Place, clock: StoppedClock) -> None:
     assert place.set(frame("map", "base", clock.system - 0.3), frame("map", "other", clock.system)) is None
-    assert [t.child_frame_id for t in place.said] == ["other"]
+    assert [t.child_frame_id for t in place.message] == ["other"]
     assert place.exchange.ignored["expired"] == 1
 
 
-def test_frames_of_the_hub_are_stamped_anew_and_never_published(place: Place, clock: Stopped) -> None:
-    place.hear("odom", "base", place.run.now_ns() - 100_000_000, x=4.0)
+def test_frames_of_the_hub_get_the_current_time_and_are_never_published(place: Place, clock: StoppedClock) -> None:
+    place.receive("odom", "base", place.run.now_ns() - 100_000_000, x=4.0)
     clock.system += 0.9
     shown = place.seen()["base"]
     assert (shown.src_frame_id, shown.tX, shown.timestamp, shown.isStatic) == ("odom", 4.0, clock.system, 0)
     clock.system += 0.5
     assert place.seen() == {}
-    assert not place.said
+    assert not place.message
     assert not place.static
 
 
-def test_a_frame_at_one_hertz_does_not_blink(place: Place, clock: Stopped) -> None:
+def test_a_frame_at_one_hertz_is_shown_continuously(place: Place, clock: StoppedClock) -> None:
     for tick in range(400):
         if tick in (0, 100, 203, 300):  # late for once
-            place.hear("odom", "base")
+            place.receive("odom", "base")
         assert "base" in place.seen(), tick
         clock.system += 0.01
 
 
-def test_a_transform_that_is_said_again_holds(place: Place, clock: Stopped) -> None:
+def test_a_repeated_transform_stays_valid(place: Place, clock: StoppedClock) -> None:
     stamp = place.run.now_ns()
     for _ in range(5):
-        place.hear("odom", "base", stamp)
+        place.receive("odom", "base", stamp)
         clock.system += 0.5
         assert "base" in place.seen()
 
 
-def test_who_streams_hears_of_every_change(place: Place, clock: Stopped) -> None:
+def test_the_stream_contains_every_change(place: Place, clock: StoppedClock) -> None:
     changes: list[None] = []
     rpc = Setter(place.exchange, lambda: changes.append(None))
     for call in (
@@ -130,11 +130,11 @@ def test_who_streams_hears_of_every_change(place: Place, clock: Stopped) -> None
         assert len(changes) == before + 1
 
 
-def test_static_frames_stay_and_are_published_whole(place: Place, clock: Stopped) -> None:
-    place.hear("base", "lidar", 0, static=True)
+def test_static_frames_stay_and_are_published_together(place: Place, clock: StoppedClock) -> None:
+    place.receive("base", "lidar", 0, static=True)
     place.set(frame("base", "camera", clock.system, isStatic=1, tX=1.0))
     place.set(frame("base", "arm", clock.system, isStatic=1))
-    assert [[t.child_frame_id for t in said] for said in place.static] == [["camera"], ["camera", "arm"]]
+    assert [[t.child_frame_id for t in message] for message in place.static] == [["camera"], ["camera", "arm"]]
     clock.system += 1000
     seen = place.seen()
     assert sorted(seen) == ["arm", "camera", "lidar"]
@@ -142,17 +142,17 @@ def test_static_frames_stay_and_are_published_whole(place: Place, clock: Stopped
     assert place.set(frame("base", "camera", clock.system, tX=5.0)) is None  # as in YARP: it is static until deleted
     assert place.seen()["camera"].tX == 1.0
     assert place.exchange.ignored["static"] == 1
-    assert not place.said
+    assert not place.message
 
 
-def test_a_frame_that_expired_may_become_static(place: Place, clock: Stopped) -> None:
+def test_a_frame_that_expired_may_become_static(place: Place, clock: StoppedClock) -> None:
     place.set(frame("map", "base", clock.system))
     clock.system += 1
     assert place.set(frame("map", "base", clock.system, isStatic=1, tX=2.0)) is None
     assert place.buffer.lookup_transform("map", "base", 1).translation == (2.0, 0.0, 0.0)
 
 
-def test_delete_either_way_round_and_by_wildcards(place: Place, clock: Stopped) -> None:
+def test_frames_are_deleted_in_either_order_and_by_wildcard(place: Place, clock: StoppedClock) -> None:
     def all_set() -> None:
         pairs = (("map", "a"), ("map", "b"), ("b", "c"))
         assert place.set(*(frame(p, c, clock.system, isStatic=1) for p, c in pairs)) is None
@@ -180,8 +180,8 @@ def test_delete_either_way_round_and_by_wildcards(place: Place, clock: Stopped) 
     assert len(place.seen()) == 3
 
 
-def test_frames_of_other_sides_are_not_yarps_to_delete(place: Place, caplog: pytest.LogCaptureFixture) -> None:
-    place.hear("base", "lidar", 0, static=True)
+def test_yarp_programs_cannot_delete_frames_of_other_sides(place: Place, caplog: pytest.LogCaptureFixture) -> None:
+    place.receive("base", "lidar", 0, static=True)
     rpc = Setter(place.exchange)
     with pytest.raises(CallFailed):
         rpc.deleteTransformRPC("base", "lidar")
@@ -192,18 +192,18 @@ def test_frames_of_other_sides_are_not_yarps_to_delete(place: Place, caplog: pyt
     assert not caplog.text
 
 
-def test_names_are_as_the_yarp_program_wrote_them_and_without_slash_on_the_hub(place: Place, clock: Stopped) -> None:
-    place.hear("map", "odom")
+def test_names_keep_yarps_spelling_and_have_no_slash_on_the_hub(place: Place, clock: StoppedClock) -> None:
+    place.receive("map", "odom")
     assert place.set(frame("/odom", "/base", clock.system)) is None
-    assert [(t.frame_id, t.child_frame_id) for t in place.said] == [("odom", "base")]
+    assert [(t.frame_id, t.child_frame_id) for t in place.message] == [("odom", "base")]
     seen = place.seen()
     assert (seen["/odom"].src_frame_id, seen["/base"].src_frame_id) == ("map", "/odom")
-    place.hear("/base", "laser")
+    place.receive("/base", "laser")
     assert place.seen()["laser"].src_frame_id == "/base"
 
 
 @pytest.mark.parametrize(
-    ("bad", "why"),
+    ("bad", "reason"),
     [
         ({"tX": math.nan}, FrameRefusal.NAN_INPUT),
         ({"qW": 2.0}, FrameRefusal.DENORMALIZED_QUATERNION),
@@ -215,33 +215,33 @@ def test_names_are_as_the_yarp_program_wrote_them_and_without_slash_on_the_hub(p
     ],
 )
 @pytest.mark.parametrize("static", [0, 1])
-def test_bad_input_is_an_error_and_stops_nothing_else(
-    place: Place, clock: Stopped, bad: dict[str, Any], why: FrameRefusal, static: int
+def test_invalid_input_is_an_error_and_the_rest_is_inserted(
+    place: Place, clock: StoppedClock, bad: dict[str, Any], reason: FrameRefusal, static: int
 ) -> None:
     whole = {"src_frame_id": "map", "dst_frame_id": "base", "timestamp": clock.system, "isStatic": static, **bad}
     rpc = Setter(place.exchange)
-    with pytest.raises(CallFailed, match=why):
+    with pytest.raises(CallFailed, match=reason):
         rpc.setTransformsRPC([FrameTransform(**whole), frame("map", "good", clock.system)])
     assert list(place.seen()) == ["good"]
-    assert [t.child_frame_id for t in place.said] == ["good"]
+    assert [t.child_frame_id for t in place.message] == ["good"]
     assert not place.static
 
 
-def test_a_stamp_far_ahead_is_refused(place: Place, clock: Stopped) -> None:
+def test_a_stamp_far_ahead_is_refused(place: Place, clock: StoppedClock) -> None:
     assert place.set(frame("map", "base", clock.system + 1.5)) is None
     assert place.set(frame("map", "base", clock.system + 5.0)) is FrameRefusal.FUTURE
-    assert len(place.said) == 1
+    assert len(place.message) == 1
 
 
-def test_a_name_that_is_no_utf8_is_shown_with_question_marks(place: Place, clock: Stopped) -> None:
+def test_a_name_that_is_not_utf8_is_shown_with_question_marks(place: Place, clock: StoppedClock) -> None:
     name = bytes([0xE4, 0x62]).decode("utf-8", "surrogateescape")
     assert place.set(frame("map", name, clock.system, isStatic=1)) is None
     assert place.static[-1][0].child_frame_id == "?b"
 
 
-def test_no_loop_is_shown_as_yarps_clients_would_never_end(place: Place, clock: Stopped) -> None:
-    place.hear("a", "b")
-    place.hear("b", "c")
+def test_a_loop_is_never_shown_because_yarps_clients_would_hang(place: Place, clock: StoppedClock) -> None:
+    place.receive("a", "b")
+    place.receive("b", "c")
     place.set(frame("c", "a", clock.system))
     assert sorted(place.seen()) == ["b", "c"]
     assert place.view.left_out["loop"] == 1
@@ -250,9 +250,9 @@ def test_no_loop_is_shown_as_yarps_clients_would_never_end(place: Place, clock: 
     assert sorted(place.seen()) == ["a"]
 
 
-def test_the_newest_parent_wins_and_both_are_told(place: Place, clock: Stopped) -> None:
-    place.hear("odom", "base")
-    place.hear("map", "base", place.run.now_ns() - 50_000_000)
+def test_the_newest_parent_wins_and_both_are_reported(place: Place, clock: StoppedClock) -> None:
+    place.receive("odom", "base")
+    place.receive("map", "base", place.run.now_ns() - 50_000_000)
     assert place.seen()["base"].src_frame_id == "odom"
     clock.system += 0.01
     place.set(frame("map", "base", clock.system))
@@ -267,22 +267,22 @@ def simulated(seconds: float) -> RunClock:
 
 
 def tick(seconds: float) -> bytes:
-    whole, rest = divmod(round(seconds * 1e9), 1_000_000_000)
-    return bytes([0, 1, 0, 0]) + whole.to_bytes(4, "little") + rest.to_bytes(4, "little")
+    whole, nanoseconds = divmod(round(seconds * 1e9), 1_000_000_000)
+    return bytes([0, 1, 0, 0]) + whole.to_bytes(4, "little") + nanoseconds.to_bytes(4, "little")
 
 
 @pytest.mark.parametrize(("follows", "shown"), [(True, 100.0), (False, 1_795_000_000.0)])
-def test_a_run_on_a_simulations_clock(clock: Stopped, follows: bool, shown: float) -> None:
+def test_stamps_are_converted_to_a_simulations_clock(clock: StoppedClock, follows: bool, shown: float) -> None:
     place = Place(simulated(100.0), follows=follows)
-    place.hear("odom", "base")
+    place.receive("odom", "base")
     assert place.seen()["base"].timestamp == shown
     place.set(frame("base", "on_its_clock", 99.95), frame("base", "on_the_systems", clock.system - 0.05))
-    assert [t.stamp for t in place.said] == pytest.approx([99_950_000_000] * 2, abs=1000)
+    assert [t.stamp for t in place.message] == pytest.approx([99_950_000_000] * 2, abs=1000)
     assert {round(place.seen()[n].timestamp, 6) for n in ("on_its_clock", "on_the_systems")} == {round(shown - 0.05, 6)}
     place.run.receive(tick(100.3))
     clock.system += 0.3
     assert list(place.seen()) == ["base"]
-    place.hear("base", "lidar", 0, static=True)
+    place.receive("base", "lidar", 0, static=True)
     place.run.receive(tick(1.0))
     place.exchange.forget_timed()
     assert list(place.seen()) == ["lidar"]
@@ -290,8 +290,8 @@ def test_a_run_on_a_simulations_clock(clock: Stopped, follows: bool, shown: floa
     assert sorted(place.seen()) == ["base", "lidar"]
 
 
-def test_get_gives_all(place: Place) -> None:
-    place.hear("odom", "base")
+def test_get_returns_all_frames(place: Place) -> None:
+    place.receive("odom", "base")
     outcome, transforms = Getter(place.exchange).getTransformsRPC()
     assert outcome
     assert [t.dst_frame_id for t in transforms] == ["base"]

@@ -25,7 +25,7 @@ LASER = np.eye(4)
 LASER[0, 3] = 0.5
 
 
-class Served(Place):
+class ServedPlace(Place):
     """The module, and whoever talks to it."""
 
     def __init__(self, folder: Path) -> None:
@@ -33,7 +33,7 @@ class Served(Place):
         self.server = NameServer(port=self.port, gc_seconds=0)
         self.server.__enter__()
         self.timed, self.static = self.far.advertise("/tf", TF), self.far.advertise("/tf_static", TF, latched=True)
-        self.heard, self.heard_static = (
+        self.heard, self.static_frames = (
             self.far.subscribe("/tf", TF),
             self.far.subscribe("/tf_static", TF, latched=True),
         )
@@ -56,7 +56,7 @@ class Served(Place):
             until(lambda n=name: connections.exists(self.names, n), f"{name} is there")
         return self.client(**options)
 
-    def say(self, parent: str, child: str, *, static: bool = False, stamp: float | None = None) -> None:
+    def publish(self, parent: str, child: str, *, static: bool = False, stamp: float | None = None) -> None:
         """Publish a frame on the hub."""
         sec, nanosec = divmod(round((stamp or time.time()) * 1e9), 1_000_000_000)
         header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": parent}
@@ -68,7 +68,7 @@ class Served(Place):
         """What a subscription of the hub has heard."""
         return [t for m in self.far.wait(heard, 0, 0.05) for t in m["transforms"]]
 
-    def told(self, heard: int) -> list[str]:
+    def children(self, heard: int) -> list[str]:
         """The children of it."""
         return [t["child_frame_id"] for t in self.transforms(heard)]
 
@@ -78,43 +78,43 @@ class Served(Place):
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Iterator[Served]:
-    made = Served(tmp_path)
+def place(tmp_path: Path) -> Iterator[ServedPlace]:
+    opened = ServedPlace(tmp_path)
     try:
-        yield made
+        yield opened
     finally:
-        made.close()
+        opened.close()
 
 
-def test_a_client_and_the_hub_have_each_others_frames(place: Served) -> None:
-    place.say("base", "gripper", static=True)
+def test_a_client_and_the_hub_receive_each_others_frames(place: ServedPlace) -> None:
+    place.publish("base", "gripper", static=True)
     with place.to_open() as frames, place.to_open(streaming=False) as asking:
 
-        def once() -> bool:
-            place.say("map", "base")
+        def both_received() -> bool:
+            place.publish("map", "base")
             frames.set("arm", "base", LASER)
-            return "arm" in place.told(place.heard) and "gripper" in frames and "arm" in frames
+            return "arm" in place.children(place.heard) and "gripper" in frames and "arm" in frames
 
-        until(once, "both sides have heard of all")
+        until(both_received, "both sides have heard of all")
         frames.set("laser", "base", LASER, static=True)
-        until(lambda: "laser" in place.told(place.heard_static), "the static frame is published")
+        until(lambda: "laser" in place.children(place.static_frames), "the static frame is published")
         for client in (frames, asking):
-            point = until(lambda c=client: (place.say("map", "base"), seen(c))[1], "the client has the frames")
+            point = until(lambda c=client: (place.publish("map", "base"), laser_point(c))[1], "the client has the frames")
             assert point == [1.5, 2.0, 0.0]
-        assert "gripper" not in place.told(place.heard_static), "what the hub says is not said again"
+        assert "gripper" not in place.children(place.static_frames), "what the hub says is not said again"
         frames.delete("laser", "base")
         until(lambda: "laser" not in frames and "laser" not in asking, "it is deleted")
         assert frames.waitForTransform("gripper", "base", 20.0)
-        assert set(place.told(place.heard)) == {"arm"}
-    place.say("elsewhere", "base")
-    told = {"frame": "base", "parents": ["elsewhere", "map"], "sources": ["/far"]}
-    until(lambda: (place.status("transform_server") or {}).get("conflicts") == [told], "both parents are told")
+        assert set(place.children(place.heard)) == {"arm"}
+    place.publish("elsewhere", "base")
+    children = {"frame": "base", "parents": ["elsewhere", "map"], "sources": ["/far"]}
+    until(lambda: (place.status("transform_server") or {}).get("conflicts") == [children], "both parents are told")
     status = place.status("transform_server")
     assert status is not None
     assert status["refused"] == {}
 
 
-def seen(client: TransformClient) -> list[float] | None:
+def laser_point(client: TransformClient) -> list[float] | None:
     """A point that the laser sees, on the map."""
     try:
         return client.points([0.0, 2.0, 0.0], "laser", "map").tolist()
@@ -122,7 +122,7 @@ def seen(client: TransformClient) -> list[float] | None:
         return None
 
 
-def test_a_run_on_a_simulations_clock(place: Served) -> None:
+def test_frames_in_simulated_time(place: ServedPlace) -> None:
     place.worker.stop()
     place.worker.start(place.served(clock={"source": "sim"}))
     clock = place.far.advertise("/clock", "rosgraph_msgs/Clock")
@@ -134,7 +134,7 @@ def test_a_run_on_a_simulations_clock(place: Served) -> None:
 
         def both() -> bool:
             tick(100)
-            place.say("map", "base", stamp=100)
+            place.publish("map", "base", stamp=100)
             frames.setTransform("arm", "base", LASER)  # stamped by the system's clock; refused until there is a time
             return {"base", "arm"} <= set(frames)
 
@@ -149,12 +149,12 @@ def test_a_run_on_a_simulations_clock(place: Served) -> None:
         )
         assert 99 <= arm[0]["header"]["stamp"]["sec"] <= 100
         tick(100)
-        place.say("base", "camera", static=True)
+        place.publish("base", "camera", static=True)
         until(lambda: (both(), "camera" in frames)[1], "the static frame is there")
         until(lambda: (tick(1), set(frames) == {"base", "camera"})[1], "the rest is forgotten")
 
 
-def test_prefix_and_lifetime_change_while_it_runs(place: Served) -> None:
+def test_lifetimes_change_at_run_time_and_the_prefix_with_a_restart(place: ServedPlace) -> None:
     with place.to_open() as frames:
         before = place.status("transform_server")
         assert place.worker.reload(place.served(yarp_frame_lifetime=600.0))
@@ -170,7 +170,7 @@ def test_prefix_and_lifetime_change_while_it_runs(place: Served) -> None:
         assert not frames.waitForTransform("base", "map", 0.1), "it began anew"
 
 
-def test_a_client_finds_a_server_that_returns(place: Served) -> None:
+def test_a_client_reconnects_to_a_restarted_server(place: ServedPlace) -> None:
     with place.to_open() as frames:
         frames.set("laser", "base", LASER, static=True)
         assert frames.waitForTransform("laser", "base", 20.0)
@@ -178,9 +178,9 @@ def test_a_client_finds_a_server_that_returns(place: Served) -> None:
         assert not frames.setTransform("arm", "base", LASER)
         place.worker.start(place.served())
 
-        def again() -> bool:
+        def set_again() -> bool:
             return bool(frames.setTransformStatic("camera", "base", LASER)) or "camera" in frames
 
-        until(again, "the client sets frames again", 30)
+        until(set_again, "the client sets frames again", 30)
         assert frames.waitForTransform("camera", "base", 20.0)
         assert "laser" not in frames, "a server begins without frames"

@@ -27,18 +27,18 @@ class Port:
 
 
 def stream(port: Port) -> FrameStream:
-    said = {Profile.YARP3: Generation.YARP_3_6, Profile.YARP4: Generation.YARP_4}
-    return FrameStream(port, lambda: FRAMES, said.__getitem__, 0.01)  # type: ignore[arg-type]
+    generations = {Profile.YARP3: Generation.YARP_3_6, Profile.YARP4: Generation.YARP_4}
+    return FrameStream(port, lambda: FRAMES, generations.__getitem__, 0.01)  # type: ignore[arg-type]
 
 
-def test_what_is_set_is_sent_at_once_and_nothing_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_set_frame_is_sent_at_once_and_nothing_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     port, now = Port(), [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    made = stream(port)
+    frame_stream = stream(port)
     sent = []
     for later, action in (
-        (0, made.tick), (1, made.changed), (10, made.tick), (17, made.changed), (20, made.tick), (27, made.changed),
-        (30, made.tick), (40, made.tick), (50, made.tick),
+        (0, frame_stream.tick), (1, frame_stream.changed), (10, frame_stream.tick), (17, frame_stream.changed), (20, frame_stream.tick), (27, frame_stream.changed),
+        (30, frame_stream.tick), (40, frame_stream.tick), (50, frame_stream.tick),
     ):  # fmt: skip
         now[0] = 100.0 + later / 1000
         before = len(port.written)
@@ -47,11 +47,11 @@ def test_what_is_set_is_sent_at_once_and_nothing_twice(monkeypatch: pytest.Monke
     assert sent == [0, 10, 17, 27, 40, 50]
     port.heard = False
     now[0] += 1
-    made.tick()
+    frame_stream.tick()
     assert len(port.written) == 6, "nobody hears it"
 
 
-def test_each_dialect_has_the_outcome_as_its_release_reads_it() -> None:
+def test_each_dialect_gets_the_outcome_in_its_releases_form() -> None:
     port = Port()
     stream(port).tick()
     for profile, outcome in (
