@@ -1,4 +1,4 @@
-"""The real tf2_ros.BufferClient of ROS 1, by the commands of `tests.support.peer`; runs on the system's Python alone.
+"""The real tf2_ros.BufferClient of ROS 1, driven by the commands of `tests.support.peer`; needs the system Python.
 
 ``lookup`` target, source, stamp (ns), timeout (s); in the full form target_stamp and fixed too -> pose [stamp, x, y, z,
 qx, qy, qz, qw], or error (the exception's name) and text. ``frames`` -> yaml, by the service /tf2_frames. ``server``
@@ -15,17 +15,19 @@ from tf2_msgs.srv import FrameGraph
 
 
 def time(ns):
-    """A time as rospy has it."""
+    """Return a time as a rospy type."""
     return rospy.Time(*divmod(ns, 10**9))
 
 
 def lookup(client, params):
-    """One lookup."""
+    """Perform one lookup."""
     target, source, stamp = params["target"], params["source"], time(params["stamp"])
     wait = rospy.Duration.from_sec(params["timeout"])
     try:
         if "fixed" in params:
-            transform = client.lookup_transform_full(target, time(params["target_stamp"]), source, stamp, params["fixed"], wait)
+            transform = client.lookup_transform_full(
+                target, time(params["target_stamp"]), source, stamp, params["fixed"], wait
+            )
         else:
             transform = client.lookup_transform(target, source, stamp, wait)
     except tf2_py.TransformException as err:

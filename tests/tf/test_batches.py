@@ -1,4 +1,4 @@
-"""Many transforms at once, and whole messages: the same as one by one."""
+"""Many transforms at once, and complete messages: the same results as single insertions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SCHEMA = Registry().schema("tf2_msgs/msg/TFMessage")
 
 
 def message(samples: list[Sample]) -> bytes:
-    """A TFMessage by another way than the one under test."""
+    """Encode a TFMessage independently of the code under test."""
     return MessageWriter(SCHEMA).message({"transforms": [stamped(*sample) for sample in samples]})
 
 
@@ -40,7 +40,7 @@ def stamped(parent: str, child: str, stamp: int, moved: tuple, turned: tuple) ->
 
 
 def everything(buffer: TransformBuffer, names: list[str], stamps: list[int]) -> list:
-    """What a buffer knows and would answer."""
+    """Return a buffer's content and all its lookups."""
     answers: list[object] = [buffer.frames(), buffer.refused]
     for name in names:
         for stamp in stamps[:20]:
@@ -81,10 +81,10 @@ def test_an_invalid_message_is_an_error_and_changes_nothing() -> None:
     whole = message([("map", "odom", START, (1, 2, 3), UNIT), ("odom", "base", START, (1, 2, 3), UNIT)])
     assert whole[-8:] == struct.pack("<d", 1.0)
     for end in range(len(whole)):
-        with pytest.raises(ValueError, match="no tf2_msgs/msg/TFMessage"):
+        with pytest.raises(ValueError, match="not a tf2_msgs/msg/TFMessage"):
             buffer.set_message(whole[:end])
     for at, value in ((1, b"\0"), (4, b"\3"), (4, b"\xff\xff\xff\xff"), (16, b"\xff\xff\xff\x7f"), (16, b"\3\0\0\0")):
-        with pytest.raises(ValueError, match="no tf2_msgs/msg/TFMessage"):
+        with pytest.raises(ValueError, match="not a tf2_msgs/msg/TFMessage"):
             buffer.set_message(whole[:at] + value + whole[at + len(value) :])
     assert not buffer.frames()
     assert buffer.set_message(whole) == [None, None]

@@ -1,4 +1,4 @@
-"""What the buffer does beyond tf2, or where tf2's answers do not show it."""
+"""Features of the buffer beyond tf2, and properties that tf2's results do not show."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def about_z(angle: float) -> tuple[float, float, float, float]:
 
 
 def moving(buffer: TransformBuffer, parent: str, child: str, seconds: float = 1.0, rate: int = 100) -> None:
-    """1 m/s along x, and 0.5 rad/s about z."""
+    """Insert a motion of 1 m/s along x and 0.5 rad/s about z."""
     for n in range(round(seconds * rate) + 1):
         at = n / rate
         assert (
@@ -97,7 +97,9 @@ def test_stamps_are_compared_with_the_clock() -> None:
     assert refusal(0) is FrameRefusal.TIME_SCALE
     assert refusal(-1) is FrameRefusal.INVALID_STAMP
     assert refusal(1 << 70) is FrameRefusal.INVALID_STAMP
-    assert refusal(1 << 61, static=True) is FrameRefusal.TIME_SCALE  # the frame has a history, which that would end
+    assert (
+        refusal(1 << 61, static=True) is FrameRefusal.TIME_SCALE
+    )  # the frame has a history, which a static transform would end
     assert buffer.set_transform("base", "laser", 0, (0, 0, 0), UNIT, static=True) is None
     assert buffer.refused == {
         FrameRefusal.FUTURE: 2,
@@ -107,7 +109,7 @@ def test_stamps_are_compared_with_the_clock() -> None:
     assert "amcl" in buffer.last_refused[FrameRefusal.TIME_SCALE]
     assert "use_sim_time" in buffer.last_refused[FrameRefusal.TIME_SCALE]
     assert buffer.lookup_transform("map", "odom").stamp == now + 2 * S
-    now = 5 * S  # a run on /clock that hears a stamp of the machine's clock
+    now = 5 * S  # a run on /clock that receives a stamp of the system clock
     assert refusal(START) is FrameRefusal.TIME_SCALE
 
 
@@ -128,9 +130,7 @@ def test_each_kind_of_refusal_is_logged_once(buffer: TransformBuffer, caplog: py
     ("stamp", "moved", "turned"),
     [(1.5, (0, 0, 0), UNIT), (START, (0, 0), UNIT), (START, (0, 0, 0), (0, 0, 1)), (START, ("x", 0, 0), UNIT)],
 )
-def test_arguments_that_are_not_numbers_raise(
-    buffer: TransformBuffer, stamp: int, moved: tuple, turned: tuple
-) -> None:
+def test_arguments_that_are_not_numbers_raise(buffer: TransformBuffer, stamp: int, moved: tuple, turned: tuple) -> None:
     with pytest.raises((TypeError, ValueError)):
         buffer.set_transform("a", "b", stamp, moved, turned)
     assert buffer.frames() == []
@@ -156,7 +156,7 @@ def test_the_newest_of_two_parents_wins_and_both_are_reported(buffer: TransformB
     assert "wheels under odom" in buffer.tree()
     assert '"odom" -> "base"[style=dashed]' in buffer.dot()
     buffer.set_transform("map", "base", at + 11 * S, (2, 0, 0), UNIT, "gps")
-    assert not buffer.conflicts(), "wheels has been silent for the whole history"
+    assert not buffer.conflicts(), "wheels has not published within the history"
 
 
 def test_a_lookup_in_a_loop_fails(buffer: TransformBuffer) -> None:
@@ -189,7 +189,9 @@ def lookup_threads() -> Iterator[list[threading.Thread]]:
         thread.join(30)
 
 
-def test_a_waiting_lookup_returns_when_the_transform_arrives(buffer: TransformBuffer, lookup_threads: list[threading.Thread]) -> None:
+def test_a_waiting_lookup_returns_when_the_transform_arrives(
+    buffer: TransformBuffer, lookup_threads: list[threading.Thread]
+) -> None:
     answers: list[object] = []
 
     def look_up() -> None:
@@ -201,7 +203,7 @@ def test_a_waiting_lookup_returns_when_the_transform_arrives(buffer: TransformBu
     buffer.set_transform("map", "odom", START, (1, 0, 0), UNIT, static=True)
     assert not answers
     moving(buffer, "odom", "base")
-    until(lambda: answers, "it has its answer long before its deadline")
+    until(lambda: answers, "it returns long before its deadline")
     assert answers[0].translation == pytest.approx((1.5, 0, 0))  # type: ignore[attr-defined]
 
 
@@ -329,7 +331,7 @@ def test_lookups_are_safe_during_insertions(buffer: TransformBuffer, lookup_thre
     for _ in range(2):
         lookup_threads.append(threading.Thread(target=look_up))
         lookup_threads[-1].start()
-    for n in range(1, 3000):  # rings and arrays grow meanwhile
+    for n in range(1, 3000):  # rings and arrays grow during this
         buffer.set_transform("a", f"b{n % 40}", START + 1000 * n, (n, 0, 0), UNIT)
     started.set()
     for thread in lookup_threads:

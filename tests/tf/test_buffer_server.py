@@ -1,4 +1,4 @@
-"""The action ``tf2_buffer_server`` and the service ``tf2_frames``, asked by another node of the hub."""
+"""The action ``tf2_buffer_server`` and the service ``tf2_frames``, called by another node of the hub."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SECOND, HOUR = {"sec": 1}, {"sec": 3600}
 
 
 class Served:
-    """A buffer that is served, and a client of it."""
+    """A buffer with its server, and a client."""
 
     def __init__(self) -> None:
         self.two = Two()
@@ -32,26 +32,26 @@ class Served:
         self.two.server.clock = self.clock
         self.server = self.two.on(self.two.server, lambda: BufferServer(self.two.server, self.buffer))
         self.client = self.two.client.action_client(ACTION, LOOKUP)
-        until(lambda: self.client.ready, "there is a server")
+        until(lambda: self.client.ready, "the server is discovered")
 
     def set_time(self, now: int) -> None:
-        """Simulated time goes on."""
+        """Advance the simulated time."""
         seconds, nanoseconds = divmod(now, S)
         self.clock.hear(b"\0\1\0\0" + seconds.to_bytes(4, "little") + nanoseconds.to_bytes(4, "little"))
 
     def lookup(self, target: str, source: str, stamp: int = 0, **more: Any) -> list[Any]:
-        """Ends of one goal: they come later."""
+        """Send a goal; return the list that receives its ends."""
         ends: list[Any] = []
         goal = {"target_frame": target, "source_frame": source, "source_time": time(stamp), **more}
         self.two.on(self.two.client, lambda: self.client.send(goal, lambda *end: ends.append(end)))
         return ends
 
     def answer(self, *served: Any, **more: Any) -> Any:
-        """The result of a goal that ends at once."""
+        """Return the result of a goal that ends at once."""
         return result(self.lookup(*served, **more))
 
     def wait_for_waiting(self, count: int = 1) -> None:
-        until(lambda: self.two.on(self.two.server, self.server.status)["waiting"] == count, "so many wait")
+        until(lambda: self.two.on(self.two.server, self.server.status)["waiting"] == count, f"{count} lookups wait")
 
 
 def result(ends: list[Any]) -> Any:
@@ -107,7 +107,7 @@ def test_errors_have_tf2s_codes_and_texts(served: Served) -> None:
     ):
         error_ = served.answer(*question)["error"]
         assert (error_["error"], message in error_["error_string"]) == (code, True), error_
-    assert served.answer("map", "", timeout=HOUR)["error"]["error"] == 4, "there is nothing to wait for"
+    assert served.answer("map", "", timeout=HOUR)["error"]["error"] == 4, "waiting cannot help"
     served.buffer.set_transform("base", "map", 0, (0, 0, 0), UNIT, static=True)
     error_ = served.answer("map", "crater", START)["error"]
     assert (error_["error"], "loop" in error_["error_string"]) == (1, True), error_
@@ -148,10 +148,10 @@ def test_a_waiting_lookup_is_canceled(served: Served) -> None:
 
 
 def test_frames_are_returned_in_tf2s_format(served: Served) -> None:
-    moving(served.buffer, "map", "no")  # a word that YAML reads as another value
+    moving(served.buffer, "map", "no")  # a name that YAML would read as another value
     served.buffer.set_transform("no", "laser", 0, (0, 2, 0), UNIT, static=True)
     client = served.two.client.client(FRAMES, FRAME_GRAPH)
-    until(lambda: client.ready, "there is a server")
+    until(lambda: client.ready, "the server is discovered")
     replies: list[Any] = []
     client.call({}, replies.append)
     frames = yaml.safe_load(until(lambda: replies, "a reply")[0]["frame_yaml"])

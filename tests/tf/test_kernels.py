@@ -1,4 +1,4 @@
-"""The buffer's kernels, compiled and as Python: the same answers to the last bit, and nothing beside their memory."""
+"""The buffer's kernels, compiled and as Python: identical results, and no access outside their memory."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SCHEMA = Registry().schema("tf2_msgs/msg/TFMessage")
 
 
 def message(samples: list[tuple]) -> bytes:
-    """A TFMessage of (parent, child, stamp, translation, rotation)."""
+    """Encode a TFMessage of (parent, child, stamp, translation, rotation)."""
     transforms_ = [
         {
             "header": {"stamp": {"sec": stamp // S, "nanosec": stamp % S}, "frame_id": parent},
@@ -50,7 +50,7 @@ def message(samples: list[tuple]) -> bytes:
 
 
 def run(steps: list[tuple], dice: random.Random) -> list[object]:
-    """All that a buffer answers to the steps of a tree."""
+    """Return everything that a buffer answers to the steps of a tree."""
     buffer = TransformBuffer()
     answers: list[object] = []
     for step in steps:
@@ -144,7 +144,7 @@ def test_writes_outside_the_rings_are_refused(history: ModuleType) -> None:
     for poses in (np.zeros((3, 6)), np.zeros((3, 8))):
         with pytest.raises(ValueError, match="each has 7"):
             history.compose_many(poses, POSE[:3], POSE[3:])
-    history.TransformHistory.__new__(history.TransformHistory)  # its memory is freed, though it has none
+    history.TransformHistory.__new__(history.TransformHistory)  # its memory is freed, although it has none
 
 
 @pytest.mark.parametrize("stamp", [-(1 << 63), -(1 << 62) - 1, -1, (1 << 62) + 1, (1 << 63) - 1])
@@ -204,7 +204,7 @@ def test_invalid_messages_raise_in_both_forms() -> None:
         errors = []
         for form in forms:
             try:
-                errors.append([(stamp, *form.both(names), at) for stamp, names, at in form.read(bytes(broken))])
+                errors.append([(stamp, *form.split_names(names), at) for stamp, names, at in form.read(bytes(broken))])
             except ValueError as err:
                 errors.append(str(err))
                 invalid += 1
@@ -215,9 +215,9 @@ def test_invalid_messages_raise_in_both_forms() -> None:
 def test_a_message_is_read_to_its_last_byte(reader: ModuleType) -> None:
     cdr = message([("/map", "größe", -1, (1, 2, 3), (0, 0, 0, 1)), ("", "", 7, (4, 5, 6), (0, 0, 0, 1))])
     (stamp, names, at), (other_stamp, other_names, other_at) = reader.read(cdr)
-    assert (stamp, reader.both(names)) == (-1, ("/map", "größe"))
+    assert (stamp, reader.split_names(names)) == (-1, ("/map", "größe"))
     assert struct.unpack_from("<7d", cdr, at) == (1, 2, 3, 0, 0, 0, 1)
-    assert (other_stamp, reader.both(other_names)) == (7, ("", ""))
+    assert (other_stamp, reader.split_names(other_names)) == (7, ("", ""))
     assert other_at == len(cdr) - 56
 
 
@@ -227,7 +227,7 @@ def test_lookup_many_releases_the_gil() -> None:
     for k in range(900):
         for n in range(2):
             buffer.set_transform(f"f{k}", f"f{k + 1}", START + n * S, POSE[:3], POSE[3:])
-    stamps = [START + n for n in range(70)]  # so few that NumPy does not let others run
+    stamps = [START + n for n in range(70)]  # so few that NumPy does not release the GIL
     began, ran = threading.Event(), threading.Event()
 
     def other() -> None:
@@ -237,7 +237,7 @@ def test_lookup_many_releases_the_gil() -> None:
     thread = threading.Thread(target=other)
     thread.start()
     usual = sys.getswitchinterval()
-    sys.setswitchinterval(1000)  # no thread is made to let another run
+    sys.setswitchinterval(1000)  # no thread is forced to yield
     try:
         began.set()
         end = time.monotonic() + 30

@@ -1,4 +1,4 @@
-"""TFMessage in CDR: the same bytes as the general writer's."""
+"""TFMessage in CDR: the same bytes as from the general writer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Answers, errors and refusals, compared with those of the real tf2 of ROS 1 on the same trees and questions."""
+"""Results, errors and refusals, compared with those of the real tf2 of ROS 1 for the same trees and lookups."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NAMES = {
     "InvalidArgumentError": "InvalidArgumentException",
 }
 CUT = (116, 162)
-"""Where tf2 cuts (cache.cpp: char str[117], str[163])."""
+"""Where tf2 truncates (cache.cpp: char str[117], str[163])."""
 Answer = tuple
 
 
@@ -51,7 +51,7 @@ def differ(ours: Answer | str, theirs: Answer | str) -> bool:
 
 
 def frames(text: str) -> dict[str, set[str]]:
-    """What is told of each frame, in any order and with any quotes."""
+    """Parse the frames of a YAML text, in any order and with any quotes."""
     frames_: dict[str, set[str]] = {}
     name = ""
     for line in "" if text == "{}" else text.replace('"', "").replace("'", "").splitlines():
@@ -64,7 +64,7 @@ def frames(text: str) -> dict[str, set[str]]:
 
 
 def same_text(ours: str, theirs: str) -> bool:
-    """Ours is whole; tf2 lists all frames behind the word of a loop, and cuts the end off the times' text."""
+    """Compare texts: tf2 lists all frames after the text for a loop, and truncates the text about times."""
     first_line, _, between = theirs.split("\n")[0].partition(", when")
     mine, _, ours_between = ours.partition(", when")
     return between == ours_between and (mine == first_line or (len(first_line) in CUT and mine.startswith(first_line)))
@@ -74,7 +74,7 @@ def same_text(ours: str, theirs: str) -> bool:
 @needs_ros1
 def test_results_and_errors_equal_tf2s(monkeypatch: pytest.MonkeyPatch) -> None:
     seed = int.from_bytes(os.urandom(4), "big")
-    monkeypatch.setattr(logging.getLogger("bridge.tf.intake"), "disabled", True)  # each buffer says its first refusal
+    monkeypatch.setattr(logging.getLogger("bridge.tf.intake"), "disabled", True)  # each buffer logs its first refusal
     refused = Counter[str]()
     ours, questions = [], []
     with tempfile.TemporaryFile() as log:
@@ -105,8 +105,12 @@ def test_results_and_errors_equal_tf2s(monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.fail(f"seed {seed}: {len(wrong)} differ; the first: {wrong[0]}")
     kinds = Counter(answer[0] if len(answer) == 2 else "found" for answer in ours if not isinstance(answer, str))
     assert min(kinds[name] for name in ("found", *NAMES.values())) > TREES // 100, kinds
-    # tf2 names every flaw of a transform, so each of ours stands in its log at least as often
+    # tf2 logs every flaw of a transform, so each of ours is in its log at least as often
     logged = Counter(re.findall(r"\b(TF_[A-Z_]+)", tf2_log))
     assert set(refused) == set(logged)
     assert all(logged[reason] >= count for reason, count in refused.items()), (seed, refused, logged)
-    assert all(refused[reason] == logged[reason] for reason in ("TF_OLD_DATA", "TF_REPEATED_DATA")), (seed, refused, logged)
+    assert all(refused[reason] == logged[reason] for reason in ("TF_OLD_DATA", "TF_REPEATED_DATA")), (
+        seed,
+        refused,
+        logged,
+    )

@@ -1,8 +1,8 @@
-"""The real tf2 of ROS 1 (tf2_py) on the cases of `trees`; runs on the system's Python alone.
+"""The real tf2 of ROS 1 (tf2_py) with the cases of `trees`; runs on the system's Python only.
 
-Usage: tf2_peer.py SEED COUNT. Answers to standard output (marshal): for each question of all cases (stamp, x, y, z, qx,
-qy, qz, qw), else (name of the exception, its text); after each case all frames as YAML. tf2 logs to standard error what
-it refuses.
+Usage: tf2_peer.py SEED COUNT. It writes results to standard output (marshal): for each lookup of all cases (stamp, x,
+y, z, qx, qy, qz, qw), or (name of the exception, its text); after each case all frames as YAML. tf2 logs refusals to
+standard error.
 """
 
 import marshal
@@ -15,17 +15,19 @@ import trees
 
 
 def stamp_of(ns):
-    """A time as ROS 1 has it."""
+    """Return a time as a ROS 1 type."""
     return genpy.Time(*divmod(ns, trees.SECOND))
 
 
 def answer(buffer, step):
-    """The answer to one question."""
+    """Return the result of one lookup."""
     try:
         if step[0] == "ask":
             transform = buffer.lookup_transform_core(step[1], step[2], stamp_of(step[3]))
         else:
-            transform = buffer.lookup_transform_full_core(step[1], stamp_of(step[2]), step[3], stamp_of(step[4]), step[5])
+            transform = buffer.lookup_transform_full_core(
+                step[1], stamp_of(step[2]), step[3], stamp_of(step[4]), step[5]
+            )
     except Exception as err:
         return type(err).__name__, str(err)
     moved, turned = transform.transform.translation, transform.transform.rotation

@@ -1,4 +1,4 @@
-"""Random trees of frames and questions about them, the same in two processes; runs on the system's Python too.
+"""Random trees of frames and lookups in them, identical in two processes; runs on the system's Python too.
 
 A case is a list of steps: ("set", parent, child, stamp in ns, translation, rotation, static), ("clear",),
 ("ask", target, source, stamp), ("full", target, target stamp, source, source stamp, fixed) and, last, ("frames",).
@@ -9,18 +9,18 @@ import random
 
 SECOND = 10**9
 START = 1_000_000 * SECOND
-"""tf2_py makes a double of seconds of each time: in 2026's seconds it would be off by up to 120 ns."""
+"""tf2_py converts each time to a double of seconds: with the seconds of 2026 it would be off by up to 120 ns."""
 
 
 def rotation(dice, length=1.0):
-    """A random rotation."""
+    """Return a random rotation."""
     parts = [dice.gauss(0, 1) for _ in range(4)]
     norm = math.sqrt(sum(p * p for p in parts))
     return tuple(length * p / norm for p in parts)
 
 
 def pose(dice):
-    """A random pose; a few are not in order."""
+    """Return a random pose; a few are invalid."""
     moved = tuple(dice.uniform(-10, 10) for _ in range(3))
     odd = dice.random()
     if odd < 0.01:
@@ -33,12 +33,12 @@ def pose(dice):
 
 
 def sets(dice, names):
-    """Transforms of frames of a random forest."""
+    """Return the transforms of a random forest."""
     steps = []
     spacing = dice.choice((0.01, 0.1, 1.0, 5.0))
     for k in range(1, len(names)):
         if dice.random() < 0.08:
-            continue  # a root of its own
+            continue  # a separate root
         parent = names[dice.randrange(k)]
         static = dice.random() < 0.2
         at = START + round(dice.uniform(0, 3 * spacing) * SECOND)
@@ -59,7 +59,7 @@ def sets(dice, names):
 
 
 def question(dice, names, stamps):
-    """A question about times that are known, nearly known, or not."""
+    """Return a lookup at times that are known, nearly known, or not."""
 
     def stamp() -> int:
         odd = dice.random()
@@ -78,7 +78,7 @@ def question(dice, names, stamps):
 
 
 def case(dice):
-    """One tree, and questions about it."""
+    """Return one tree, and lookups in it."""
     names = [f"f{k}" for k in range(dice.choice((2, 3, 4, 6, 9)))]
     steps = sets(dice, names)
     if dice.random() < 0.03:
@@ -88,7 +88,7 @@ def case(dice):
 
 
 def cases(seed, count):
-    """So many cases."""
+    """Return ``count`` cases."""
     dice = random.Random(seed)
     for _ in range(count):
         yield case(dice)

@@ -1,4 +1,4 @@
-"""What YARP programs and the hub see of each other's frames: expiry, stamps, deletion, names, loops, two clocks."""
+"""How YARP programs and the hub see each other's frames: expiry, stamps, deletion, names, loops, two clocks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UNIT = (0.0, 0.0, 0.0, 1.0)
 
 
 class StoppedClock:
-    """Both clocks, which stand still until they are told."""
+    """Both clocks, which the test advances."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.system = 1_795_000_000.0
@@ -31,7 +31,7 @@ class StoppedClock:
 
 
 class Place:
-    """An exchange, and what it published."""
+    """An exchange, and the messages that it published."""
 
     def __init__(self, run: RunClock, *, follows: bool = True) -> None:
         self.run, self.clock = run, YarpClock(run, follows=follows)
@@ -50,7 +50,9 @@ class Place:
     def set(self, *transforms: FrameTransform) -> FrameRefusal | None:
         return self.exchange.set(transforms)
 
-    def receive(self, parent: str, child: str, stamp: int | None = None, *, static: bool = False, x: float = 0.0) -> None:
+    def receive(
+        self, parent: str, child: str, stamp: int | None = None, *, static: bool = False, x: float = 0.0
+    ) -> None:
         stamp = self.run.now_ns() if stamp is None else stamp
         self.exchange.receive(write([Stamped(parent, child, stamp, (x, 0.0, 0.0), UNIT)]), "/node", static=static)
 
@@ -103,7 +105,7 @@ def test_frames_of_the_hub_get_the_current_time_and_are_never_published(place: P
 
 def test_a_frame_at_one_hertz_is_shown_continuously(place: Place, clock: StoppedClock) -> None:
     for tick in range(400):
-        if tick in (0, 100, 203, 300):  # late for once
+        if tick in (0, 100, 203, 300):  # late once
             place.receive("odom", "base")
         assert "base" in place.seen(), tick
         clock.system += 0.01
@@ -262,7 +264,7 @@ def test_the_newest_parent_wins_and_both_are_reported(place: Place, clock: Stopp
 
 def simulated(seconds: float) -> RunClock:
     run = RunClock(simulated=True)
-    run.receive(tick(seconds))
+    run.hear(tick(seconds))
     return run
 
 

@@ -1,4 +1,4 @@
-"""TransformServer in its host: on a hub, with a name server and clients over real ports."""
+"""The transform server in its host: on a hub, with a name server and clients over real ports."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LASER[0, 3] = 0.5
 
 
 class ServedPlace(Place):
-    """The module, and whoever talks to it."""
+    """The module, with its clients and a node of the hub."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -46,14 +46,14 @@ class ServedPlace(Place):
         return TransformClient(naming=NameClient(Address("127.0.0.1", self.port), namespace="/root"), **options)
 
     def to_open(self, **options: Any) -> TransformClient:
-        """A client, once the server's ports are there."""
+        """Open a client once the server's ports are registered."""
         for kind in (
             "frameTransformSet_nws_yarp/thrift",
             "frameTransformGet_nws_yarp/thrift",
             "frameTransformGet_nws_yarp/tf:o",
         ):
             name = f"{options.get('server', '')}/frameTransformServer/{kind}"
-            until(lambda n=name: connections.exists(self.names, n), f"{name} is there")
+            until(lambda n=name: connections.exists(self.names, n), f"{name} is registered")
         return self.client(**options)
 
     def publish(self, parent: str, child: str, *, static: bool = False, stamp: float | None = None) -> None:
@@ -65,11 +65,11 @@ class ServedPlace(Place):
         self.far.publish(self.static if static else self.timed, {"transforms": [transform]})
 
     def transforms(self, heard: int) -> list[dict[str, Any]]:
-        """What a subscription of the hub has heard."""
+        """Return the transforms that a subscription of the hub has received."""
         return [t for m in self.far.wait(heard, 0, 0.05) for t in m["transforms"]]
 
     def children(self, heard: int) -> list[str]:
-        """The children of it."""
+        """Return the child frames of these transforms."""
         return [t["child_frame_id"] for t in self.transforms(heard)]
 
     def close(self) -> None:
@@ -95,27 +95,29 @@ def test_a_client_and_the_hub_receive_each_others_frames(place: ServedPlace) -> 
             frames.set("arm", "base", LASER)
             return "arm" in place.children(place.heard) and "gripper" in frames and "arm" in frames
 
-        until(both_received, "both sides have heard of all")
+        until(both_received, "both sides have received all frames")
         frames.set("laser", "base", LASER, static=True)
         until(lambda: "laser" in place.children(place.static_frames), "the static frame is published")
         for client in (frames, asking):
-            point = until(lambda c=client: (place.publish("map", "base"), laser_point(c))[1], "the client has the frames")
+            point = until(
+                lambda c=client: (place.publish("map", "base"), laser_point(c))[1], "the client has the frames"
+            )
             assert point == [1.5, 2.0, 0.0]
-        assert "gripper" not in place.children(place.static_frames), "what the hub says is not said again"
+        assert "gripper" not in place.children(place.static_frames), "the hub's frames are not published again"
         frames.delete("laser", "base")
         until(lambda: "laser" not in frames and "laser" not in asking, "it is deleted")
         assert frames.waitForTransform("gripper", "base", 20.0)
         assert set(place.children(place.heard)) == {"arm"}
     place.publish("elsewhere", "base")
     children = {"frame": "base", "parents": ["elsewhere", "map"], "sources": ["/far"]}
-    until(lambda: (place.status("transform_server") or {}).get("conflicts") == [children], "both parents are told")
+    until(lambda: (place.status("transform_server") or {}).get("conflicts") == [children], "both parents are reported")
     status = place.status("transform_server")
     assert status is not None
     assert status["refused"] == {}
 
 
 def laser_point(client: TransformClient) -> list[float] | None:
-    """A point that the laser sees, on the map."""
+    """Return a point seen by the laser, in the map frame."""
     try:
         return client.points([0.0, 2.0, 0.0], "laser", "map").tolist()
     except TransformError:
@@ -139,7 +141,7 @@ def test_frames_in_simulated_time(place: ServedPlace) -> None:
             return {"base", "arm"} <= set(frames)
 
         def stamp() -> float | None:
-            both()  # as a client forgets what was not said again lately
+            both()  # a client drops frames that are not repeated
             return {t.dst_frame_id: t.timestamp for t in frames.tree().transforms}.get("base")
 
         until(both, "the client has both")
@@ -150,8 +152,8 @@ def test_frames_in_simulated_time(place: ServedPlace) -> None:
         assert 99 <= arm[0]["header"]["stamp"]["sec"] <= 100
         tick(100)
         place.publish("base", "camera", static=True)
-        until(lambda: (both(), "camera" in frames)[1], "the static frame is there")
-        until(lambda: (tick(1), set(frames) == {"base", "camera"})[1], "the rest is forgotten")
+        until(lambda: (both(), "camera" in frames)[1], "the static frame is shown")
+        until(lambda: (tick(1), set(frames) == {"base", "camera"})[1], "the other frames are dropped")
 
 
 def test_lifetimes_change_at_run_time_and_the_prefix_with_a_restart(place: ServedPlace) -> None:
@@ -159,15 +161,15 @@ def test_lifetimes_change_at_run_time_and_the_prefix_with_a_restart(place: Serve
         before = place.status("transform_server")
         assert place.worker.reload(place.served(yarp_frame_lifetime=600.0))
         assert frames.send([transform_of("base", "map", LASER, time.time() - 60.0)])
-        until(lambda: "base" in frames, "it is shown though it is old")
+        until(lambda: "base" in frames, "it is shown although it is old")
         after = place.status("transform_server")
         assert before is not None
         assert after is not None
-        assert after["zid"] == before["zid"], "it took up its section while it ran"
+        assert after["zid"] == before["zid"], "the configuration is applied without a restart"
     assert place.worker.reload(place.served(prefix="/robot"))
     with place.to_open(server="/robot", name="/gui") as frames:
         assert place.names.query("/gui/frameTransformClient/frameTransformGet_nwc_yarp/tf:i")
-        assert not frames.waitForTransform("base", "map", 0.1), "it began anew"
+        assert not frames.waitForTransform("base", "map", 0.1), "it was restarted"
 
 
 def test_a_client_reconnects_to_a_restarted_server(place: ServedPlace) -> None:
@@ -183,4 +185,4 @@ def test_a_client_reconnects_to_a_restarted_server(place: ServedPlace) -> None:
 
         until(set_again, "the client sets frames again", 30)
         assert frames.waitForTransform("camera", "base", 20.0)
-        assert "laser" not in frames, "a server begins without frames"
+        assert "laser" not in frames, "a server starts without frames"

@@ -1,4 +1,4 @@
-"""When the stream of transforms is sent, and in whose words."""
+"""When the stream of transforms is sent, and in which form."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FRAMES = [FrameTransform("map", "base", 1.5, 0, 1.0)]
 
 
 class Port:
-    """A port that keeps what is written."""
+    """A port that records written messages."""
 
     def __init__(self) -> None:
         self.heard = True
@@ -37,8 +37,8 @@ def test_a_set_frame_is_sent_at_once_and_nothing_twice(monkeypatch: pytest.Monke
     frame_stream = stream(port)
     sent = []
     for later, action in (
-        (0, frame_stream.tick), (1, frame_stream.changed), (10, frame_stream.tick), (17, frame_stream.changed), (20, frame_stream.tick), (27, frame_stream.changed),
-        (30, frame_stream.tick), (40, frame_stream.tick), (50, frame_stream.tick),
+        (0, frame_stream.tick), (1, frame_stream.changed), (10, frame_stream.tick), (17, frame_stream.changed),
+        (20, frame_stream.tick), (27, frame_stream.changed), (30, frame_stream.tick), (40, frame_stream.tick), (50, frame_stream.tick),
     ):  # fmt: skip
         now[0] = 100.0 + later / 1000
         before = len(port.written)
@@ -48,7 +48,7 @@ def test_a_set_frame_is_sent_at_once_and_nothing_twice(monkeypatch: pytest.Monke
     port.heard = False
     now[0] += 1
     frame_stream.tick()
-    assert len(port.written) == 6, "nobody hears it"
+    assert len(port.written) == 6, "it has no reader"
 
 
 def test_each_dialect_gets_the_outcome_in_its_releases_form() -> None:
