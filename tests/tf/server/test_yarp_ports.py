@@ -38,7 +38,8 @@ def test_a_set_frame_is_sent_at_once_and_nothing_twice(monkeypatch: pytest.Monke
     sent = []
     for later, action in (
         (0, frame_stream.tick), (1, frame_stream.changed), (10, frame_stream.tick), (17, frame_stream.changed),
-        (20, frame_stream.tick), (27, frame_stream.changed), (30, frame_stream.tick), (40, frame_stream.tick), (50, frame_stream.tick),
+        (20, frame_stream.tick), (27, frame_stream.changed), (30, frame_stream.tick),
+        (40, frame_stream.tick), (50, frame_stream.tick),
     ):  # fmt: skip
         now[0] = 100.0 + later / 1000
         before = len(port.written)
