@@ -133,7 +133,7 @@ class Live:
     def check(self) -> None:
         """Load a new certificate; raises `RuntimeError` if the server has ended."""
         if self._tls is not None:
-            self._tls.look()
+            self._tls.refresh()
         if self.front.trouble:
             raise RuntimeError(self.front.trouble)
 

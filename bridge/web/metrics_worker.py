@@ -74,7 +74,7 @@ class MetricsWorker(Worker):
         assert self._link is not None
         assert self._config is not None
         if self._tls is not None:
-            self._tls.look()
+            self._tls.refresh()
         if self.server.trouble:
             raise RuntimeError(self.server.trouble)
         hub = self._link.join()

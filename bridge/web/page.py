@@ -70,25 +70,25 @@ class Page:
         self._stops: set[asyncio.Task[None]] = set()  # those of them that make robots stand
         self._errors = 0
         self._deaf = False
-        self._wish: Callable[[], None] | None = None  # the newest hold or release that has not run yet
+        self._newest_action: Callable[[], None] | None = None  # the newest hold or release that has not run yet
         self._posted = 0
         self.who = who(grant, f"{socket.client.host}:{socket.client.port}" if socket.client else "a page")
 
     async def serve(self) -> None:
         """Serve the page until the socket ends; its hold and its feeds end with it."""
-        self._say(self._hello)
+        self._queue(self._hello)
         sender = asyncio.create_task(self._send())
         try:
             await self._receive()
         except (WebSocketDisconnect, RuntimeError):  # starlette raises them after the other end closed
             pass
         finally:
-            self._post(self._leave)
+            self._post(self._unwatch_all)
             sender.cancel()
             for call in self._calls - self._stops:  # what has begun goes on, and a stop is a stop
                 call.cancel()
 
-    def _leave(self) -> None:
+    def _unwatch_all(self) -> None:
         self._hold.release(self)
         while self._open:
             self._open.popitem()[1].unwatch(self)
@@ -109,7 +109,7 @@ class Page:
 
     def refuse(self, why: str) -> None:
         """Send the page the reason of a refusal."""
-        self._call_soon(lambda: self._say({"op": "error", "error": why}))
+        self._call_soon(lambda: self._queue({"op": "error", "error": why}))
 
     def _call_soon(self, action: Callable[[], Any]) -> None:
         try:
@@ -132,12 +132,12 @@ class Page:
         """Return the commanded velocity, and the newest values of the feeds whose last one the page has drawn."""
         with self._lock:
             due = [name for name in self._news if name not in self._drawing]
-            found = [(name, *self._news.pop(name)) for name in due]
+            values = [(name, *self._news.pop(name)) for name in due]
             held, self._held = self._held, ""
-        self._drawing.update((name, n) for name, n, _ in found)
-        return [*filter(None, [held]), *(text for _, _, text in found)]
+        self._drawing.update((name, n) for name, n, _ in values)
+        return [*filter(None, [held]), *(text for _, _, text in values)]
 
-    def _say(self, message: dict[str, Any]) -> None:
+    def _queue(self, message: dict[str, Any]) -> None:
         if len(self._replies) >= MOST_REPLIES:  # it asks, and reads no answers
             self._deaf = True
             return
@@ -150,17 +150,17 @@ class Page:
             if message["type"] == "websocket.disconnect":
                 return
             try:
-                self._take(_parsed(message))
+                self._handle(_parsed(message))
             except BadMessageError as err:
                 self._errors += 1
-                self._say({"op": "error", "error": str(err)})
+                self._queue({"op": "error", "error": str(err)})
             if self._errors > MOST_ERRORS or self._deaf:
-                why = f"it reads none of {MOST_REPLIES} answers" if self._deaf else f"{MOST_ERRORS} bad messages"
-                _log.warning("%s: its socket is closed: %s", self.who, why)
+                reason = f"it reads none of {MOST_REPLIES} answers" if self._deaf else f"{MOST_ERRORS} bad messages"
+                _log.warning("%s: its socket is closed: %s", self.who, reason)
                 await self._socket.close(_POLICY)
                 return
 
-    def _take(self, message: dict[str, Any]) -> None:
+    def _handle(self, message: dict[str, Any]) -> None:
         match message:
             case {"op": "watch", "feed": str(name), **rest} if not rest:
                 self._watch(name)
@@ -173,9 +173,9 @@ class Page:
             case {"op": "call", "id": int(number), "verb": str(verb), **rest} if set(rest) <= {"args"}:
                 self._call(number, verb, rest.get("args", {}))
             case {"op": "hold", "x": x, "y": y, "turn": turn, **rest} if not rest:
-                self._hold_on(*_velocity(x=x, y=y, turn=turn))
+                self._hold_velocity(*_velocity(x=x, y=y, turn=turn))
             case {"op": "release", **rest} if not rest:
-                self._wishes(lambda: self._hold.release(self))
+                self._run_latest(lambda: self._hold.release(self))
             case _:
                 raise BadMessageError(f"no message of a page: {json.dumps(message)[:200]}")
 
@@ -191,15 +191,15 @@ class Page:
                 feed = self._open[name] = self._feeds.find(name)
                 feed.watch(self)
             except LookupError as err:
-                why = str(err)
-                self._call_soon(lambda: self._not_watched(name, why))
+                reason = str(err)
+                self._call_soon(lambda: self._not_watched(name, reason))
 
-        self._do(watch)
+        self._run_posted(watch)
 
     def _not_watched(self, name: str, why: str) -> None:
         """A feed cannot be followed; the page may ask again after this reply."""
         self._watched.discard(name)
-        self._say({"op": "error", "error": why})
+        self._queue({"op": "error", "error": why})
 
     def _unwatch(self, name: str) -> None:
         if name not in self._watched:
@@ -213,29 +213,29 @@ class Page:
             with self._lock:
                 self._news.pop(name, None)
 
-        self._do(unwatch)
+        self._run_posted(unwatch)
 
-    def _hold_on(self, x: float, y: float, turn: float) -> None:
+    def _hold_velocity(self, x: float, y: float, turn: float) -> None:
         if not self._grant.may_drive:
             raise BadMessageError(f"{_WATCHES}: it may not drive by hand")
         arrived = time.monotonic()
-        self._wishes(lambda: self._hold.hold(self, x, y, turn, arrived))
+        self._run_latest(lambda: self._hold.hold(self, x, y, turn, arrived))
 
-    def _wishes(self, wish: Callable[[], None]) -> None:
+    def _run_latest(self, action: Callable[[], None]) -> None:
         """Run the newest hold or release and drop any before it; at most one waits, and none is refused."""
         with self._lock:
-            waits, self._wish = self._wish is not None, wish
+            waits, self._newest_action = self._newest_action is not None, action
         if not waits:
-            self._post(self._take_wish)
+            self._post(self._run_newest)
 
-    def _take_wish(self) -> None:
+    def _run_newest(self) -> None:
         """On the module's thread."""
         with self._lock:
-            wish, self._wish = self._wish, None
-        if wish is not None:
-            wish()
+            action, self._newest_action = self._newest_action, None
+        if action is not None:
+            action()
 
-    def _do(self, action: Callable[[], Any]) -> None:
+    def _run_posted(self, action: Callable[[], Any]) -> None:
         """Run an action on the module's thread; raises `BadMessageError` where too many wait for it."""
         if self._posted >= MOST_WAITING:
             raise BadMessageError(f"{MOST_WAITING} messages of this page wait already")
@@ -277,7 +277,7 @@ class Page:
             self._reply(number, value=value)
 
     def _reply(self, number: int, *, value: Any = None, error: str = "") -> None:
-        self._say({"op": "reply", "id": number, "ok": not error, **({"error": error} if error else {"value": value})})
+        self._queue({"op": "reply", "id": number, "ok": not error, **({"error": error} if error else {"value": value})})
 
 
 def _parsed(message: Any) -> dict[str, Any]:
@@ -286,12 +286,12 @@ def _parsed(message: Any) -> dict[str, Any]:
     if not isinstance(text, str):
         raise BadMessageError("messages are JSON in text frames")
     try:
-        found = _DECODER.decode(text)
+        message_ = _DECODER.decode(text)
     except (ValueError, RecursionError) as err:
         raise BadMessageError(f"not JSON: {str(err)[:200]}") from None
-    if not isinstance(found, dict):
+    if not isinstance(message_, dict):
         raise BadMessageError("a message is a JSON object")
-    return found
+    return message_
 
 
 def _refused_number(word: str) -> float:

@@ -25,7 +25,7 @@ from bridge.modules.host import Host
 from bridge.state_file import worker_folder
 from bridge.web.feeds.feed import Feeds
 from bridge.web.feeds.frames import FrameFollower, FramePoseFeed, FramesFeed
-from bridge.web.feeds.hub import AskingFeed, StatusAsker, list_topics
+from bridge.web.feeds.hub import PolledFeed, StatusPoller, list_topics
 from bridge.web.feeds.images import ImageFeed
 from bridge.web.feeds.layers import LayerFeed
 from bridge.web.feeds.log import LogFollower, log_feed
@@ -36,7 +36,7 @@ from bridge.web.feeds.robot import DrivingFeed, LaserFeed, PathFeed, RobotFeed, 
 from bridge.web.feeds.robots import RobotsFeed
 from bridge.web.feeds.topics import MessageFeed
 from bridge.web.page import Page
-from bridge.web.serving.access import Access, Grant, kept_secret
+from bridge.web.serving.access import Access, Grant, stored_secret
 from bridge.web.serving.console import WebServer, hello
 from bridge.web.serving.tls import ServerTls
 from bridge.web.verbs.hold import HOLD_SECONDS, HandDriving
@@ -75,7 +75,7 @@ class WebWorker(Worker):
         assert self._console is not None
         console = self._console
         console.host.loop.computes()
-        console.look()
+        console.refresh_tls()
         if console.server.trouble:
             raise RuntimeError(console.server.trouble)
         pages = console.server.pages
@@ -105,7 +105,7 @@ class Console:
         registry = Registry.of(config.types)
         pictures = Pictures(section.prefix)
         self._tls = ServerTls(config) if section.guarded else None
-        access = Access(section, kept_secret(worker_folder(config)) if section.guarded else b"")
+        access = Access(section, stored_secret(worker_folder(config)) if section.guarded else b"")
         metrics = MetricsRoutes(config, Source(config, self._ask_workers))
         self.server = WebServer(section.listen, self._serve, pictures, access, self._tls, metrics.routes, section.names)
         try:
@@ -137,10 +137,10 @@ class Console:
                 self._map,
                 StoreFeed("maps", self._store, lambda view: view.maps),
                 StoreFeed("places", self._store, lambda view: view.places),
-                AskingFeed(host, "status", self._asking, StatusAsker(client)),
-                AskingFeed(host, "topics", self._asking, lambda: list_topics(client)),
+                PolledFeed(host, "status", self._asking, StatusPoller(client)),
+                PolledFeed(host, "topics", self._asking, lambda: list_topics(client)),
                 FramesFeed(host, follower),
-                AskingFeed(host, "services", self._asking, lambda: list_services(client)),
+                PolledFeed(host, "services", self._asking, lambda: list_services(client)),
                 log_feed(host, self._asking, log),
             ],
             {
@@ -155,11 +155,11 @@ class Console:
             driven=lambda: driving.busy or self._patrol.busy, begins=driving.moved_by_hand,
         )  # fmt: skip
         self._driving, self._sending = driving, Sending(host, config, client, known)
-        written = (self._store.client, lambda: host.loop.post(self._store.look))
+        written = (self._store.client, lambda: host.loop.post(self._store.refresh))
         self.verbs = Verbs(
-            host, config, client, known, self._store.client, chose=driving.chose, between=self._patrol.between,
+            host, config, client, known, self._store.client, on_planner=driving.on_planner, pause_or_resume=self._patrol.pause_or_resume,
             before={
-                **dict.fromkeys(("stop", "halt"), self._stand),
+                **dict.fromkeys(("stop", "halt"), self._stop_robot),
                 **dict.fromkeys(("goto", "goto_place"), lambda: self._patrol.end(ANOTHER)),
             },
             more={
@@ -181,10 +181,10 @@ class Console:
     def changed(self, name: str, n: int, text: str) -> None:
         """Nothing: it watches for `DrivingFeed.busy` alone."""
 
-    def look(self) -> None:
+    def refresh_tls(self) -> None:
         """Use a new certificate."""
         if self._tls is not None:
-            self._tls.look()
+            self._tls.refresh()
 
     async def _serve(self, socket: WebSocket, grant: Grant) -> None:
         await Page(socket, grant, self._hello, self.feeds, self.verbs, self._hold, self.host.loop.post).serve()
@@ -195,7 +195,7 @@ class Console:
         answers = hub.ask("status", {}, daemon=config.name, timeout=ASK_SECONDS)
         return own_answers(answers, hub.zid, identity_of(config))
 
-    def _stand(self) -> None:
+    def _stop_robot(self) -> None:
         self._hold.stop()
         self._patrol.end(STOPPED)
 
@@ -207,7 +207,7 @@ class Console:
     def close(self) -> None:
         """Stop the robot if a page drives it, then leave."""
         self.server.close()
-        self.host.loop.call(self._stand)
+        self.host.loop.call(self._stop_robot)
         self.host.loop.call(self.feeds.close)
         self.verbs.close()
         self._sending.close()

@@ -155,7 +155,7 @@ def test_the_store_is_polled_only_while_a_client_watches(
         return digest(client)
 
     monkeypatch.setattr(StoreClient, "digest", counted_digest)
-    monkeypatch.setattr(maps, "LOOK_SECONDS", 0.1)
+    monkeypatch.setattr(maps, "POLL_SECONDS", 0.1)
 
     def is_idle() -> bool:
         before = len(clients)

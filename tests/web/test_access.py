@@ -20,7 +20,7 @@ from bridge.config.sections.web import TokenSection, WebSection
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.tokens import new_token
 from bridge.web.serving import access
-from bridge.web.serving.access import COOKIE, Access, Grant, WrongTokens, kept_secret
+from bridge.web.serving.access import COOKIE, Access, Grant, WrongTokens, stored_secret
 from bridge.web.serving.scarce_log import ScarceLog
 from bridge.web.serving.server import hosts
 from tests.support.wait import until
@@ -331,12 +331,12 @@ def test_a_login_ends(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_secret_is_the_owners(tmp_path: Path) -> None:
-    made = kept_secret(tmp_path / "state")
-    assert kept_secret(tmp_path / "state") == made
+    made = stored_secret(tmp_path / "state")
+    assert stored_secret(tmp_path / "state") == made
     assert stat.S_IMODE((tmp_path / "state" / "web.secret").stat().st_mode) == 0o600
     (tmp_path / "file").write_text("")
     with pytest.raises(RuntimeError, match="the console stores its key"):
-        kept_secret(tmp_path / "file")
+        stored_secret(tmp_path / "file")
 
 
 def test_names_of_the_certificate_are_hosts(guarded: GuardedDesk) -> None:
@@ -402,7 +402,7 @@ def test_a_new_certificate_is_taken_up(guarded: GuardedDesk) -> None:
     Authority(guarded.keys).issue("here", ["127.0.0.1"], replace=True)
 
     def renewed() -> bool:
-        guarded.console.look()
+        guarded.console.refresh_tls()
         return number() != before
 
     until(renewed, "it shows the new one")

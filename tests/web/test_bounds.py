@@ -15,7 +15,7 @@ from websockets.exceptions import InvalidStatus
 
 from bridge.concurrency import SerialExecutor
 from bridge.web.feeds.feed import Feed
-from bridge.web.feeds.hub import AskingFeed
+from bridge.web.feeds.hub import PolledFeed
 from bridge.web.serving import connections
 from bridge.web.serving.connections import MOST_CONNECTIONS, MOST_OF_ADDRESS
 from bridge.web.serving.console import MOST_PAGES_OF_ADDRESS
@@ -213,7 +213,7 @@ def test_a_feed_goes_on_after_an_error(desk: Desk) -> None:
             raise KeyError("gone")
         return GOOD
 
-    console.feeds.fixed["maps"] = AskingFeed(console.host, "maps", asking, answer)
+    console.feeds.fixed["maps"] = PolledFeed(console.host, "maps", asking, answer)
     with contextlib.closing(asking), TestPage(desk.port) as page:
         page.watch("maps")
         page.until(lambda: page.values.get("maps", {}).get("why") == "KeyError: 'gone'", "it says why there is none")

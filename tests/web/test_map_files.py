@@ -15,7 +15,7 @@ import pytest
 from bridge.stores.kinds import LOCATION, MAP
 from bridge.stores.store import Store, Write
 from bridge.web.verbs import map_files
-from bridge.web.verbs.map_files import Parcels, heads, unpacked
+from bridge.web.verbs.map_files import Transfers, root_files, unpacked
 from bridge.web.verbs.verbs import VerbError
 from tests.web.conftest import Desk
 from tests.web.page import TestPage
@@ -152,7 +152,7 @@ def test_parts_that_are_none(page: TestPage, args: dict[str, Any], why: str) -> 
 def test_uploads_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(map_files, "MOST_BYTES", 10)
     monkeypatch.setattr(map_files, "MOST_FILES", 2)
-    parcels = Parcels()
+    parcels = Transfers()
     key = parcels.new({})
     assert parcels.add(key, "a", 0, bytes(8)) == 8
     with pytest.raises(VerbError, match="up to 2 files"):
@@ -181,7 +181,7 @@ def test_zips_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_which_files_name_the_others() -> None:
-    assert heads(["a.map", "a_grid.yaml", "a.pgm"]) == ["a.map"]
-    assert heads(["a.yaml", "b.yml", "a.pgm"]) == ["a.yaml", "b.yml"]
-    assert heads(["maps_collection.ini", "a.map"]) == ["maps_collection.ini"]
-    assert heads(["locations.ini", "locations_extras.ini", "a.map"]) == ["locations.ini", "a.map"]
+    assert root_files(["a.map", "a_grid.yaml", "a.pgm"]) == ["a.map"]
+    assert root_files(["a.yaml", "b.yml", "a.pgm"]) == ["a.yaml", "b.yml"]
+    assert root_files(["maps_collection.ini", "a.map"]) == ["maps_collection.ini"]
+    assert root_files(["locations.ini", "locations_extras.ini", "a.map"]) == ["locations.ini", "a.map"]

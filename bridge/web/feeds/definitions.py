@@ -16,8 +16,8 @@ def definition(types: Types, type_name: str, kind: str = "topic") -> dict[str, A
         name = ros2_spelling(type_name, "srv")
         types.prepare_service(name, "")
         request, response = types.registry.service_schemas(name)
-        both = {**_types(response), **_types(request)}
-        return {"type": name, "root": request.name, "response": response.name, "types": both}
+        types_ = {**_types(response), **_types(request)}
+        return {"type": name, "root": request.name, "response": response.name, "types": types_}
     name = types.name(type_name)
     types.hash_of(name)
     schema = types.registry.schema(name)
@@ -25,12 +25,12 @@ def definition(types: Types, type_name: str, kind: str = "topic") -> dict[str, A
 
 
 def _types(schema: Schema) -> dict[str, Any]:
-    found = {name: _definition(each) for name, each in schema.types.items()}
-    return {**found, schema.name: _definition(schema.root)}
+    types = {name: _definition(definition_) for name, definition_ in schema.types.items()}
+    return {**types, schema.name: _definition(schema.root)}
 
 
-def _definition(one: Definition) -> dict[str, Any]:
-    return {"fields": [_field(field) for field in one.fields], "constants": [_constant(each) for each in one.constants]}
+def _definition(definition_: Definition) -> dict[str, Any]:
+    return {"fields": [_field(field) for field in definition_.fields], "constants": [_constant(constant) for constant in definition_.constants]}
 
 
 def _field(field: Field) -> dict[str, Any]:

@@ -64,8 +64,8 @@ class Feed(ABC):
         """Take a new value, None with ``why`` where there is none; one that is as before is not sent again."""
         if not self._watchers:
             return  # what was on its way when the last page left
-        said = {"value": value, "why": why} if value is None else {"value": value}
-        text = _json(said)
+        document = {"value": value, "why": why} if value is None else {"value": value}
+        text = _json(document)
         if text == self._value:
             return
         self._value = text
@@ -121,21 +121,21 @@ class Feeds:
     MOST_TOPICS = 100
     """Topics that all pages together may watch."""
 
-    def __init__(self, fixed: list[Feed], made: Mapping[str, Make]) -> None:
+    def __init__(self, fixed: list[Feed], factories: Mapping[str, Make]) -> None:
         self.fixed = {feed.name: feed for feed in fixed}
-        self._made = made
+        self._factories = factories
         self._topics: dict[str, Feed] = {}
 
     def find(self, name: str) -> Feed:
         """The feed with a name; raises `LookupError` with the reason where there is none."""
         if name in self.fixed:
             return self.fixed[name]
-        make = next((make for begin, make in self._made.items() if name.startswith(begin)), None)
+        make = next((make for begin, make in self._factories.items() if name.startswith(begin)), None)
         if make is None:
-            known = ", ".join((*self.fixed, *(f"{begin}NAME" for begin in self._made)))
+            known = ", ".join((*self.fixed, *(f"{begin}NAME" for begin in self._factories)))
             raise LookupError(f"there is no feed {name[:80]!r}; there are {known}")
         if name not in self._topics:
-            self._topics = {each: feed for each, feed in self._topics.items() if feed.watched}
+            self._topics = {topic: feed for topic, feed in self._topics.items() if feed.watched}
             if len(self._topics) >= self.MOST_TOPICS:
                 raise LookupError(f"{self.MOST_TOPICS} topics are watched already; close some")
             self._topics[name] = make(name)

@@ -57,8 +57,8 @@ class FrameFeed(Feed):
     def open(self) -> None:
         """Follow the frames."""
         self._follower.begin()
-        self._timer = self._host.loop.every(self._seconds, self.look)
-        self.look()
+        self._timer = self._host.loop.every(self._seconds, self.refresh)
+        self.refresh()
 
     def close(self) -> None:
         """Rest."""
@@ -66,7 +66,7 @@ class FrameFeed(Feed):
             self._timer.close()
         self._follower.end()
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Put the value of now."""
 
 
@@ -76,7 +76,7 @@ class FramesFeed(FrameFeed):
     def __init__(self, host: Host, follower: FrameFollower) -> None:
         super().__init__(host, follower, "frames", FRAMES_SECONDS)
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Put the tree."""
         now = self._host.clock.now_ns()
         self.put(
@@ -102,23 +102,23 @@ class FramePoseFeed(FrameFeed):
     def __init__(self, host: Host, follower: FrameFollower, name: str) -> None:
         super().__init__(host, follower, name, POSE_SECONDS)
         self._reference, parted, self._frame = name.removeprefix(PREFIX).partition(">")
-        if not parted or not all(0 < len(each) <= _MOST_NAME for each in (self._reference, self._frame)):
+        if not parted or not all(0 < len(frame) <= _MOST_NAME for frame in (self._reference, self._frame)):
             raise LookupError(f"{name[:80]!r} is no feed of a pose: ask for pose:REFERENCE>FRAME")
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Put the pose of now, or why there is none."""
         try:
-            found = self._follower.frames.buffer.lookup_transform(self._reference, self._frame)
+            transform = self._follower.frames.buffer.lookup_transform(self._reference, self._frame)
         except TransformError as err:
             self.put(None, str(err).strip())
             return
-        age = (self._host.clock.now_ns() - found.stamp) / 1e9 if found.stamp else None
+        age = (self._host.clock.now_ns() - transform.stamp) / 1e9 if transform.stamp else None
         self.put(
             {
-                "position": dict(zip("xyz", (round(part, 4) for part in found.translation), strict=True)),
-                "rotation": dict(zip("xyzw", (round(part, 6) for part in found.rotation), strict=True)),
+                "position": dict(zip("xyz", (round(part, 4) for part in transform.translation), strict=True)),
+                "rotation": dict(zip("xyzw", (round(part, 6) for part in transform.rotation), strict=True)),
                 "angles": dict(
-                    zip(("roll", "pitch", "yaw"), (round(part, 5) for part in angles_of(found.rotation)), strict=True)
+                    zip(("roll", "pitch", "yaw"), (round(part, 5) for part in angles_of(transform.rotation)), strict=True)
                 ),
                 "age": None if age is None else round(max(age, 0.0), 2),
             }

@@ -32,7 +32,7 @@ _ENDPOINT = ("way", "endpoint", "state", "reason", "cure", "machine", "since")
 _DECISION = ("daemon", "direction", "decision", "why", "cure")
 
 
-class AskingFeed(Feed):
+class PolledFeed(Feed):
     """A feed that queries its value periodically, on a thread that may wait."""
 
     def __init__(
@@ -45,34 +45,34 @@ class AskingFeed(Feed):
 
     def open(self) -> None:
         """Query now, and again after each pause."""
-        self._timer = self._host.loop.every(self._seconds, self._look)
-        self._look()
+        self._timer = self._host.loop.every(self._seconds, self._poll)
+        self._poll()
 
     def close(self) -> None:
         """Stop querying."""
         self._timer.close()
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         if not self._asking and self.watched:
             self._asking = True
             self._executor.submit(self._run)
 
     def _run(self) -> None:
         try:
-            value, why = self._ask(), ""
+            value, reason = self._ask(), ""
         except (HubError, CliError) as err:
-            value, why = None, str(err)
+            value, reason = None, str(err)
         except Exception as err:  # the feed continues: the next query may succeed
             _log.exception("the feed %s", self.name)
-            value, why = None, f"{type(err).__name__}: {err}"
-        self._host.loop.post(partial(self._found, value, why))
+            value, reason = None, f"{type(err).__name__}: {err}"
+        self._host.loop.post(partial(self._on_value, value, reason))
 
-    def _found(self, value: Any, why: str) -> None:
+    def _on_value(self, value: Any, reason: str) -> None:
         self._asking = False
-        self.put(value, why)
+        self.put(value, reason)
 
 
-class StatusAsker:
+class StatusPoller:
     """Makes the value of ``status``; one thread calls it periodically."""
 
     def __init__(self, client: CliClient) -> None:
@@ -82,16 +82,16 @@ class StatusAsker:
 
     def __call__(self) -> dict[str, Any]:
         """Return all workers and routes, with the bytes per second of each route since the last call."""
-        found = ask_status(self._client)
+        status = ask_status(self._client)
         now = time.monotonic()
         before, self._bytes = self._bytes, {}
-        for route in found["routes"]:
+        for route in status["routes"]:
             key = tuple(route[part] for part in ("daemon", "side", "direction", "topic", "type"))
             total = self._bytes[key] = route.pop("bytes") or 0
             grown = total - before.get(key, total)
             route["bytes_per_second"] = round(max(grown, 0) / (now - self._at))
         self._at = now
-        return found
+        return status
 
 
 def ask_status(client: CliClient) -> dict[str, Any]:
@@ -99,36 +99,36 @@ def ask_status(client: CliClient) -> dict[str, Any]:
     answers = client.ask("status", timeout=_ASK_SECONDS)
     documents = [document_of(answer) for answer in distinct(client, answers)]
     answering = {(str(document["daemon"]), str(document["worker"])) for document in documents}
-    said = ask_daemon(client.config) or {}
-    silent = [worker for worker in absent(said, _NOT_HERE) if (said["daemon"], worker["worker"]) not in answering]
-    restarts = {worker["pid"]: worker["restarts"] for worker in said.get("workers", ()) if worker["pid"]}
+    daemon = ask_daemon(client.config) or {}
+    silent = [worker for worker in absent(daemon, _NOT_HERE) if (daemon["daemon"], worker["worker"]) not in answering]
+    restarts = {worker["pid"]: worker["restarts"] for worker in daemon.get("workers", ()) if worker["pid"]}
     return {
-        "workers": [_worker(document, said, restarts) for document in (*documents, *silent)],
-        "machines": [_machine(document, one) for document in documents for one in dicts(document.get("machines"))],
-        "endpoints": [_endpoint(document, one) for document in documents for one in dicts(document.get("endpoints"))],
+        "workers": [_worker(document, daemon, restarts) for document in (*documents, *silent)],
+        "machines": [_machine(document, entry) for document in documents for entry in dicts(document.get("machines"))],
+        "endpoints": [_endpoint(document, entry) for document in documents for entry in dicts(document.get("endpoints"))],
         "routes": [_route(document, route) for document in documents for route in route_list(document)],
-        "refused": [_refused(document, one) for document in documents for one in dicts(document.get("refused"))],
+        "refused": [_refused(document, entry) for document in documents for entry in dicts(document.get("refused"))],
     }
 
 
-def _worker(document: Document, said: Document, restarts: Mapping[int, int]) -> dict[str, Any]:
-    found = {key: document.get(key) for key in ("daemon", "worker", "state", "cpu", "rss", "restarts")}
-    if found["restarts"] is None and document.get("daemon") == said.get("daemon"):
-        found["restarts"] = restarts.get(document.get("pid", 0))  # only the daemon counts them
+def _worker(document: Document, daemon: Document, restarts: Mapping[int, int]) -> dict[str, Any]:
+    shown = {key: document.get(key) for key in ("daemon", "worker", "state", "cpu", "rss", "restarts")}
+    if shown["restarts"] is None and document.get("daemon") == daemon.get("daemon"):
+        shown["restarts"] = restarts.get(document.get("pid", 0))  # only the daemon counts them
     side = document.get("side")
     return {
-        **found,
-        "side": label(side) if isinstance(side, str) and side in {each.name for each in all_sides()} else None,
+        **shown,
+        "side": label(side) if isinstance(side, str) and side in {side_.name for side_ in all_sides()} else None,
         "text": document.get("error") or document.get("text") or "",
     }
 
 
-def _machine(document: Document, one: Document) -> dict[str, Any]:
-    return {"daemon": document.get("daemon"), **{key: one.get(key) for key in ("name", "address", "trusted")}}
+def _machine(document: Document, machine: Document) -> dict[str, Any]:
+    return {"daemon": document.get("daemon"), **{key: machine.get(key) for key in ("name", "address", "trusted")}}
 
 
-def _endpoint(document: Document, one: Document) -> dict[str, Any]:
-    return {"daemon": document.get("daemon"), **{key: one.get(key) for key in _ENDPOINT}}
+def _endpoint(document: Document, endpoint: Document) -> dict[str, Any]:
+    return {"daemon": document.get("daemon"), **{key: endpoint.get(key) for key in _ENDPOINT}}
 
 
 def _route(document: Document, route: Document) -> dict[str, Any]:
@@ -144,24 +144,24 @@ def _route(document: Document, route: Document) -> dict[str, Any]:
     }
 
 
-def _refused(document: Document, one: Document) -> dict[str, Any]:
-    return {"side": document.get("side"), **{key: one.get(key) for key in ("topic", "type", "reason", "cure")}}
+def _refused(document: Document, refusal: Document) -> dict[str, Any]:
+    return {"side": document.get("side"), **{key: refusal.get(key) for key in ("topic", "type", "reason", "cure")}}
 
 
 def list_topics(client: CliClient) -> list[dict[str, Any]]:
     """Return the value of ``topics``: the topics on the hub."""
-    found: dict[tuple[str, str], dict[str, Any]] = {}
+    topics: dict[tuple[str, str], dict[str, Any]] = {}
     graph = client.hub.graph
     for key, endpoints in (("publishers", graph.publishers()), ("subscribers", graph.subscriptions())):
         for end in endpoints:
             if not end.topic.startswith(TAPS):
                 empty = {"topic": end.topic, "type": end.type_name, "publishers": 0, "subscribers": 0}
-                found.setdefault((end.topic, end.type_name), empty)[key] += 1
-    return [found[key] for key in sorted(found)]
+                topics.setdefault((end.topic, end.type_name), empty)[key] += 1
+    return [topics[key] for key in sorted(topics)]
 
 
 def explain(client: CliClient, name: str) -> list[dict[str, Any]]:
     """Return why a topic, a service or an action crosses or not."""
     names = daemon_names(client, client.ask("status", worker="router", timeout=_ASK_SECONDS))
     decisions = decisions_in(names.apply(client.ask("explain", {"topic": name})))
-    return [{"side": each.worker, **{key: getattr(each, key) for key in _DECISION}} for each in decisions]
+    return [{"side": decision.worker, **{key: getattr(decision, key) for key in _DECISION}} for decision in decisions]

@@ -48,9 +48,9 @@ class LayerFeed(TopicsFeed):
             self.put(None, "no layer is configured (web.layer)")
             return
         self._follower.begin()
-        self.follow(self._topic, GRID, self._take, LATCHED)
-        self.follow(self._topic + HEIGHTS, GRID_MAP, self._take_heights, LATCHED)
-        self._timer = self._host.loop.every(SECONDS, self._look)
+        self.follow(self._topic, GRID, self._on_grid, LATCHED)
+        self.follow(self._topic + HEIGHTS, GRID_MAP, self._on_heights, LATCHED)
+        self._timer = self._host.loop.every(SECONDS, self._refresh)
 
     def close(self) -> None:
         """Rest."""
@@ -61,13 +61,13 @@ class LayerFeed(TopicsFeed):
             self._timer = None
             self._follower.end()
 
-    def _take(self, grid: dict[str, Any]) -> None:
+    def _on_grid(self, grid: dict[str, Any]) -> None:
         self._grid, self._fresh = grid, True
 
-    def _take_heights(self, heights: dict[str, Any]) -> None:
+    def _on_heights(self, heights: dict[str, Any]) -> None:
         self._heights, self._fresh = heights, True
 
-    def _look(self) -> None:
+    def _refresh(self) -> None:
         grid = self._grid
         if grid is None:
             return
@@ -99,22 +99,22 @@ def tint(grid: dict[str, Any], heights: dict[str, Any] | None, frame: Pose) -> d
     if not (math.isfinite(size) and size > 0.0):
         raise ValueError(f"info.resolution: {size} m is no size of a cell")
     blocked = cells.reshape(height, width) >= BLOCKED
-    spot, turn = info["origin"]["position"], info["origin"]["orientation"]
-    origin = Pose(float(spot["x"]), float(spot["y"]), yaw_of(turn))
-    found = _heights_of(blocked, heights, grid, origin)
+    position, orientation = info["origin"]["position"], info["origin"]["orientation"]
+    origin = Pose(float(position["x"]), float(position["y"]), yaw_of(orientation))
+    cell_heights = _heights_of(blocked, heights, grid, origin)
     while np.count_nonzero(blocked) > MOST_TINTED:
         blocked = np.asarray(_halved(blocked, False).any((1, 3)))
-        found, size = _halved(found, np.inf).min((1, 3)), 2.0 * size
-    return {"origin": place(frame @ origin), "size": round(size, 4), "runs": runs_of(blocked, found)}
+        cell_heights, size = _halved(cell_heights, np.inf).min((1, 3)), 2.0 * size
+    return {"origin": place(frame @ origin), "size": round(size, 4), "runs": runs_of(blocked, cell_heights)}
 
 
 def _heights_of(
     blocked: NDArray[np.bool_], heights: dict[str, Any] | None, grid: dict[str, Any], origin: Pose
 ) -> NDArray[np.float32]:
     """How high each cell is, metres; infinite where that is not known."""
-    found = np.full(blocked.shape, np.inf, np.float32)
+    known = np.full(blocked.shape, np.inf, np.float32)
     if heights is None or heights["header"]["frame_id"].lstrip("/") != grid["header"]["frame_id"].lstrip("/"):
-        return found
+        return known
     rows, columns = np.nonzero(blocked)
     x, y = ((part + 0.5) * float(grid["info"]["resolution"]) for part in (columns, rows))
     cos, sin = math.cos(origin.theta), math.sin(origin.theta)
@@ -123,8 +123,8 @@ def _heights_of(
         values = values_at(heights, LOWEST, places)
     except ValueError as err:
         raise ValueError(f"of its heights, {err}") from None
-    found[rows, columns] = np.where(np.isfinite(values), values, np.inf)
-    return found
+    known[rows, columns] = np.where(np.isfinite(values), values, np.inf)
+    return known
 
 
 def _halved(cells: NDArray[Any], fill: float) -> NDArray[Any]:
@@ -138,10 +138,10 @@ def runs_of(blocked: NDArray[np.bool_], heights: NDArray[np.float32]) -> list[li
     """Blocked cells beside each other: row, column of the first, the height of each (None: not known)."""
     rows, columns = np.nonzero(blocked)
     values = heights[rows, columns]
-    said = [None if math.isinf(value) else value for value in np.round(values.astype(np.float64), 2).tolist()]
+    rounded = [None if math.isinf(value) else value for value in np.round(values.astype(np.float64), 2).tolist()]
     begins = np.flatnonzero(np.concatenate([[True], (np.diff(rows) != 0) | (np.diff(columns) != 1)]))
     if not len(rows):
         return []
     ends = [*begins[1:].tolist(), len(rows)]
     firsts = zip(rows[begins].tolist(), columns[begins].tolist(), begins.tolist(), ends, strict=True)
-    return [[row, column, *said[begin:end]] for row, column, begin, end in firsts]
+    return [[row, column, *rounded[begin:end]] for row, column, begin, end in firsts]

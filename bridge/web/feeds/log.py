@@ -16,9 +16,9 @@ from bridge.web.verbs.verbs import PageVerb
 
 LEVELS = ("debug", "info", "warning", "error")
 MOST_LINES = 2000
-MOST_TOLD = 500
+MOST_RETURNED = 500
 LOG_SECONDS = 0.5
-_MOST_WORDS = 200
+_MOST_TEXT = 200
 _ROUNDS = 50
 
 
@@ -34,38 +34,38 @@ class LogFollower:
     def ask(self) -> dict[str, Any]:
         """The value of ``log``; reads all that is new. Raises `CliError` where no daemon answers."""
         for _ in range(_ROUNDS):
-            said = ask_log(self._config, self._last)
-            if said is None:
+            reply = ask_log(self._config, self._last)
+            if reply is None:
                 raise CliError("the daemon does not answer: this console runs without it, and has no log to show")
-            self._take(said)
-            if self._last >= said["last"]:
+            self._append(reply)
+            if self._last >= reply["last"]:
                 break
         with self._lock:
             return {"last": self._last, "workers": sorted({line["worker"] for line in self._lines})}
 
-    def _take(self, said: dict[str, Any]) -> None:
+    def _append(self, reply: dict[str, Any]) -> None:
         with self._lock:
-            if said["last"] < self._last:  # another daemon, which counts from its own beginning
+            if reply["last"] < self._last:  # another daemon, which counts from its own beginning
                 self._last = 0
                 self._lines.clear()
-            elif said["lines"]:
-                self._lines.extend(said["lines"])
-                self._last = said["lines"][-1]["n"]
+            elif reply["lines"]:
+                self._lines.extend(reply["lines"])
+                self._last = reply["lines"][-1]["n"]
 
     def read(self, after: int = 0, level: str = "debug", worker: str = "", text: str = "") -> dict[str, Any]:
         """The newest lines behind a number that pass the filters; see the protocol."""
-        kept, words = LEVELS[LEVELS.index(level) :], text.lower().split()
+        levels, terms = LEVELS[LEVELS.index(level) :], text.lower().split()
         with self._lock:
             lines, last = list(self._lines), self._last
-        found = [
+        matching = [
             line
             for line in lines
             if line["n"] > after
-            and line["level"] in kept
+            and line["level"] in levels
             and worker in ("", line["worker"])
-            and all(word in line["text"].lower() for word in words)
+            and all(term in line["text"].lower() for term in terms)
         ]
-        return {"last": last, "lines": found[-MOST_TOLD:]}
+        return {"last": last, "lines": matching[-MOST_RETURNED:]}
 
 
 def log_feed(host: Host, executor: SerialExecutor, follower: LogFollower) -> AskingFeed:
@@ -85,13 +85,13 @@ def _level(value: Any) -> str:
     return str(value)
 
 
-def _words(value: Any) -> str:
-    if not isinstance(value, str) or len(value) > _MOST_WORDS:
-        raise ValueError(f"is a text of up to {_MOST_WORDS} characters")
+def _text(value: Any) -> str:
+    if not isinstance(value, str) or len(value) > _MOST_TEXT:
+        raise ValueError(f"is a text of up to {_MOST_TEXT} characters")
     return value
 
 
 def log_verb(follower: LogFollower) -> PageVerb:
     """``log``: the lines that a page wants."""
-    may = {"after": _number, "level": _level, "worker": _words, "text": _words}
+    may = {"after": _number, "level": _level, "worker": _text, "text": _text}
     return PageVerb(follower.read, {}, may, commands=False)

@@ -109,8 +109,8 @@ class Pictures:
     def get(self, name: str, version: str, *, dark: bool = False) -> bytes | None:
         """The PNG of an address, in the colours for dark pages or light ones; None if it has expired."""
         with self._lock:
-            found = next((kept[version] for kept in self._kept.get(name, ()) if version in kept), None)
-        return _recoloured(found, PALETTES[name].dark) if found is not None and dark else found
+            png = next((picture[version] for picture in self._kept.get(name, ()) if version in picture), None)
+        return _recolored(png, PALETTES[name].dark) if png is not None and dark else png
 
 
 def _png(cells: Cells, palette: Palette) -> bytes:
@@ -121,7 +121,7 @@ def _png(cells: Cells, palette: Palette) -> bytes:
     return out.getvalue()
 
 
-def _recoloured(png: bytes, colours: bytes) -> bytes:
+def _recolored(png: bytes, colours: bytes) -> bytes:
     """Another palette for the same cells (PNG, ISO/IEC 15948: chunk PLTE), so that nothing is packed again."""
     at = png.index(b"PLTE")
     (length,) = struct.unpack(">I", png[at - 4 : at])

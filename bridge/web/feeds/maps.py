@@ -30,7 +30,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 
 _log = logging.getLogger("midspan.web")
 
-LOOK_SECONDS = 1.0
+POLL_SECONDS = 1.0
 """So often the store is asked for what is new."""
 
 
@@ -67,10 +67,10 @@ class StoreFollower:
         """Hand a feed what there is, and what is new."""
         self._feeds[feed] = take
         if self._timer is None:
-            self._timer = self._host.loop.every(LOOK_SECONDS, self.look)
+            self._timer = self._host.loop.every(POLL_SECONDS, self.refresh)
         if self._view is not None:
             take(self._view)
-        self.look()
+        self.refresh()
 
     def end(self, feed: Feed) -> None:
         """Hand it nothing more."""
@@ -87,7 +87,7 @@ class StoreFollower:
                 self._client = StoreClient(self._space, self._config.name)
             return self._client
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Ask now, unless it is being asked, or nobody wants to know."""
         if not self._asking and self._feeds:
             self._asking = True
@@ -99,13 +99,13 @@ class StoreFollower:
 
     def _ask(self) -> None:
         try:
-            view, why = self._read(), ""
+            view, reason = self._read(), ""
         except (StoreError, HubError) as err:
-            view, why, self._client, self._digest, self._map = None, str(err), None, None, None
+            view, reason, self._client, self._digest, self._map = None, str(err), None, None, None
         except Exception as err:
             _log.exception("the store")
-            view, why = None, f"{type(err).__name__}: {err}"
-        self._host.loop.post(partial(self._found, view, why))
+            view, reason = None, f"{type(err).__name__}: {err}"
+        self._host.loop.post(partial(self._on_view, view, reason))
 
     def _read(self) -> StoreView | None:
         """What the store has; None where that is as before."""
@@ -115,19 +115,19 @@ class StoreFollower:
             return None
         name = client.current_map()
         stamp = next((entry for entry in digest if entry[:2] == [MAP.name, name]), None)
-        kept = self._map
-        if kept is None or kept[0] != stamp:
-            kept = self._map = stamp, client.get(MAP, name) if stamp else None
-        grid = kept[1]
+        cached = self._map
+        if cached is None or cached[0] != stamp:
+            cached = self._map = stamp, client.get(MAP, name) if stamp else None
+        grid = cached[1]
         view = StoreView({"names": client.names(MAP), "current": name}, _places(client), grid, name)
         self._digest = digest
         return view
 
-    def _found(self, view: StoreView | None, why: str) -> None:
+    def _on_view(self, view: StoreView | None, reason: str) -> None:
         self._asking = False
-        if why:
+        if reason:
             for feed in tuple(self._feeds):
-                feed.put(None, why)
+                feed.put(None, reason)
         elif view is not None:
             self._view = view
             for take in tuple(self._feeds.values()):
@@ -136,17 +136,17 @@ class StoreFollower:
 
 def _places(client: StoreClient) -> dict[str, Any]:
     locations = {
-        name: {"map": one.map_id, **place(Pose(one.x, one.y, math.radians(one.theta)))}
-        for name, one in client.all(LOCATION).items()
+        name: {"map": value.map_id, **place(Pose(value.x, value.y, math.radians(value.theta)))}
+        for name, value in client.all(LOCATION).items()
     }
     areas = {
-        name: {"map": one.map_id, "points": [[point.x, point.y] for point in one.points]}
-        for name, one in client.all(AREA).items()
+        name: {"map": value.map_id, "points": [[point.x, point.y] for point in value.points]}
+        for name, value in client.all(AREA).items()
     }
     paths = {
-        name: {"map": one.waypoints[0].map_id, "points": [[point.x, point.y] for point in one.waypoints]}
-        for name, one in client.all(PATH).items()
-        if one.waypoints
+        name: {"map": value.waypoints[0].map_id, "points": [[point.x, point.y] for point in value.waypoints]}
+        for name, value in client.all(PATH).items()
+        if value.waypoints
     }
     return {"locations": locations, "areas": areas, "paths": paths}
 
@@ -179,9 +179,9 @@ class MapFeed(TopicsFeed):
     def open(self) -> None:
         """Follow the map."""
         if self._source == "store":
-            self._store.begin(self, self._of_store)
+            self._store.begin(self, self._on_store_view)
         else:
-            self.follow(self._source, GRID, self._of_topic, LATCHED)
+            self.follow(self._source, GRID, self._on_grid, LATCHED)
 
     def close(self) -> None:
         """Rest."""
@@ -193,14 +193,14 @@ class MapFeed(TopicsFeed):
         """End its thread."""
         self._drawing.close()
 
-    def _of_store(self, view: StoreView) -> None:
+    def _on_store_view(self, view: StoreView) -> None:
         if view.grid is None:
             self.put(None, "no map is in use; choose one, or import one with 'midspan map import'")
         elif view.grid is not self._shown:
             self._shown = view.grid
             self._drawing.submit(partial(self._draw, view.grid, view.name))
 
-    def _of_topic(self, message: dict[str, Any]) -> None:
+    def _on_grid(self, message: dict[str, Any]) -> None:
         try:
             grid = from_grid(message, self._source)
         except ValueError as err:

@@ -46,7 +46,7 @@ def decode(message: Mapping[str, Any], most: int) -> Picture:
     return _compressed(message, most) if "format" in message else _raw(message, most)
 
 
-def _colours(order: tuple[int, ...]) -> Callable[[Cells], Image.Image]:
+def _colors(order: tuple[int, ...]) -> Callable[[Cells], Image.Image]:
     return lambda cells: Image.fromarray(np.ascontiguousarray(cells[..., list(order)]), "RGB")
 
 
@@ -56,10 +56,10 @@ def _mono(cells: Cells) -> Image.Image:
 
 _OCTETS: Mapping[str, tuple[int, Callable[[Cells], Image.Image]]] = {
     **dict.fromkeys(("mono8", "8UC1"), (1, _mono)),
-    "rgb8": (3, _colours((0, 1, 2))),
-    **dict.fromkeys(("bgr8", "8UC3"), (3, _colours((2, 1, 0)))),
-    "rgba8": (4, _colours((0, 1, 2))),
-    **dict.fromkeys(("bgra8", "8UC4"), (4, _colours((2, 1, 0)))),
+    "rgb8": (3, _colors((0, 1, 2))),
+    **dict.fromkeys(("bgr8", "8UC3"), (3, _colors((2, 1, 0)))),
+    "rgba8": (4, _colors((0, 1, 2))),
+    **dict.fromkeys(("bgra8", "8UC4"), (4, _colors((2, 1, 0)))),
 }
 """Channels of an octet each, and how they become a picture."""
 
@@ -144,12 +144,12 @@ def _bayer(rows: Cells, red: tuple[int, int], blue: tuple[int, int]) -> Image.Im
     if not even.size:
         raise ConversionError("a picture of one row or column has no colours")
 
-    def at(place: tuple[int, int]) -> Cells:
+    def cells_at(place: tuple[int, int]) -> Cells:
         return even[place[0] :: 2, place[1] :: 2]
 
     greens = [(y, x) for y in (0, 1) for x in (0, 1) if (y, x) not in (red, blue)]
-    green = ((at(greens[0]).astype(np.uint16) + at(greens[1])) // 2).astype(np.uint8)
-    return Image.fromarray(np.dstack([at(red), green, at(blue)]), "RGB")
+    green = ((cells_at(greens[0]).astype(np.uint16) + cells_at(greens[1])) // 2).astype(np.uint8)
+    return Image.fromarray(np.dstack([cells_at(red), green, cells_at(blue)]), "RGB")
 
 
 def _yuv(rows: Cells, places: tuple[int, int, int, int]) -> Image.Image:
@@ -165,9 +165,9 @@ def _yuv(rows: Cells, places: tuple[int, int, int, int]) -> Image.Image:
 
 
 def _compressed(message: Mapping[str, Any], most: int) -> Picture:
-    how = str(message["format"])
+    format_ = str(message["format"])
     data = bytes(message["data"])
-    if "compressedDepth" in how:
+    if "compressedDepth" in format_:
         data = data[_DEPTH_HEAD:]
     try:
         with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
@@ -176,10 +176,10 @@ def _compressed(message: Mapping[str, Any], most: int) -> Picture:
                 raise ConversionError(f"a picture of {width} x {height} pixels is not shown: at most {MOST_PIXELS} are")
             image.draft("RGB" if image.mode != "L" else "L", (most, most))  # a JPEG is read at a part of its size
             image.load()
-            about = (width, height, how or str(image.format).lower())
+            about = (width, height, format_ or str(image.format).lower())
             if image.mode.startswith("I"):
                 return _of_measures(np.asarray(image), most, *about)
             return Picture(_fitted(image.convert("L" if image.mode == "L" else "RGB"), width, height, most), *about)
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as err:
-        what = how[:40] or "of no format"
-        raise ConversionError(f"the compressed picture ({what}) cannot be read: {err}") from None
+        shown_format = format_[:40] or "of no format"
+        raise ConversionError(f"the compressed picture ({shown_format}) cannot be read: {err}") from None

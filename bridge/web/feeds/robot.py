@@ -41,7 +41,7 @@ class RobotFeed(FrameFeed):
         super().__init__(host, follower, "robot", ROBOT_SECONDS)
         self._footprint = [list(corner) for corner in footprint]
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Publish the robot's pose."""
         try:
             pose = self._follower.frames.pose()
@@ -59,9 +59,9 @@ class TopicsFeed(Feed):
         self._host = host
         self._ends: list[Subscription] = []
 
-    def follow(self, topic: str, type_name: str, heard: Callable[[dict[str, Any]], None], qos: Qos) -> None:
+    def follow(self, topic: str, type_name: str, on_message: Callable[[dict[str, Any]], None], qos: Qos) -> None:
         """Subscribe until it is closed."""
-        self._ends.append(self._host.node.subscription(topic, type_name, heard, qos))
+        self._ends.append(self._host.node.subscription(topic, type_name, on_message, qos))
 
     def close(self) -> None:
         """Subscribe to nothing."""
@@ -78,7 +78,7 @@ class LaserFeed(TopicsFeed):
         self._follower, self._topic = follower, topic
         self._timer: Timer | None = None
         self._scan: dict[str, Any] | None = None
-        self._looked = -math.inf
+        self._refreshed = -math.inf
 
     def open(self) -> None:
         """Follow laser and frames."""
@@ -86,8 +86,8 @@ class LaserFeed(TopicsFeed):
             self.put(None, "no laser is configured (web.laser)")
             return
         self._follower.begin()
-        self.follow(self._topic, SCAN, self._take, Qos(Reliability.BEST_EFFORT, depth=1))
-        self._timer = self._host.loop.every(ROBOT_SECONDS, self._look)
+        self.follow(self._topic, SCAN, self._on_scan, Qos(Reliability.BEST_EFFORT, depth=1))
+        self._timer = self._host.loop.every(ROBOT_SECONDS, self._refresh)
 
     def close(self) -> None:
         """Rest."""
@@ -97,16 +97,16 @@ class LaserFeed(TopicsFeed):
             self._timer = None
             self._follower.end()
 
-    def _take(self, scan: dict[str, Any]) -> None:
+    def _on_scan(self, scan: dict[str, Any]) -> None:
         self._scan = scan
-        if time.monotonic() - self._looked > _LASER_GAP:
-            self._look()  # else the timer does
+        if time.monotonic() - self._refreshed > _LASER_GAP:
+            self._refresh()  # else the timer does
 
-    def _look(self) -> None:
+    def _refresh(self) -> None:
         scan, self._scan = self._scan, None
         if scan is None:
             return
-        self._looked = time.monotonic()
+        self._refreshed = time.monotonic()
         frames, header = self._follower.frames, scan["header"]
         try:
             laser = laser_pose(frames, header["frame_id"])
@@ -137,7 +137,7 @@ class PathFeed(TopicsFeed):
         self._topic = ""
 
     def _update(self) -> None:
-        driving, topic = self._driving, self._config.web.path or self._of(self._driving.planner)
+        driving, topic = self._driving, self._config.web.path or self._path_topic(self._driving.planner)
         ended = not (driving.drives or driving.paused)
         if ended or not (self.watched or driving.paused):
             self._last = []
@@ -147,17 +147,17 @@ class PathFeed(TopicsFeed):
             super().close()
             self._topic = topic
             if topic:
-                self.follow(topic, PATH, self._take, LATCHED)
+                self.follow(topic, PATH, self._on_path, LATCHED)
         if ended or not topic:
             self.put({"points": []})
         elif driving.paused:
             self.put({"points": self._last})
 
-    def _of(self, planner: str) -> str:
+    def _path_topic(self, planner: str) -> str:
         other = self._config.navigation.others.get(planner)
         return other.path if other else f"/planner/{planner}/path" if planner else ""
 
-    def _take(self, path: dict[str, Any]) -> None:
+    def _on_path(self, path: dict[str, Any]) -> None:
         points = points_of_path(path)
         if not (self._driving.drives or self._driving.paused):
             return
@@ -211,39 +211,39 @@ class DrivingFeed(TopicsFeed):
 
     def open(self) -> None:
         """Follow the gateway, and the planner's feedback."""
-        self.follow(STATUS_TOPIC, STATUS, self._take, LATCHED)
+        self.follow(STATUS_TOPIC, STATUS, self._on_status, LATCHED)
         section = self._config.navigation
         if section.planner:
             topic, kind = names(section.at(self.planner)).feedback, types(NAVIGATE).feedback
             self.follow(topic, kind, self._progress, Qos(depth=1))
-        self._say()
+        self._publish()
 
     def close(self) -> None:
         """Rest."""
         super().close()
         self._status = self._distance = None
 
-    def chose(self, planner: str) -> None:
+    def on_planner(self, planner: str) -> None:
         """Another planner was chosen."""
         status, self.planner = self._status, planner
         self.close()
         self.open()
         self._status = status
-        self._say()
-        self._tell()
+        self._publish()
+        self._notify()
 
     def moved_by_hand(self) -> None:
         """Forget the distance of a paused goal: it is unknown until the planner goes on."""
         if self.paused:
             self._distance = None
-            self._say()
+            self._publish()
 
-    def _take(self, status: dict[str, Any]) -> None:
+    def _on_status(self, status: dict[str, Any]) -> None:
         before, self._status = self.goal_id, status
         if self.goal_id != before or not (self.drives or self.paused):
             self._distance = None
-        self._say()
-        self._tell()
+        self._publish()
+        self._notify()
 
     def _progress(self, message: dict[str, Any]) -> None:
         if self.paused:
@@ -252,13 +252,13 @@ class DrivingFeed(TopicsFeed):
         # Nav2 sends 0.0 before its first path, and planners may while their goal is canceled for a pause
         if math.isfinite(left) and left > 0.0:
             self._distance = round(left, 1)
-            self._say()
+            self._publish()
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         for action in self._changes:
             action()
 
-    def _say(self) -> None:
+    def _publish(self) -> None:
         section, status = self._config.navigation, self._status
         if not section.planner:
             self.put(None, "no planner is configured (navigation.planner)")
@@ -290,8 +290,8 @@ def _moved(frames: RobotFrames, stamp: int) -> Pose:
 
 def disc(radius: float) -> list[list[float]]:
     """A footprint: corners in metres."""
-    turns = (math.tau * corner / _CORNERS for corner in range(_CORNERS))
-    return [[round(radius * math.cos(turn), 3), round(radius * math.sin(turn), 3)] for turn in turns]
+    angles = (math.tau * corner / _CORNERS for corner in range(_CORNERS))
+    return [[round(radius * math.cos(angle), 3), round(radius * math.sin(angle), 3)] for angle in angles]
 
 
 def points_of_path(path: dict[str, Any]) -> list[float]:
@@ -317,5 +317,5 @@ def points_of(scan: dict[str, Any], laser: Pose) -> list[float]:
     step = max(1, math.ceil(int(kept.sum()) / MOST_POINTS))
     ranges, angles = ranges[kept][::step], angles[kept][::step]
     ends = np.stack([laser.x + ranges * np.cos(angles), laser.y + ranges * np.sin(angles)], axis=1)
-    found: list[float] = np.round(ends, 2).reshape(-1).tolist()
-    return found
+    points: list[float] = np.round(ends, 2).reshape(-1).tolist()
+    return points

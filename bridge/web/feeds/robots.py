@@ -49,7 +49,7 @@ class RobotsFeed(FrameFeed):
             self._host.node.release(subscription)
         self._paths.clear()
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Publish the robots' current poses."""
         self.put([self._snapshot(robot) for robot in self._robots])
 

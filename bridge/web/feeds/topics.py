@@ -49,54 +49,54 @@ class NewestFeed(Feed):
         """Subscribe to whoever publishes it."""
         self._count, self._since, self._rate, self._newest = 0, time.monotonic(), None, None
         self._timers = [
-            self._host.loop.every(TOPIC_SECONDS, self._look),
-            self._host.loop.every(RATE_SECONDS, self._second),
+            self._host.loop.every(TOPIC_SECONDS, self._decode_newest),
+            self._host.loop.every(RATE_SECONDS, self._update_rate),
         ]
-        self._find()
+        self._subscribe()
 
     def close(self) -> None:
         """Subscribe no more."""
         for timer in self._timers:
             timer.close()
-        self._leave()
+        self._unsubscribe()
 
-    def _leave(self) -> None:
+    def _unsubscribe(self) -> None:
         ends, self._ends = self._ends, {}
         for end in ends.values():
             end.close()
 
-    def _find(self) -> None:
+    def _subscribe(self) -> None:
         groups: dict[tuple[str, str], list[Any]] = {}
         for endpoint in self._host.node.hub.graph.publishers(self._topic):
             if self._type in ("", endpoint.type_name):
                 groups.setdefault((endpoint.type_name, endpoint.type_hash), []).append(endpoint)
         types = sorted({type_name for type_name, _ in groups})
         if len(types) > 1:
-            self._leave()
-            said = f"{self._topic} is published with several types: {', '.join(types)}"
-            self.put(None, f"{said}; watch {self.name}@TYPE to have one of them")
+            self._unsubscribe()
+            several = f"{self._topic} is published with several types: {', '.join(types)}"
+            self.put(None, f"{several}; watch {self.name}@TYPE to have one of them")
             return
         for (type_name, type_hash), endpoints in groups.items():
             if (type_name, type_hash) not in self._ends:
                 qos = combined_qos([endpoint.qos for endpoint in endpoints])
-                take = partial(self._take, type_name, type_hash)
+                on_sample = partial(self._on_sample, type_name, type_hash)
                 hub = self._host.node.hub
-                self._ends[type_name, type_hash] = hub.subscription(self._topic, type_name, type_hash, qos, take)
+                self._ends[type_name, type_hash] = hub.subscription(self._topic, type_name, type_hash, qos, on_sample)
         if not self._ends:
-            what = f"{self._topic} as {self._type}" if self._type else self._topic
-            self.put(None, f"nobody publishes {what} on the hub")
+            wanted = f"{self._topic} as {self._type}" if self._type else self._topic
+            self.put(None, f"nobody publishes {wanted} on the hub")
 
-    def _take(self, type_name: str, type_hash: str, sample: HubSample) -> None:
+    def _on_sample(self, type_name: str, type_hash: str, sample: HubSample) -> None:
         """On zenoh's thread: keep the newest."""
         self._newest = (sample, type_name, type_hash)
         self._count += 1
 
-    def _second(self) -> None:
+    def _update_rate(self) -> None:
         now = time.monotonic()
         self._rate, self._count, self._since = round(self._count / (now - self._since), 1), 0, now
-        self._find()
+        self._subscribe()
 
-    def _look(self) -> None:
+    def _decode_newest(self) -> None:
         if self._busy:
             return
         newest, self._newest = self._newest, None
@@ -106,22 +106,22 @@ class NewestFeed(Feed):
 
     def _decode(self, sample: HubSample, type_name: str, type_hash: str) -> None:
         """On a thread that may wait: the type's definition may have to be asked for."""
-        why, value = "", None
+        reason, value = "", None
         if len(sample.payload) > self.most_bytes:
-            why = f"a message of {len(sample.payload)} bytes is not shown: pages get at most {self.most_bytes}"
+            reason = f"a message of {len(sample.payload)} bytes is not shown: pages get at most {self.most_bytes}"
         else:
             try:
                 value = self.value(type_name, type_hash, sample.data())
             except (CliError, ConversionError, HubError) as err:
-                why = str(err)
+                reason = str(err)
             except Exception as err:  # whatever a message holds, the feeds go on
-                why = f"it cannot be shown: {type(err).__name__}: {err}"
-        self._host.loop.post(partial(self._decoded, type_name, value, why))
+                reason = f"it cannot be shown: {type(err).__name__}: {err}"
+        self._host.loop.post(partial(self._decoded, type_name, value, reason))
 
-    def _decoded(self, type_name: str, value: dict[str, Any] | None, why: str) -> None:
+    def _decoded(self, type_name: str, value: dict[str, Any] | None, reason: str) -> None:
         self._busy = False
-        if self.watched and (self._ends or why):
-            self.put(None if value is None else {"type": type_name, **value, "rate": self._rate}, why)
+        if self.watched and (self._ends or reason):
+            self.put(None if value is None else {"type": type_name, **value, "rate": self._rate}, reason)
 
     @abstractmethod
     def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
@@ -145,8 +145,8 @@ def cut(value: Any, depth: int = 0) -> Any:
     if isinstance(value, dict):
         return {key: cut(item, depth + 1) for key, item in value.items()} if depth < MOST_DEPTH else {"...": len(value)}
     if isinstance(value, list):
-        found = [cut(item, depth + 1) for item in value[:MOST_ITEMS]]
-        return [*found, {"...": len(value)}] if len(value) > MOST_ITEMS else found
+        items = [cut(item, depth + 1) for item in value[:MOST_ITEMS]]
+        return [*items, {"...": len(value)}] if len(value) > MOST_ITEMS else items
     if isinstance(value, str) and len(value) > MOST_TEXT:
         return f"{value[:MOST_TEXT]}... ({len(value)} characters in all)"
     return value

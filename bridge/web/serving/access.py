@@ -116,11 +116,11 @@ class Access:
         scheme, _, token = headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer" and token.strip():
             return self._by_token(token.strip(), address, headers.get("user-agent", ""))
-        found = self._by_cookie(_cookie(headers.get("cookie", ""), self.cookie))
-        if found is None and certificate:
+        grant = self._by_cookie(_cookie(headers.get("cookie", ""), self.cookie))
+        if grant is None and certificate:
             trusted = certificate in self._trusted or "*" in self._trusted
-            found = Grant(certificate, "drive" if trusted else "watch")
-        return found
+            grant = Grant(certificate, "drive" if trusted else "watch")
+        return grant
 
     def login(self, token: str, address: str, program: str = "") -> tuple[Grant, str]:
         """Return the token's owner and the cookie; raises `WrongTokenError`."""
@@ -139,8 +139,8 @@ class Access:
         return grant
 
     def _by_cookie(self, value: str) -> Grant | None:
-        name, _, rest = value.partition(".")
-        end, _, mac = rest.partition(".")
+        name, _, signed = value.partition(".")
+        end, _, mac = signed.partition(".")
         token = self._tokens.get(name)
         if token is None or not (end.isascii() and end.isdigit() and len(end) < 12):
             return None
@@ -216,20 +216,20 @@ class WrongTokens:
         return attempts[key], several
 
 
-def kept_secret(folder: Path) -> bytes:
+def stored_secret(folder: Path) -> bytes:
     """Return this console's secret; a new one if it is missing. Raises `RuntimeError` if it cannot be stored."""
     from bridge.hub.security.certificates import write_private
 
     file = folder / "web.secret"
     try:
-        if file.exists() and len(found := file.read_bytes()) == _SECRET_BYTES:
-            return found
-        made = secrets.token_bytes(_SECRET_BYTES)
+        if file.exists() and len(secret := file.read_bytes()) == _SECRET_BYTES:
+            return secret
+        secret_ = secrets.token_bytes(_SECRET_BYTES)
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        write_private(file, made)
+        write_private(file, secret_)
     except OSError as err:
         raise RuntimeError(f"{file}: {err.strerror}; the console stores its key for logins there") from None
-    return made
+    return secret_
 
 
 def _cookie(header: str, wanted: str) -> str:

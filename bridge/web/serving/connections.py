@@ -107,7 +107,7 @@ class TimedHttp(H11Protocol):
         shown = common_name(transport.get_extra_info("peercert"))
         self.app_state = {**self.app_state, "certificate": shown}
         self._since = self.loop.time()
-        self._timer = self.loop.call_later(REQUEST_SECONDS, self._look)
+        self._timer = self.loop.call_later(REQUEST_SECONDS, self._check_time)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """As uvicorn's."""
@@ -138,10 +138,10 @@ class TimedHttp(H11Protocol):
         if self._timer is not None:
             self._timer.cancel()
 
-    def _look(self) -> None:
+    def _check_time(self) -> None:
         left = self._since + REQUEST_SECONDS - self.loop.time()
         if left > 0.0:
-            self._timer = self.loop.call_later(left, self._look)
+            self._timer = self.loop.call_later(left, self._check_time)
         else:
             self.transport.abort()
 

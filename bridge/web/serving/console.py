@@ -66,11 +66,11 @@ class WebServer(HttpServer):
         return Response((STATIC / "index.html").read_bytes(), media_type="text/html; charset=utf-8")
 
     async def _picture(self, request: Request) -> Response:
-        asked = request.query_params
-        found = self._pictures.get(request.path_params["name"], asked.get("v", ""), dark="dark" in asked)
-        if found is None:
+        query = request.query_params
+        png = self._pictures.get(request.path_params["name"], query.get("v", ""), dark="dark" in query)
+        if png is None:
             return PlainTextResponse("this picture has expired; the feed 'map' has the newest one's address\n", 404)
-        return Response(found, media_type="image/png", headers={"cache-control": "private, max-age=86400, immutable"})
+        return Response(png, media_type="image/png", headers={"cache-control": "private, max-age=86400, immutable"})
 
     async def _page(self, page: WebSocket) -> None:
         address = address_of(page.scope)

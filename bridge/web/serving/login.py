@@ -117,21 +117,21 @@ class Login:
 
 async def _body(request: Request) -> bytes:
     """Return the body; raises `ValueError` if it is too long."""
-    found = b""
+    body = b""
     async for part in request.stream():
-        found += part
-        if len(found) > MOST_BODY:
+        body += part
+        if len(body) > MOST_BODY:
             raise ValueError("too long")
-    return found
+    return body
 
 
 def _token(body: bytes) -> str:
     """Return the token in a body; raises `ValueError`."""
     try:
-        found: Any = json.loads(body)
+        document: Any = json.loads(body)
     except RecursionError:
         raise ValueError("too deep") from None
-    match found:
+    match document:
         case {"token": str(token)}:
             return token
         case _:

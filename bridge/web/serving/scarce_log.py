@@ -25,8 +25,8 @@ class ScarceLog:
                 left_out = max(self._count - _LINES, 0)
                 self._begun, self._count = now, 0
             self._count += 1
-            told = self._count <= _LINES
+            logged = self._count <= _LINES
         if left_out:
             self._log.warning("%d more such warnings before", left_out)
-        if told:
+        if logged:
             self._log.warning("%s", text)

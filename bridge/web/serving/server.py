@@ -71,12 +71,12 @@ class OwnOnly:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        why = refusal(scope, self._hosts, self._names)
-        if not why:
+        reason = refusal(scope, self._hosts, self._names)
+        if not reason:
             await self._app(scope, receive, _with_headers(send))
             return
-        self._refused.warn(f"a request from {(scope.get('client') or ('?',))[0]} is refused: {why}")
-        answer = PlainTextResponse(f"{why}\n", 403, HEADERS)
+        self._refused.warn(f"a request from {(scope.get('client') or ('?',))[0]} is refused: {reason}")
+        answer = PlainTextResponse(f"{reason}\n", 403, HEADERS)
         if scope["type"] == "websocket":
             await WebSocket(scope, receive, send).send_denial_response(answer)
         else:
@@ -97,8 +97,8 @@ class Prefixed:
                 await RedirectResponse(f"{self._prefix}/", 303)(scope, receive, send)
                 return
             if path.startswith(f"{self._prefix}/"):
-                rest = path.removeprefix(self._prefix)
-                scope = {**scope, "path": rest, "raw_path": quote(rest).encode()}
+                inner = path.removeprefix(self._prefix)
+                scope = {**scope, "path": inner, "raw_path": quote(inner).encode()}
         await self._app(scope, receive, send)
 
 
@@ -110,20 +110,20 @@ def refusal(scope: Scope, hosts: frozenset[str], names: frozenset[str] = frozens
         hosts: valid values of ``Host``.
         names: names that are valid with any port: a proxy's or a tunnel's differs from this server's.
     """
-    found: dict[str, list[str]] = {}
+    headers: dict[str, list[str]] = {}
     for name, value in scope["headers"]:
-        found.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
-    host, origin = [value.lower() for value in found.get("host", [])], found.get("origin", [])
+        headers.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
+    host, origin = [value.lower() for value in headers.get("host", [])], headers.get("origin", [])
     named = len(host) == 1 and _PORT.sub("", host[0]) in names
     if len(host) != 1 or not (named or host[0] in hosts):
         return f"no such host here: {', '.join(host)[:80]!r}; if it is this console's name, add it to web.names"
-    own = _origins(host[0], _schemes(scope, found.get("x-forwarded-proto", []) if named else None))
-    if any(page.lower() not in own for page in origin):
-        asked = f"{', '.join(origin)[:80]!r} may not ask {host[0]!r}"
-        return f"a page of {asked}; a proxy has to pass the header Host, with its port, and X-Forwarded-Proto"
-    if scope["type"] == "websocket" and not origin and "user-agent" in found and "Mozilla" in found["user-agent"][0]:
+    own_pages = _origins(host[0], _schemes(scope, headers.get("x-forwarded-proto", []) if named else None))
+    if any(page.lower() not in own_pages for page in origin):
+        relation = f"{', '.join(origin)[:80]!r} may not ask {host[0]!r}"
+        return f"a page of {relation}; a proxy has to pass the header Host, with its port, and X-Forwarded-Proto"
+    if scope["type"] == "websocket" and not origin and "user-agent" in headers and "Mozilla" in headers["user-agent"][0]:
         return "a browser's request has no Origin"
-    if found.get("sec-fetch-site", ["same-origin"])[0] not in ("same-origin", "none"):
+    if headers.get("sec-fetch-site", ["same-origin"])[0] not in ("same-origin", "none"):
         return "another site's page may not ask"
     return ""
 
@@ -189,11 +189,11 @@ class HttpServer:
             self._socket.close()
             raise RuntimeError(f"{what} cannot listen on {listen}: {err.strerror}; set {key}") from None
         self.port: int = self._socket.getsockname()[1]
-        own = [bracketed(name) for name in (tls.names if tls else (address,))]
-        self.address = f"{'https' if tls else 'http'}://{own[0]}:{self.port}{access.prefix}/"
+        own_names = [bracketed(name) for name in (tls.names if tls else (address,))]
+        self.address = f"{'https' if tls else 'http'}://{own_names[0]}:{self.port}{access.prefix}/"
         guarded = Prefixed(LoginGuard(Starlette(routes=routes), access), access.prefix)
         any_port = frozenset(bracketed(name).lower() for name in names)
-        app = OwnOnly(guarded, hosts(own, self.port, tls=tls is not None), any_port)
+        app = OwnOnly(guarded, hosts(own_names, self.port, tls=tls is not None), any_port)
         self._server = uvicorn.Server(
             uvicorn.Config(
                 app, log_config=None, access_log=False, lifespan="off", ws_max_size=most_bytes,
@@ -237,8 +237,8 @@ class HttpServer:
 
 def hosts(names: Sequence[str], port: int, *, tls: bool) -> frozenset[str]:
     """Return the valid values of ``Host``; browsers leave out the scheme's default port."""
-    own = {name.lower() for name in (*_NAMES, *names)}
-    return frozenset({f"{name}:{port}" for name in own} | (own if port == (443 if tls else 80) else set()))
+    own_names = {name.lower() for name in (*_NAMES, *names)}
+    return frozenset({f"{name}:{port}" for name in own_names} | (own_names if port == (443 if tls else 80) else set()))
 
 
 def bracketed(name: str) -> str:

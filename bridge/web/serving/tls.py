@@ -27,9 +27,9 @@ class ServerTls:
 
     def __init__(self, config: Config, what: str = "the console") -> None:
         self._files, self._what = key_files(config), what
-        why = trouble(self._files)
-        if why:
-            raise RuntimeError(f"{what} cannot have TLS: {why}")
+        reason = trouble(self._files)
+        if reason:
+            raise RuntimeError(f"{what} cannot have TLS: {reason}")
         self.names = config.web.names or read_certificate(self._files.certificate).names
         self.context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         self.context.minimum_version = ssl.TLSVersion.TLSv1_2
@@ -37,7 +37,7 @@ class ServerTls:
         self._load()
         self._watch = KeyWatch(self._files)
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Take up new files; to be called by one thread, again and again."""
         if self._watch.renewed():
             self._load()

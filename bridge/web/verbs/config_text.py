@@ -24,8 +24,8 @@ _SECRET = re.compile(_NAME, re.IGNORECASE)
 _COMMENT = re.compile(rf"(#[^\n]*?(?:{_NAME})[\w-]*[\"']?\s*[:=]\s*)([^\s#][^\n]*)", re.IGNORECASE)
 _USER = re.compile(r"(//)[^/\s:@]+:[^/\s@]+(@)")
 _PEM = re.compile(r"-----BEGIN [^-]*-----.*?(?:-----END [^-]*-----|\Z)", re.DOTALL)
-_PATIENCE = 5.0
-_TELLING = 8
+_DAEMON_SECONDS = 5.0
+_SHORTEST = 8
 """A secret with fewer characters is hidden where it stands; a longer one wherever it is said again."""
 
 
@@ -33,26 +33,26 @@ class Secrets(NamedTuple):
     """What of a configuration nobody is shown: where it stands in the text, and what it is."""
 
     places: tuple[tuple[int, int], ...] = ()
-    words: tuple[str, ...] = ()
+    values: tuple[str, ...] = ()
 
     def hide(self, text: str) -> str:
         """A text about the configuration, without its secrets."""
-        for word in self.words:
-            text = text.replace(word, HIDDEN)
+        for value in self.values:
+            text = text.replace(value, HIDDEN)
         return _PEM.sub(HIDDEN, _USER.sub(rf"\g<1>{HIDDEN}\g<2>", text))
 
 
 def secrets_of(text: str) -> Secrets:
     """The secrets of a YAML text: all below a key that is named like one. Raises `yaml.YAMLError`, `RecursionError`."""
     root = Yaml12Loader(text).get_single_node()
-    found: set[tuple[int, int]] = set()
-    words: set[str] = set()
+    places: set[tuple[int, int]] = set()
+    values: set[str] = set()
     for node in _secret(root, under=False, seen=set()) if root is not None else ():
         start, end = node.start_mark.index, node.end_mark.index
-        found.add((start, start + len(text[start:end].rstrip())))
-        words.add(node.value)
-    telling = (word for word in words if len(word) >= _TELLING)
-    return Secrets(tuple(sorted(found)), tuple(sorted(telling, key=len, reverse=True)))
+        places.add((start, start + len(text[start:end].rstrip())))
+        values.add(node.value)
+    long_enough = (value for value in values if len(value) >= _SHORTEST)
+    return Secrets(tuple(sorted(places)), tuple(sorted(long_enough, key=len, reverse=True)))
 
 
 def _secret(node: Node, *, under: bool, seen: set[tuple[int, bool]]) -> Iterator[ScalarNode]:
@@ -85,8 +85,8 @@ def without_secrets(text: str, secrets: Secrets) -> str:
 
 def config_file(config: Config) -> Path | None:
     """The file that the daemon has its configuration from, None where there is none."""
-    said = ask_daemon(config, _PATIENCE) or {}
-    return Path(said["config"]) if said.get("config") else find()
+    daemon = ask_daemon(config, _DAEMON_SECONDS) or {}
+    return Path(daemon["config"]) if daemon.get("config") else find()
 
 
 def show_config(config: Config) -> dict[str, Any]:
@@ -94,7 +94,7 @@ def show_config(config: Config) -> dict[str, Any]:
     file = config_file(config)
     if file is None:
         return {"file": None, "text": example(), "why": "", "problems": []}
-    text = why = ""
+    text = reason = ""
     problems: tuple[Problem, ...] = ()
     secrets = Secrets()
     try:
@@ -103,14 +103,14 @@ def show_config(config: Config) -> dict[str, Any]:
         loads(text, file)
     except ConfigError as err:
         problems = err.problems
-        why = "" if text else str(err)
+        reason = "" if text else str(err)
     except (yaml.YAMLError, RecursionError):
         text, problems = "", _no_yaml(text, file)
-        why = "The file is no YAML, so what is secret in it cannot be told: it is not shown."
+        reason = "The file is no YAML, so what is secret in it cannot be told: it is not shown."
     return {
         "file": str(file),
         "text": without_secrets(text, secrets) if text else None,
-        "why": why,
+        "why": reason,
         "problems": [_problem(problem, secrets) for problem in problems],
     }
 
@@ -124,7 +124,7 @@ def _no_yaml(text: str, file: Path) -> tuple[Problem, ...]:
 
 
 def _problem(problem: Problem, secrets: Secrets) -> dict[str, Any]:
-    said = secrets.hide(problem.text)
+    text = secrets.hide(problem.text)
     if _SECRET.search(problem.key):
-        said = f"is not as it must be; 'midspan config check {problem.file}' on the machine says why"
-    return {**dataclasses.asdict(problem), "file": str(problem.file), "text": said}
+        text = f"is not as it must be; 'midspan config check {problem.file}' on the machine says why"
+    return {**dataclasses.asdict(problem), "file": str(problem.file), "text": text}

@@ -66,18 +66,18 @@ class HandDriving:
         if now - arrived > HOLD_SECONDS:
             return
         holder = self._holder
-        why = self._driven() if holder in (None, page) else f"{holder.who} drives by hand"
+        reason = self._driven() if holder in (None, page) else f"{holder.who} drives by hand"
         if not self._topic:
-            why = "no topic of velocities is configured (navigation.velocity)"
-        if why:
+            reason = "no topic of velocities is configured (navigation.velocity)"
+        if reason:
             self.release(page)
-            page.refuse(why)
+            page.refuse(reason)
             return
         if self._holder is None:
             self._host.log.info("%s drives by hand", page.who)
             self._holder = page
             self._out = self._out or self._host.node.publisher(self._topic, TWIST, Qos(depth=1), priority="command")
-            self._timer = self._host.loop.every(_PERIOD, self._again)
+            self._timer = self._host.loop.every(_PERIOD, self._repeat)
             self._begins()
         speed, most_turn = self._most
         self._velocity = (_within(x, speed), _within(y, speed), _within(turn, most_turn))
@@ -101,7 +101,7 @@ class HandDriving:
         page.held(*_ZERO)
         self._host.log.info("%s no longer drives by hand", page.who)
 
-    def _again(self) -> None:
+    def _repeat(self) -> None:
         if time.monotonic() > self._until:
             self.stop()
         else:

@@ -41,58 +41,58 @@ IDLE_SECONDS = 60.0
 _NAME = re.compile(r"[\w\- ().]{1,200}")
 
 
-class Parcels:
+class Transfers:
     """Files under keys that nobody guesses; a few at once, forgotten once idle. Safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._kept: dict[str, tuple[float, dict[str, bytearray]]] = {}
+        self._files: dict[str, tuple[float, dict[str, bytearray]]] = {}
 
     def new(self, files: dict[str, bytearray]) -> str:
         """Keep files; their key. Raises `VerbError` where too many are kept."""
         with self._lock:
             now = time.monotonic()
-            self._kept = {key: each for key, each in self._kept.items() if now - each[0] < IDLE_SECONDS}
-            if len(self._kept) >= MOST_AT_ONCE:
+            self._files = {key: entry for key, entry in self._files.items() if now - entry[0] < IDLE_SECONDS}
+            if len(self._files) >= MOST_AT_ONCE:
                 raise VerbError(f"{MOST_AT_ONCE} files are on their way already; try again in {IDLE_SECONDS:g} s")
             key = secrets.token_hex(8)
-            self._kept[key] = now, files
+            self._files[key] = now, files
             return key
 
     def files(self, key: str) -> dict[str, bytearray]:
         """The files of a key; raises `VerbError` where they are forgotten."""
         with self._lock:
-            if key not in self._kept:
+            if key not in self._files:
                 raise VerbError("these files are forgotten; begin again")
-            files = self._kept[key][1]
-            self._kept[key] = time.monotonic(), files
+            files = self._files[key][1]
+            self._files[key] = time.monotonic(), files
             return files
 
-    def forget(self, key: str) -> None:
+    def remove(self, key: str) -> None:
         """Keep them no longer."""
         with self._lock:
-            self._kept.pop(key, None)
+            self._files.pop(key, None)
 
     def add(self, key: str, file: str, at: int, data: bytes) -> int:
         """Add a part to a file; how long the file is. Raises `VerbError`."""
         files = self.files(key)
         with self._lock:
-            kept = files.get(file, bytearray())
-            if at != len(kept):
-                raise VerbError(f"{file}: the part at {at} does not follow on {len(kept)} bytes")
+            content = files.get(file, bytearray())
+            if at != len(content):
+                raise VerbError(f"{file}: the part at {at} does not follow on {len(content)} bytes")
             if len(files.keys() | {file}) > MOST_FILES or sum(map(len, files.values())) + len(data) > MOST_BYTES:
                 raise VerbError(f"up to {MOST_FILES} files of {MOST_BYTES >> 20} MB in all are taken")
-            kept += data
-            files[file] = kept
-            return len(kept)
+            content += data
+            files[file] = content
+            return len(content)
 
 
 def file_of(value: Any) -> str:
     """Check a file's name, without a folder."""
     if not isinstance(value, str) or not _NAME.fullmatch(value) or value.startswith("."):
         raise ValueError("is a file's name of letters, digits, blanks and - _ . ( )")
-    if why := forbidden(value):
-        raise ValueError(why)
+    if reason := forbidden(value):
+        raise ValueError(reason)
     return value
 
 
@@ -115,11 +115,11 @@ def data_of(value: Any) -> bytes:
 
 def unpacked(files: dict[str, bytearray]) -> dict[str, bytes]:
     """The files, those in zips too, without their folders; raises `VerbError`."""
-    found: dict[str, bytes] = {}
+    unpacked_: dict[str, bytes] = {}
     room = MOST_BYTES
     for name, data in files.items():
         if not name.lower().endswith(".zip"):
-            found[name] = bytes(data)
+            unpacked_[name] = bytes(data)
             continue
         try:
             with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -128,18 +128,18 @@ def unpacked(files: dict[str, bytearray]) -> dict[str, bytes]:
                     if info.is_dir() or not inner:
                         continue
                     with archive.open(info) as stream:
-                        found[file_of(inner)] = stream.read(room + 1)
-                    room -= len(found[inner])
-                    if room < 0 or len(found) > MOST_FILES:
+                        unpacked_[file_of(inner)] = stream.read(room + 1)
+                    room -= len(unpacked_[inner])
+                    if room < 0 or len(unpacked_) > MOST_FILES:
                         raise VerbError(f"{name} has more than {MOST_FILES} files or {MOST_BYTES >> 20} MB")
         except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, ValueError) as err:
             if isinstance(err, VerbError):
                 raise
             raise VerbError(f"{name} cannot be unpacked: {err}") from None
-    return found
+    return unpacked_
 
 
-def heads(names: Iterable[str]) -> list[str]:
+def root_files(names: Iterable[str]) -> list[str]:
     """The files that name the others: maps of YARP and what lists them, else maps of ROS."""
     by_form: dict[str, list[str]] = {}
     for name in sorted(names):
@@ -159,7 +159,7 @@ class MapFileVerbs:
 
     def __init__(self, store: Callable[[], StoreClient], changed: Callable[[], None]) -> None:
         self._store, self._changed = store, changed
-        self._up, self._down = Parcels(), Parcels()
+        self._up, self._down = Transfers(), Transfers()
 
     def verbs(self) -> dict[str, PageVerb]:
         """The verbs by name."""
@@ -195,17 +195,17 @@ class MapFileVerbs:
 
         store.change(wanted)
         if not taken:
-            self._up.forget(key)
+            self._up.remove(key)
             self._changed()
         return {
             "done": not taken,
             "maps": [write.name for write in maps],
-            "taken": [list(each) for each in sorted(taken)],
+            "taken": [list(key_) for key_ in sorted(taken)],
         }
 
     def _read(self, key: str) -> list[Write[Any]]:
         files = unpacked(self._up.files(key))
-        first = heads(files)
+        first = root_files(files)
         if not first:
             raise VerbError(f"no map is among {', '.join(files) or 'no files'}: .map, .yaml and .ini name the others")
         with tempfile.TemporaryDirectory(prefix="midspan-map-") as folder:
@@ -242,5 +242,5 @@ class MapFileVerbs:
         data = self._down.files(key)[""]
         part = bytes(data[at : at + PART])
         if at + PART >= len(data):
-            self._down.forget(key)
+            self._down.remove(key)
         return base64.b64encode(part).decode()

@@ -54,12 +54,12 @@ def runs_of(value: Any) -> list[Run]:
     if not isinstance(value, list) or not 1 <= len(value) <= MOST_RUNS:
         raise ValueError(f"are 1 to {MOST_RUNS} runs")
     try:
-        found = [_run(each) for each in value]
+        runs = [_run(each) for each in value]
     except ValueError as err:
         raise ValueError(f"are runs [row, column, length, flag], where {err}") from None
-    if sum(run.length for run in found) > MOST_CELLS:
+    if sum(run.length for run in runs) > MOST_CELLS:
         raise ValueError(f"have up to {MOST_CELLS} cells")
-    return found
+    return runs
 
 
 def size_of(value: Any) -> tuple[int, int]:
@@ -86,7 +86,7 @@ def paint(grid: MapGrid2D, runs: Iterable[Run]) -> list[Run]:
             changes &= cells == run.was
         undo.extend(
             Run(run.row, run.column + first, last - first, int(cells[first]), int(wanted[first]))
-            for first, last in _alike(np.where(changes, cells * np.uint8(8) + wanted, np.uint8(255)))
+            for first, last in _equal_runs(np.where(changes, cells * np.uint8(8) + wanted, np.uint8(255)))
         )
         if len(undo) > MOST_PIECES:
             raise VerbError(f"it changes more than {MOST_PIECES} pieces; paint less at once")
@@ -94,7 +94,7 @@ def paint(grid: MapGrid2D, runs: Iterable[Run]) -> list[Run]:
     return undo[::-1]  # the newest first: runs of one call may lie over each other
 
 
-def _alike(marks: np.ndarray[Any, np.dtype[np.uint8]]) -> Iterator[tuple[int, int]]:
+def _equal_runs(marks: np.ndarray[Any, np.dtype[np.uint8]]) -> Iterator[tuple[int, int]]:
     """Where neighbours have one mark, first and behind the last; 255 is none."""
     edges = [0, *(np.flatnonzero(marks[1:] != marks[:-1]) + 1).tolist(), len(marks)]
     for first, last in pairwise(edges):
@@ -112,7 +112,7 @@ class Painter:
 
     def __init__(self, store: Callable[[], StoreClient], changed: Callable[[], None]) -> None:
         self._store, self._changed = store, changed
-        self._one = threading.Lock()  # pages wait for each other here, and not by trying again
+        self._painting = threading.Lock()  # pages wait for each other here, and not by trying again
 
     def verbs(self) -> dict[str, PageVerb]:
         """The verb by its name."""
@@ -131,7 +131,7 @@ class Painter:
             undo[:] = paint(grid, runs)
             return [Write(MAP, map, grid)] if undo else []
 
-        with self._one:
+        with self._painting:
             store.change(painted)
         if undo:
             self._changed()

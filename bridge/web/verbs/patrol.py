@@ -35,7 +35,7 @@ def places_of(value: Any) -> list[str]:
     """Check the places of a patrol."""
     if not isinstance(value, list) or not 2 <= len(value) <= MOST_PLACES:
         raise ValueError(f"are 2 to {MOST_PLACES} names")
-    return [name_of(each) for each in value]
+    return [name_of(name) for name in value]
 
 
 wait_of = number_between(SHORTEST, LONGEST, " of seconds")
@@ -56,7 +56,7 @@ class PatrolFeed(Feed):
     def close(self) -> None:
         """Rest: it follows nothing."""
 
-    def tell(self, value: Mapping[str, Any]) -> None:
+    def publish(self, value: Mapping[str, Any]) -> None:
         """Publish a new state."""
         self._now = value
         self.put(value)
@@ -82,7 +82,7 @@ class Patrol:
         self._goal: SentGoal | None = None
         self._newest = b""  # the id of the newest goal
         self._timer: Timer | None = None
-        driving.on_change(self._look)
+        driving.on_change(self._on_status)
 
     def verbs(self) -> dict[str, PageVerb]:
         """The verb by its name."""
@@ -103,16 +103,16 @@ class Patrol:
         if goal is not None:
             goal.cancel()
         self._host.log.info("the patrol has ended: %s", why)
-        self._tell("ended", why)
+        self._publish("ended", why)
 
-    def between(self, verb: str) -> str:
+    def pause_or_resume(self, verb: str) -> str:
         """What answers ``pause`` or ``resume`` while no goal is under way that the gateway could pause; "": nothing."""
         if not self._active or self._goal is not None:
             return ""
         if verb == "pause" and not self._held:
             self._held = True
             self._next_step()
-            self._tell("held")
+            self._publish("held")
             return "the patrol is paused"
         if verb == "resume" and self._held:
             self._held = False
@@ -148,11 +148,11 @@ class Patrol:
         """Ask for the pose of the next place."""
         step = self._next_step()
         self._locate = self._locate or self._host.node.client(_LOCATE, GET_LOCATION)
-        self._locate.call({"name": self._place}, partial(self._found, step))
+        self._locate.call({"name": self._place}, partial(self._on_pose, step))
         self._within(ANSWER_SECONDS, lambda: self.end(f"{_LOCATE} has not answered in {ANSWER_SECONDS:g} s"))
-        self._tell("drives")
+        self._publish("drives")
 
-    def _found(self, step: int, reply: dict[str, Any] | CallError) -> None:
+    def _on_pose(self, step: int, reply: dict[str, Any] | CallError) -> None:
         if step != self._step:
             return
         if isinstance(reply, CallError):
@@ -175,22 +175,22 @@ class Patrol:
             return
         self._goal = None
         if goal.status is not GoalState.SUCCEEDED:
-            said = why or (result or {}).get("error_msg", "") or "the goal was given up"
-            self.end(f"driving to {self._place}: {said}")
+            reason = why or (result or {}).get("error_msg", "") or "the goal was given up"
+            self.end(f"driving to {self._place}: {reason}")
             return
         self._next_step()
         self._held = False
-        self._within(self._wait, self._go_on)
-        self._tell("waits")
+        self._within(self._wait, self._next_place)
+        self._publish("waits")
 
-    def _go_on(self) -> None:
+    def _next_place(self) -> None:
         self._at = (self._at + 1) % len(self._places)
         self._round += not self._at
         self._find()
 
     # -- what others do ------------------------------------------------------------------------------------------------
 
-    def _look(self) -> None:
+    def _on_status(self) -> None:
         """The gateway's status: its order shows a stop or a foreign goal between two goals of the patrol."""
         if not self._active:
             return
@@ -200,7 +200,7 @@ class Patrol:
             held = state == "paused"
             if held != self._held:
                 self._held = held
-                self._tell("held" if held else "drives")
+                self._publish("held" if held else "drives")
         elif self._seen and state == "idle":
             self.end(STOPPED)
         elif self._seen and self._goal is None and any(of) and of != self._newest:
@@ -210,6 +210,6 @@ class Patrol:
     def _place(self) -> str:
         return self._places[self._at]
 
-    def _tell(self, state: str, why: str = "") -> None:
+    def _publish(self, state: str, why: str = "") -> None:
         now = {"state": state, "places": list(self._places), "at": self._at, "round": self._round}
-        self.feed.tell({**now, "wait": self._wait, "why": why})
+        self.feed.publish({**now, "wait": self._wait, "why": why})

@@ -36,13 +36,13 @@ def corners_of(value: Any) -> Corners:
     if not isinstance(value, list) or not 3 <= len(value) <= MOST_CORNERS:
         raise ValueError(f"are 3 to {MOST_CORNERS} corners")
     try:
-        found = [(number_of(x), number_of(y)) for x, y in value]
+        corners = [(number_of(x), number_of(y)) for x, y in value]
     except (TypeError, ValueError):
         limits = f"between {-MOST_NUMBER:,.15g} and {MOST_NUMBER:,.15g}"
         raise ValueError(f"must be corners [x, y], in meters {limits}") from None
-    if _on_a_line(found):
+    if _on_a_line(corners):
         raise ValueError("are corners that enclose something, not all on one line")
-    return found
+    return corners
 
 
 def _on_a_line(corners: Corners) -> bool:
@@ -76,27 +76,27 @@ class PlaceVerbs:
         }
 
     def _keep_place(self, name: str, x: float, y: float, theta: float, *, replace: bool = False) -> str:
-        def made(map_name: str) -> Write[Any]:
+        def location(map_name: str) -> Write[Any]:
             return Write(LOCATION, name, Map2DLocation(map_name, x, y, math.degrees(theta)))
 
-        return self._keep(LOCATION, name, made, replace=replace)
+        return self._keep(LOCATION, name, location, replace=replace)
 
     def _keep_area(self, name: str, points: Corners, *, replace: bool = False) -> str:
-        def made(map_name: str) -> Write[Any]:
+        def area(map_name: str) -> Write[Any]:
             if not map_name:
                 raise VerbError("no map is in use; choose the one that the area is on")
             return Write(AREA, name, Map2DArea(map_name, [Vec2D(*point) for point in points]))
 
-        return self._keep(AREA, name, made, replace=replace)
+        return self._keep(AREA, name, area, replace=replace)
 
-    def _keep(self, kind: ValueKind[Any], name: str, made: Callable[[str], Write[Any]], *, replace: bool) -> str:
+    def _keep(self, kind: ValueKind[Any], name: str, make: Callable[[str], Write[Any]], *, replace: bool) -> str:
         store = self._store()
         check_name(name)
 
         def writes() -> Sequence[Write[Any]]:
             if not replace and name in store.names(kind):
                 raise VerbError(f"there is the {_WORDS[kind.name]} {name!r} already")
-            return [made(store.current_map())]
+            return [make(store.current_map())]
 
         store.change(writes)
         self._changed()

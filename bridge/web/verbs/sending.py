@@ -35,10 +35,10 @@ CALL_SECONDS = 15.0
 KEEP_SECONDS = 60.0
 """A topic's publisher stays for so long, so that the next message need not wait until it is known."""
 
-_MOST_KEPT = 8
+_MOST_PUBLISHERS = 8
 _MATCH_SECONDS = 2.0
 _SETTLE_SECONDS = 1.0
-_LOOK_SECONDS = 0.02
+_POLL_SECONDS = 0.02
 _END_SECONDS = 0.5
 
 
@@ -52,14 +52,14 @@ class Sending:
         self._rules = RuleSet(config.rules)
         self._limit = RateLimit(MOST_RATE)
         self._lock = threading.Lock()
-        self._kept: OrderedDict[tuple[str, str], tuple[HubPublisher, float]] = OrderedDict()
+        self._publishers: OrderedDict[tuple[str, str], tuple[HubPublisher, float]] = OrderedDict()
 
     def publish(self, topic: str, type: str, message: dict[str, Any]) -> str:  # noqa: A002 - the protocol's name
         """Publish one message, once; raises `VerbError` or `CliError` with why not."""
         name = self._types.name(type)
-        why = self._why_not(topic, name)
-        if why:
-            raise VerbError(why)
+        reason = self._refusal(topic, name)
+        if reason:
+            raise VerbError(reason)
         type_hash = self._types.hash_of(name)
         try:
             cdr = from_json(self._types.registry, name, message)
@@ -70,10 +70,10 @@ class Sending:
                 raise VerbError(f"at most {MOST_RATE:g} messages a second are published from pages; press again")
             publisher = self._publisher(topic, name, type_hash)
             publisher.put(cdr)
-            heard = publisher.matched()
-        return f"published on {topic}" if heard else f"published on {topic}, and nobody on the hub listens to it"
+            received = publisher.matched()
+        return f"published on {topic}" if received else f"published on {topic}, and nobody on the hub listens to it"
 
-    def _why_not(self, topic: str, type_name: str) -> str:
+    def _refusal(self, topic: str, type_name: str) -> str:
         if topic.startswith(TAPS) or not ROS2_NAME.fullmatch(topic):
             return f"{topic[:80]!r} is no topic: begin it with a slash; letters, digits and underscores make its parts"
         commands = self._rules.enter("zenoh", topic, type_name).priority == "command"
@@ -87,21 +87,21 @@ class Sending:
     def _publisher(self, topic: str, name: str, type_hash: str) -> HubPublisher:
         """The topic's publisher, known to who listens; under the lock."""
         now, key = time.monotonic(), (topic, name)
-        if key in self._kept:
-            publisher, _ = self._kept.pop(key)
+        if key in self._publishers:
+            publisher, _ = self._publishers.pop(key)
         else:
             publisher = self._client.hub.publisher(topic, name, type_hash, Qos(depth=1))
             self._await_listeners(publisher)
-        self._kept[key] = publisher, now
-        while len(self._kept) > _MOST_KEPT:
-            self._kept.popitem(last=False)[1][0].close()
+        self._publishers[key] = publisher, now
+        while len(self._publishers) > _MOST_PUBLISHERS:
+            self._publishers.popitem(last=False)[1][0].close()
         self._host.loop.post(partial(self._host.loop.after, KEEP_SECONDS + 1.0, self._tidy))
         return publisher
 
     def _await_listeners(self, publisher: HubPublisher) -> None:
         end = time.monotonic() + _MATCH_SECONDS
         while not publisher.matched() and time.monotonic() < end:
-            time.sleep(_LOOK_SECONDS)
+            time.sleep(_POLL_SECONDS)
         if publisher.matched():
             # the workers listen; those on their sides are still connecting to the publishers that the workers made
             time.sleep(_SETTLE_SECONDS)
@@ -111,8 +111,8 @@ class Sending:
             return  # somebody publishes, and looks again later
         try:
             late = time.monotonic() - KEEP_SECONDS
-            for key in [key for key, (_, used) in self._kept.items() if used < late]:
-                self._kept.pop(key)[0].close()
+            for key in [key for key, (_, used) in self._publishers.items() if used < late]:
+                self._publishers.pop(key)[0].close()
         finally:
             self._lock.release()
 
@@ -127,20 +127,20 @@ class Sending:
     def close(self) -> None:
         """Withdraw the publishers."""
         if self._lock.acquire(timeout=_END_SECONDS):  # else one is being sent, and ends with the session
-            while self._kept:
-                self._kept.popitem()[1][0].close()
+            while self._publishers:
+                self._publishers.popitem()[1][0].close()
             self._lock.release()
 
 
 def list_services(client: CliClient) -> list[dict[str, Any]]:
     """The value of ``services``: what is served or called on the hub, without the parts of actions."""
-    found: dict[tuple[str, str], dict[str, Any]] = {}
+    services: dict[tuple[str, str], dict[str, Any]] = {}
     ends = {EndpointKind.SERVER: "servers", EndpointKind.CLIENT: "clients"}
     for end in client.hub.graph.endpoints():
         if end.kind in ends and not end.topic.startswith(TAPS) and not split(end.topic)[1]:
             empty = {"service": end.topic, "type": end.type_name, "servers": 0, "clients": 0}
-            found.setdefault((end.topic, end.type_name), empty)[ends[end.kind]] += 1
-    return [found[key] for key in sorted(found)]
+            services.setdefault((end.topic, end.type_name), empty)[ends[end.kind]] += 1
+    return [services[key] for key in sorted(services)]
 
 
 def sending_verbs(sending: Sending, types: Types) -> dict[str, PageVerb]:

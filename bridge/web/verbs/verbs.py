@@ -120,13 +120,13 @@ class Verbs:
         types: Types,
         store: Callable[[], StoreClient],
         *,
-        chose: Callable[[str], None],
+        on_planner: Callable[[str], None],
         before: Mapping[str, Callable[[], None]],
-        between: Callable[[str], str],
+        pause_or_resume: Callable[[str], str],
         more: Mapping[str, PageVerb],
     ) -> None:
         self._host, self._config, self._client, self._types, self._store = host, config, client, types, store
-        self._chose, self._before, self._between = chose, before, between
+        self._on_planner, self._before, self._pause_or_resume = on_planner, before, pause_or_resume
         self._pool = WorkerPool(THREADS, "midspan-web-call")
         self._slow = WorkerPool(_SLOW_THREADS, "midspan-web-slow")
         self._lock = threading.Lock()
@@ -163,19 +163,19 @@ class Verbs:
 
     def begin(self, verb: str, args: Mapping[str, Any], who: str) -> Future[Any]:
         """Do it on a thread that may wait; the result, or `VerbError`, is the future's. Raises `VerbError`."""
-        found = self.known.get(verb)
-        if found is None:
+        page_verb = self.known.get(verb)
+        if page_verb is None:
             raise VerbError(f"unknown verb {verb[:80]!r}; known: {', '.join(self.known)}")
-        checked = _checked(verb, found, args)
-        if found.commands and found.logged:
-            said = " ".join(f"{key}={value!r}"[:100] for key, value in args.items())
-            _log.info("%s: %s %s", who, verb, said)
+        checked = _checked(verb, page_verb, args)
+        if page_verb.commands and page_verb.logged:
+            arguments = " ".join(f"{key}={value!r}"[:100] for key, value in args.items())
+            _log.info("%s: %s %s", who, verb, arguments)
         if verb in self._before:
             self._host.loop.post(self._before[verb])
-        job = partial(_run, found.run, checked, math.inf if found.stops else time.monotonic() + BEGIN_SECONDS)
-        if found.stops:
+        job = partial(_run, page_verb.run, checked, math.inf if page_verb.stops else time.monotonic() + BEGIN_SECONDS)
+        if page_verb.stops:
             return self._begin_stop(verb, job)
-        return (self._slow if found.slow else self._pool).submit(job)
+        return (self._slow if page_verb.slow else self._pool).submit(job)
 
     def _begin_stop(self, verb: str, job: Callable[[], Any]) -> Future[Any]:
         """A stop waits for no other verb; where two of its kind run, those who ask meanwhile share the next one."""
@@ -202,23 +202,23 @@ class Verbs:
             goal["behavior_tree"] = Constraints(heading=False).to_text()
         done: Future[str] = Future()
 
-        def look(sent: SentGoal) -> None:
+        def check_accepted(sent: SentGoal) -> None:
             if done.done():
                 return
             if sent.accepted:
                 done.set_result(f"drives to {x:.2f}, {y:.2f} m")
             else:
-                self._host.loop.after(0.02, lambda: look(sent))
+                self._host.loop.after(0.02, lambda: check_accepted(sent))
 
         def ended(_goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
             if not done.done():
-                said = why or (result or {}).get("error_msg", "") or "the goal ended at once"
-                done.set_exception(VerbError(said))
+                reason = why or (result or {}).get("error_msg", "") or "the goal ended at once"
+                done.set_exception(VerbError(reason))
 
         def send() -> SentGoal:
             self._goals = self._goals or self._host.node.action_client(ACTION, NAVIGATE)
             sent = self._goals.send(goal, ended)
-            look(sent)
+            check_accepted(sent)
             return sent
 
         sent: SentGoal = self._host.loop.call(send)
@@ -233,8 +233,8 @@ class Verbs:
         return self._ask(f"/navigation/{name}", TRIGGER, {}, seconds)
 
     def _pause(self, name: str) -> str:
-        said: str = self._host.loop.call(lambda: self._between(name))
-        return said or self._trigger(name)
+        reply: str = self._host.loop.call(lambda: self._pause_or_resume(name))
+        return reply or self._trigger(name)
 
     def _stop(self) -> str:
         return self._trigger("stop", STOP_SECONDS)
@@ -243,9 +243,9 @@ class Verbs:
         return self._ask(f"/navigation/{service}", NAMED, {"name": name}, ANSWER_SECONDS)
 
     def _choose(self, name: str) -> str:
-        said = self._named("choose_planner", name)
-        self._host.loop.post(lambda: self._chose(name))
-        return said
+        reply = self._named("choose_planner", name)
+        self._host.loop.post(lambda: self._on_planner(name))
+        return reply
 
     def _ask(self, name: str, type_name: str, request: dict[str, Any], seconds: float) -> str:
         """Call a service that answers with ``success`` and ``message``; the message."""
@@ -268,13 +268,13 @@ class Verbs:
         return str(reply["message"])
 
     def _halt(self) -> str:
-        found = halt(self._client, self._types)
-        troubles = [f"{name}: {why}" for name, why in found.bases.items() if why]
-        troubles += [f"{cancel.name}: its goals are not cancelled: {cancel.error}" for cancel in found.failed]
-        if found.trouble or troubles:
-            raise VerbError("; ".join(filter(None, (found.trouble, *troubles))))
+        result = halt(self._client, self._types)
+        troubles = [f"{name}: {problem}" for name, problem in result.bases.items() if problem]
+        troubles += [f"{cancel.name}: its goals are not cancelled: {cancel.error}" for cancel in result.failed]
+        if result.trouble or troubles:
+            raise VerbError("; ".join(filter(None, (result.trouble, *troubles))))
         return (
-            "every base that answers stands" if found.bases else "zero velocity is published, but no base has answered"
+            "every base that answers stands" if result.bases else "zero velocity is published, but no base has answered"
         )
 
     def _set_pose(self, x: float, y: float, theta: float) -> str:
@@ -306,12 +306,12 @@ def _run(action: Callable[..., Any], args: dict[str, Any], latest: float) -> Any
         raise VerbError(str(err)) from None
 
 
-def _checked(verb: str, found: PageVerb, args: Mapping[str, Any]) -> dict[str, Any]:
-    known = {**found.needs, **found.may}
+def _checked(verb: str, page_verb: PageVerb, args: Mapping[str, Any]) -> dict[str, Any]:
+    known = {**page_verb.needs, **page_verb.may}
     for key in args:
         if key not in known:
             raise VerbError(f"{verb} has no argument {str(key)[:80]!r}; it has {', '.join(known) or 'none'}")
-    for key in found.needs:
+    for key in page_verb.needs:
         if key not in args:
             raise VerbError(f"{verb} needs {key}")
     checked = {}
