@@ -31,7 +31,7 @@ class MetricsWorker(Worker):
     """Serves Prometheus at a separate address, with the console's authentication if other machines reach it.
 
     Attributes:
-        server: while it runs.
+        server: the HTTP server, while it runs.
     """
 
     def __init__(self) -> None:
@@ -69,7 +69,7 @@ class MetricsWorker(Worker):
         return config == self._config
 
     def health(self) -> Health:
-        """Return the address; joins the hub if it has not yet."""
+        """Return the address; joins the hub unless it has joined already."""
         assert self.server is not None
         assert self._link is not None
         assert self._config is not None
@@ -83,9 +83,9 @@ class MetricsWorker(Worker):
             self._hub = hub
         return Health("running", "; ".join(filter(None, (f"{self.server.address}metrics", self._link.trouble))))
 
-    def diagnostics_wanted(self) -> bool:
-        """See `Worker`."""
-        return self._hub is not None and has_subscribers(self._hub.graph)
+    def hears_diagnostics(self) -> bool:
+        """Return whether `/diagnostics` has subscribers."""
+        return self._hub is not None and heard(self._hub.graph)
 
     def stop(self) -> None:
         """Close the server and the session."""

@@ -23,7 +23,7 @@ _log = logging.getLogger("midspan.web")
 
 MOST_FEEDS = 64
 MOST_CALLS, MOST_STOPS = 16, 64
-"""Calls of a page that may wait for their answers; a stop finds room beside all others."""
+"""Pending calls of a page; stops have a separate limit."""
 MOST_ERRORS = 20
 MOST_WAITING = 200
 MOST_BYTES = 64 * 1024
@@ -37,7 +37,7 @@ Post = Callable[[Callable[[], Any]], None]
 
 
 class BadMessageError(ValueError):
-    """A message of a page that cannot be used; the text has the reason."""
+    """A page's message is invalid; the text is the reason."""
 
 
 class Page:
@@ -63,11 +63,11 @@ class Page:
         self._news: dict[str, tuple[int, str]] = {}  # newest values that are not sent yet
         self._replies: deque[str] = deque()
         self._held = ""  # the newest commanded velocity, if it is not sent yet
-        self._drawing: dict[str, int] = {}  # feeds whose value the page has not yet taken
+        self._drawing: dict[str, int] = {}  # feeds whose value the page has not yet drawn
         self._watched: set[str] = set()  # as the page has asked, on the server's event loop
         self._open: dict[str, Feed] = {}  # as it is, on the module's thread
         self._calls: set[asyncio.Task[None]] = set()
-        self._stops: set[asyncio.Task[None]] = set()  # those of them that make robots stand
+        self._stops: set[asyncio.Task[None]] = set()  # those of them that stop robots
         self._errors = 0
         self._deaf = False
         self._newest_action: Callable[[], None] | None = None  # the newest hold or release that has not run yet
@@ -85,7 +85,7 @@ class Page:
         finally:
             self._post(self._unwatch_all)
             sender.cancel()
-            for call in self._calls - self._stops:  # what has begun goes on, and a stop is a stop
+            for call in self._calls - self._stops:  # calls that have started continue, and stops are never canceled
                 call.cancel()
 
     def _unwatch_all(self) -> None:
@@ -96,7 +96,7 @@ class Page:
     # -- called on the module's thread ---------------------------------------------------------------------------------
 
     def changed(self, name: str, n: int, text: str) -> None:
-        """Keep a feed's newest value until the page takes it."""
+        """Cache a feed's newest value until the page is ready for it."""
         with self._lock:
             self._news[name] = (n, text)
         self._call_soon(self._wake.set)
@@ -108,7 +108,7 @@ class Page:
         self._call_soon(self._wake.set)
 
     def refuse(self, why: str) -> None:
-        """Send the page the reason of a refusal."""
+        """Send the page the reason for a refusal."""
         self._call_soon(lambda: self._queue({"op": "error", "error": why}))
 
     def _call_soon(self, action: Callable[[], Any]) -> None:
@@ -138,7 +138,7 @@ class Page:
         return [*filter(None, [held]), *(text for _, _, text in values)]
 
     def _queue(self, message: dict[str, Any]) -> None:
-        if len(self._replies) >= MOST_REPLIES:  # it asks, and reads no answers
+        if len(self._replies) >= MOST_REPLIES:  # the page sends requests but does not read replies
             self._deaf = True
             return
         self._replies.append(json.dumps(message, ensure_ascii=False))
@@ -155,8 +155,8 @@ class Page:
                 self._errors += 1
                 self._queue({"op": "error", "error": str(err)})
             if self._errors > MOST_ERRORS or self._deaf:
-                reason = f"it reads none of {MOST_REPLIES} answers" if self._deaf else f"{MOST_ERRORS} bad messages"
-                _log.warning("%s: its socket is closed: %s", self.who, reason)
+                reason = f"it has not read {MOST_REPLIES} replies" if self._deaf else f"{MOST_ERRORS} invalid messages"
+                _log.warning("%s: closing its socket: %s", self.who, reason)
                 await self._socket.close(_POLICY)
                 return
 
@@ -177,13 +177,13 @@ class Page:
             case {"op": "release", **rest} if not rest:
                 self._run_latest(lambda: self._hold.release(self))
             case _:
-                raise BadMessageError(f"no message of a page: {json.dumps(message)[:200]}")
+                raise BadMessageError(f"not a valid message: {json.dumps(message)[:200]}")
 
     def _watch(self, name: str) -> None:
         if name in self._watched:
             return
         if len(self._watched) >= MOST_FEEDS:
-            raise BadMessageError(f"a page watches at most {MOST_FEEDS} feeds")
+            raise BadMessageError(f"a page can watch at most {MOST_FEEDS} feeds")
         self._watched.add(name)
 
         def watch() -> None:
@@ -197,7 +197,7 @@ class Page:
         self._run_posted(watch)
 
     def _not_watched(self, name: str, why: str) -> None:
-        """A feed cannot be followed; the page may ask again after this reply."""
+        """Report that a feed cannot be watched; the page may try again afterwards."""
         self._watched.discard(name)
         self._queue({"op": "error", "error": why})
 
@@ -217,28 +217,28 @@ class Page:
 
     def _hold_velocity(self, x: float, y: float, turn: float) -> None:
         if not self._grant.may_drive:
-            raise BadMessageError(f"{_WATCHES}: it may not drive by hand")
+            raise BadMessageError(f"{_WATCHES}: it may not drive manually")
         arrived = time.monotonic()
         self._run_latest(lambda: self._hold.hold(self, x, y, turn, arrived))
 
     def _run_latest(self, action: Callable[[], None]) -> None:
-        """Run the newest hold or release and drop any before it; at most one waits, and none is refused."""
+        """Run the newest hold or release and drop older ones; at most one waits, and none is refused."""
         with self._lock:
             waits, self._newest_action = self._newest_action is not None, action
         if not waits:
             self._post(self._run_newest)
 
     def _run_newest(self) -> None:
-        """On the module's thread."""
+        """Run on the module's thread."""
         with self._lock:
             action, self._newest_action = self._newest_action, None
         if action is not None:
             action()
 
     def _run_posted(self, action: Callable[[], Any]) -> None:
-        """Run an action on the module's thread; raises `BadMessageError` where too many wait for it."""
+        """Run an action on the module's thread; raises `BadMessageError` if too many are queued."""
         if self._posted >= MOST_WAITING:
-            raise BadMessageError(f"{MOST_WAITING} messages of this page wait already")
+            raise BadMessageError(f"{MOST_WAITING} messages of this page are queued already")
         with self._lock:
             self._posted += 1
 
@@ -251,14 +251,14 @@ class Page:
 
     def _call(self, number: int, verb: str, args: Any) -> None:
         if not isinstance(args, dict):
-            raise BadMessageError("args are an object")
+            raise BadMessageError("args must be an object")
         if self._verbs.is_command(verb) and not self._grant.may_drive:
-            self._reply(number, error=f"{_WATCHES}: {verb} is not done")
+            self._reply(number, error=f"{_WATCHES}: {verb} is not allowed")
             return
         stops = self._verbs.is_stop(verb)
         most = MOST_STOPS if stops else MOST_CALLS
         if len(self._calls) >= most:
-            self._reply(number, error=f"{most} calls of this page wait for their answers already")
+            self._reply(number, error=f"{most} calls of this page are pending already")
             return
         call = asyncio.create_task(self._run(number, verb, args))
         for calls in (self._calls, self._stops) if stops else (self._calls,):
@@ -284,13 +284,13 @@ def _parsed(message: Any) -> dict[str, Any]:
     """The JSON object of a frame; raises `BadMessageError`."""
     text = message.get("text")
     if not isinstance(text, str):
-        raise BadMessageError("messages are JSON in text frames")
+        raise BadMessageError("messages must be JSON in text frames")
     try:
         message_ = _DECODER.decode(text)
     except (ValueError, RecursionError) as err:
         raise BadMessageError(f"not JSON: {str(err)[:200]}") from None
     if not isinstance(message_, dict):
-        raise BadMessageError("a message is a JSON object")
+        raise BadMessageError("a message must be a JSON object")
     return message_
 
 

@@ -60,14 +60,14 @@ class WebWorker(Worker):
         self._console: Console | None = None
 
     def start(self, config: Config) -> None:
-        """Open the node and the server; raises `RuntimeError` if the address is taken."""
+        """Open the node and the server; raises `RuntimeError` if the address is in use."""
         self._config = config
         self._console = Console(config)
         self._console.start()
         _log.info("the console is at %s", self._console.server.address)
 
     def reload(self, config: Config) -> bool:
-        """A page comes back by itself, so a new start is all that is needed."""
+        """Request a restart after any change: pages reconnect by themselves."""
         return config == self._config
 
     def health(self) -> Health:
@@ -81,9 +81,9 @@ class WebWorker(Worker):
         pages = console.server.pages
         return Health("running", console.server.address + (f", {pages} open" if pages else ""))
 
-    def diagnostics_wanted(self) -> bool:
-        """See `Worker`."""
-        return self._console is not None and has_subscribers(self._console.host.node.hub.graph)
+    def hears_diagnostics(self) -> bool:
+        """Return whether `/diagnostics` has subscribers."""
+        return self._console is not None and heard(self._console.host.node.hub.graph)
 
     def stop(self) -> None:
         """Close the page's sockets and the node."""
@@ -93,7 +93,7 @@ class WebWorker(Worker):
 
 
 class Console:
-    """The parts of the console, put together.
+    """The console with all its parts.
 
     Attributes:
         feeds: what pages may watch.
@@ -157,7 +157,8 @@ class Console:
         self._driving, self._sending = driving, Sending(host, config, client, known)
         written = (self._store.client, lambda: host.loop.post(self._store.refresh))
         self.verbs = Verbs(
-            host, config, client, known, self._store.client, on_planner=driving.on_planner, pause_or_resume=self._patrol.pause_or_resume,
+            host, config, client, known, self._store.client,
+            on_planner=driving.on_planner, pause_or_resume=self._patrol.pause_or_resume,
             before={
                 **dict.fromkeys(("stop", "halt"), self._stop_robot),
                 **dict.fromkeys(("goto", "goto_place"), lambda: self._patrol.end(ANOTHER)),
@@ -170,19 +171,19 @@ class Console:
         self._hello = hello(config.name, __version__, config.navigation.frame, most, HOLD_SECONDS)
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start to serve."""
         loop = self.host.loop
         loop.start()
-        loop.call(lambda: self._driving.watch(self))  # always: a page must not drive against a planner
+        loop.call(lambda: self._driving.watch(self))  # always, because a page must not drive against a planner
         self.host.answer("status", self._status)
         loop.every(1.0, self.host.tick)
         self.server.start()
 
     def changed(self, name: str, n: int, text: str) -> None:
-        """Nothing: it watches for `DrivingFeed.busy` alone."""
+        """Do nothing: only `DrivingFeed.busy` is used."""
 
     def refresh_tls(self) -> None:
-        """Use a new certificate."""
+        """Load a renewed certificate."""
         if self._tls is not None:
             self._tls.refresh()
 
@@ -190,7 +191,7 @@ class Console:
         await Page(socket, grant, self._hello, self.feeds, self.verbs, self._hold, self.host.loop.post).serve()
 
     def _ask_workers(self) -> list[WorkerAnswer]:
-        """The status of this daemon's workers, on a thread of the server's that may wait."""
+        """Query the status of this daemon's workers, on a server thread that may block."""
         hub, config = self.host.node.hub, self.host.config
         answers = hub.ask("status", {}, daemon=config.name, timeout=ASK_SECONDS)
         return own_answers(answers, hub.zid, identity_of(config))

@@ -1,1 +1,1 @@
-"""What pages of the console watch, each thing a feed."""
+"""The console's feeds: data that pages watch."""

@@ -1,4 +1,4 @@
-"""Message definitions as pages make forms of them."""
+"""Message definitions, in the form that pages build input forms from."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ KINDS = ("topic", "service")
 
 
 def definition(types: Types, type_name: str, kind: str = "topic") -> dict[str, Any]:
-    """The value of the verb ``definition``; see the protocol. Raises `CliError` where nobody knows the type."""
+    """Return the value of the verb ``definition``; see the protocol. Raises `CliError` if the type is unknown."""
     if kind == "service":
         name = ros2_spelling(type_name, "srv")
         types.prepare_service(name, "")
@@ -30,7 +30,10 @@ def _types(schema: Schema) -> dict[str, Any]:
 
 
 def _definition(definition_: Definition) -> dict[str, Any]:
-    return {"fields": [_field(field) for field in definition_.fields], "constants": [_constant(constant) for constant in definition_.constants]}
+    return {
+        "fields": [_field(field) for field in definition_.fields],
+        "constants": [_constant(constant) for constant in definition_.constants],
+    }
 
 
 def _field(field: Field) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What pages watch: the newest value of each feed, followed on the hub only while a page watches it."""
+"""What pages watch: the newest value of each feed, which is updated only while a page watches it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ class Watcher(Protocol):
     """A page; called on the module's thread."""
 
     def changed(self, name: str, n: int, text: str) -> None:
-        """A feed has a new value; ``text`` is the message for the page."""
+        """Receive a feed's new value; ``text`` is the message for the page."""
 
 
 class Feed(ABC):
-    """One feed. All on the module's thread.
+    """One feed. To be used on the module's thread.
 
     Args:
-        name: as pages ask for it.
+        name: the name that pages use.
     """
 
     def __init__(self, name: str) -> None:
@@ -39,21 +39,21 @@ class Feed(ABC):
         return bool(self._watchers)
 
     def watch(self, watcher: Watcher) -> None:
-        """Send a page the newest value, now and when it changes; raises `LookupError` where it cannot be followed."""
+        """Send a page the newest value, now and on every change; raises `LookupError` if the feed cannot be opened."""
         begins = not self._watchers
         self._watchers.add(watcher)
         if begins:
             try:
                 self.open()
             except Exception as err:
-                _log.exception("the feed %s", self.name)
+                _log.exception("cannot open the feed %s", self.name)
                 self.unwatch(watcher)
-                raise LookupError(f"{self.name} cannot be followed: {err}") from None
+                raise LookupError(f"{self.name} cannot be opened: {err}") from None
         elif self._text:
             watcher.changed(self.name, self._n, self._text)
 
     def unwatch(self, watcher: Watcher) -> None:
-        """Send it no more; without any page the feed follows nothing."""
+        """Stop sending to a page; without any page the feed is closed."""
         if watcher in self._watchers:
             self._watchers.discard(watcher)
             if not self._watchers:
@@ -61,9 +61,9 @@ class Feed(ABC):
                 self._text = self._value = ""
 
     def put(self, value: Any, why: str = "") -> None:
-        """Take a new value, None with ``why`` where there is none; one that is as before is not sent again."""
+        """Publish a value, or None with the reason ``why``; an unchanged one is not sent again."""
         if not self._watchers:
-            return  # what was on its way when the last page left
+            return  # a value that arrived after the last page left
         document = {"value": value, "why": why} if value is None else {"value": value}
         text = _json(document)
         if text == self._value:
@@ -77,11 +77,11 @@ class Feed(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Follow what it is made of: the first page came."""
+        """Start updating, for the first page."""
 
     @abstractmethod
     def close(self) -> None:
-        """Follow it no more."""
+        """Stop updating."""
 
 
 def _json(value: Any) -> str:
@@ -95,7 +95,7 @@ _ENCODER = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan
 
 
 def finite(value: Any) -> Any:
-    """The value, with None for numbers that JSON has not."""
+    """Return the value, with None for numbers that JSON cannot represent."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -107,19 +107,19 @@ Make = Callable[[str], Feed]
 
 
 class Feeds:
-    """All feeds of the console by name; those of topics (``topic:/name``) are made as they are asked for.
+    """All feeds of the console by name; those of topics (``topic:/name``) are created on request.
 
     Args:
-        fixed: the feeds that are there always.
-        made: makes the feed of a topic by its name, for each beginning of such a name; raises `LookupError` where the
-            rest of the name is none.
+        fixed: the feeds that always exist.
+        factories: by a name's prefix, creates the feed of that name; raises `LookupError` if the rest of the name is
+            invalid.
 
     Attributes:
-        fixed: the feeds that are there always, by name.
+        fixed: the feeds that always exist, by name.
     """
 
     MOST_TOPICS = 100
-    """Topics that all pages together may watch."""
+    """Largest number of topics that all pages together may watch."""
 
     def __init__(self, fixed: list[Feed], factories: Mapping[str, Make]) -> None:
         self.fixed = {feed.name: feed for feed in fixed}
@@ -127,13 +127,13 @@ class Feeds:
         self._topics: dict[str, Feed] = {}
 
     def find(self, name: str) -> Feed:
-        """The feed with a name; raises `LookupError` with the reason where there is none."""
+        """Return the feed of a name; raises `LookupError` with the reason if there is none."""
         if name in self.fixed:
             return self.fixed[name]
         make = next((make for begin, make in self._factories.items() if name.startswith(begin)), None)
         if make is None:
             known = ", ".join((*self.fixed, *(f"{begin}NAME" for begin in self._factories)))
-            raise LookupError(f"there is no feed {name[:80]!r}; there are {known}")
+            raise LookupError(f"unknown feed {name[:80]!r}; known: {known}")
         if name not in self._topics:
             self._topics = {topic: feed for topic, feed in self._topics.items() if feed.watched}
             if len(self._topics) >= self.MOST_TOPICS:
@@ -142,7 +142,7 @@ class Feeds:
         return self._topics[name]
 
     def close(self) -> None:
-        """Follow nothing more."""
+        """Close all feeds."""
         for feed in (*self.fixed.values(), *self._topics.values()):
             if feed.watched:
                 feed.close()

@@ -1,4 +1,4 @@
-"""The feeds of the frames: their tree, and where one is in another (``pose:REFERENCE>FRAME``)."""
+"""The feeds of the frames: their tree, and the pose of one in another (``pose:REFERENCE>FRAME``)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST_NAME = 255
 
 
 class FrameFollower:
-    """The frames of all sides, followed while anybody needs them."""
+    """The transforms of all sides, subscribed while they are needed."""
 
     def __init__(self, host: Host, config: Config) -> None:
         self._host, self._config = host, config
@@ -25,13 +25,13 @@ class FrameFollower:
 
     @property
     def frames(self) -> RobotFrames:
-        """The frames; raises `FramesError` while nobody follows them."""
+        """The frames; raises `FramesError` while they are not subscribed."""
         if self._frames is None:
-            raise FramesError("the frames are not followed")
+            raise FramesError("the transforms are not subscribed")
         return self._frames
 
     def begin(self) -> None:
-        """One more needs them."""
+        """Add a user; the first one subscribes."""
         self._users += 1
         if self._frames is None:
             section = self._config.navigation
@@ -40,14 +40,14 @@ class FrameFollower:
             self._frames.listen()
 
     def end(self) -> None:
-        """One less."""
+        """Remove a user; the last one unsubscribes."""
         self._users -= 1
         if not self._users:
             self.frames.unsubscribe()
 
 
 class FrameFeed(Feed):
-    """A feed that looks at the frames again and again."""
+    """A feed that is computed from the frames periodically."""
 
     def __init__(self, host: Host, follower: FrameFollower, name: str, seconds: float) -> None:
         super().__init__(name)
@@ -55,19 +55,19 @@ class FrameFeed(Feed):
         self._timer: Timer | None = None
 
     def open(self) -> None:
-        """Follow the frames."""
+        """Subscribe to the transforms."""
         self._follower.begin()
         self._timer = self._host.loop.every(self._seconds, self.refresh)
         self.refresh()
 
     def close(self) -> None:
-        """Rest."""
+        """Release the transforms."""
         if self._timer is not None:
             self._timer.close()
         self._follower.end()
 
     def refresh(self) -> None:
-        """Put the value of now."""
+        """Publish the current value."""
 
 
 class FramesFeed(FrameFeed):
@@ -77,7 +77,7 @@ class FramesFeed(FrameFeed):
         super().__init__(host, follower, "frames", FRAMES_SECONDS)
 
     def refresh(self) -> None:
-        """Put the tree."""
+        """Publish the tree."""
         now = self._host.clock.now_ns()
         self.put(
             [
@@ -94,19 +94,19 @@ class FramesFeed(FrameFeed):
 
 
 class FramePoseFeed(FrameFeed):
-    """At the newest time that all frames between the two have. Raises `LookupError` where its name says no two frames.
+    """The pose at the newest time known for all frames between the two; `LookupError` if the name lacks two frames.
 
-    Frames that were just begun to be followed are not known yet: then the reason says so.
+    A frame that is not known yet gives a reason instead.
     """
 
     def __init__(self, host: Host, follower: FrameFollower, name: str) -> None:
         super().__init__(host, follower, name, POSE_SECONDS)
         self._reference, parted, self._frame = name.removeprefix(PREFIX).partition(">")
         if not parted or not all(0 < len(frame) <= _MOST_NAME for frame in (self._reference, self._frame)):
-            raise LookupError(f"{name[:80]!r} is no feed of a pose: ask for pose:REFERENCE>FRAME")
+            raise LookupError(f"{name[:80]!r} is not a pose feed: use pose:REFERENCE>FRAME")
 
     def refresh(self) -> None:
-        """Put the pose of now, or why there is none."""
+        """Publish the current pose, or the reason why there is none."""
         try:
             transform = self._follower.frames.buffer.lookup_transform(self._reference, self._frame)
         except TransformError as err:
@@ -118,7 +118,11 @@ class FramePoseFeed(FrameFeed):
                 "position": dict(zip("xyz", (round(part, 4) for part in transform.translation), strict=True)),
                 "rotation": dict(zip("xyzw", (round(part, 6) for part in transform.rotation), strict=True)),
                 "angles": dict(
-                    zip(("roll", "pitch", "yaw"), (round(part, 5) for part in angles_of(transform.rotation)), strict=True)
+                    zip(
+                        ("roll", "pitch", "yaw"),
+                        (round(part, 5) for part in angles_of(transform.rotation)),
+                        strict=True,
+                    )
                 ),
                 "age": None if age is None else round(max(age, 0.0), 2),
             }

@@ -33,7 +33,7 @@ _DECISION = ("daemon", "direction", "decision", "why", "cure")
 
 
 class PolledFeed(Feed):
-    """A feed that queries its value periodically, on a thread that may wait."""
+    """A feed that queries its value periodically, on a thread that may block."""
 
     def __init__(
         self, host: Host, name: str, executor: SerialExecutor, ask: Callable[[], Any], seconds: float = STATUS_SECONDS
@@ -63,7 +63,7 @@ class PolledFeed(Feed):
         except (HubError, CliError) as err:
             value, reason = None, str(err)
         except Exception as err:  # the feed continues: the next query may succeed
-            _log.exception("the feed %s", self.name)
+            _log.exception("cannot query the feed %s", self.name)
             value, reason = None, f"{type(err).__name__}: {err}"
         self._host.loop.post(partial(self._on_value, value, reason))
 
@@ -105,7 +105,9 @@ def ask_status(client: CliClient) -> dict[str, Any]:
     return {
         "workers": [_worker(document, daemon, restarts) for document in (*documents, *silent)],
         "machines": [_machine(document, entry) for document in documents for entry in dicts(document.get("machines"))],
-        "endpoints": [_endpoint(document, entry) for document in documents for entry in dicts(document.get("endpoints"))],
+        "endpoints": [
+            _endpoint(document, entry) for document in documents for entry in dicts(document.get("endpoints"))
+        ],
         "routes": [_route(document, route) for document in documents for route in route_list(document)],
         "refused": [_refused(document, entry) for document in documents for entry in dicts(document.get("refused"))],
     }
@@ -114,7 +116,7 @@ def ask_status(client: CliClient) -> dict[str, Any]:
 def _worker(document: Document, daemon: Document, restarts: Mapping[int, int]) -> dict[str, Any]:
     shown = {key: document.get(key) for key in ("daemon", "worker", "state", "cpu", "rss", "restarts")}
     if shown["restarts"] is None and document.get("daemon") == daemon.get("daemon"):
-        shown["restarts"] = restarts.get(document.get("pid", 0))  # only the daemon counts them
+        shown["restarts"] = restarts.get(document.get("pid", 0))  # only the daemon has this count
     side = document.get("side")
     return {
         **shown,
@@ -161,7 +163,7 @@ def list_topics(client: CliClient) -> list[dict[str, Any]]:
 
 
 def explain(client: CliClient, name: str) -> list[dict[str, Any]]:
-    """Return why a topic, a service or an action crosses or not."""
+    """Return why a topic, a service or an action is bridged or not."""
     names = daemon_names(client, client.ask("status", worker="router", timeout=_ASK_SECONDS))
     decisions = decisions_in(names.apply(client.ask("explain", {"topic": name})))
     return [{"side": decision.worker, **{key: getattr(decision, key) for key in _DECISION}} for decision in decisions]

@@ -1,4 +1,4 @@
-"""The feed ``image:WIDTH:/name``: the newest picture of a topic, no larger than the page shows it."""
+"""The feed ``image:WIDTH:/name``: the newest image of a topic, no larger than the page shows it."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from bridge.web.feeds.topics import NewestFeed
 
 PREFIX = "image:"
 WIDTHS = (160, 320, 640, 1280)
-"""Pixels at most, in width and in height; few, so that pages share what is made."""
+"""Largest width and height in pixels; only a few values, so that pages share the scaled images."""
 
 TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _QUALITY = 75
 
 
 class ImageFeed(NewestFeed):
-    """The newest picture as a JPEG, scaled down. Raises `LookupError` where its name says no width of `WIDTHS`."""
+    """The newest image as a JPEG, scaled down. Raises `LookupError` if the name has no width of `WIDTHS`."""
 
     most_bytes = 64 << 20
 
@@ -34,14 +34,14 @@ class ImageFeed(NewestFeed):
         width, _, topic = name.removeprefix(PREFIX).partition(":")
         if not (width.isascii() and width.isdecimal() and int(width) in WIDTHS and topic.startswith("/")):
             sizes = ", ".join(map(str, WIDTHS))
-            raise LookupError(f"{name[:80]!r} is no feed of pictures: ask for image:WIDTH:/NAME, WIDTH one of {sizes}")
+            raise LookupError(f"{name[:80]!r} is not an image feed: use image:WIDTH:/NAME, with WIDTH one of {sizes}")
         super().__init__(host, client, executor, name, topic)
         self._types, self._most = types, int(width)
 
     def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
-        """The picture, and what it was made of."""
+        """Return the image, and its original size and encoding."""
         if type_name not in TYPES:
-            raise ConversionError(f"{type_name} is no picture; those are {' and '.join(TYPES)}")
+            raise ConversionError(f"{type_name} is not an image type; image types are {' and '.join(TYPES)}")
         self._types.prepare(type_name, type_hash)
         registry = self._types.registry
         checked = registry.hub_check(type_name, type_hash)(cdr)

@@ -1,4 +1,4 @@
-"""The feed of a layer: where a robot would touch something, by Mapper3D or a program like it, and how high that is."""
+"""The feed of a layer: the cells where a robot would collide, by Mapper3D or a similar program, and their heights."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from navigation.pose import Pose
 
 SECONDS = 0.5
 MOST_CELLS = 1 << 22
-"""Of a layer; a larger one is not shown."""
+"""Largest number of cells of a layer; a larger one is not shown."""
 
 MOST_TINTED = 20_000
-"""Cells of a layer that a page gets; where more are blocked, four become one, and so on."""
+"""Largest number of cells sent to a page; if more are blocked, four are merged into one, repeatedly."""
 
 BLOCKED = 50
-"""From here on planners take a cell of a layer as blocked."""
+"""Smallest value that planners treat as blocked."""
 
 
 class LayerFeed(TopicsFeed):
-    """``layer``: the blocked cells of a layer on the map, with the heights of what is hit, at most twice a second."""
+    """``layer``: the blocked cells of a layer on the map, with the obstacles' heights, at most twice a second."""
 
     def __init__(self, host: Host, follower: FrameFollower, topic: str) -> None:
         super().__init__(host, "layer")
@@ -43,7 +43,7 @@ class LayerFeed(TopicsFeed):
         self._timer: Timer | None = None
 
     def open(self) -> None:
-        """Follow the layer, its heights and the frames."""
+        """Subscribe to the layer, its heights and the transforms."""
         if not self._topic:
             self.put(None, "no layer is configured (web.layer)")
             return
@@ -53,7 +53,7 @@ class LayerFeed(TopicsFeed):
         self._timer = self._host.loop.every(SECONDS, self._refresh)
 
     def close(self) -> None:
-        """Rest."""
+        """Unsubscribe."""
         super().close()
         self._grid = self._heights = self._at = None
         if self._timer is not None:
@@ -90,14 +90,14 @@ class LayerFeed(TopicsFeed):
 
 
 def tint(grid: dict[str, Any], heights: dict[str, Any] | None, frame: Pose) -> dict[str, Any]:
-    """The value of a layer; ``frame``: where its frame is on the map. Raises `ValueError` with the reason."""
+    """Return a layer's value; ``frame``: pose of the layer's frame on the map. Raises `ValueError` with the reason."""
     info = grid["info"]
     height, width, size = int(info["height"]), int(info["width"]), float(info["resolution"])
     cells = np.asarray(grid["data"], np.int8)
     if cells.size != width * height:
-        raise ValueError(f"data: {cells.size} cells are not {width} x {height}")
+        raise ValueError(f"data: {cells.size} cells instead of {width} x {height}")
     if not (math.isfinite(size) and size > 0.0):
-        raise ValueError(f"info.resolution: {size} m is no size of a cell")
+        raise ValueError(f"info.resolution: {size} m is not a valid cell size")
     blocked = cells.reshape(height, width) >= BLOCKED
     position, orientation = info["origin"]["position"], info["origin"]["orientation"]
     origin = Pose(float(position["x"]), float(position["y"]), yaw_of(orientation))
@@ -111,7 +111,7 @@ def tint(grid: dict[str, Any], heights: dict[str, Any] | None, frame: Pose) -> d
 def _heights_of(
     blocked: NDArray[np.bool_], heights: dict[str, Any] | None, grid: dict[str, Any], origin: Pose
 ) -> NDArray[np.float32]:
-    """How high each cell is, metres; infinite where that is not known."""
+    """Return each cell's height in meters; infinite if unknown."""
     known = np.full(blocked.shape, np.inf, np.float32)
     if heights is None or heights["header"]["frame_id"].lstrip("/") != grid["header"]["frame_id"].lstrip("/"):
         return known
@@ -122,20 +122,20 @@ def _heights_of(
     try:
         values = values_at(heights, LOWEST, places)
     except ValueError as err:
-        raise ValueError(f"of its heights, {err}") from None
+        raise ValueError(f"heights: {err}") from None
     known[rows, columns] = np.where(np.isfinite(values), values, np.inf)
     return known
 
 
 def _halved(cells: NDArray[Any], fill: float) -> NDArray[Any]:
-    """Cells by twos: (rows, 2, columns, 2)."""
+    """Group the cells by twos: (rows, 2, columns, 2)."""
     rows, columns = cells.shape
     full = np.pad(cells, ((0, rows % 2), (0, columns % 2)), constant_values=fill)
     return full.reshape(full.shape[0] // 2, 2, full.shape[1] // 2, 2)
 
 
 def runs_of(blocked: NDArray[np.bool_], heights: NDArray[np.float32]) -> list[list[float | None]]:
-    """Blocked cells beside each other: row, column of the first, the height of each (None: not known)."""
+    """Return runs of adjacent blocked cells: row, column of the first, the height of each (None: unknown)."""
     rows, columns = np.nonzero(blocked)
     values = heights[rows, columns]
     rounded = [None if math.isinf(value) else value for value in np.round(values.astype(np.float64), 2).tolist()]

@@ -1,4 +1,4 @@
-"""The log of the daemon and its workers: a feed tells that there is more, a verb reads what a page wants of it."""
+"""The log of the daemon and its workers: a feed announces new lines, a verb returns those that a page requests."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ROUNDS = 50
 
 
 class LogFollower:
-    """Keeps what the daemon says of its log. `ask` is called by one thread, `read` by any."""
+    """Caches the daemon's log. `ask` is called by one thread, `read` by any."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -32,11 +32,11 @@ class LogFollower:
         self._last = 0
 
     def ask(self) -> dict[str, Any]:
-        """The value of ``log``; reads all that is new. Raises `CliError` where no daemon answers."""
+        """Read all new lines, and return the value of ``log``. Raises `CliError` if no daemon answers."""
         for _ in range(_ROUNDS):
             reply = ask_log(self._config, self._last)
             if reply is None:
-                raise CliError("the daemon does not answer: this console runs without it, and has no log to show")
+                raise CliError("the daemon does not respond; without it there is no log")
             self._append(reply)
             if self._last >= reply["last"]:
                 break
@@ -45,7 +45,7 @@ class LogFollower:
 
     def _append(self, reply: dict[str, Any]) -> None:
         with self._lock:
-            if reply["last"] < self._last:  # another daemon, which counts from its own beginning
+            if reply["last"] < self._last:  # a restarted daemon counts from the beginning
                 self._last = 0
                 self._lines.clear()
             elif reply["lines"]:
@@ -53,7 +53,7 @@ class LogFollower:
                 self._last = reply["lines"][-1]["n"]
 
     def read(self, after: int = 0, level: str = "debug", worker: str = "", text: str = "") -> dict[str, Any]:
-        """The newest lines behind a number that pass the filters; see the protocol."""
+        """Return the newest lines after a number that pass the filters; see the protocol."""
         levels, terms = LEVELS[LEVELS.index(level) :], text.lower().split()
         with self._lock:
             lines, last = list(self._lines), self._last
@@ -69,29 +69,29 @@ class LogFollower:
 
 
 def log_feed(host: Host, executor: SerialExecutor, follower: LogFollower) -> AskingFeed:
-    """``log``: which line is the newest, and whose lines there are."""
+    """Return the feed ``log``: the number of the newest line, and the workers that have lines."""
     return AskingFeed(host, "log", executor, follower.ask, LOG_SECONDS)
 
 
 def _number(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**53:
-        raise ValueError("is the number of a line")
+        raise ValueError("must be the number of a line")
     return value
 
 
 def _level(value: Any) -> str:
     if value not in LEVELS:
-        raise ValueError(f"is one of {', '.join(LEVELS)}")
+        raise ValueError(f"must be one of {', '.join(LEVELS)}")
     return str(value)
 
 
 def _text(value: Any) -> str:
     if not isinstance(value, str) or len(value) > _MOST_TEXT:
-        raise ValueError(f"is a text of up to {_MOST_TEXT} characters")
+        raise ValueError(f"must be a text of up to {_MOST_TEXT} characters")
     return value
 
 
 def log_verb(follower: LogFollower) -> PageVerb:
-    """``log``: the lines that a page wants."""
+    """Return the verb ``log``, which returns the lines that a page requests."""
     may = {"after": _number, "level": _level, "worker": _text, "text": _text}
     return PageVerb(follower.read, {}, may, commands=False)

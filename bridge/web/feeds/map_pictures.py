@@ -1,4 +1,4 @@
-"""Pictures of a map for pages: occupancy and flags, one byte a cell, with colours for light pages and dark ones."""
+"""Images of a map for pages: occupancy and flags, one byte per cell, with colors for light and dark pages."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from PIL import Image
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 TILE = 1024
-"""Cells of a tile's side: pages fetch again what changed, and no more."""
+"""Width and height of a tile in cells: pages fetch only changed tiles."""
 _NEWEST = 2
-"""Pictures of a kind that are kept: a page may still fetch what it was told of a moment ago."""
+"""Images of each kind that are cached: a page may still fetch the previous one."""
 _LEVELS, _CLEAR = 101, 101
-"""Greys for 0 to 100 percent occupied, and the colour of cells of which nothing is known."""
+"""Grays for 0 to 100 percent occupied, and the color of unknown cells."""
 _DARK_FREE, _DARK_WALL = (0x14, 0x19, 0x1E), (0xA0, 0xB0, 0xBE)
 _TINTS = {
     MapFlag.KEEP_OUT: (214, 40, 40, 110),
     MapFlag.TEMPORARY_OBSTACLE: (240, 140, 20, 120),
     MapFlag.ENLARGED_OBSTACLE: (150, 110, 200, 100),
 }
-"""Colour and opacity of flags over the occupancy."""
+"""Color and opacity of flags over the occupancy."""
 
 Cells = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class Palette:
-    """Colours of a picture's cells: red, green, blue of each number, for light and dark pages, and its opacity."""
+    """Colors of an image's cells: red, green, blue of each number, for light and dark pages, and the opacity."""
 
     light: bytes
     dark: bytes
@@ -56,7 +56,7 @@ PALETTES = {
     "flags": Palette(_TINTED, _TINTED, bytes([0, *(tint[3] for tint in _TINTS.values())])),
 }
 CLEAR = {"occupancy": _CLEAR, "flags": 0}
-"""The number of a cell that shows nothing."""
+"""The number of a transparent cell."""
 
 _GREYS = np.full(256, _CLEAR, np.uint8)
 _GREYS[:_LEVELS] = np.arange(_LEVELS)
@@ -65,7 +65,7 @@ _TINT_OF[list(_TINTS)] = np.arange(1, len(_TINTS) + 1)
 
 
 def occupancy_picture(grid: MapGrid2D) -> Cells:
-    """The colour of each cell (height, width): 0 free to 100 occupied, 101 where nothing is known."""
+    """Return the color of each cell (height, width): 0 free to 100 occupied, 101 unknown."""
     cells = _GREYS[np.asarray(grid.occupancy, np.uint8)]
     cells[grid.flags == MapFlag.WALL] = _LEVELS - 1
     cells[grid.flags == MapFlag.UNKNOWN] = _CLEAR
@@ -73,13 +73,13 @@ def occupancy_picture(grid: MapGrid2D) -> Cells:
 
 
 def flags_picture(grid: MapGrid2D) -> Cells | None:
-    """The tint of each cell (height, width) by the flags that planners heed, 0 for none; None if no cell has one."""
+    """Return the tint of each cell (height, width) for flags that planners use, 0 for none; None if all are 0."""
     cells = _TINT_OF[grid.flags]
     return cells if cells.any() else None
 
 
 class Pictures:
-    """The tiles of the newest pictures by their addresses, below a prefix. Safe to use from any thread."""
+    """The tiles of the newest images by address, below a prefix. Safe to use from any thread."""
 
     def __init__(self, prefix: str = "") -> None:
         self._prefix = prefix
@@ -87,9 +87,9 @@ class Pictures:
         self._kept: dict[str, deque[dict[str, bytes]]] = {name: deque(maxlen=_NEWEST) for name in PALETTES}
 
     def put(self, name: str, cells: Cells) -> dict[str, Any]:
-        """Keep a picture; ``{"size": cells of a tile's side, "tiles": rows of addresses, null where all is clear}``.
+        """Cache an image; ``{"size": width of a tile, "tiles": rows of addresses, null for a transparent tile}``.
 
-        An address depends on the tile's content: an unchanged tile keeps its address, and is not packed again.
+        An address depends on the tile's content: an unchanged tile keeps its address, and is not compressed again.
         """
         clear, packed, rows = CLEAR[name], dict[str, bytes](), []
         for top in range(0, cells.shape[0], TILE):
@@ -107,7 +107,7 @@ class Pictures:
         return {"size": TILE, "tiles": rows}
 
     def get(self, name: str, version: str, *, dark: bool = False) -> bytes | None:
-        """The PNG of an address, in the colours for dark pages or light ones; None if it has expired."""
+        """Return the PNG of an address, in the colors for dark or light pages; None if it has expired."""
         with self._lock:
             png = next((picture[version] for picture in self._kept.get(name, ()) if version in picture), None)
         return _recolored(png, PALETTES[name].dark) if png is not None and dark else png
@@ -122,7 +122,7 @@ def _png(cells: Cells, palette: Palette) -> bytes:
 
 
 def _recolored(png: bytes, colours: bytes) -> bytes:
-    """Another palette for the same cells (PNG, ISO/IEC 15948: chunk PLTE), so that nothing is packed again."""
+    """Replace the palette of a PNG (ISO/IEC 15948: chunk PLTE), so that nothing is compressed again."""
     at = png.index(b"PLTE")
     (length,) = struct.unpack(">I", png[at - 4 : at])
     chunk = b"PLTE" + colours[:length].ljust(length, b"\0")

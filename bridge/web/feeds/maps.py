@@ -1,4 +1,4 @@
-"""The feeds of the store: the map in use with its pictures, the other maps, the places."""
+"""The feeds of the store: the current map with its images, the other maps, the places."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 _log = logging.getLogger("midspan.web")
 
 POLL_SECONDS = 1.0
-"""So often the store is asked for what is new."""
+"""Interval at which the store is polled for changes."""
 
 
 @dataclass(frozen=True)
 class StoreView:
-    """What pages are shown of the store."""
+    """The content of the store that pages see."""
 
     maps: dict[str, Any]
     places: dict[str, Any]
@@ -45,9 +45,9 @@ class StoreView:
 
 
 class StoreFollower:
-    """Asks the store for what is new while a feed of it is watched.
+    """Polls the store for changes while one of its feeds is watched.
 
-    The questions run on a thread of their own, what they find is handed to the feeds on the module's.
+    Queries run on a separate thread; results are passed to the feeds on the module's thread.
     """
 
     def __init__(self, host: Host, config: Config) -> None:
@@ -64,7 +64,7 @@ class StoreFollower:
         self._map: tuple[Any, MapGrid2D | None] | None = None
 
     def begin(self, feed: Feed, take: Callable[[StoreView], None]) -> None:
-        """Hand a feed what there is, and what is new."""
+        """Pass the current content and later changes to a feed."""
         self._feeds[feed] = take
         if self._timer is None:
             self._timer = self._host.loop.every(POLL_SECONDS, self.refresh)
@@ -73,14 +73,14 @@ class StoreFollower:
         self.refresh()
 
     def end(self, feed: Feed) -> None:
-        """Hand it nothing more."""
+        """Stop passing changes to a feed."""
         self._feeds.pop(feed, None)
         if not self._feeds and self._timer is not None:
             self._timer.close()
             self._timer = self._view = self._digest = self._map = None
 
     def client(self) -> StoreClient:
-        """The store on the hub; raises `StoreError` where there is none. Waits; not on the module's thread."""
+        """Return the store on the hub; raises `StoreError` if there is none. Blocks: not for the module's thread."""
         with self._lock:
             if self._client is None:
                 self._space = self._space or self._host.node.hub.keyspace(prefix(self._config.hub.domain))
@@ -88,13 +88,13 @@ class StoreFollower:
             return self._client
 
     def refresh(self) -> None:
-        """Ask now, unless it is being asked, or nobody wants to know."""
+        """Poll now, unless a query is running or there are no feeds."""
         if not self._asking and self._feeds:
             self._asking = True
             self._executor.submit(self._ask)
 
     def close(self) -> None:
-        """Ask no more."""
+        """Stop polling."""
         self._executor.close()
 
     def _ask(self) -> None:
@@ -103,12 +103,12 @@ class StoreFollower:
         except (StoreError, HubError) as err:
             view, reason, self._client, self._digest, self._map = None, str(err), None, None, None
         except Exception as err:
-            _log.exception("the store")
+            _log.exception("cannot read the store")
             view, reason = None, f"{type(err).__name__}: {err}"
         self._host.loop.post(partial(self._on_view, view, reason))
 
     def _read(self) -> StoreView | None:
-        """What the store has; None where that is as before."""
+        """Return the store's content; None if it has not changed."""
         client = self.client()
         digest = client.digest()
         if digest == self._digest:
@@ -152,7 +152,7 @@ def _places(client: StoreClient) -> dict[str, Any]:
 
 
 class StoreFeed(Feed):
-    """``maps`` or ``places``: a part of what the store has."""
+    """``maps`` or ``places``: a part of the store's content."""
 
     def __init__(self, name: str, store: StoreFollower, part: Callable[[StoreView], Any]) -> None:
         super().__init__(name)
@@ -163,12 +163,12 @@ class StoreFeed(Feed):
         self._store.begin(self, lambda view: self.put(self._part(view)))
 
     def close(self) -> None:
-        """Rest."""
+        """Stop following the store."""
         self._store.end(self)
 
 
 class MapFeed(TopicsFeed):
-    """``map``: the map in use, of the store or of the topic that the configuration names."""
+    """``map``: the current map, from the store or the configured topic."""
 
     def __init__(self, host: Host, config: Config, store: StoreFollower, pictures: Pictures) -> None:
         super().__init__(host, "map")
@@ -177,25 +177,25 @@ class MapFeed(TopicsFeed):
         self._shown: MapGrid2D | None = None
 
     def open(self) -> None:
-        """Follow the map."""
+        """Follow the store or the topic."""
         if self._source == "store":
             self._store.begin(self, self._on_store_view)
         else:
             self.follow(self._source, GRID, self._on_grid, LATCHED)
 
     def close(self) -> None:
-        """Rest."""
+        """Stop following."""
         super().close()
         self._store.end(self)
         self._shown = None
 
     def end(self) -> None:
-        """End its thread."""
+        """Stop the drawing thread."""
         self._drawing.close()
 
     def _on_store_view(self, view: StoreView) -> None:
         if view.grid is None:
-            self.put(None, "no map is in use; choose one, or import one with 'midspan map import'")
+            self.put(None, "no current map; choose one, or import one with 'midspan map import'")
         elif view.grid is not self._shown:
             self._shown = view.grid
             self._drawing.submit(partial(self._draw, view.grid, view.name))
@@ -209,7 +209,7 @@ class MapFeed(TopicsFeed):
         self._drawing.submit(partial(self._draw, grid, self._source))
 
     def _draw(self, grid: MapGrid2D, name: str) -> None:
-        """On a thread of its own: pictures of 16 million cells take a quarter of a second."""
+        """Draw on a separate thread: images of 16 million cells take a quarter of a second."""
         picture = self._pictures.put("occupancy", occupancy_picture(grid))
         tints = flags_picture(grid)
         flags = self._pictures.put("flags", tints) if tints is not None else None

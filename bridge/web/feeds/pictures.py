@@ -1,4 +1,4 @@
-"""Pictures of ``sensor_msgs``, scaled down for the eye.
+"""Images of ``sensor_msgs``, scaled down for display.
 
 Source: sensor_msgs/image_encodings.hpp for the encodings, REP 118 for depth, compressed_depth_image_transport for the
 12 bytes before its PNG.
@@ -26,9 +26,9 @@ Cells = NDArray[Any]
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture, with the size and encoding of its message.
+    """An image, with the size and encoding of its message.
 
-    ``range``: what black and white stand for where the message holds measures (depth, mostly), else None.
+    ``range``: the values shown as black and white if the message has measurements (usually depth), else None.
     """
 
     image: Image.Image
@@ -39,9 +39,9 @@ class Picture:
 
 
 def decode(message: Mapping[str, Any], most: int) -> Picture:
-    """The picture of an ``Image`` or a ``CompressedImage``, neither side above ``most`` pixels.
+    """Decode an ``Image`` or a ``CompressedImage``, with neither side above ``most`` pixels.
 
-    Raises `ConversionError` with why there is none.
+    Raises `ConversionError` with the reason if it cannot be shown.
     """
     return _compressed(message, most) if "format" in message else _raw(message, most)
 
@@ -61,22 +61,22 @@ _OCTETS: Mapping[str, tuple[int, Callable[[Cells], Image.Image]]] = {
     "rgba8": (4, _colors((0, 1, 2))),
     **dict.fromkeys(("bgra8", "8UC4"), (4, _colors((2, 1, 0)))),
 }
-"""Channels of an octet each, and how they become a picture."""
+"""Encodings with 8-bit channels: the number of channels, and the conversion to an image."""
 
 _MEASURES = {"mono16": "u2", "16UC1": "u2", "16SC1": "i2", "32SC1": "i4", "32FC1": "f4", "64FC1": "f8"}
-"""One number a pixel, of which only the order tells: shown from the smallest to the largest."""
+"""Encodings with one number per pixel, shown from the smallest (black) to the largest (white)."""
 
 _BAYER = {
     "bayer_rggb8": ((0, 0), (1, 1)), "bayer_bggr8": ((1, 1), (0, 0)),
     "bayer_gbrg8": ((1, 0), (0, 1)), "bayer_grbg8": ((0, 1), (1, 0)),
 }  # fmt: skip
-"""Row and column of red and of blue in each square of four; the others are green."""
+"""Row and column of red and of blue in each square of four pixels; the others are green."""
 
 _YUV = {
     **dict.fromkeys(("yuv422", "uyvy"), (1, 0, 3, 2)),
     **dict.fromkeys(("yuv422_yuy2", "yuyv"), (0, 1, 2, 3)),
 }
-"""Where the first brightness, U, the second brightness and V are among the four octets of two pixels."""
+"""Positions of first luminance, U, second luminance and V among the four bytes of two pixels."""
 
 KNOWN = (*_OCTETS, *_MEASURES, *_BAYER, *_YUV)
 
@@ -84,9 +84,9 @@ KNOWN = (*_OCTETS, *_MEASURES, *_BAYER, *_YUV)
 def _raw(message: Mapping[str, Any], most: int) -> Picture:
     encoding, width, height = message["encoding"], int(message["width"]), int(message["height"])
     if encoding not in KNOWN:
-        raise ConversionError(f"pictures encoded as {encoding[:40]!r} are not shown; those of {', '.join(KNOWN)} are")
+        raise ConversionError(f"images encoded as {encoding[:40]!r} are not supported; supported: {', '.join(KNOWN)}")
     if not 0 < width * height <= MOST_PIXELS:
-        raise ConversionError(f"a picture of {width} x {height} pixels is not shown: at most {MOST_PIXELS} are")
+        raise ConversionError(f"an image of {width} x {height} pixels is not shown: the limit is {MOST_PIXELS}")
     order = ">" if message["is_bigendian"] else "<"
     kind = np.dtype(order + _MEASURES[encoding]) if encoding in _MEASURES else np.dtype(np.uint8)
     values = width * (_OCTETS[encoding][0] if encoding in _OCTETS else 2 if encoding in _YUV else 1)
@@ -106,24 +106,24 @@ def _raw(message: Mapping[str, Any], most: int) -> Picture:
 
 
 def _rows(message: Mapping[str, Any], height: int, octets: int) -> Cells:
-    """The rows without what pads them."""
+    """Return the rows without their padding."""
     data, step = np.frombuffer(message["data"], np.uint8), int(message["step"])
     if step < octets:
-        raise ConversionError(f"a row has {step} bytes (step), and {octets} are needed for its pixels")
+        raise ConversionError(f"a row has {step} bytes (step), but its pixels need {octets}")
     if len(data) < step * (height - 1) + octets:
-        raise ConversionError(f"the picture has {len(data)} bytes, and {height} rows of {step} are needed")
+        raise ConversionError(f"the image has {len(data)} bytes, but {height} rows of {step} are needed")
     if len(data) < step * height:  # the last row is not padded
         data = np.concatenate([data, np.zeros(step * height - len(data), np.uint8)])
     return np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :octets])
 
 
 def _step(size: int, most: int) -> int:
-    """Of so many pixels one is taken, before what is left is scaled with care."""
+    """Return the step at which pixels are sampled before the image is scaled smoothly."""
     return max(1, size // (2 * most))
 
 
 def _fitted(image: Image.Image, width: int, height: int, most: int) -> Image.Image:
-    """The picture in the proportions of its message, within ``most``."""
+    """Scale the image to the proportions of its message, within ``most``."""
     scale = min(1.0, most / max(width, height))
     size = max(1, round(width * scale)), max(1, round(height * scale))
     return image if image.size == size else image.resize(size, Image.Resampling.BILINEAR)
@@ -131,7 +131,7 @@ def _fitted(image: Image.Image, width: int, height: int, most: int) -> Image.Ima
 
 def _of_measures(values: Cells, most: int, width: int, height: int, encoding: str) -> Picture:
     numbers = values.astype(np.float64)
-    known = np.isfinite(numbers) & (numbers != 0)  # a depth of 0 is none
+    known = np.isfinite(numbers) & (numbers != 0)  # a depth of 0 is unknown
     low, high = (float(numbers[known].min()), float(numbers[known].max())) if known.any() else (0.0, 0.0)
     shade = (np.where(known, numbers, low) - low) * (255.0 / (high - low) if high > low else 0.0)
     image = Image.fromarray(np.rint(np.where(known, shade, 0.0)).astype(np.uint8), "L")
@@ -139,10 +139,10 @@ def _of_measures(values: Cells, most: int, width: int, height: int, encoding: st
 
 
 def _bayer(rows: Cells, red: tuple[int, int], blue: tuple[int, int]) -> Image.Image:
-    """At half the size: each square of four makes one pixel."""
+    """Return the image at half the size: each square of four makes one pixel."""
     even = rows[: rows.shape[0] // 2 * 2, : rows.shape[1] // 2 * 2]
     if not even.size:
-        raise ConversionError("a picture of one row or column has no colours")
+        raise ConversionError("an image of one row or column has no colors")
 
     def cells_at(place: tuple[int, int]) -> Cells:
         return even[place[0] :: 2, place[1] :: 2]
@@ -153,10 +153,10 @@ def _bayer(rows: Cells, red: tuple[int, int], blue: tuple[int, int]) -> Image.Im
 
 
 def _yuv(rows: Cells, places: tuple[int, int, int, int]) -> Image.Image:
-    """At half the width: two pixels share their colour."""
+    """Return the image at half the width: two pixels share their color."""
     pairs = rows[:, : rows.shape[1] // 4 * 4].reshape(rows.shape[0], -1, 4)
     if not pairs.size:
-        raise ConversionError("a picture of one column has no colours")
+        raise ConversionError("an image of one column has no colors")
     first, u, second, v = (pairs[..., place] for place in places)
     bright = ((first.astype(np.uint16) + second) // 2).astype(np.uint8)
     return Image.frombytes(
@@ -173,13 +173,13 @@ def _compressed(message: Mapping[str, Any], most: int) -> Picture:
         with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
             width, height = image.size
             if not 0 < width * height <= MOST_PIXELS:
-                raise ConversionError(f"a picture of {width} x {height} pixels is not shown: at most {MOST_PIXELS} are")
-            image.draft("RGB" if image.mode != "L" else "L", (most, most))  # a JPEG is read at a part of its size
+                raise ConversionError(f"an image of {width} x {height} pixels is not shown: the limit is {MOST_PIXELS}")
+            image.draft("RGB" if image.mode != "L" else "L", (most, most))  # a JPEG is decoded at reduced size
             image.load()
             about = (width, height, format_ or str(image.format).lower())
             if image.mode.startswith("I"):
                 return _of_measures(np.asarray(image), most, *about)
             return Picture(_fitted(image.convert("L" if image.mode == "L" else "RGB"), width, height, most), *about)
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as err:
-        shown_format = format_[:40] or "of no format"
-        raise ConversionError(f"the compressed picture ({shown_format}) cannot be read: {err}") from None
+        shown_format = format_[:40] or "no format"
+        raise ConversionError(f"cannot read the compressed image ({shown_format}): {err}") from None

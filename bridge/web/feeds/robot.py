@@ -1,4 +1,4 @@
-"""The feeds of the robot: its pose, its laser scan, and its goal. All on the module's thread."""
+"""The feeds of the robot: its pose, laser scan and goal. To be used on the module's thread."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from navigation.status import STATUS, State
 
 ROBOT_SECONDS = 0.1
 MOST_POINTS = 2000
-"""Of a path or a scan; of longer ones every second, third ... is sent."""
+"""Largest number of points of a path or scan; of a longer one every second, third ... is sent."""
 _CORNERS = 16
 _LASER_GAP = 0.8 * ROBOT_SECONDS
-"""Seconds between two scans at the least; one that comes sooner waits for so long, so that 10 Hz hardly ever waits."""
+"""Shortest time between two scans; one that arrives sooner is delayed, which at 10 Hz is rarely the case."""
 
 
 class RobotFeed(FrameFeed):
@@ -52,7 +52,7 @@ class RobotFeed(FrameFeed):
 
 
 class TopicsFeed(Feed):
-    """A feed made of topics of the hub, subscribed to while it is watched."""
+    """A feed made from topics of the hub, subscribed while it is watched."""
 
     def __init__(self, host: Host, name: str) -> None:
         super().__init__(name)
@@ -60,18 +60,18 @@ class TopicsFeed(Feed):
         self._ends: list[Subscription] = []
 
     def follow(self, topic: str, type_name: str, on_message: Callable[[dict[str, Any]], None], qos: Qos) -> None:
-        """Subscribe until it is closed."""
+        """Subscribe until the feed is closed."""
         self._ends.append(self._host.node.subscription(topic, type_name, on_message, qos))
 
     def close(self) -> None:
-        """Subscribe to nothing."""
+        """Unsubscribe."""
         ends, self._ends = self._ends, []
         for end in ends:
             self._host.node.release(end)
 
 
 class LaserFeed(TopicsFeed):
-    """``laser``: the laser scan on the map, some ten times a second."""
+    """``laser``: the laser scan on the map, about ten times a second."""
 
     def __init__(self, host: Host, follower: FrameFollower, topic: str) -> None:
         super().__init__(host, "laser")
@@ -81,7 +81,7 @@ class LaserFeed(TopicsFeed):
         self._refreshed = -math.inf
 
     def open(self) -> None:
-        """Follow laser and frames."""
+        """Subscribe to the laser and the transforms."""
         if not self._topic:
             self.put(None, "no laser is configured (web.laser)")
             return
@@ -90,7 +90,7 @@ class LaserFeed(TopicsFeed):
         self._timer = self._host.loop.every(ROBOT_SECONDS, self._refresh)
 
     def close(self) -> None:
-        """Rest."""
+        """Unsubscribe."""
         super().close()
         if self._timer is not None:
             self._timer.close()
@@ -100,7 +100,7 @@ class LaserFeed(TopicsFeed):
     def _on_scan(self, scan: dict[str, Any]) -> None:
         self._scan = scan
         if time.monotonic() - self._refreshed > _LASER_GAP:
-            self._refresh()  # else the timer does
+            self._refresh()  # otherwise the timer refreshes
 
     def _refresh(self) -> None:
         scan, self._scan = self._scan, None
@@ -128,11 +128,11 @@ class PathFeed(TopicsFeed):
         driving.on_change(self._update)
 
     def open(self) -> None:
-        """Follow the planner that is chosen."""
+        """Subscribe to the path of the chosen planner."""
         self._update()
 
     def close(self) -> None:
-        """Unsubscribe; the path of a paused goal is kept for the next page."""
+        """Unsubscribe; the path of a paused goal stays cached for the next page."""
         super().close()
         self._topic = ""
 
@@ -168,7 +168,7 @@ class PathFeed(TopicsFeed):
 
 
 class DrivingFeed(TopicsFeed):
-    """``driving``: the gateway's status of the current goal. The console itself watches it all the time."""
+    """``driving``: the gateway's status of the current goal. The console itself watches it permanently."""
 
     STANDING = frozenset(state.value for state in State if state.ended or state is State.PAUSED)
 
@@ -181,12 +181,12 @@ class DrivingFeed(TopicsFeed):
         self.planner = config.navigation.planner
 
     def on_change(self, action: Callable[[], None]) -> None:
-        """Call this when the state or the planner changed."""
+        """Register a callback for changes of state or planner."""
         self._changes.append(action)
 
     @property
     def drives(self) -> bool:
-        """Whether a planner has the base now, as far as is known."""
+        """Whether a planner controls the base now, as far as known."""
         return self._status is not None and self._status["state"] not in self.STANDING
 
     @property
@@ -210,7 +210,7 @@ class DrivingFeed(TopicsFeed):
         return f"{self.planner} drives; pause or stop it first" if self.drives else ""
 
     def open(self) -> None:
-        """Follow the gateway, and the planner's feedback."""
+        """Subscribe to the gateway's status and the planner's feedback."""
         self.follow(STATUS_TOPIC, STATUS, self._on_status, LATCHED)
         section = self._config.navigation
         if section.planner:
@@ -219,12 +219,12 @@ class DrivingFeed(TopicsFeed):
         self._publish()
 
     def close(self) -> None:
-        """Rest."""
+        """Unsubscribe."""
         super().close()
         self._status = self._distance = None
 
     def on_planner(self, planner: str) -> None:
-        """Another planner was chosen."""
+        """Switch to another planner."""
         status, self.planner = self._status, planner
         self.close()
         self.open()
@@ -233,7 +233,7 @@ class DrivingFeed(TopicsFeed):
         self._notify()
 
     def moved_by_hand(self) -> None:
-        """Forget the distance of a paused goal: it is unknown until the planner goes on."""
+        """Clear the distance of a paused goal: it is unknown until the planner continues."""
         if self.paused:
             self._distance = None
             self._publish()
@@ -289,27 +289,27 @@ def _moved(frames: RobotFrames, stamp: int) -> Pose:
 
 
 def disc(radius: float) -> list[list[float]]:
-    """A footprint: corners in metres."""
+    """Return a circular footprint as corners in meters."""
     angles = (math.tau * corner / _CORNERS for corner in range(_CORNERS))
     return [[round(radius * math.cos(angle), 3), round(radius * math.sin(angle), 3)] for angle in angles]
 
 
 def points_of_path(path: dict[str, Any]) -> list[float]:
-    """x, y, x, y, ... of a ``nav_msgs/Path``, in metres; of a long one every second, third ... pose."""
+    """Return x, y, x, y, ... of a ``nav_msgs/Path`` in meters; of a long one every second, third ... pose."""
     poses = path["poses"][:: max(1, math.ceil(len(path["poses"]) / MOST_POINTS))]
     spots = [pose["pose"]["position"] for pose in poses]
     return [round(float(spot[axis]), 3) for spot in spots for axis in "xy"]
 
 
 def place(pose: Pose) -> dict[str, float]:
-    """A pose for pages, to the millimetre."""
+    """Return a pose for pages, rounded to millimeters."""
     return {"x": round(pose.x, 3), "y": round(pose.y, 3), "theta": round(pose.theta, 4)}
 
 
 def points_of(scan: dict[str, Any], laser: Pose) -> list[float]:
-    """Where the beams of a ``LaserScan`` end on the map, to the centimetre: x, y, x, y ...
+    """Return the ends of a ``LaserScan``'s beams on the map, rounded to centimeters: x, y, x, y ...
 
-    Beams that saw nothing are left out. Source: sensor_msgs/LaserScan.
+    Beams without a valid range are omitted. Source: sensor_msgs/LaserScan.
     """
     ranges = np.asarray(scan["ranges"], np.float64)
     angles = laser.theta + scan["angle_min"] + scan["angle_increment"] * np.arange(len(ranges))

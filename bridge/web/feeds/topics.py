@@ -1,4 +1,4 @@
-"""The feeds of any topic: its newest message, as pages can show it."""
+"""The feeds of arbitrary topics: their newest message, in a form for pages."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ MOST_ITEMS, MOST_TEXT, MOST_DEPTH, MOST_BYTES = 32, 2000, 16, 4 << 20
 
 
 class NewestFeed(Feed):
-    """A feed made of the newest message of a topic, at most five times a second.
+    """A feed of a topic's newest message, updated at most five times a second.
 
     Args:
-        executor: where messages are decoded.
-        name: as pages ask for it.
-        topic: the topic, with ``@`` and its type where pages say which of several they mean.
+        executor: decodes the messages.
+        name: the name that pages use.
+        topic: the topic, followed by ``@`` and its type if pages choose one of several.
     """
 
     most_bytes = MOST_BYTES
@@ -46,7 +46,7 @@ class NewestFeed(Feed):
         self._busy = False
 
     def open(self) -> None:
-        """Subscribe to whoever publishes it."""
+        """Subscribe to all publishers."""
         self._count, self._since, self._rate, self._newest = 0, time.monotonic(), None, None
         self._timers = [
             self._host.loop.every(TOPIC_SECONDS, self._decode_newest),
@@ -55,7 +55,7 @@ class NewestFeed(Feed):
         self._subscribe()
 
     def close(self) -> None:
-        """Subscribe no more."""
+        """Unsubscribe."""
         for timer in self._timers:
             timer.close()
         self._unsubscribe()
@@ -74,7 +74,7 @@ class NewestFeed(Feed):
         if len(types) > 1:
             self._unsubscribe()
             several = f"{self._topic} is published with several types: {', '.join(types)}"
-            self.put(None, f"{several}; watch {self.name}@TYPE to have one of them")
+            self.put(None, f"{several}; watch {self.name}@TYPE to choose one")
             return
         for (type_name, type_hash), endpoints in groups.items():
             if (type_name, type_hash) not in self._ends:
@@ -84,10 +84,10 @@ class NewestFeed(Feed):
                 self._ends[type_name, type_hash] = hub.subscription(self._topic, type_name, type_hash, qos, on_sample)
         if not self._ends:
             wanted = f"{self._topic} as {self._type}" if self._type else self._topic
-            self.put(None, f"nobody publishes {wanted} on the hub")
+            self.put(None, f"no publisher of {wanted} on the hub")
 
     def _on_sample(self, type_name: str, type_hash: str, sample: HubSample) -> None:
-        """On zenoh's thread: keep the newest."""
+        """Store the newest sample, on zenoh's thread."""
         self._newest = (sample, type_name, type_hash)
         self._count += 1
 
@@ -105,17 +105,17 @@ class NewestFeed(Feed):
             self._executor.submit(partial(self._decode, *newest))
 
     def _decode(self, sample: HubSample, type_name: str, type_hash: str) -> None:
-        """On a thread that may wait: the type's definition may have to be asked for."""
+        """Decode on a thread that may block: the type's definition may have to be requested."""
         reason, value = "", None
         if len(sample.payload) > self.most_bytes:
-            reason = f"a message of {len(sample.payload)} bytes is not shown: pages get at most {self.most_bytes}"
+            reason = f"a message of {len(sample.payload)} bytes is not shown: the limit is {self.most_bytes}"
         else:
             try:
                 value = self.value(type_name, type_hash, sample.data())
             except (CliError, ConversionError, HubError) as err:
                 reason = str(err)
-            except Exception as err:  # whatever a message holds, the feeds go on
-                reason = f"it cannot be shown: {type(err).__name__}: {err}"
+            except Exception as err:  # no message content may stop the feeds
+                reason = f"the message cannot be shown: {type(err).__name__}: {err}"
         self._host.loop.post(partial(self._decoded, type_name, value, reason))
 
     def _decoded(self, type_name: str, value: dict[str, Any] | None, reason: str) -> None:
@@ -125,7 +125,7 @@ class NewestFeed(Feed):
 
     @abstractmethod
     def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
-        """What pages are shown of a message. Waits; raises `CliError` or `ConversionError` where that cannot be."""
+        """Convert a message for pages. May block; raises `CliError` or `ConversionError` if that is impossible."""
 
 
 class MessageFeed(NewestFeed):
@@ -136,12 +136,12 @@ class MessageFeed(NewestFeed):
         self._types = types
 
     def value(self, type_name: str, type_hash: str, cdr: bytes) -> dict[str, Any]:
-        """The message's fields; of long arrays and texts the beginning."""
+        """Return the message's fields, with long arrays and texts truncated."""
         return {"message": cut(self._types.decode(type_name, type_hash, cdr))}
 
 
 def cut(value: Any, depth: int = 0) -> Any:
-    """A message as pages get it: of long arrays and texts the beginning, ``{"...": 360}`` says how long they are."""
+    """Truncate long arrays and texts of a message for pages; ``{"...": 360}`` shows the full length."""
     if isinstance(value, dict):
         return {key: cut(item, depth + 1) for key, item in value.items()} if depth < MOST_DEPTH else {"...": len(value)}
     if isinstance(value, list):

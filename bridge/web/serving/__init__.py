@@ -1,1 +1,1 @@
-"""The console's HTTP server: connections, logins, certificates, and what it serves."""
+"""The console's HTTP server: connections, logins, certificates and content."""

@@ -68,7 +68,7 @@ class WrongTokenError(RuntimeError):
     """
 
     def __init__(self, wait: int = 0) -> None:
-        again = f"; it was tried before: try again in {wait} s, or use a valid token now" if wait else ""
+        again = f"; it was tried before: wait {wait} s, or use a valid token" if wait else ""
         super().__init__(f"no such token{again}")
         self.wait = wait
 
@@ -101,7 +101,7 @@ class Access:
         self._wrong = WrongTokens(log or ScarceLog(), key)
 
     def grant(self, headers: Mapping[str, str], certificate: str, address: str) -> Grant | None:
-        """Return who sent a request, None if it is not authenticated.
+        """Return the client's grant, None if it is not authenticated.
 
         Args:
             headers: of the request, by their names in lower case.

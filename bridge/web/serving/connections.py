@@ -1,7 +1,7 @@
-"""The console's connections: how many, how many from one address, how long a request may take, and how much may wait.
+"""Limits of the console's connections: their number, the number per address, a request's duration, unread data.
 
-uvicorn bounds the size of a head and of a message. It waits for a head or a body without end, and answers pings that
-nobody reads; so these bounds are here.
+uvicorn limits the size of a head and of a message. It waits for a head or a body without a time limit, and answers
+pings even if the replies are not read; therefore these limits.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from bridge.web.serving.scarce_log import ScarceLog
 
 MOST_CONNECTIONS, MOST_OF_ADDRESS = 300, 100
 REQUEST_SECONDS = 20.0
-"""A request's head, its body and the answer take no longer, or the connection is cut."""
+"""Time limit of a request's head, body and response together; then the connection is closed."""
 HANDSHAKE_SECONDS = 5.0
 MOST_UNREAD = 2 << 20
-"""Bytes that wait for a page that sends pings and reads nothing."""
+"""Bytes that may be queued for a page that sends pings and reads nothing."""
 MOST_PARTS = 1000
-"""Frames of one message."""
+"""Largest number of frames of one message."""
 
 _HIDDEN = (
     "Invalid UTF-8",
@@ -41,7 +41,7 @@ _HIDDEN = (
 
 
 class BoundedListener(socket.socket):
-    """A socket that listens; it closes at once what comes beyond the bounds."""
+    """A listening socket that immediately closes connections beyond the limits."""
 
     def __init__(self, family: socket.AddressFamily) -> None:
         super().__init__(family, socket.SOCK_STREAM)
@@ -50,7 +50,7 @@ class BoundedListener(socket.socket):
         self._refused = ScarceLog()
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """The next connection; raises `ConnectionAbortedError` where there are too many (asyncio goes on)."""
+        """Return the next connection; raises `ConnectionAbortedError` if there are too many (asyncio continues)."""
         sock, address = super().accept()
         host = str(address[0])
         with self._lock:
@@ -59,11 +59,11 @@ class BoundedListener(socket.socket):
                 self._open[host] = of_host + 1
                 return _Counted(sock, self, host), address
         sock.close()
-        self._refused.warn(f"a connection from {host} is cut: {of_host} of that address are open")
+        self._refused.warn(f"closed a connection from {host}: {of_host} of that address are open")
         raise ConnectionAbortedError
 
     def closed(self, host: str) -> None:
-        """A connection of an address has ended."""
+        """Count the end of a connection of an address."""
         with self._lock:
             self._open[host] -= 1
             if not self._open[host]:
@@ -71,7 +71,7 @@ class BoundedListener(socket.socket):
 
 
 class _Counted(socket.socket):
-    """A connection that tells its end."""
+    """A connection that reports its end to its listener."""
 
     def __init__(self, sock: socket.socket, listener: BoundedListener, host: str) -> None:
         super().__init__(sock.family, sock.type, sock.proto, sock.detach())
@@ -86,23 +86,23 @@ class _Counted(socket.socket):
 
 
 class ServerLoop(asyncio.SelectorEventLoop):
-    """An event loop whose servers do not wait long for the start of TLS."""
+    """An event loop whose servers limit the time of the TLS handshake."""
 
     async def create_server(self, *args: Any, **options: Any) -> asyncio.Server:
-        """As asyncio's."""
+        """Create a server; see asyncio."""
         if options.get("ssl") is not None:
             options["ssl_handshake_timeout"] = HANDSHAKE_SECONDS
         return await super().create_server(*args, **options)
 
 
 class TimedHttp(H11Protocol):
-    """Cuts a connection whose request takes too long, in coming or in being answered."""
+    """Closes a connection whose request or response takes too long."""
 
     _since = 0.0
     _timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """As uvicorn's."""
+        """Start the timer; see uvicorn."""
         super().connection_made(transport)
         shown = common_name(transport.get_extra_info("peercert"))
         self.app_state = {**self.app_state, "certificate": shown}
@@ -110,22 +110,22 @@ class TimedHttp(H11Protocol):
         self._timer = self.loop.call_later(REQUEST_SECONDS, self._check_time)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """As uvicorn's."""
+        """Stop the timer; see uvicorn."""
         self._end_timer()
         super().connection_lost(exc)
 
     def on_response_complete(self) -> None:
-        """As uvicorn's."""
+        """Restart the request's time; see uvicorn."""
         super().on_response_complete()
         self._since = self.loop.time()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """As uvicorn's; the connection is another protocol's now."""
+        """Stop the timer, since another protocol takes over the connection; see uvicorn."""
         self._end_timer()
         super().handle_websocket_upgrade(event)
 
     def send_400_response(self, msg: str) -> None:
-        """As uvicorn's, but the application, which may have its head already, no longer answers beside it."""
+        """Refuse a request as uvicorn does, and keep the application, which may have the head, from responding too."""
         if self.cycle is not None and not self.cycle.response_complete:
             self.cycle.disconnected = True
             self.cycle.message_event.set()
@@ -147,32 +147,32 @@ class TimedHttp(H11Protocol):
 
 
 class BoundedWebSocket(WebSocketsSansIOProtocol):
-    """Cuts a page for which too much waits, or whose message has too many parts."""
+    """Closes the connection of a page with too much unread data, or with too many parts in a message."""
 
     def handle_ping(self) -> None:
-        """As uvicorn's."""
+        """Answer a ping unless the connection is closing; see uvicorn."""
         if not self.transport.is_closing():
             super().handle_ping()
         if self.transport.get_write_buffer_size() > MOST_UNREAD:
             self.transport.abort()
 
     def handle_cont(self, event: Frame) -> None:
-        """As uvicorn's."""
+        """Count the parts of a message; see uvicorn."""
         if len(self.frames) >= MOST_PARTS:
             self.transport.abort()
         else:
             super().handle_cont(event)
 
     def send_receive_event_to_app(self) -> None:
-        """As uvicorn's."""
+        """Pass on a message; see uvicorn."""
         try:
             super().send_receive_event_to_app()
-        except InvalidState:  # a text that is none, on a socket that the page has begun to close
+        except InvalidState:  # invalid text on a socket that the page is closing
             self.transport.abort()
 
 
 def quiet_server_log() -> None:
-    """Keep what strangers make uvicorn say out of the log; its own failures stay in it."""
+    """Remove uvicorn's messages about clients' errors from the log; its own failures remain."""
     logging.getLogger("uvicorn.error").addFilter(_is_failure)
 
 

@@ -1,4 +1,4 @@
-"""The console's server: the page's files, the map's pictures, the socket, figures for Prometheus."""
+"""The console's server: the page's files, the map's images, the socket, metrics for Prometheus."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class WebServer(HttpServer):
 
     @property
     def pages(self) -> int:
-        """How many sockets are open."""
+        """Number of open sockets."""
         return self._pages.total()
 
     async def _index(self, _request: Request) -> Response:
@@ -69,17 +69,17 @@ class WebServer(HttpServer):
         query = request.query_params
         png = self._pictures.get(request.path_params["name"], query.get("v", ""), dark="dark" in query)
         if png is None:
-            return PlainTextResponse("this picture has expired; the feed 'map' has the newest one's address\n", 404)
+            return PlainTextResponse("this image has expired; the feed 'map' has the address of the newest one\n", 404)
         return Response(png, media_type="image/png", headers={"cache-control": "private, max-age=86400, immutable"})
 
     async def _page(self, page: WebSocket) -> None:
         address = address_of(page.scope)
         refused = None
         if PROTOCOL not in page.scope.get("subprotocols", ()):
-            refused = PlainTextResponse(f"the subprotocol is {PROTOCOL}\n", 400)
+            refused = PlainTextResponse(f"the subprotocol must be {PROTOCOL}\n", 400)
         elif self._pages.total() >= MOST_PAGES or self._pages[address] >= MOST_PAGES_OF_ADDRESS:
             refused = PlainTextResponse(
-                f"{MOST_PAGES} pages may be open, {MOST_PAGES_OF_ADDRESS} of one address\n", 503
+                f"too many pages: the limits are {MOST_PAGES} in total and {MOST_PAGES_OF_ADDRESS} per address\n", 503
             )
         if refused is not None:
             await page.send_denial_response(refused)

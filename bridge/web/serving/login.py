@@ -97,7 +97,7 @@ class Login:
             grant, cookie = self._access.login(token, address, request.headers.get("user-agent", ""))
         except WrongTokenError as err:
             return PlainTextResponse(f"{err}\n", 429 if err.wait else 403, err.headers)
-        _log.info("%s has logged in, role %s", who(grant, address), grant.role)
+        _log.info("%s logged in, role %s", who(grant, address), grant.role)
         answer = JSONResponse({"name": grant.name, "role": grant.role})
         name = self._access.cookie
         answer.set_cookie(name, cookie, LOGIN_SECONDS, path="/", secure=True, httponly=True, samesite="strict")

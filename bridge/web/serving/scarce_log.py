@@ -1,4 +1,4 @@
-"""Warnings that strangers cause, few enough for a log."""
+"""Warnings caused by clients, limited in rate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _LINES, _LINES_SECONDS = 20, 10.0
 
 
 class ScarceLog:
-    """Some lines in ten seconds, of the others the number. Safe to use from any thread."""
+    """Logs up to 20 lines in ten seconds, and counts the others. Safe to use from any thread."""
 
     def __init__(self, name: str = "midspan.web") -> None:
         self._log = logging.getLogger(name)
@@ -27,6 +27,6 @@ class ScarceLog:
             self._count += 1
             logged = self._count <= _LINES
         if left_out:
-            self._log.warning("%d more such warnings before", left_out)
+            self._log.warning("%d further warnings were suppressed", left_out)
         if logged:
             self._log.warning("%s", text)

@@ -1,4 +1,4 @@
-"""An HTTP server with its own thread, for the console and for metrics. It refuses requests that other sites cause.
+"""An HTTP server with its own thread, for the console and for metrics. It refuses requests caused by other sites.
 
 A foreign page in the operator's browser must not drive a robot: each request's ``Host`` must be one of this server's
 names (against DNS rebinding), and a socket's ``Origin`` must be this server's own page (against cross-site WebSocket
@@ -75,7 +75,7 @@ class OwnOnly:
         if not reason:
             await self._app(scope, receive, _with_headers(send))
             return
-        self._refused.warn(f"a request from {(scope.get('client') or ('?',))[0]} is refused: {reason}")
+        self._refused.warn(f"refused a request from {(scope.get('client') or ('?',))[0]}: {reason}")
         answer = PlainTextResponse(f"{reason}\n", 403, HEADERS)
         if scope["type"] == "websocket":
             await WebSocket(scope, receive, send).send_denial_response(answer)
@@ -84,7 +84,7 @@ class OwnOnly:
 
 
 class Prefixed:
-    """Serves an application below a path, too; a reverse proxy may pass that path on or remove it."""
+    """Serves an application below a path, too; a reverse proxy may forward that path or remove it."""
 
     def __init__(self, app: ASGIApp, prefix: str) -> None:
         self._app, self._prefix = app, prefix
@@ -116,15 +116,20 @@ def refusal(scope: Scope, hosts: frozenset[str], names: frozenset[str] = frozens
     host, origin = [value.lower() for value in headers.get("host", [])], headers.get("origin", [])
     named = len(host) == 1 and _PORT.sub("", host[0]) in names
     if len(host) != 1 or not (named or host[0] in hosts):
-        return f"no such host here: {', '.join(host)[:80]!r}; if it is this console's name, add it to web.names"
+        return f"unknown host: {', '.join(host)[:80]!r}; if it is this console's name, add it to web.names"
     own_pages = _origins(host[0], _schemes(scope, headers.get("x-forwarded-proto", []) if named else None))
     if any(page.lower() not in own_pages for page in origin):
-        relation = f"{', '.join(origin)[:80]!r} may not ask {host[0]!r}"
-        return f"a page of {relation}; a proxy has to pass the header Host, with its port, and X-Forwarded-Proto"
-    if scope["type"] == "websocket" and not origin and "user-agent" in headers and "Mozilla" in headers["user-agent"][0]:
+        relation = f"{', '.join(origin)[:80]!r} may not access {host[0]!r}"
+        return f"a page of {relation}; a proxy must forward Host with its port, and X-Forwarded-Proto"
+    if (
+        scope["type"] == "websocket"
+        and not origin
+        and "user-agent" in headers
+        and "Mozilla" in headers["user-agent"][0]
+    ):
         return "a browser's request has no Origin"
     if headers.get("sec-fetch-site", ["same-origin"])[0] not in ("same-origin", "none"):
-        return "another site's page may not ask"
+        return "pages of other sites may not access this server"
     return ""
 
 
@@ -214,11 +219,11 @@ class HttpServer:
 
     @property
     def trouble(self) -> str:
-        """Why it does not run, "" if it does."""
+        """Why it is not running, "" if it is."""
         return self._trouble or ("" if self._thread.is_alive() else "the server has ended")
 
     def close(self) -> None:
-        """Close every socket and end the thread."""
+        """Close every socket, and end the thread."""
         self._server.should_exit = True
         self._server.force_exit = True
         if self._thread.is_alive():

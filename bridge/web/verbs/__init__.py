@@ -1,1 +1,1 @@
-"""What pages of the console may ask for."""
+"""The console's verbs: commands and queries of pages."""

@@ -1,4 +1,4 @@
-"""The configuration as pages are shown it: the file's own text with its comments, without what is secret."""
+"""The configuration as pages see it: the file's text with its comments, without secrets."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ _USER = re.compile(r"(//)[^/\s:@]+:[^/\s@]+(@)")
 _PEM = re.compile(r"-----BEGIN [^-]*-----.*?(?:-----END [^-]*-----|\Z)", re.DOTALL)
 _DAEMON_SECONDS = 5.0
 _SHORTEST = 8
-"""A secret with fewer characters is hidden where it stands; a longer one wherever it is said again."""
+"""A shorter secret is hidden only at its own place; a longer one wherever it appears."""
 
 
 class Secrets(NamedTuple):
-    """What of a configuration nobody is shown: where it stands in the text, and what it is."""
+    """The secrets of a configuration: their places in the text, and their values."""
 
     places: tuple[tuple[int, int], ...] = ()
     values: tuple[str, ...] = ()
 
     def hide(self, text: str) -> str:
-        """A text about the configuration, without its secrets."""
+        """Return a text about the configuration, without its secrets."""
         for value in self.values:
             text = text.replace(value, HIDDEN)
         return _PEM.sub(HIDDEN, _USER.sub(rf"\g<1>{HIDDEN}\g<2>", text))
 
 
 def secrets_of(text: str) -> Secrets:
-    """The secrets of a YAML text: all below a key that is named like one. Raises `yaml.YAMLError`, `RecursionError`."""
+    """Return the secrets of a YAML text: all values below a secret key. Raises `yaml.YAMLError`, `RecursionError`."""
     root = Yaml12Loader(text).get_single_node()
     places: set[tuple[int, int]] = set()
     values: set[str] = set()
@@ -56,7 +56,7 @@ def secrets_of(text: str) -> Secrets:
 
 
 def _secret(node: Node, *, under: bool, seen: set[tuple[int, bool]]) -> Iterator[ScalarNode]:
-    if (id(node), under) in seen:  # an alias of what was looked at
+    if (id(node), under) in seen:  # an alias of a visited node
         return
     seen.add((id(node), under))
     match node:
@@ -74,7 +74,7 @@ def _secret(node: Node, *, under: bool, seen: set[tuple[int, bool]]) -> Iterator
 
 
 def without_secrets(text: str, secrets: Secrets) -> str:
-    """A configuration's text, with `HIDDEN` in the place of each secret."""
+    """Return a configuration's text, with each secret replaced by `HIDDEN`."""
     parts, at = [], 0
     for start, end in secrets.places:
         parts += [text[at:start], HIDDEN] if start >= at else []
@@ -84,13 +84,13 @@ def without_secrets(text: str, secrets: Secrets) -> str:
 
 
 def config_file(config: Config) -> Path | None:
-    """The file that the daemon has its configuration from, None where there is none."""
+    """Return the file of the daemon's configuration, None if there is none."""
     daemon = ask_daemon(config, _DAEMON_SECONDS) or {}
     return Path(daemon["config"]) if daemon.get("config") else find()
 
 
 def show_config(config: Config) -> dict[str, Any]:
-    """The value of the verb ``config``: the file, its text without secrets, and what ``config check`` says of it."""
+    """Return the value of the verb ``config``: the file, its text without secrets, the findings of ``config check``."""
     file = config_file(config)
     if file is None:
         return {"file": None, "text": example(), "why": "", "problems": []}
@@ -106,7 +106,7 @@ def show_config(config: Config) -> dict[str, Any]:
         reason = "" if text else str(err)
     except (yaml.YAMLError, RecursionError):
         text, problems = "", _no_yaml(text, file)
-        reason = "The file is no YAML, so what is secret in it cannot be told: it is not shown."
+        reason = "The file is not valid YAML, so its secrets cannot be recognized: it is not shown."
     return {
         "file": str(file),
         "text": without_secrets(text, secrets) if text else None,
@@ -126,5 +126,5 @@ def _no_yaml(text: str, file: Path) -> tuple[Problem, ...]:
 def _problem(problem: Problem, secrets: Secrets) -> dict[str, Any]:
     text = secrets.hide(problem.text)
     if _SECRET.search(problem.key):
-        text = f"is not as it must be; 'midspan config check {problem.file}' on the machine says why"
+        text = f"is invalid; run 'midspan config check {problem.file}' on the machine for the reason"
     return {**dataclasses.asdict(problem), "file": str(problem.file), "text": text}

@@ -1,4 +1,4 @@
-"""Driving by hand: a velocity for as long as a page repeats it, and zero at once when it stops."""
+"""Manual driving: a velocity while a page repeats it, then zero at once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bridge.modules.loop import Timer
 from navigation.messages import TWIST
 
 HOLD_SECONDS = 0.3
-"""A page that has been silent for so long holds nothing."""
+"""A page that has been silent for this long no longer holds."""
 
 _PERIOD = 0.05
 _ZERO = (0.0, 0.0, 0.0)
@@ -33,16 +33,16 @@ class HandDriver(Protocol):
 
 
 class HandDriving:
-    """Publishes what one page holds, 20 times a second, then zero once, then nothing. All on the module's thread.
+    """Publishes what one page holds, 20 times a second, then zero once, then nothing. Used on the module's thread.
 
     Args:
         host: the console's.
-        topic: of the base's velocities (``geometry_msgs/msg/Twist``).
-        most: the largest speed and turn, m/s and rad/s.
-        driven: returns why driving by hand is refused, "" if it is allowed.
-        begins: called when a page begins to drive.
+        topic: topic of the base's velocities (``geometry_msgs/msg/Twist``).
+        most: largest speed and angular velocity, m/s and rad/s.
+        driven: returns why manual driving is refused, "" if it is allowed.
+        begins: called when a page starts to drive.
 
-    A planner that begins meanwhile ends the hold with its next word.
+    A planner that starts meanwhile ends the hold with its next status.
     """
 
     def __init__(
@@ -61,20 +61,20 @@ class HandDriving:
         self._out: Any = None
 
     def hold(self, page: HandDriver, x: float, y: float, turn: float, arrived: float) -> None:
-        """Drive at this velocity for a page; ``arrived``: when its message came (monotonic seconds), maybe long ago."""
+        """Drive at this velocity for a page; ``arrived``: when its message arrived (monotonic seconds)."""
         now = time.monotonic()
         if now - arrived > HOLD_SECONDS:
             return
         holder = self._holder
-        reason = self._driven() if holder in (None, page) else f"{holder.who} drives by hand"
+        reason = self._driven() if holder in (None, page) else f"{holder.who} drives manually"
         if not self._topic:
-            reason = "no topic of velocities is configured (navigation.velocity)"
+            reason = "no velocity topic is configured (navigation.velocity)"
         if reason:
             self.release(page)
             page.refuse(reason)
             return
         if self._holder is None:
-            self._host.log.info("%s drives by hand", page.who)
+            self._host.log.info("%s drives manually", page.who)
             self._holder = page
             self._out = self._out or self._host.node.publisher(self._topic, TWIST, Qos(depth=1), priority="command")
             self._timer = self._host.loop.every(_PERIOD, self._repeat)
@@ -90,7 +90,7 @@ class HandDriving:
             self.stop()
 
     def stop(self) -> None:
-        """Command zero once, also if another page holds."""
+        """Command zero once, whichever page holds."""
         if self._holder is None:
             return
         page, self._holder, self._velocity = self._holder, None, _ZERO
@@ -99,7 +99,7 @@ class HandDriving:
             self._timer = None
         self._publish()
         page.held(*_ZERO)
-        self._host.log.info("%s no longer drives by hand", page.who)
+        self._host.log.info("%s no longer drives manually", page.who)
 
     def _repeat(self) -> None:
         if time.monotonic() > self._until:

@@ -1,4 +1,4 @@
-"""Verbs that look at the daemon and its machine: its log, the doctor, the configuration."""
+"""Verbs that inspect the daemon and its machine: log, doctor, configuration."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from bridge.web.verbs.verbs import PageVerb, VerbError
 
 
 class Doctor:
-    """Runs the checks of ``midspan doctor``, one run at a time. Waits; not on the module's thread."""
+    """Runs the checks of ``midspan doctor``, one run at a time. Blocks: not for the module's thread."""
 
     def __init__(self, client: CliClient) -> None:
         self._client = client
         self._lock = threading.Lock()
 
     def __call__(self) -> list[dict[str, str]]:
-        """One entry for each finding; raises `VerbError` where the doctor is at work already."""
+        """Return an entry for each finding; raises `VerbError` if the doctor is running already."""
         if not self._lock.acquire(blocking=False):
-            raise VerbError("the doctor is at work already; ask again in a moment")
+            raise VerbError("the doctor is running already; try again in a moment")
         try:
             return self._examine()
         finally:
@@ -45,7 +45,7 @@ class Doctor:
 
 
 def inspection_verbs(client: CliClient, log: LogFollower) -> dict[str, PageVerb]:
-    """The verbs by name."""
+    """Return the verbs by name."""
 
     def config() -> dict[str, Any]:
         return show_config(client.config)

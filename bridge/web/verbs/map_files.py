@@ -1,6 +1,6 @@
-"""Maps as files of a page: parts of files come up and are imported, a map goes down as a zip; maps are renamed.
+"""Maps as files of a page: files are uploaded in parts and imported, maps are downloaded as zips; maps are renamed.
 
-Files travel as base64 in parts, by calls, so that whoever may call may send them, and nobody else.
+Files are sent as base64 in parts, by calls, so that exactly the clients that may call may send them.
 """
 
 from __future__ import annotations
@@ -28,60 +28,60 @@ from yarp_compat.dev.mapfile import MapFileError
 from yarp_compat.file_names import forbidden
 
 MOST_BYTES = 64 << 20
-"""Of the files of an upload, unpacked too, and of a download."""
+"""Limit of the files of an upload, also after decompression, and of a download."""
 
 MOST_FILES, MOST_AT_ONCE = 40, 3
 MOST_PART = 48_000
-"""Characters of a part on its way up."""
+"""Largest number of characters of an uploaded part."""
 
 PART = 384 * 1024
-"""Bytes of a part on its way down."""
+"""Bytes of a downloaded part."""
 
 IDLE_SECONDS = 60.0
 _NAME = re.compile(r"[\w\- ().]{1,200}")
 
 
 class Transfers:
-    """Files under keys that nobody guesses; a few at once, forgotten once idle. Safe to use from any thread."""
+    """Files under unguessable keys; only a few at once, removed when idle. Safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._files: dict[str, tuple[float, dict[str, bytearray]]] = {}
 
     def new(self, files: dict[str, bytearray]) -> str:
-        """Keep files; their key. Raises `VerbError` where too many are kept."""
+        """Store files, and return their key. Raises `VerbError` if too many are stored."""
         with self._lock:
             now = time.monotonic()
             self._files = {key: entry for key, entry in self._files.items() if now - entry[0] < IDLE_SECONDS}
             if len(self._files) >= MOST_AT_ONCE:
-                raise VerbError(f"{MOST_AT_ONCE} files are on their way already; try again in {IDLE_SECONDS:g} s")
+                raise VerbError(f"{MOST_AT_ONCE} transfers are in progress already; try again in {IDLE_SECONDS:g} s")
             key = secrets.token_hex(8)
             self._files[key] = now, files
             return key
 
     def files(self, key: str) -> dict[str, bytearray]:
-        """The files of a key; raises `VerbError` where they are forgotten."""
+        """Return the files of a key; raises `VerbError` if they have expired."""
         with self._lock:
             if key not in self._files:
-                raise VerbError("these files are forgotten; begin again")
+                raise VerbError("this transfer has expired; start again")
             files = self._files[key][1]
             self._files[key] = time.monotonic(), files
             return files
 
     def remove(self, key: str) -> None:
-        """Keep them no longer."""
+        """Remove the files of a key."""
         with self._lock:
             self._files.pop(key, None)
 
     def add(self, key: str, file: str, at: int, data: bytes) -> int:
-        """Add a part to a file; how long the file is. Raises `VerbError`."""
+        """Append a part to a file, and return the file's length. Raises `VerbError`."""
         files = self.files(key)
         with self._lock:
             content = files.get(file, bytearray())
             if at != len(content):
                 raise VerbError(f"{file}: the part at {at} does not follow on {len(content)} bytes")
             if len(files.keys() | {file}) > MOST_FILES or sum(map(len, files.values())) + len(data) > MOST_BYTES:
-                raise VerbError(f"up to {MOST_FILES} files of {MOST_BYTES >> 20} MB in all are taken")
+                raise VerbError(f"the limits are {MOST_FILES} files and {MOST_BYTES >> 20} MB in total")
             content += data
             files[file] = content
             return len(content)
@@ -90,16 +90,16 @@ class Transfers:
 def file_of(value: Any) -> str:
     """Check a file's name, without a folder."""
     if not isinstance(value, str) or not _NAME.fullmatch(value) or value.startswith("."):
-        raise ValueError("is a file's name of letters, digits, blanks and - _ . ( )")
+        raise ValueError("must be a file name of letters, digits, spaces and - _ . ( )")
     if reason := forbidden(value):
         raise ValueError(reason)
     return value
 
 
 def place_of(value: Any) -> int:
-    """Check a place in a file."""
+    """Check a position in a file."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MOST_BYTES:
-        raise ValueError(f"is a whole number up to {MOST_BYTES}")
+        raise ValueError(f"must be an integer up to {MOST_BYTES}")
     return value
 
 
@@ -110,11 +110,11 @@ def data_of(value: Any) -> bytes:
             return base64.b64decode(value, validate=True)
     except (binascii.Error, ValueError):
         pass
-    raise ValueError(f"is base64 of up to {MOST_PART} characters")
+    raise ValueError(f"must be base64 of up to {MOST_PART} characters")
 
 
 def unpacked(files: dict[str, bytearray]) -> dict[str, bytes]:
-    """The files, those in zips too, without their folders; raises `VerbError`."""
+    """Return the files, including those in zips, without their folders; raises `VerbError`."""
     unpacked_: dict[str, bytes] = {}
     room = MOST_BYTES
     for name, data in files.items():
@@ -135,12 +135,12 @@ def unpacked(files: dict[str, bytearray]) -> dict[str, bytes]:
         except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, ValueError) as err:
             if isinstance(err, VerbError):
                 raise
-            raise VerbError(f"{name} cannot be unpacked: {err}") from None
+            raise VerbError(f"cannot unpack {name}: {err}") from None
     return unpacked_
 
 
 def root_files(names: Iterable[str]) -> list[str]:
-    """The files that name the others: maps of YARP and what lists them, else maps of ROS."""
+    """Return the files that refer to the others: YARP's maps and lists of them, else ROS maps."""
     by_form: dict[str, list[str]] = {}
     for name in sorted(names):
         by_form.setdefault(Path(name).suffix.lower(), []).append(name)
@@ -150,10 +150,10 @@ def root_files(names: Iterable[str]) -> list[str]:
 
 
 class MapFileVerbs:
-    """Their verbs, on threads that may wait.
+    """The verbs for map files, which run on threads that may block.
 
     Args:
-        store: the store; raises `StoreError` where there is none.
+        store: returns the store; raises `StoreError` if there is none.
         changed: called after each change.
     """
 
@@ -162,7 +162,7 @@ class MapFileVerbs:
         self._up, self._down = Transfers(), Transfers()
 
     def verbs(self) -> dict[str, PageVerb]:
-        """The verbs by name."""
+        """Return the verbs by name."""
         key, named = {"key": name_of}, {"name": name_of}
         part = {**key, "file": file_of, "at": place_of, "data": data_of}
         return {
@@ -177,7 +177,7 @@ class MapFileVerbs:
     def _rename(self, name: str, to: str) -> str:
         self._store().rename(MAP, name, to)
         self._changed()
-        return f"{name} is called {to} now"
+        return f"renamed {name} to {to}"
 
     def _import(self, key: str, name: str = "", *, replace: bool = False, use: bool = False) -> dict[str, Any]:
         writes = self._read(key)
@@ -207,7 +207,7 @@ class MapFileVerbs:
         files = unpacked(self._up.files(key))
         first = root_files(files)
         if not first:
-            raise VerbError(f"no map is among {', '.join(files) or 'no files'}: .map, .yaml and .ini name the others")
+            raise VerbError(f"no map among {', '.join(files) or 'no files'}: a .map, .yaml or .ini file is needed")
         with tempfile.TemporaryDirectory(prefix="midspan-map-") as folder:
             for file, data in files.items():
                 (Path(folder) / file).write_bytes(data)
@@ -217,13 +217,13 @@ class MapFileVerbs:
                 raise VerbError(str(err).replace(f"{folder}/", "")) from None
         names = [(write.kind.name, write.name) for write in writes]
         if len(set(names)) < len(names):
-            raise VerbError("two of the files hold values of the same name")
+            raise VerbError("two of the files have values of the same name")
         return writes
 
     def _export(self, name: str) -> dict[str, Any]:
         grid = self._store().get(MAP, name)
         if grid is None:
-            raise VerbError(f"there is no map {name!r} in the store")
+            raise VerbError(f"no map {name!r} in the store")
         packed = io.BytesIO()
         try:
             with tempfile.TemporaryDirectory(prefix="midspan-map-") as folder:

@@ -1,8 +1,8 @@
-"""Flags that pages paint on a map of the store, with what undoes each change.
+"""Flags painted by pages on a map of the store, with the undo of each change.
 
-A run is ``[row, column, length, flag]`` or ``[row, column, length, flag, was]``: cells of one row of the map's picture,
-first row on top; flags as YARP numbers them. Without a flag (null) cells become what the occupancy says. With ``was``
-only those change that have this flag now, so that an undo leaves alone what somebody else has painted since.
+A run is ``[row, column, length, flag]`` or ``[row, column, length, flag, was]``: cells of one row of the map's image,
+first row on top; flags have YARP's numbers. Without a flag (null) cells get their flag from the occupancy. With ``was``
+only cells that have this flag now are changed, so that an undo preserves what others have painted since.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from yarp_compat.dev.mapflag import MAX_CELLS, MapFlag, flags_of
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 MOST_RUNS, MOST_CELLS, MOST_PIECES = 2000, 200_000, 20_000
-"""Of a call: its runs, their cells, the runs of what undoes it."""
+"""Limits of a call: its runs, their cells, the runs of its undo."""
 
 
 class Run(NamedTuple):
-    """Cells of one row, and what they become."""
+    """Cells of one row, and their new flag."""
 
     row: int
     column: int
     length: int
-    flag: int | None  #: None: what the occupancy says
+    flag: int | None  #: None: from the occupancy
     was: int | None  #: the flag that they must have now; None: any
 
 
 def _whole(value: Any, most: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
-        raise ValueError(f"{value!r:.40} is no whole number up to {most}")
+        raise ValueError(f"{value!r:.40} is not an integer up to {most}")
     return value
 
 
 def _run(value: Any) -> Run:
     if not isinstance(value, list) or len(value) not in (4, 5):
-        raise ValueError(f"{value!r:.40} is no run")
+        raise ValueError(f"{value!r:.40} is not a run")
     row, column, length = (_whole(part, MAX_CELLS) for part in value[:3])
     flag, was = (None if part is None else _whole(part, max(MapFlag)) for part in (*value[3:], None)[:2])
     return Run(row, column, length, flag, was)
@@ -52,25 +52,25 @@ def _run(value: Any) -> Run:
 def runs_of(value: Any) -> list[Run]:
     """Check the runs of a call."""
     if not isinstance(value, list) or not 1 <= len(value) <= MOST_RUNS:
-        raise ValueError(f"are 1 to {MOST_RUNS} runs")
+        raise ValueError(f"must be 1 to {MOST_RUNS} runs")
     try:
-        runs = [_run(each) for each in value]
+        runs = [_run(entry) for entry in value]
     except ValueError as err:
-        raise ValueError(f"are runs [row, column, length, flag], where {err}") from None
+        raise ValueError(f"must be runs [row, column, length, flag]: {err}") from None
     if sum(run.length for run in runs) > MOST_CELLS:
-        raise ValueError(f"have up to {MOST_CELLS} cells")
+        raise ValueError(f"must have at most {MOST_CELLS} cells")
     return runs
 
 
 def size_of(value: Any) -> tuple[int, int]:
     """Check the size of a map."""
     if not isinstance(value, list) or len(value) != 2:
-        raise ValueError("is [width, height] of the map")
+        raise ValueError("must be [width, height] of the map")
     return _whole(value[0], MAX_CELLS), _whole(value[1], MAX_CELLS)
 
 
 def paint(grid: MapGrid2D, runs: Iterable[Run]) -> list[Run]:
-    """Change the flags of a map; the runs that undo it. Raises `VerbError` where a run leaves the map."""
+    """Change the flags of a map; return the runs that undo it. Raises `VerbError` if a run is outside the map."""
     undo: list[Run] = []
     for run in runs:
         end = run.column + run.length
@@ -89,13 +89,13 @@ def paint(grid: MapGrid2D, runs: Iterable[Run]) -> list[Run]:
             for first, last in _equal_runs(np.where(changes, cells * np.uint8(8) + wanted, np.uint8(255)))
         )
         if len(undo) > MOST_PIECES:
-            raise VerbError(f"it changes more than {MOST_PIECES} pieces; paint less at once")
+            raise VerbError(f"the change has more than {MOST_PIECES} pieces; paint less at once")
         cells[changes] = wanted[changes]
-    return undo[::-1]  # the newest first: runs of one call may lie over each other
+    return undo[::-1]  # the newest first, since runs of one call may overlap
 
 
 def _equal_runs(marks: np.ndarray[Any, np.dtype[np.uint8]]) -> Iterator[tuple[int, int]]:
-    """Where neighbours have one mark, first and behind the last; 255 is none."""
+    """Yield the first and the end index of runs of equal marks; 255 is skipped."""
     edges = [0, *(np.flatnonzero(marks[1:] != marks[:-1]) + 1).tolist(), len(marks)]
     for first, last in pairwise(edges):
         if last > first and marks[first] != 255:
@@ -103,19 +103,19 @@ def _equal_runs(marks: np.ndarray[Any, np.dtype[np.uint8]]) -> Iterator[tuple[in
 
 
 class Painter:
-    """The verb, on threads that may wait.
+    """The verb ``paint_flags``, which runs on threads that may block.
 
     Args:
-        store: the store; raises `StoreError` where there is none.
+        store: returns the store; raises `StoreError` if there is none.
         changed: called after each change.
     """
 
     def __init__(self, store: Callable[[], StoreClient], changed: Callable[[], None]) -> None:
         self._store, self._changed = store, changed
-        self._painting = threading.Lock()  # pages wait for each other here, and not by trying again
+        self._painting = threading.Lock()  # pages wait here instead of retrying
 
     def verbs(self) -> dict[str, PageVerb]:
-        """The verb by its name."""
+        """Return the verb by its name."""
         return {"paint_flags": PageVerb(self._paint, {"map": name_of, "size": size_of, "runs": runs_of}, {})}
 
     def _paint(self, map: str, size: tuple[int, int], runs: Sequence[Run]) -> dict[str, Any]:  # noqa: A002
@@ -125,9 +125,9 @@ class Painter:
         def painted() -> list[Write[Any]]:
             grid = store.get(MAP, map)
             if grid is None:
-                raise VerbError(f"there is no map {map!r} in the store; {', '.join(store.names(MAP)) or 'it has none'}")
+                raise VerbError(f"no map {map!r} in the store; existing maps: {', '.join(store.names(MAP)) or 'none'}")
             if grid.getSize_in_cells() != size:
-                raise VerbError(f"the map {map!r} has another size now: {grid.width()} x {grid.height()} cells")
+                raise VerbError(f"the size of the map {map!r} has changed: {grid.width()} x {grid.height()} cells")
             undo[:] = paint(grid, runs)
             return [Write(MAP, map, grid)] if undo else []
 

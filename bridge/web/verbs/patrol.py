@@ -1,7 +1,7 @@
-"""A patrol: the robot drives to places in turn, again and again, until a client ends it. All on the module's thread.
+"""A patrol: the robot drives to places in turn, repeatedly, until a client ends it. Used on the module's thread.
 
-It sends one goal at a time by the gateway's action, each once the one before was reached. Whatever else becomes of a
-goal ends the patrol: a stop, a goal of anybody else, a place that cannot be reached. The page that began it may go.
+It sends one goal at a time to the gateway's action, after the previous goal was reached. Anything else ends the patrol:
+a stop, another client's goal, a place that cannot be reached. The page that started it may be closed.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from navigation.messages import NAVIGATE
 
 MOST_PLACES = 50
 SHORTEST, USUAL, LONGEST = 1.0, 2.0, 3600.0
-"""Seconds that it stands at a place: a stop that is on its way then comes before the next goal."""
+"""Seconds of the stop at a place: a pending stop command arrives before the next goal."""
 
 ANSWER_SECONDS = 5.0
 _LOCATE = "/navigation/get_location"
-STOPPED, ANOTHER = "the robot was stopped", "another client gave another goal"
+STOPPED, ANOTHER = "the robot was stopped", "another client sent a goal"
 
 
 def places_of(value: Any) -> list[str]:
     """Check the places of a patrol."""
     if not isinstance(value, list) or not 2 <= len(value) <= MOST_PLACES:
-        raise ValueError(f"are 2 to {MOST_PLACES} names")
+        raise ValueError(f"must be 2 to {MOST_PLACES} names")
     return [name_of(name) for name in value]
 
 
@@ -43,18 +43,18 @@ wait_of = number_between(SHORTEST, LONGEST, " of seconds")
 
 
 class PatrolFeed(Feed):
-    """``patrol``: the current one, or how the last one ended."""
+    """``patrol``: the current patrol, or how the last one ended."""
 
     def __init__(self) -> None:
         super().__init__("patrol")
         self._now: Mapping[str, Any] | None = None
 
     def open(self) -> None:
-        """Publish the state."""
+        """Publish the current state."""
         self.put(self._now, "" if self._now else "no patrol yet")
 
     def close(self) -> None:
-        """Rest: it follows nothing."""
+        """Do nothing: it has no subscriptions."""
 
     def publish(self, value: Mapping[str, Any]) -> None:
         """Publish a new state."""
@@ -66,7 +66,7 @@ class Patrol:
     """The patrol of a console; one at a time.
 
     Args:
-        driving: reports whether a client stops the robot, or sends it elsewhere, while it stands at a place.
+        driving: reports whether a client stops the robot, or sends it elsewhere, during the stop at a place.
     """
 
     def __init__(self, host: Host, driving: DrivingFeed) -> None:
@@ -77,7 +77,7 @@ class Patrol:
         self._places: Sequence[str] = ()
         self._wait = USUAL
         self._at = self._round = 0
-        self._step = 0  # grows with each: what belongs to an earlier one comes too late
+        self._step = 0  # increases with each step; callbacks of earlier steps are ignored
         self._active = self._held = self._seen = False
         self._goal: SentGoal | None = None
         self._newest = b""  # the id of the newest goal
@@ -85,16 +85,16 @@ class Patrol:
         driving.on_change(self._on_status)
 
     def verbs(self) -> dict[str, PageVerb]:
-        """The verb by its name."""
+        """Return the verb by its name."""
         return {"patrol": PageVerb(self._patrol, {"places": places_of}, {"wait": wait_of})}
 
     @property
     def busy(self) -> str:
-        """Why driving by hand is refused, "" if it is allowed."""
-        return "a patrol is under way; pause or stop it first" if self._active and not self._held else ""
+        """Why manual driving is refused, "" if it is allowed."""
+        return "a patrol is active; pause or stop it first" if self._active and not self._held else ""
 
     def end(self, why: str) -> None:
-        """End it, and its goal."""
+        """End the patrol, and its goal."""
         if not self._active:
             return
         self._active = self._held = False
@@ -102,36 +102,36 @@ class Patrol:
         goal, self._goal = self._goal, None
         if goal is not None:
             goal.cancel()
-        self._host.log.info("the patrol has ended: %s", why)
+        self._host.log.info("patrol ended: %s", why)
         self._publish("ended", why)
 
     def pause_or_resume(self, verb: str) -> str:
-        """What answers ``pause`` or ``resume`` while no goal is under way that the gateway could pause; "": nothing."""
+        """Pause or resume between two goals; return the reply, "" if it is up to the gateway, which then has a goal."""
         if not self._active or self._goal is not None:
             return ""
         if verb == "pause" and not self._held:
             self._held = True
             self._next_step()
             self._publish("held")
-            return "the patrol is paused"
+            return "patrol paused"
         if verb == "resume" and self._held:
             self._held = False
             self._find()
-            return "the patrol goes on"
+            return "patrol resumed"
         return ""
 
     # -- step by step --------------------------------------------------------------------------------------------------
 
     def _patrol(self, places: Sequence[str], wait: float = USUAL) -> str:
         self._host.loop.call(partial(self._begin, places, wait))
-        return f"patrols {len(places)} places"
+        return f"patrolling {len(places)} places"
 
     def _begin(self, places: Sequence[str], wait: float) -> None:
         if self._active:
-            raise VerbError("a patrol is under way; stop it first")
+            raise VerbError("a patrol is active; stop it first")
         self._places, self._wait, self._at, self._round = places, wait, 0, 1
         self._active, self._held, self._seen = True, False, False
-        self._host.log.info("patrols %s", ", ".join(places))
+        self._host.log.info("patrolling %s", ", ".join(places))
         self._find()
 
     def _next_step(self) -> int:
@@ -145,7 +145,7 @@ class Patrol:
         self._timer = self._host.loop.after(seconds, action)
 
     def _find(self) -> None:
-        """Ask for the pose of the next place."""
+        """Request the pose of the next place."""
         step = self._next_step()
         self._locate = self._locate or self._host.node.client(_LOCATE, GET_LOCATION)
         self._locate.call({"name": self._place}, partial(self._on_pose, step))
@@ -175,7 +175,7 @@ class Patrol:
             return
         self._goal = None
         if goal.status is not GoalState.SUCCEEDED:
-            reason = why or (result or {}).get("error_msg", "") or "the goal was given up"
+            reason = why or (result or {}).get("error_msg", "") or "the goal was aborted"
             self.end(f"driving to {self._place}: {reason}")
             return
         self._next_step()
@@ -188,10 +188,10 @@ class Patrol:
         self._round += not self._at
         self._find()
 
-    # -- what others do ------------------------------------------------------------------------------------------------
+    # -- status of the gateway -----------------------------------------------------------------------------------------
 
     def _on_status(self) -> None:
-        """The gateway's status: its order shows a stop or a foreign goal between two goals of the patrol."""
+        """Check the gateway's status, which shows a stop or another client's goal between two goals of the patrol."""
         if not self._active:
             return
         state, of = self._driving.state, self._driving.goal_id

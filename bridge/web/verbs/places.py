@@ -1,4 +1,4 @@
-"""What pages ask of the places in the store: keep, rename and delete locations, areas and paths."""
+"""Verbs for the places in the store: save, rename and delete locations, areas and paths."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from yarp_compat.sig.vec2d import Vec2D
 
 MOST_CORNERS = 500
 _SMALLEST = 1e-4
-"""Square metres; corners that enclose less are all on one line."""
+"""Smallest area in square meters; corners that enclose less are on one line."""
 
 _KINDS: dict[str, ValueKind[Any]] = {kind.name: kind for kind in (LOCATION, AREA, PATH)}
 _WORDS = {LOCATION.name: "place", AREA.name: "area", PATH.name: "path"}
@@ -27,26 +27,26 @@ Corners = list[tuple[float, float]]
 def kind_of(value: Any) -> ValueKind[Any]:
     """Check a kind of places."""
     if not isinstance(value, str) or value not in _KINDS:
-        raise ValueError(f"is one of {', '.join(_KINDS)}")
+        raise ValueError(f"must be one of {', '.join(_KINDS)}")
     return _KINDS[value]
 
 
 def corners_of(value: Any) -> Corners:
     """Check the corners of an area."""
     if not isinstance(value, list) or not 3 <= len(value) <= MOST_CORNERS:
-        raise ValueError(f"are 3 to {MOST_CORNERS} corners")
+        raise ValueError(f"must be 3 to {MOST_CORNERS} corners")
     try:
         corners = [(number_of(x), number_of(y)) for x, y in value]
     except (TypeError, ValueError):
         limits = f"between {-MOST_NUMBER:,.15g} and {MOST_NUMBER:,.15g}"
         raise ValueError(f"must be corners [x, y], in meters {limits}") from None
     if _on_a_line(corners):
-        raise ValueError("are corners that enclose something, not all on one line")
+        raise ValueError("must be corners that enclose an area, not all on one line")
     return corners
 
 
 def _on_a_line(corners: Corners) -> bool:
-    """Whether corners enclose nothing."""
+    """Return whether corners enclose no area."""
     first = corners[0]
     far = max(corners, key=lambda corner: math.dist(first, corner))
     across, up = far[0] - first[0], far[1] - first[1]
@@ -54,7 +54,7 @@ def _on_a_line(corners: Corners) -> bool:
 
 
 class PlaceVerbs:
-    """Their verbs, on threads that may wait.
+    """The verbs for places, which run on threads that may block.
 
     Args:
         store: returns the store; raises `StoreError` if none is known.
@@ -65,7 +65,7 @@ class PlaceVerbs:
         self._store, self._changed = store, changed
 
     def verbs(self) -> dict[str, PageVerb]:
-        """The verbs by name."""
+        """Return the verbs by name."""
         named, kind, again = {"name": name_of}, {"kind": kind_of}, {"replace": truth_of}
         pose = dict.fromkeys(("x", "y", "theta"), number_of)
         return {
@@ -84,7 +84,7 @@ class PlaceVerbs:
     def _keep_area(self, name: str, points: Corners, *, replace: bool = False) -> str:
         def area(map_name: str) -> Write[Any]:
             if not map_name:
-                raise VerbError("no map is in use; choose the one that the area is on")
+                raise VerbError("no current map; choose the area's map")
             return Write(AREA, name, Map2DArea(map_name, [Vec2D(*point) for point in points]))
 
         return self._keep(AREA, name, area, replace=replace)
@@ -95,12 +95,12 @@ class PlaceVerbs:
 
         def writes() -> Sequence[Write[Any]]:
             if not replace and name in store.names(kind):
-                raise VerbError(f"there is the {_WORDS[kind.name]} {name!r} already")
+                raise VerbError(f"the {_WORDS[kind.name]} {name!r} exists already")
             return [make(store.current_map())]
 
         store.change(writes)
         self._changed()
-        return f"{name} is kept"
+        return f"saved {name}"
 
     def _delete(self, name: str, kind: ValueKind[Any] = LOCATION) -> str:
         store = self._store()
@@ -108,9 +108,9 @@ class PlaceVerbs:
             raise VerbError(f"unknown {_WORDS[kind.name]} {name!r}")
         store.write([Write(kind, name, None)])
         self._changed()
-        return f"{name} is deleted"
+        return f"deleted {name}"
 
     def _rename(self, name: str, to: str, kind: ValueKind[Any] = LOCATION) -> str:
         self._store().rename(kind, name, to)
         self._changed()
-        return f"{name} is called {to} now"
+        return f"renamed {name} to {to}"

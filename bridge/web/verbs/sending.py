@@ -1,4 +1,4 @@
-"""What a page sends from a form: one message of a topic, one call of a service."""
+"""Messages and service calls that a page sends from a form."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from bridge.web.feeds.topics import cut
 from bridge.web.verbs.verbs import PageVerb, VerbError
 
 MOST_RATE = 5.0
-"""Messages a second of all pages together."""
+"""Largest number of messages per second from all pages together."""
 
 MOST_TYPE = 255
 CALL_SECONDS = 15.0
 KEEP_SECONDS = 60.0
-"""A topic's publisher stays for so long, so that the next message need not wait until it is known."""
+"""How long a topic's publisher stays, so that the next message need not wait for discovery."""
 
 _MOST_PUBLISHERS = 8
 _MATCH_SECONDS = 2.0
@@ -43,7 +43,7 @@ _END_SECONDS = 0.5
 
 
 class Sending:
-    """Publishes and calls. All methods wait, but for `close`; not to be called on the module's thread."""
+    """Publishes messages and calls services. All methods except `close` block: not for the module's thread."""
 
     def __init__(self, host: Host, config: Config, client: CliClient, types: Types) -> None:
         self._host, self._client, self._types = host, client, types
@@ -55,7 +55,7 @@ class Sending:
         self._publishers: OrderedDict[tuple[str, str], tuple[HubPublisher, float]] = OrderedDict()
 
     def publish(self, topic: str, type: str, message: dict[str, Any]) -> str:  # noqa: A002 - the protocol's name
-        """Publish one message, once; raises `VerbError` or `CliError` with why not."""
+        """Publish one message; raises `VerbError` or `CliError` with the reason if it cannot."""
         name = self._types.name(type)
         reason = self._refusal(topic, name)
         if reason:
@@ -67,25 +67,25 @@ class Sending:
             raise VerbError(f"{name}: {err}") from None
         with self._lock:
             if not self._limit.passes():
-                raise VerbError(f"at most {MOST_RATE:g} messages a second are published from pages; press again")
+                raise VerbError(f"the limit is {MOST_RATE:g} messages per second from all pages; press again")
             publisher = self._publisher(topic, name, type_hash)
             publisher.put(cdr)
             received = publisher.matched()
-        return f"published on {topic}" if received else f"published on {topic}, and nobody on the hub listens to it"
+        return f"published on {topic}" if received else f"published on {topic}, but the hub has no subscriber"
 
     def _refusal(self, topic: str, type_name: str) -> str:
         if topic.startswith(TAPS) or not ROS2_NAME.fullmatch(topic):
-            return f"{topic[:80]!r} is no topic: begin it with a slash; letters, digits and underscores make its parts"
+            return f"{topic[:80]!r} is not a topic name: /, then parts of letters, digits and underscores"
         commands = self._rules.enter("zenoh", topic, type_name).priority == "command"
         if commands or type_name in COMMAND_TYPES or topic in self._velocities:
             return (
-                f"velocities are not sent from a form, since nobody would stop the base behind {topic}: drive by hand"
-                " in the view Drive, which commands zero as you let go"
+                "velocities cannot be sent from a form, since nothing would stop the base: drive manually"
+                " in the view Drive, which commands zero on release"
             )
         return ""
 
     def _publisher(self, topic: str, name: str, type_hash: str) -> HubPublisher:
-        """The topic's publisher, known to who listens; under the lock."""
+        """Return the topic's publisher, once subscribers have discovered it. The caller holds the lock."""
         now, key = time.monotonic(), (topic, name)
         if key in self._publishers:
             publisher, _ = self._publishers.pop(key)
@@ -103,12 +103,12 @@ class Sending:
         while not publisher.matched() and time.monotonic() < end:
             time.sleep(_POLL_SECONDS)
         if publisher.matched():
-            # the workers listen; those on their sides are still connecting to the publishers that the workers made
+            # the workers subscribe; subscribers on their sides still have to connect to the workers' publishers
             time.sleep(_SETTLE_SECONDS)
 
     def _tidy(self) -> None:
         if not self._lock.acquire(blocking=False):
-            return  # somebody publishes, and looks again later
+            return  # a publishing thread holds it, and schedules this again
         try:
             late = time.monotonic() - KEEP_SECONDS
             for key in [key for key, (_, used) in self._publishers.items() if used < late]:
@@ -117,23 +117,23 @@ class Sending:
             self._lock.release()
 
     def call(self, name: str, type: str, request: dict[str, Any]) -> dict[str, Any]:  # noqa: A002
-        """Call a service once; its reply. Raises `VerbError` or `CliError`."""
+        """Call a service once, and return its reply. Raises `VerbError` or `CliError`."""
         if not ROS2_NAME.fullmatch(name) or split(name)[1]:
-            raise VerbError(f"{name[:80]!r} is no service")
+            raise VerbError(f"{name[:80]!r} is not a service name")
         with contextlib.closing(ServiceCaller(self._client, self._types, name, ros2_spelling(type, "srv"))) as caller:
             reply: dict[str, Any] = cut(caller.ask(request, CALL_SECONDS))
         return reply
 
     def close(self) -> None:
-        """Withdraw the publishers."""
-        if self._lock.acquire(timeout=_END_SECONDS):  # else one is being sent, and ends with the session
+        """Close the publishers."""
+        if self._lock.acquire(timeout=_END_SECONDS):  # else one is publishing, and ends with the session
             while self._publishers:
                 self._publishers.popitem()[1][0].close()
             self._lock.release()
 
 
 def list_services(client: CliClient) -> list[dict[str, Any]]:
-    """The value of ``services``: what is served or called on the hub, without the parts of actions."""
+    """Return the value of ``services``: services with a server or client on the hub, except those of actions."""
     services: dict[tuple[str, str], dict[str, Any]] = {}
     ends = {EndpointKind.SERVER: "servers", EndpointKind.CLIENT: "clients"}
     for end in client.hub.graph.endpoints():
@@ -144,7 +144,7 @@ def list_services(client: CliClient) -> list[dict[str, Any]]:
 
 
 def sending_verbs(sending: Sending, types: Types) -> dict[str, PageVerb]:
-    """The verbs by name."""
+    """Return the verbs by name."""
     text = {"topic": _text, "type": _text}
     return {
         "definition": PageVerb(
@@ -158,17 +158,17 @@ def sending_verbs(sending: Sending, types: Types) -> dict[str, PageVerb]:
 
 def _text(value: Any) -> str:
     if not isinstance(value, str) or not 0 < len(value) <= MOST_TYPE:
-        raise ValueError(f"is a name of up to {MOST_TYPE} characters")
+        raise ValueError(f"must be a name of up to {MOST_TYPE} characters")
     return value
 
 
 def _kind(value: Any) -> str:
     if value not in KINDS:
-        raise ValueError(f"is one of {', '.join(KINDS)}")
+        raise ValueError(f"must be one of {', '.join(KINDS)}")
     return str(value)
 
 
 def _object(value: Any) -> dict[str, Any]:
     if isinstance(value, dict):
         return value
-    raise ValueError("is an object of fields")
+    raise ValueError("must be an object of fields")

@@ -1,4 +1,4 @@
-"""What pages may ask for: goals, stops, places, explanations. Each call is logged with who made it."""
+"""The commands and queries of pages: goals, stops, places, explanations. Each command is logged with its client."""
 
 from __future__ import annotations
 
@@ -40,22 +40,22 @@ TRIGGER, NAMED, POSE_COVARIANCE = (
 ANSWER_SECONDS, STOP_SECONDS = 5.0, 12.0
 GOAL_SECONDS = 5.0
 BEGIN_SECONDS = 3.0
-"""A call that had to wait for so long for others is not done."""
+"""A call that had to wait this long for others is not executed."""
 THREADS = 4
-"""Calls that run at a time, besides slow ones and stops."""
+"""Concurrent calls, besides slow ones and stops."""
 _STOP_THREADS = 2
 _SLOW_THREADS = 3
 _COVARIANCE = {0: 0.25, 7: 0.25, 35: 0.07}
-"""Of a pose that a person set, as RViz says it: m^2 and rad^2 on the diagonal of x, y and heading."""
+"""Covariance of a pose set by a person, as in RViz: m^2 and rad^2 on the diagonal of x, y and heading."""
 
 
 class VerbError(RuntimeError):
-    """A call of a page failed; the text has the reason."""
+    """A page's call failed; the text is the reason."""
 
 
 @dataclass(frozen=True)
 class PageVerb:
-    """One verb: the arguments that it must and may have, each with its check, and what does it.
+    """One verb: its required and optional arguments, each with a check, and its function.
 
     A ``slow`` verb may take long, and runs on separate threads.
     """
@@ -65,7 +65,7 @@ class PageVerb:
     may: Mapping[str, Callable[[Any], Any]]
     commands: bool = True
     stops: bool = False
-    logged: bool = True  #: if it is a command
+    logged: bool = True  #: applies to commands
     slow: bool = False
 
 
@@ -96,17 +96,17 @@ def truth_of(value: Any) -> bool:
     """Check a truth value."""
     if value is True or value is False:
         return bool(value)
-    raise ValueError("is true or false")
+    raise ValueError("must be true or false")
 
 
 class Verbs:
-    """Runs them. `begin` may be called on any thread.
+    """Runs the verbs. `begin` may be called on any thread.
 
     Args:
-        chose: called with the planner that was chosen, on the module's thread.
-        before: what happens on the module's thread as a verb of a name begins.
-        between: pauses or resumes a patrol between two goals; returns what it did, "" if the gateway has to.
-        more: verbs of other files.
+        on_planner: called with the chosen planner, on the module's thread.
+        before: called on the module's thread before the verb of that name starts.
+        pause_or_resume: pauses or resumes a patrol between two goals; returns its reply, "" if it is up to the gateway.
+        more: verbs of other modules.
 
     Attributes:
         known: the verbs that pages may call, by name.
@@ -154,15 +154,15 @@ class Verbs:
         self._newest: dict[str, Future[Any]] = {}
 
     def is_stop(self, verb: str) -> bool:
-        """Whether a verb makes robots stand; such a call is never refused for want of room."""
+        """Return whether a verb stops robots; such a call is never refused because of the load."""
         return verb in self.known and self.known[verb].stops
 
     def is_command(self, verb: str) -> bool:
-        """Whether a verb does more than look, so that the role ``drive`` is needed."""
+        """Return whether a verb is a command, which needs the role ``drive``."""
         return verb in self.known and self.known[verb].commands
 
     def begin(self, verb: str, args: Mapping[str, Any], who: str) -> Future[Any]:
-        """Do it on a thread that may wait; the result, or `VerbError`, is the future's. Raises `VerbError`."""
+        """Run a verb on a thread that may block; the future has the result or a `VerbError`. Raises `VerbError`."""
         page_verb = self.known.get(verb)
         if page_verb is None:
             raise VerbError(f"unknown verb {verb[:80]!r}; known: {', '.join(self.known)}")
@@ -178,7 +178,7 @@ class Verbs:
         return (self._slow if page_verb.slow else self._pool).submit(job)
 
     def _begin_stop(self, verb: str, job: Callable[[], Any]) -> Future[Any]:
-        """A stop waits for no other verb; where two of its kind run, those who ask meanwhile share the next one."""
+        """Run a stop, which waits for no other verb; while two of its kind run, further callers share the next one."""
         with self._lock:
             newest = self._newest.get(verb)
             if newest is None or newest.running() or newest.done():
@@ -192,10 +192,10 @@ class Verbs:
         for pool in self._stops.values():
             pool.close(1.0)
 
-    # -- on threads that may wait --------------------------------------------------------------------------------------
+    # -- on threads that may block -------------------------------------------------------------------------------------
 
     def _goto(self, x: float, y: float, theta: float | None = None) -> str:
-        """Send a goal; returns once the gateway has taken it."""
+        """Send a goal; return once the gateway has accepted it."""
         pose = {"header": {"frame_id": self._config.navigation.frame}, "pose": pose_message(Pose(x, y, theta or 0.0))}
         goal: dict[str, Any] = {"pose": pose}
         if theta is None:
@@ -206,13 +206,13 @@ class Verbs:
             if done.done():
                 return
             if sent.accepted:
-                done.set_result(f"drives to {x:.2f}, {y:.2f} m")
+                done.set_result(f"driving to {x:.2f}, {y:.2f} m")
             else:
                 self._host.loop.after(0.02, lambda: check_accepted(sent))
 
         def ended(_goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
             if not done.done():
-                reason = why or (result or {}).get("error_msg", "") or "the goal ended at once"
+                reason = why or (result or {}).get("error_msg", "") or "the goal ended immediately"
                 done.set_exception(VerbError(reason))
 
         def send() -> SentGoal:
@@ -226,7 +226,7 @@ class Verbs:
             return done.result(GOAL_SECONDS)
         except TimeoutError:
             done.cancel()
-            self._host.loop.post(sent.cancel)  # a late start would surprise people
+            self._host.loop.post(sent.cancel)  # a late start would be unexpected
             raise VerbError(f"the gateway did not accept or reject the goal within {GOAL_SECONDS:g} s") from None
 
     def _trigger(self, name: str, seconds: float = ANSWER_SECONDS) -> str:
@@ -248,7 +248,7 @@ class Verbs:
         return reply
 
     def _ask(self, name: str, type_name: str, request: dict[str, Any], seconds: float) -> str:
-        """Call a service that answers with ``success`` and ``message``; the message."""
+        """Call a service that replies with ``success`` and ``message``; return the message."""
         done: Future[dict[str, Any] | CallError] = Future()
 
         def call() -> None:
@@ -264,24 +264,24 @@ class Verbs:
         if isinstance(reply, CallError):
             raise VerbError(f"{name}: {reply}")
         if not reply["success"]:
-            raise VerbError(str(reply["message"]) or f"{name} refuses")
+            raise VerbError(str(reply["message"]) or f"{name} refused")
         return str(reply["message"])
 
     def _halt(self) -> str:
         result = halt(self._client, self._types)
         troubles = [f"{name}: {problem}" for name, problem in result.bases.items() if problem]
-        troubles += [f"{cancel.name}: its goals are not cancelled: {cancel.error}" for cancel in result.failed]
+        troubles += [f"{cancel.name}: cannot cancel its goals: {cancel.error}" for cancel in result.failed]
         if result.trouble or troubles:
             raise VerbError("; ".join(filter(None, (result.trouble, *troubles))))
         return (
-            "every base that answers stands" if result.bases else "zero velocity is published, but no base has answered"
+            "all responding bases stand still" if result.bases else "published zero velocity, but no base has responded"
         )
 
     def _set_pose(self, x: float, y: float, theta: float) -> str:
         topic = self._config.modules.localization_server.initialpose
         if not topic or not self._host.node.hub.graph.subscriptions(topic):
             raise VerbError(
-                f"{topic or 'the topic of a start'} has no subscriber: is the localizer running, and does it cross?"
+                f"{topic or 'the initial pose'} has no subscriber: check that the localizer runs and is bridged"
             )
         covariance = [_COVARIANCE.get(at, 0.0) for at in range(36)]
         message = {
@@ -294,12 +294,12 @@ class Verbs:
             self._starts.publish(message)
 
         self._host.loop.call(publish)
-        return f"published for the localizer: the robot is at {x:.2f}, {y:.2f} m"
+        return f"sent to the localizer: the robot is at {x:.2f}, {y:.2f} m"
 
 
 def _run(action: Callable[..., Any], args: dict[str, Any], latest: float) -> Any:
-    if time.monotonic() > latest:  # a late start would surprise people
-        raise VerbError(f"it was not begun within {BEGIN_SECONDS:g} s, as others ran, and is not done; ask again")
+    if time.monotonic() > latest:  # a late start would be unexpected
+        raise VerbError(f"not executed: other calls delayed it by more than {BEGIN_SECONDS:g} s; try again")
     try:
         return action(**args)
     except (CliError, HubError, StoreError, TimeoutError) as err:
