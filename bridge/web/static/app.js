@@ -1,4 +1,4 @@
-// The page: its views by #hash, the line to the console, STOP.
+// The page: its views by #hash, the connection to the console, STOP.
 
 import { types, write } from "./dom.js";
 import { driveView } from "./drive.js";
@@ -39,18 +39,18 @@ function route() {
     if (tab.hash === `#${wanted}`) tab.setAttribute("aria-current", "page");
     else tab.removeAttribute("aria-current");
   }
-  showLine(); // what a new view has for driving is off while nobody may drive
+  showLine(); // disable a new view's driving controls while driving is not allowed
 }
 
 function decoded(text) {
   try {
     return decodeURIComponent(text);
   } catch {
-    return ""; // a hash that somebody typed
+    return ""; // an unknown hash
   }
 }
 
-// -- the line
+// -- the connection
 
 let lastState = "";
 
@@ -63,19 +63,19 @@ function showLine() {
   document.title = `${state === "lost" ? "(lost) " : ""}${hello?.daemon ?? ""} – Midspan`.replace(/^ – /, "");
   const role = hello?.role === "watch" ? "Watching" : "Connected";
   write(byId("line-text"), state === "open" ? role : state === "begin" ? "Connecting" : "No connection");
-  write(byId("lost"), state === "lost" ? "Connection lost. What you see is old. Trying again …" : "");
+  write(byId("lost"), state === "lost" ? "Connection lost. The values shown are outdated. Reconnecting …" : "");
   const watches = state === "open" && hello.role === "watch";
-  write(byId("watching"), watches ? `You watch${hello.who ? ` as ${hello.who}` : ""}: you may look, but not command. STOP is off, too.` : "");
+  write(byId("watching"), watches ? `Watching${hello.who ? ` as ${hello.who}` : ""}: commands are disabled, including STOP.` : "");
   byId("stop").disabled = watches;
   if (state === "lost") knock();
   for (const part of document.querySelectorAll(".drives")) part.inert = !socket.mayDrive;
-  if (state === "open" && lastState === "lost") say("Connected again.");
+  if (state === "open" && lastState === "lost") say("Reconnected.");
   if (state !== "begin") lastState = state;
 }
 
 let knocked = 0;
 
-/** The console may be there, and not know who this is any more. */
+/** Check whether the console is up but the login has expired. */
 async function knock() {
   const now = Date.now();
   if (location.protocol !== "https:" || now - knocked < 3000) return;
@@ -99,9 +99,9 @@ function stop() {
   if (byId("stop").disabled) return;
   if (now - stopped < 300) return; // the click that follows a touch
   stopped = now;
-  dispatchEvent(new Event("midspan-stop")); // a hand that drives lets go
+  dispatchEvent(new Event("midspan-stop")); // ends manual driving
   socket.release();
-  ask(socket, "STOP", "halt", {}); // the console says whether every base stands
+  ask(socket, "STOP", "halt", {}); // the console reports whether every base stands still
 }
 
 byId("stop").addEventListener("pointerdown", (event) => event.button === 0 && stop());
@@ -110,7 +110,7 @@ addEventListener(
   "keydown",
   (event) => {
     if (event.key !== " " || types(event.target)) return;
-    event.preventDefault(); // nor is the button that has the focus pressed
+    event.preventDefault(); // and do not press the focused button
     event.stopPropagation();
     if (!event.repeat) stop();
   },

@@ -5,7 +5,7 @@ import { keep, LONGEST_NAME } from "./names.js";
 import { question, say } from "./say.js";
 
 const NEAR = 18; // px to the first corner: a tap there closes the area
-const MOST = 500; // corners, as the console takes them
+const MOST = 500; // corners, the console's limit
 
 /** The editor of areas on a map; see `MapBlock.edit`. */
 export class AreaEditor {
@@ -90,16 +90,16 @@ export class AreaEditor {
     this.changed();
   }
 
-  /** Ask for the name and keep it; the corners stay where that fails. */
+  /** Ask for the name and save the area; if that fails the corners stay. */
   async finish() {
     if (this.asks || this.corners.length < 3) return;
     this.asks = true;
     this.changed();
     const points = this.corners.map(([x, y]) => [rounded(x), rounded(y)]);
-    const answer = await question("Keep this area", { name: { label: "Name", value: "", maxlength: LONGEST_NAME } }, "Keep");
-    const kept = answer && await keep(this.socket, this.map.values.places, "area", "keep_area", { name: answer.name, points }, `Kept the area ${answer.name}.`);
+    const answer = await question("Save this area", { name: { label: "Name", value: "", maxlength: LONGEST_NAME } }, "Save");
+    const kept = answer && await keep(this.socket, this.map.values.places, "area", "keep_area", { name: answer.name, points }, `Saved the area ${answer.name}.`);
     this.asks = false;
-    if (kept || (this.dragged && !answer)) this.corners = []; // a rectangle that is not wanted is drawn anew
+    if (kept || (this.dragged && !answer)) this.corners = []; // a rejected rectangle is drawn again
     this.dragged = false;
     this.changed();
   }

@@ -1,4 +1,4 @@
-// The daemon's configuration with its comments, read only, and what a check says of it.
+// The daemon's configuration with its comments, read-only, and the findings of a check.
 
 import { button, el, mark, write } from "./dom.js";
 
@@ -35,9 +35,9 @@ export function configPart(socket) {
     text.replaceChildren(...lines.map((line) => el("li", { class: /^\s*#/.test(line) ? "comment" : null }, el("code", { text: line || " " }))));
     problems.replaceChildren(...found.problems.map((each) => problem(each)));
     for (const { line } of found.problems) text.children[line - 1]?.classList.add("wrong");
-    if (found.problems.length) say("bad", `${found.problems.length === 1 ? "One problem" : `${found.problems.length} problems`}: the daemon would keep what it runs with. ${found.why}`);
+    if (found.problems.length) say("bad", `${found.problems.length === 1 ? "One problem" : `${found.problems.length} problems`}: the daemon would keep its current configuration. ${found.why}`);
     else if (found.why) say("bad", found.why);
-    else say("good", found.file ? "No problem. Passwords, tokens and keys are not shown." : "There is no file: these are the defaults.");
+    else say("good", found.file ? "No problems. Passwords, tokens and keys are not shown." : "No configuration file: the defaults apply.");
   }
 
   function problem({ line, column, key, text: words }) {
@@ -47,7 +47,7 @@ export function configPart(socket) {
     return el("li", {}, place, el("span", {}, key ? el("strong", { text: `${key}: ` }) : null, words));
   }
 
-  const joined = () => socket.open && read(); // also when the daemon is back, perhaps with another file
+  const joined = () => socket.open && read(); // also after a restart of the daemon, maybe with another file
   return {
     element,
     show() {

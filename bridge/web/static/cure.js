@@ -1,14 +1,14 @@
-// Cures as text to copy, and what workers say of a name.
+// Cures as text to copy, and the workers' decisions on a name.
 
 import { button, el } from "./dom.js";
 import { say } from "./say.js";
 
-/** A cure with its button, or null where there is none; `what` names it for those who do not see where it stands. */
+/** A cure with its button, or null without one; `what` names it for screen readers. */
 export function cureLine(cure, what) {
   return cure ? el("div", { class: "cure" }, el("code", { text: cure }), button("Copy", () => copy(cure), { "aria-label": `Copy the cure for ${what}` })) : null;
 }
 
-/** What each worker decided of `name`, as the verb `explain` says it: list items. */
+/** Each worker's decision on `name`, from the verb `explain`: list items. */
 export function explained(name, found) {
   if (!found.length) return [el("li", {}, el("p", { text: `No worker knows ${name}.` }))];
   return found.map(({ daemon, side, decision, why, cure }) => el("li", {},
@@ -22,6 +22,6 @@ async function copy(text) {
     await navigator.clipboard.writeText(text);
     say("Copied.");
   } catch {
-    say("The browser does not let this page copy: select the text by hand.", { bad: true });
+    say("The browser does not allow this page to copy: select the text manually.", { bad: true });
   }
 }

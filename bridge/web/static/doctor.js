@@ -1,30 +1,30 @@
-// What `midspan doctor` finds, when somebody asks.
+// The findings of `midspan doctor`, on request.
 
 import { cureLine } from "./cure.js";
 import { button, el, mark, write } from "./dom.js";
 
-const RESULTS = { fail: "Fails", warn: "Warns", ok: "Fine", skip: "Does not apply" };
+const RESULTS = { fail: "Failed", warn: "Warnings", ok: "OK", skip: "Not applicable" };
 const OPEN = new Set(["fail", "warn"]);
 
 /** Builds the part: {element, show(), hide()}. */
 export function doctorPart(socket) {
   const sum = el("span", { class: "count", role: "status" });
   const lists = el("div", { class: "findings" });
-  const empty = el("p", { class: "empty", text: "The doctor looks at the configuration, the daemon, all sides, the network and this machine. It changes nothing, and takes some seconds." });
-  const look = button("Look now", examine, { class: "primary" });
+  const empty = el("p", { class: "empty", text: "The doctor checks the configuration, the daemon, all sides, the network and this machine. It changes nothing, and takes a few seconds." });
+  const look = button("Run checks", examine, { class: "primary" });
   const element = el("section", { class: "block", "aria-labelledby": "doctor-title" },
     el("div", { class: "heading" }, el("h2", { text: "Doctor", id: "doctor-title" }), sum, look), empty, lists);
 
   async function examine() {
     look.disabled = true;
-    write(sum, "The doctor looks …");
+    write(sum, "Running checks …");
     try {
       fill(await socket.call("doctor"));
     } catch (error) {
       write(sum, error.message);
     } finally {
       look.disabled = false;
-      look.textContent = "Look again";
+      look.textContent = "Run again";
     }
   }
 

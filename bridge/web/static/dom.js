@@ -1,4 +1,4 @@
-// Makes elements. Text of robots goes in as text alone, never as markup.
+// Creates elements. Text from robots is inserted only as text, never as markup.
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -24,22 +24,22 @@ function filled(element, text, on, attributes, children) {
   return element;
 }
 
-/** A button with words on it. */
+/** A button with a text. */
 export function button(text, pressed, attributes = {}) {
   return el("button", { type: "button", text, on: { click: pressed }, ...attributes });
 }
 
-/** An icon of one path, 24 x 24, for a button that has a label of its own. */
+/** An icon of one path, 24 x 24, for a button with a separate label. */
 export function icon(d) {
   return svg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true", class: "icon" }, svg("path", { d }));
 }
 
-/** Write a text only where it changed, so that a page of values costs nothing while they stand. */
+/** Write a text only if it has changed, so that constant values cost nothing. */
 export function write(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Set or take away an attribute, only where it changed. */
+/** Set or remove an attribute, only if it has changed. */
 export function mark(element, name, value) {
   const old = element.getAttribute(name);
   if (value === null || value === undefined || value === false) {
@@ -50,13 +50,13 @@ export function mark(element, name, value) {
 }
 
 /**
- * Bring the children of `parent` in line with `items`: rows stay where their key stays.
- * `key` names an item, `make` makes its row (an element), `fill` writes an item's values into a row.
+ * Update the children of `parent` to `items`: a row stays while its key exists.
+ * `key` names an item, `make` creates its row (an element), `fill` writes an item's values into a row.
  */
 export function rows(parent, items, key, make, fill) {
   const old = new Map();
   for (const row of [...parent.children]) {
-    old.get(row.dataset.key)?.remove(); // two items of one key: their rows are made anew
+    old.get(row.dataset.key)?.remove(); // two items with one key: their rows are created again
     old.set(row.dataset.key, row);
   }
   let next = parent.firstElementChild;
@@ -76,7 +76,7 @@ export function rows(parent, items, key, make, fill) {
   for (const row of old.values()) row.remove();
 }
 
-/** Whether keys that are pressed now are meant as text. */
+/** Whether key presses are text input now. */
 export function types(target) {
   return target instanceof Element
     && (target.isContentEditable || target.matches("textarea, select, input:not([type=range]):not([type=checkbox])"));

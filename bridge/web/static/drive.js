@@ -1,4 +1,4 @@
-// The view Drive: the map, what the robot does, where it may be sent, driving by hand.
+// The view Drive: the map, the robot's state, its possible goals, manual driving.
 
 import { button, el, mark, rows, write } from "./dom.js";
 import { editBar } from "./edit.js";
@@ -18,9 +18,9 @@ export function driveView(root, socket) {
   const tools = {
     go: { label: "Go here", drives: true, icon: "M12 21V9M6 12l6-8 6 8", hint: "Press where to go; drag to set the heading.",
       done: (pose) => goTo(socket, pose) },
-    robot: { label: "Robot is here", drives: true, icon: "M12 3l6 16-6-4-6 4z", hint: "Press where the robot is; drag to where it looks.",
+    robot: { label: "Robot is here", drives: true, icon: "M12 3l6 16-6-4-6 4z", hint: "Press where the robot is; drag to set its heading.",
       done: (pose) => robotIsAt(socket, pose, heading()) },
-    keep: { label: "Keep place", drives: true, icon: "M12 21s-6-6-6-11a6 6 0 0 1 12 0c0 5-6 11-6 11zM12 8v5M9.5 10.5h5", hint: "Press the place; drag to set its heading.",
+    keep: { label: "Save place", drives: true, icon: "M12 21s-6-6-6-11a6 6 0 0 1 12 0c0 5-6 11-6 11zM12 8v5M9.5 10.5h5", hint: "Press the place; drag to set its heading.",
       done: (pose) => keepPlace(socket, map.values.places, pose, heading()) },
     measure: { label: "Measure", icon: "M3 16L16 3l5 5L8 21zM8 11l2 2M11 8l3 3M14 5l2 2", hint: "Drag from one point to another.", done: () => {} },
     edit: { label: "Edit map", drives: true, icon: "M4 20l1-4L16 5l3 3L8 19zM13.5 7.5l3 3", open: () => {
@@ -35,7 +35,7 @@ export function driveView(root, socket) {
       place ? [`Go to ${place}`, () => goToPlace(socket, place), off] : ["Go here", () => goTo(socket, at), off],
       ["Go here, with a heading …", () => goToTyped(socket, { ...at, theta: heading() }), off],
       ["Robot is here …", () => robotIsAt(socket, at, heading()), off],
-      ["Keep this place …", () => keepPlace(socket, map.values.places, at, heading()), off],
+      ["Save this place …", () => keepPlace(socket, map.values.places, at, heading()), off],
       ["Measure", () => map.choose("measure")],
       ...(named ? [
         [`Rename ${named.name} …`, () => rename(socket, named.kind, named.name), off],
@@ -60,7 +60,7 @@ export function driveView(root, socket) {
     byHand.end();
   };
   const choice = el("div", { class: "parts", role: "group", "aria-label": "How to drive" },
-    button("Send", () => choose(false)), button("By hand", () => choose(true)));
+    button("Send", () => choose(false)), button("Manual", () => choose(true)));
   doing.element.after(choice);
   choose(false);
   root.append(map.element, panel);
@@ -87,24 +87,24 @@ export function driveView(root, socket) {
   };
 }
 
-/** What it does now, with Pause and Stop. */
+/** The current state, with Pause and Stop. */
 function doingBlock(socket) {
   const state = el("p", { class: "state" });
   const reason = el("p", { class: "reason", "aria-live": "polite" });
   const goal = el("dd");
   const left = el("dd");
   let [driving, patrol] = [null, null];
-  const pause = button("Pause", () => (pause.textContent === "Go on"
-    ? ask(socket, "Go on", "resume", {}, "Going on.") : ask(socket, "Pause", "pause", {}, "Paused.")));
-  const end = button("End drive", () => ask(socket, "End drive", "stop", {}, "The drive has ended."));
+  const pause = button("Pause", () => (pause.textContent === "Resume"
+    ? ask(socket, "Resume", "resume", {}, "Resumed.") : ask(socket, "Pause", "pause", {}, "Paused.")));
+  const end = button("End drive", () => ask(socket, "End drive", "stop", {}, "Drive ended."));
   const show = () => {
     const held = patrol?.state === "held" || driving?.state === "paused";
     const under = isBusy(driving) || (patrol !== null && patrol.state !== "ended");
-    write(pause, held ? "Go on" : "Pause");
+    write(pause, held ? "Resume" : "Pause");
     mark(pause, "disabled", held || under ? null : "");
     mark(end, "disabled", held || under || driving?.goal ? null : "");
   };
-  const element = el("section", { class: "block doing", "aria-label": "What it does now" },
+  const element = el("section", { class: "block doing", "aria-label": "Current state" },
     state, reason,
     el("dl", { class: "facts" }, el("dt", { text: "Goal" }), goal, el("dt", { text: "Left" }), left),
     el("div", { class: "buttons drives" }, pause, end));
@@ -117,7 +117,7 @@ function doingBlock(socket) {
     take(value, why) {
       driving = value;
       element.dataset.mood = value ? mood(value) : "calm";
-      write(state, value ? stateWords(value) : "Not known");
+      write(state, value ? stateWords(value) : "Unknown");
       write(reason, (value ? value.reason : why) || "");
       const at = value?.goal;
       write(goal, at ? `${position(at.x, at.y)}  ${degrees(at.theta)}` : "–");
@@ -127,13 +127,13 @@ function doingBlock(socket) {
   };
 }
 
-/** Places of the map in use to send it to, and the planner. */
+/** Places of the current map as goals, and the planner. */
 function sendBlock(socket) {
   let [places, why, current] = [null, "", undefined];
   const list = el("ul", { class: "places-list drives" });
   const empty = el("p", { class: "empty" });
   const planner = el("select", { id: "planner", title: "Planner", on: {
-    change: () => ask(socket, `Planner ${planner.value}`, "choose_planner", { name: planner.value }, `${planner.value} plans from now on.`),
+    change: () => ask(socket, `Planner ${planner.value}`, "choose_planner", { name: planner.value }, `Planner changed to ${planner.value}.`),
   } });
   const patrol = patrolBlock(socket, () => show());
   const title = el("h2", { text: "Send to", id: "send-to" });
@@ -143,7 +143,7 @@ function sendBlock(socket) {
   const show = () => {
     const names = Object.entries(places?.locations ?? {})
       .filter(([, place]) => current === undefined || place.map === current).map(([name]) => name).sort();
-    write(empty, names.length ? "" : why || "No places on this map. Keep one: press the map.");
+    write(empty, names.length ? "" : why || "No places on this map. To save one, press the map.");
     rows(list, names, (name) => name, (name) => el("li", {}, button(name, () => (patrol.picks ? patrol.pick(name) : goToPlace(socket, name)), { title: name })), () => {});
     write(title, patrol.picks ? "Patrol" : "Send to");
     element.classList.toggle("picks", patrol.picks);

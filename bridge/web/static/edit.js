@@ -1,4 +1,4 @@
-// Editing the map: the tools' row makes room for what draws areas and paints flags.
+// Editing the map: the tool row is replaced by tools that draw areas and paint flags.
 
 import { AreaEditor } from "./area.js";
 import { button, el, icon } from "./dom.js";
@@ -11,7 +11,7 @@ const EDITORS = {
 
 /** The row; returns {element, open(), close()}. `left` is called when editing ends. */
 export function editBar(map, socket, left) {
-  const made = {}; // the editors, as far as they were needed: what is drawn stays while another one is at work
+  const made = {}; // the editors used so far: drawings stay while another one is active
   const choices = Object.fromEntries(Object.entries(EDITORS).map(([name, { label, icon: path }]) => [name,
     el("button", { type: "button", "aria-pressed": "false", title: label, on: { click: () => choose(name) } }, icon(path), el("span", { text: label }))]));
   const controls = el("div", { class: "controls", role: "group", "aria-label": "Editing" });
@@ -41,7 +41,7 @@ export function editBar(map, socket, left) {
     close,
     open() {
       element.hidden = false;
-      map.element.parentElement.classList.add("edits"); // a phone's map has all the room then
+      map.element.parentElement.classList.add("edits"); // on a phone the map then fills the screen
       choose("area");
     },
   };

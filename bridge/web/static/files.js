@@ -1,12 +1,12 @@
-// Files between this page and the console, in parts, over the socket: who may call may send them.
+// Transfers files between this page and the console in parts, by calls over the socket.
 
-const PART = 36000 - 36000 % 3; // bytes, as base64 what the console takes at once
-const MOST = 64 << 20; // bytes in all, as the console takes them
+const PART = 36000 - 36000 % 3; // bytes, as base64 the console's limit
+const MOST = 64 << 20; // bytes in total, the console's limit
 
-/** Bring files up; resolves to the key under which the console has them. `told(share)` is called as they go. */
+/** Upload files; resolves to the console's key for them. `told(share)` reports progress. */
 export async function upload(socket, files, told) {
   const all = files.reduce((sum, file) => sum + file.size, 0);
-  if (all > MOST) throw new Error(`the files have ${Math.ceil(all / 1e6)} MB, and may have ${MOST >> 20}`);
+  if (all > MOST) throw new Error(`the files have ${Math.ceil(all / 1e6)} MB; the limit is ${MOST >> 20} MB`);
   const key = await socket.call("upload");
   let sent = 0;
   for (const file of files) {
@@ -21,7 +21,7 @@ export async function upload(socket, files, told) {
   return key;
 }
 
-/** Bring a file down and have the browser keep it; `found`: {key, file, size} of the console. */
+/** Download a file and let the browser save it; `found`: {key, file, size} of the console. */
 export async function download(socket, { key, file, size }) {
   const parts = [];
   for (let at = 0; at < size;) {

@@ -12,7 +12,7 @@ for (const bits of [8, 16, 32, 64]) {
 }
 let lists = 0; // of constants, for their ids
 
-/** What is wrong with a field, in words; `input` is where. */
+/** An invalid field; `input` is its element. */
 class FieldError extends Error {
   constructor(input, text) {
     super(text);
@@ -21,8 +21,8 @@ class FieldError extends Error {
 }
 
 /**
- * A form: {element, read()}. `definition` as the console gives it; `read` returns the message, or null once it has
- * said what is wrong, and where.
+ * A form: {element, read()}. `definition` is the console's; `read` returns the message, or null after showing the
+ * invalid field.
  */
 export function messageForm(definition) {
   const body = structure(definition, definition.root, "");
@@ -50,7 +50,7 @@ function structure(definition, name, path) {
   const { fields, constants } = definition.types[name];
   const parts = fields.map((field) => [field.name, editor(definition, field, constants, path ? `${path}.${field.name}` : field.name)]);
   const element = el("div", { class: "structure" }, ...parts.map(([, part]) => part.element));
-  if (!parts.length) element.append(el("p", { class: "empty", text: "It has no fields." }));
+  if (!parts.length) element.append(el("p", { class: "empty", text: "No fields." }));
   return { element, read: () => Object.fromEntries(parts.map(([key, part]) => [key, part.read()])) };
 }
 
@@ -86,7 +86,7 @@ function one(field, constants, path) {
   return { element, read: () => parsed(field, input.value, input, path) };
 }
 
-/** The constants that a field may mean: those with its name in theirs, else all of its type. */
+/** The constants for a field: those whose names contain its name, else all of its type. */
 function constantList(field, constants) {
   const same = constants.filter(({ base }) => base === field.base);
   const named = same.filter(({ name }) => name.toLowerCase().includes(field.name.toLowerCase()));
@@ -98,7 +98,7 @@ function constantList(field, constants) {
 function values(field, path) {
   const text = field.base.includes("string");
   const begin = field.default ?? (field.shape === "array" ? Array(field.length).fill(text ? "" : field.base === "bool" ? false : 0) : []);
-  const how = text ? "one a line" : "separated by commas";
+  const how = text ? "one per line" : "separated by commas";
   const input = text ? el("textarea", { rows: "3", spellcheck: "false", placeholder: how }) : el("input", { type: "text", autocomplete: "off", placeholder: how });
   input.value = begin.join(text ? "\n" : ", ");
   const split = () => (input.value === "" && field.shape !== "array" ? [] : input.value.split(text ? "\n" : /[\s,;]+/));
@@ -112,7 +112,7 @@ function values(field, path) {
   };
 }
 
-/** An array of structures: each can be added and taken away. */
+/** An array of structures, which can be added and removed. */
 function several(definition, field, path) {
   const fixed = field.shape === "array";
   const items = [];
@@ -124,7 +124,7 @@ function several(definition, field, path) {
     if (!fixed) row.append(button("×", () => {
       items.splice(items.indexOf(part), 1);
       row.remove();
-    }, { class: "close", "aria-label": `Take this one from ${field.name}` }));
+    }, { class: "close", "aria-label": `Remove one from ${field.name}` }));
     items.push(part);
     list.append(row);
   };
@@ -151,7 +151,7 @@ function parsed({ base, bound }, text, input, path) {
     return text;
   }
   if (base === "bool") {
-    if (!/^(true|false|0|1)$/i.test(text)) throw new FieldError(input, `${path} is true or false, not “${text}”.`);
+    if (!/^(true|false|0|1)$/i.test(text)) throw new FieldError(input, `${path} must be true or false, not “${text}”.`);
     return /^(true|1)$/i.test(text);
   }
   const word = text.trim().toLowerCase();
@@ -163,14 +163,14 @@ function parsed({ base, bound }, text, input, path) {
     return value;
   }
   const [least, most] = WHOLE[base] ?? [-Infinity, Infinity];
-  if (!Number.isInteger(value) || value < least || value > most) throw new FieldError(input, `${path} is a whole number from ${least} to ${most} (${base}), not “${text}”.`);
-  if (!Number.isSafeInteger(value)) throw new FieldError(input, `${path}: a page says whole numbers up to ${Number.MAX_SAFE_INTEGER} exactly; send “${text}” with 'midspan topic pub'.`);
+  if (!Number.isInteger(value) || value < least || value > most) throw new FieldError(input, `${path} must be an integer from ${least} to ${most} (${base}), not “${text}”.`);
+  if (!Number.isSafeInteger(value)) throw new FieldError(input, `${path}: the browser represents integers exactly only up to ${Number.MAX_SAFE_INTEGER}; send “${text}” with 'midspan topic pub'.`);
   return value;
 }
 
 /**
- * A block that sends what its form says, once a press: {element, open(definition), close()}.
- * `label` names the button, `send(message)` does it and may fail in words.
+ * A block that sends its form's content on each press: {element, open(definition), close()}.
+ * `label` names the button, `send(message)` sends and may reject with an Error.
  */
 export function sendBlock(label, send) {
   const fields = el("div");
@@ -216,7 +216,7 @@ export function sendBlock(label, send) {
   };
 }
 
-/** A button that opens and closes a form whose definition is asked for: {element, close()}. */
+/** A button that opens and closes a form, after requesting its definition: {element, close()}. */
 export function opener(label, socket, block, ask, failed) {
   let wanted = 0;
   const element = button(undefined, async () => {

@@ -1,10 +1,10 @@
-// Numbers as people read them, of one width where they change.
+// Formats numbers for people, with constant width.
 
 const NONE = "–";
 
 const known = (value) => typeof value === "number" && Number.isFinite(value);
 
-/** Metres. */
+/** Meters. */
 export const metres = (value, digits = 2) => (known(value) ? `${value.toFixed(digits)} m` : NONE);
 
 /** An angle in degrees, -180 to 180. */
@@ -17,13 +17,13 @@ export function degrees(radians) {
 /** An angle within -pi to pi. */
 export const wrapped = (radians) => Math.atan2(Math.sin(radians), Math.cos(radians));
 
-/** A position in words. */
+/** A position as text. */
 export const position = (x, y) => `${x.toFixed(2)}, ${y.toFixed(2)}`;
 
-/** How often a second. */
+/** A rate in Hz. */
 export const rate = (value) => (known(value) ? `${value.toFixed(value < 100 ? 1 : 0)} Hz` : NONE);
 
-/** Bytes, each second or at all. */
+/** A number of bytes. */
 export function bytes(value) {
   if (!known(value)) return NONE;
   for (const [unit, size] of [["GB", 1e9], ["MB", 1e6], ["kB", 1e3]]) {
@@ -39,7 +39,7 @@ export function seconds(value) {
   return value < 100 ? `${value.toFixed(1)} s` : `${Math.round(value)} s`;
 }
 
-/** The time of day, of seconds since 1970. */
+/** The time of day, from seconds since 1970. */
 export function clock(value) {
   const date = new Date(value * 1000);
   const two = (part) => String(part).padStart(2, "0");
@@ -52,7 +52,7 @@ export const percent = (value) => (known(value) ? `${Math.round(value * 100)} %`
 /** A count. */
 export const count = (value) => (known(value) ? String(value) : NONE);
 
-/** Any number of a message, with as many digits as tell. */
+/** Any number of a message, with its significant digits. */
 export function number(value) {
   if (!known(value)) return String(value);
   if (Number.isInteger(value)) return String(value);

@@ -1,10 +1,10 @@
-// Where one frame is in another now.
+// The current pose of one frame in another.
 
 import { button, el, mark, write } from "./dom.js";
 import { metres, seconds } from "./format.js";
 
 const FIGURES = ["x", "y", "z", "roll", "pitch", "yaw"];
-const FIRST = [["map", "odom"], ["base_link", "base_footprint"]]; // that are chosen at first, where they are there
+const FIRST = [["map", "odom"], ["base_link", "base_footprint"]]; // chosen initially, if they exist
 
 /** {element, show(), hide(), offer(names)}: two frames are chosen, their pose follows. */
 export function framePose(socket) {
@@ -24,7 +24,7 @@ export function framePose(socket) {
       }, { "aria-label": "Swap the two frames" }), age),
     list, why);
   let [names, watched, end, shown] = ["", "", () => {}, false];
-  const picked = new Set(); // selects that somebody has chosen in; until then frames that are heard later may be better
+  const picked = new Set(); // selects that the operator has changed; the others may still switch to better frames
   for (const select of [frame, reference]) select.addEventListener("change", () => picked.add(select));
 
   function follow() {
@@ -37,7 +37,7 @@ export function framePose(socket) {
 
   function draw(value, reason) {
     mark(list, "hidden", value ? null : "");
-    write(why, value ? "" : reason || "Waiting for the frames.");
+    write(why, value ? "" : reason || "Waiting for transforms.");
     write(age, value ? (value.age === null ? "static" : `${seconds(value.age)} ago`) : "");
     if (!value) return;
     const { position, angles } = value;
@@ -53,7 +53,7 @@ export function framePose(socket) {
       names = sorted.join("\n");
       for (const [select, first] of [[reference, FIRST[0]], [frame, FIRST[1]]]) {
         const old = select.value;
-        const gone = old && !sorted.includes(old) ? [old] : []; // it may come back
+        const gone = old && !sorted.includes(old) ? [old] : []; // it may return
         select.replaceChildren(...[...sorted, ...gone].map((name) => el("option", { value: name, text: name })));
         select.value = (picked.has(select) && old) || first.find((name) => sorted.includes(name)) || old || sorted[0] || "";
       }

@@ -1,11 +1,11 @@
-// The view Frames: the tree of /tf with the age of each frame, and where one frame is in another.
+// The view Frames: the tree of /tf with the age of each frame, and the pose of one frame in another.
 
 import { el, mark, rows, write } from "./dom.js";
 import { rate, seconds } from "./format.js";
 import { framePose } from "./framepose.js";
 import { searchField } from "./table.js";
 
-const OLD = 2; // seconds after which a frame that moves is shown as old
+const OLD = 2; // seconds after which a moving frame is shown as outdated
 
 /** Builds the view. */
 export function framesView(root, socket) {
@@ -50,14 +50,14 @@ export function framesView(root, socket) {
   };
 }
 
-/** The frames, each below its parent: [{frame, depth}]. Rings, which no tree has, come last as roots. */
+/** The frames, each below its parent: [{frame, depth}]. Loops, which are invalid, come last as roots. */
 export function ordered(frames) {
   const children = new Map();
   const names = new Set(frames.map(({ name }) => name));
   const known = [...frames];
   for (const { parent } of frames) {
     if (!parent || names.has(parent)) continue;
-    names.add(parent); // a root is the parent of others, and no frame of its own
+    names.add(parent); // a root is a parent, but has no transform itself
     known.push({ name: parent, parent: null, age: undefined, rate: null });
   }
   for (const frame of known) {
@@ -96,7 +96,7 @@ function fill({ parts }, { frame, depth }) {
   parts.cell.style.setProperty("--depth", Math.min(depth, 12));
   const several = frame.parents?.length > 1;
   write(parts.parent, frame.parent ? `, below ${frame.parent}` : "");
-  write(parts.quarrel, several ? `Several say where it is: below ${frame.parents.join(", and below ")}` : "");
+  write(parts.quarrel, several ? `Conflicting parents: ${frame.parents.join(", ")}` : "");
   write(parts.age, frame.age === undefined ? "" : frame.age === null ? "static" : seconds(frame.age));
   write(parts.often, frame.age === null || frame.age === undefined ? "" : rate(frame.rate));
   mark(parts.age, "data-mood", frame.age > OLD ? "bad" : frame.age === null ? "quiet" : "calm");

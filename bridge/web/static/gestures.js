@@ -1,10 +1,10 @@
-// Fingers, mouse, wheel on a canvas, as the map understands them.
+// Translates touch, mouse and wheel on a canvas into gestures on the map.
 
 const STILL = 6; // px that a tap may move
 const LINE = 33; // px of a wheel's line
 
 /**
- * Tell `target` what fingers do, in CSS pixels of the canvas:
+ * Call `target`'s methods for gestures, in CSS pixels of the canvas:
  * `aims()` whether a press sets a heading; `pan(dx, dy)`, `zoom(factor, x, y)`, `tap(x, y)`,
  * `press(x, y)`, `aim(x, y)`, `let(x, y, far)`, `forget()`.
  */
@@ -30,7 +30,7 @@ export function gestures(canvas, target) {
       aiming = target.aims();
       if (aiming) target.press(at.x, at.y);
     } else {
-      if (aiming) target.forget(); // a second finger means zoom
+      if (aiming) target.forget(); // a second finger starts a zoom
       aiming = false;
       moved = true;
     }

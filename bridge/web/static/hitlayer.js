@@ -1,4 +1,4 @@
-// Where a robot would touch something: a layer's blocked cells, as a tint, with the heights of what is hit.
+// A layer's blocked cells, where a robot would collide, as a tint with the obstacles' heights.
 
 import { metres } from "./format.js";
 import { toCells } from "./viewport.js";
@@ -6,23 +6,23 @@ import { toCells } from "./viewport.js";
 const TINT = 0.45;
 const SHIFT = 0x100000; // more columns than a layer has
 
-/** What is hit at a cell, in words; "" for no cell. */
+/** The obstacle at a cell as text; "" without a cell. */
 export function heightWords(cell) {
   if (!cell) return "";
-  return cell.height === null ? "a drop, or of unknown height" : `hit at ${metres(cell.height)}`;
+  return cell.height === null ? "a drop, or unknown height" : `hit at ${metres(cell.height)}`;
 }
 
-/** The feed `layer`, drawn on a canvas of its own once, and looked up by place. */
+/** The feed `layer`, drawn once on a separate canvas, with lookup by position. */
 export class HitLayer {
   constructor() {
     this.take(null);
   }
 
-  /** Take the feed's value, or null. */
+  /** Set the feed's value, or null. */
   take(value) {
     this.value = value;
     this.heights = new Map(); // row and column -> height
-    this.image = null; // made when it is drawn
+    this.image = null; // created on first drawing
     if (!value) return;
     const [rows, lefts, rights] = [[], [], []];
     for (const [row, column, ...heights] of value.runs) {
@@ -36,7 +36,7 @@ export class HitLayer {
     this.box = { top: most(rows), low: least(rows), left: least(lefts), right: most(rights) };
   }
 
-  /** The cell at a place of the map: {row, column, height}; null where nothing is hit. */
+  /** The cell at a place of the map: {row, column, height}; null without an obstacle. */
   at(x, y) {
     if (!this.value) return null;
     const { origin, size } = this.value;
@@ -47,7 +47,7 @@ export class HitLayer {
     return height === undefined ? null : { row, column, height };
   }
 
-  /** Tint the cells; it leaves the context's transform at theirs. */
+  /** Tint the cells; leaves the context with their transform. */
   draw(context, view, ratio, colour) {
     if (!this.heights.size) return;
     const { low, left } = this.box;

@@ -1,10 +1,10 @@
-// Driving by hand: the console is told a velocity again and again while a finger is down, and never without.
+// Manual driving: the page repeats a velocity while a finger is down, and never otherwise.
 
 const AGAIN = 100; // ms, well within the console's hold_seconds
 
-/** One hold at a time. It ends with the finger, the focus, the sight of the page, the line, and with STOP. */
+/** One hold at a time. It ends on release, lost focus, a hidden page, a lost connection, and STOP. */
 export class Hold {
-  /** `ended`: called when it ends for whatever reason. */
+  /** `ended`: called when the hold ends, for any reason. */
   constructor(socket, ended) {
     this.socket = socket;
     this.ended = ended;
@@ -21,7 +21,7 @@ export class Hold {
     return this.socket.mayDrive && document.visibilityState === "visible" && document.hasFocus();
   }
 
-  /** Begin to drive, or drive otherwise from now on; returns whether it may. */
+  /** Start to drive, or change the velocity; returns whether driving is allowed. */
   drive(x, y, turn) {
     if (!this.allowed()) {
       this.end();
@@ -41,7 +41,7 @@ export class Hold {
     else this.end();
   }
 
-  /** Let go at once. */
+  /** Release immediately. */
   end() {
     if (this.velocity === null) return;
     this.velocity = null;

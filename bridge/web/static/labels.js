@@ -1,12 +1,12 @@
-// Names on the map that do not cover each other: who comes first has the room.
+// Names on the map without overlaps: earlier names take precedence.
 
 const FONT = "13px system-ui, sans-serif";
 const HIGH = 16; // px of a line
 const LONGEST = 24; // letters of a name
 
-/** The names of one drawing. */
+/** The names in one drawing. */
 export class Labels {
-  /** `width`: pixels of the window, which no name leaves at its sides. */
+  /** `width`: of the window in pixels; names stay within it. */
   constructor(context, width, colour) {
     this.context = context;
     this.width = width;
@@ -14,7 +14,7 @@ export class Labels {
     this.taken = []; // boxes [left, top, right, bottom]
   }
 
-  /** Write a name at the first of `spots` ([x, y, align]) that is free; where none is, not at all. */
+  /** Write a name at the first free one of `spots` ([x, y, align]), or not at all. */
   put(name, spots, ink, most = Infinity) {
     const { context, colour } = this;
     const text = name.length > LONGEST ? `${name.slice(0, LONGEST)}…` : name;

@@ -46,7 +46,7 @@ function remembered() {
     const found = JSON.parse(localStorage.getItem(KEY) ?? "[]");
     return Array.isArray(found) ? found : [];
   } catch {
-    return []; // storage is forbidden or holds something else
+    return []; // storage is forbidden or has invalid content
   }
 }
 
@@ -54,6 +54,6 @@ function remember(off) {
   try {
     localStorage.setItem(KEY, JSON.stringify([...off]));
   } catch {
-    return; // then it lasts as long as the page
+    return; // then the choice lasts as long as the page
   }
 }

@@ -1,16 +1,16 @@
-// The log of the daemon and its workers, live: filtered by the console, so that nothing is lost on the way here.
+// The live log of the daemon and its workers, filtered by the console, so that no matching line is missed.
 
 import { button, el, mark, write } from "./dom.js";
 import { clock } from "./format.js";
 import { searchField } from "./table.js";
 
 const MOST = 1000; // lines that stay
-const PATIENCE = 250; // ms without a key until a search begins
-const LEVELS = [["debug", "All levels"], ["info", "Info and worse"], ["warning", "Warnings and errors"], ["error", "Errors"]];
+const PATIENCE = 250; // ms without a key press until the search starts
+const LEVELS = [["debug", "All levels"], ["info", "Info and above"], ["warning", "Warnings and errors"], ["error", "Errors"]];
 
 /** Builds the part: {element, show(), hide()}. */
 export function logPart(socket) {
-  const list = el("ol", { class: "log", tabindex: "0", "aria-label": "Lines of the log", on: { scroll: scrolled } });
+  const list = el("ol", { class: "log", tabindex: "0", "aria-label": "Log lines", on: { scroll: scrolled } });
   const empty = el("p", { class: "empty" });
   const newer = button("Newest ↓", () => follow(true), { class: "newest" });
   const level = el("select", { "aria-label": "Level", on: { change: anew } },
@@ -52,7 +52,7 @@ export function logPart(socket) {
     last = wanted = Math.max(newest, 0);
     list.append(...lines.map(row));
     while (list.childElementCount > MOST) list.firstElementChild.remove();
-    write(empty, list.childElementCount ? "" : "Nothing of this is in the log.");
+    write(empty, list.childElementCount ? "" : "No matching lines.");
     if (bound) follow(true);
   }
 
@@ -87,7 +87,7 @@ export function logPart(socket) {
       end = socket.watch("log", (value, why) => {
         if (value === null) return write(empty, why || "Waiting for the log.");
         offer(value.workers);
-        if (value.last < last) return anew(); // another daemon
+        if (value.last < last) return anew(); // the daemon was restarted
         wanted = value.last;
         if (wanted > last || !list.childElementCount) read();
       });

@@ -1,4 +1,4 @@
-// The page that asks for a token, and ends a login. It leaves a cookie that no script can read, and goes to the console.
+// The login page: asks for a token, and logs out. It sets a cookie that scripts cannot read, and opens the console.
 
 const byId = (id) => document.getElementById(id);
 
@@ -11,7 +11,7 @@ async function login(token) {
   if (!answer.ok) throw new Error((await answer.text()).trim());
 }
 
-/** Who has logged in already may go out, or in as somebody else. */
+/** A client that is logged in may log out, or log in with another token. */
 async function known() {
   const answer = await fetch("whoami", { cache: "no-store" }).catch(() => null);
   byId("known").hidden = !answer?.ok;
@@ -32,7 +32,7 @@ byId("form").addEventListener("submit", async (event) => {
     await login(byId("token").value.trim());
     location.replace("./");
   } catch (error) {
-    const why = error instanceof TypeError ? "the console does not answer" : error.message;
+    const why = error instanceof TypeError ? "the console does not respond" : error.message;
     byId("why").textContent = `Not logged in: ${why}.`;
     go.disabled = false;
     byId("token").select();

@@ -1,4 +1,4 @@
-// The map: what is on it, what moves on it, and what fingers do to it.
+// The map: its content, moving objects, and gestures.
 
 import { button, el, icon, mark, write } from "./dom.js";
 import { degrees, position } from "./format.js";
@@ -12,13 +12,13 @@ import * as scene from "./scene.js";
 import { Trail } from "./trail.js";
 import { Viewport } from "./viewport.js";
 
-const NEAR = 18; // px to a place that a tap means
-const NARROW = 560; // px: then the tools go right across, as in drive.css
+const NEAR = 18; // px from a tap to a place that it selects
+const NARROW = 560; // px: below it the tools span the width, as in drive.css
 const ROOM = { top: 12, right: 68, bottom: 68, left: 12 }; // what the controls cover
 const NARROW_ROOM = { top: 64, right: 6, bottom: 108, left: 6 };
-const LOW = 360; // px of height: then the map goes below the controls
+const LOW = 360; // px of height: below it the map extends below the controls
 const LOW_ROOM = { top: 6, right: 6, bottom: 6, left: 6 };
-const AIMED = 14; // px that a finger must go to set a heading
+const AIMED = 14; // px that a finger must move to set a heading
 
 /**
  * The map in a block of the page.
@@ -35,14 +35,14 @@ export class MapBlock {
     this.menu = menu;
     this.view = new Viewport();
     this.values = {}; // newest value of each feed
-    this.watches = {}; // feed -> what ends it
+    this.watches = {}; // feed -> function that ends it
     this.follows = false;
-    this.placed = false; // whether the window was set to a map or a robot once
+    this.placed = false; // whether the window was fitted to a map or a robot
     this.tool = null;
-    this.aim = null; // {x, y, theta}: the press that goes on
-    this.editor = null; // what has the fingers instead: see `edit`
+    this.aim = null; // {x, y, theta}: the current press
+    this.editor = null; // receives the gestures instead: see `edit`
     this.measured = [];
-    this.point = null; // what the menu that is open speaks of
+    this.point = null; // the point of the open menu
     this.dirty = false;
     this.frame = 0;
     this.shown = false;
@@ -60,13 +60,13 @@ export class MapBlock {
   build() {
     this.canvas = el("canvas", {
       tabindex: "0", role: "application", "aria-roledescription": "map",
-      "aria-label": "Map. Arrow keys move it, plus and minus zoom, F follows the robot, Enter opens the menu at the middle; with a tool or while the map is edited it does there what a press does.",
+      "aria-label": "Map. Arrow keys pan, plus and minus zoom, F follows the robot, Enter opens the menu at the center. With a tool or in edit mode, Enter acts as a press at the center.",
       on: { keydown: (event) => this.key(event) },
     });
     this.context = this.canvas.getContext("2d", { alpha: false });
     this.hint = el("p", { class: "hint", role: "status" });
     this.height = el("p", { class: "height", hidden: true });
-    this.pose = el("p", { class: "pose", title: "Where the robot is: x, y in metres, heading" });
+    this.pose = el("p", { class: "pose", title: "Robot pose: x, y in meters, heading" });
     this.toolButtons = Object.entries(this.tools).map(([name, tool]) =>
       el("button", { type: "button", class: tool.drives ? "drives" : "", "aria-pressed": "false", title: tool.label,
         on: { click: () => (tool.open ? tool.open() : this.choose(this.tool === name ? null : name)) } }, icon(tool.icon), el("span", { text: tool.label })));
@@ -138,7 +138,7 @@ export class MapBlock {
 
   robotMoved(robot, why) {
     const pose = robot?.pose;
-    write(this.pose, pose ? `${position(pose.x, pose.y)}  ${degrees(pose.theta)}` : why || "Where the robot is, is not known.");
+    write(this.pose, pose ? `${position(pose.x, pose.y)}  ${degrees(pose.theta)}` : why || "The robot's pose is unknown.");
     mark(this.pose, "data-why", pose ? null : "1");
     if (this.follows && pose) Object.assign(this.view, { x: pose.x, y: pose.y });
   }
@@ -146,7 +146,7 @@ export class MapBlock {
   mapChanged(map, why) {
     if (map && this.mapName !== map.name && (this.mapName !== undefined || !this.moved)) this.placed = false;
     if (map) this.mapName = map.name;
-    this.noMap = map ? "" : why || "There is no map.";
+    this.noMap = map ? "" : why || "No map.";
     this.images.show(this.values.map, this.layers.on("flags"), this.dark.matches);
     this.showHint();
   }
@@ -195,7 +195,7 @@ export class MapBlock {
     this.redraw();
   }
 
-  /** Bring a place into the middle. */
+  /** Center the window on a place. */
   look(x, y) {
     this.follow(false);
     this.moved = this.placed = true;
@@ -217,13 +217,13 @@ export class MapBlock {
     this.redraw();
   }
 
-  /** The pointer is at a pixel, or away: the height of what is hit there is written beside it. */
+  /** Set the pointer's pixel, or null: the obstacle's height is shown next to it. */
   pointed(pixel) {
     this.pointer = pixel;
     if (this.values.layer) this.redraw();
   }
 
-  /** What is hit at a place, in words; "" where nothing is. */
+  /** The obstacle at a place as text; "" without one. */
   hitAt(x, y) {
     return heightWords(this.hits.at(x, y));
   }
@@ -258,8 +258,8 @@ export class MapBlock {
   }
 
   /**
-   * Let an editor have the fingers: {press(px, py), move(px, py), let(px, py, far), forget(), key(event) -> whether it
-   * was meant, draw(context, view, colour), hint}; null: no more.
+   * Pass gestures to an editor: {press(px, py), move(px, py), let(px, py, far), forget(), key(event) -> whether it
+   * was handled, draw(context, view, colour), hint}; null: stop.
    */
   edit(editor) {
     this.choose(null);
@@ -316,7 +316,7 @@ export class MapBlock {
     this.menu({ x, y }, place?.[0] ?? null, this.view.to(x, y), this.shapeAt(x, y));
   }
 
-  /** The area that a place is in, or the path that it is on: {kind, name}; null where there is none. */
+  /** The area that contains a place, or the path below it: {kind, name}; null without one. */
   shapeAt(x, y) {
     const { areas, paths } = this.named(this.values);
     const [path] = paths.find(([, { points }]) => scene.farFrom(points, x, y) * this.view.scale < NEAR / 2) ?? [];
@@ -341,7 +341,7 @@ export class MapBlock {
     actions[event.key]();
   }
 
-  /** Enter at the middle does what a press there does; for a measure it sets one end and then the other. */
+  /** Enter acts as a press at the center; for a measurement it sets one end and then the other. */
   enter(px, py) {
     const [x, y] = this.view.toMap(px, py);
     if (this.tool === "measure") this.measured = this.measured.length === 1 ? [this.measured[0], { x, y }] : [{ x, y }];
@@ -358,7 +358,7 @@ export class MapBlock {
     this.dirty = true;
     this.frame ||= requestAnimationFrame(() => {
       this.frame = 0;
-      if (this.dirty) this.draw(); // unless it was drawn with new values meanwhile
+      if (this.dirty) this.draw(); // unless it was already drawn with new values
     });
   }
 
@@ -397,7 +397,7 @@ export class MapBlock {
     scene.drawScale(context, view, colour, view.width < NARROW ? 76 : 16);
   }
 
-  /** What has a name on the map in use, as far as its layer is on. */
+  /** Named objects on the current map whose layer is on. */
   named({ places, map }) {
     const here = (named, layer) => (this.layers.on(layer) ? Object.entries(named ?? {}) : [])
       .filter(([, each]) => !map || each.map === map.name);

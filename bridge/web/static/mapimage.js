@@ -1,4 +1,4 @@
-// The image of a map in several sizes, so that panning a large one costs what the window shows and no more.
+// The image of a map in several sizes, so that the cost of panning depends only on the window.
 
 const SMALLEST = 512; // an image is halved until no side is longer
 
@@ -14,12 +14,12 @@ export class MapImage {
     this.tiles = new Map(); // where -> the address of what is drawn there, or on its way; null: nothing
   }
 
-  /** Whether tiles of this map, in these colours, belong into it. */
+  /** Whether it is the image of this map in these colors. */
   fits({ name, width, height }, dark) {
     return this.name === name && this.width === width && this.height === height && this.dark === dark;
   }
 
-  /** Fetch the tiles that changed; `drawn` is called after each. Rejects with an Error in words. */
+  /** Fetch the changed tiles; `drawn` is called after each. Rejects with an Error. */
   async update({ size, tiles }, drawn) {
     const all = tiles.flatMap((row, y) => row.map((address, x) => this.tile(address, x * size, y * size, size, drawn)));
     await Promise.all(all);
@@ -60,7 +60,7 @@ export class MapImage {
     }
   }
 
-  /** Let its memory go. */
+  /** Release its memory. */
   close() {
     for (const level of this.levels) level.width = level.height = 0;
     this.levels = [];
@@ -91,7 +91,7 @@ export class MapImage {
 
 async function fetched(address) {
   const reply = await fetch(address);
-  if (!reply.ok) throw new Error(`a part of the map did not come (${reply.status})`);
+  if (!reply.ok) throw new Error(`cannot load a part of the map (${reply.status})`);
   return createImageBitmap(await reply.blob());
 }
 

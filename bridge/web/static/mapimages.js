@@ -1,10 +1,10 @@
-// The images of the map in use: its occupancy, and its flags over it.
+// The images of the current map: its occupancy, with its flags on top.
 
 import { MapImage } from "./mapimage.js";
 import { say } from "./say.js";
 import { toCells } from "./viewport.js";
 
-/** Loads what changed of them; a map's image stays in sight until that of another map is there. `loaded`: draw now. */
+/** Loads changed tiles; a map's image stays visible until another map's is loaded. `loaded`: draw now. */
 export class MapImages {
   constructor(loaded) {
     this.loaded = loaded;

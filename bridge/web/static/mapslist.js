@@ -5,13 +5,13 @@ import { download, upload } from "./files.js";
 import { LONGEST_NAME } from "./names.js";
 import { ask, question, say } from "./say.js";
 
-/** The block "Maps"; `take(value, why)` is given the feed. */
+/** The block "Maps"; `take(value, why)` receives the feed. */
 export function mapsBlock(socket) {
   const list = el("ul", { class: "maps" });
   const empty = el("p", { class: "empty" });
   const picker = el("input", { type: "file", multiple: true, hidden: true, "aria-label": "Files of a map",
     accept: ".zip,.map,.yaml,.yml,.pgm,.ppm,.png,.bmp,.ini", on: { change: () => come() } });
-  const bring = button("Import …", () => picker.click(), { class: "drives", title: "A map of ROS (YAML and image) or of YARP (.map and what it names), also as a zip" });
+  const bring = button("Import …", () => picker.click(), { class: "drives", title: "A ROS map (YAML and image) or a YARP map (.map and its files), also as a zip" });
 
   async function come() {
     const files = [...picker.files];
@@ -28,7 +28,7 @@ export function mapsBlock(socket) {
     rows(list, known, (name) => name, (name) => row(socket, name), (item, name) => {
       const current = name === maps.current;
       mark(item.firstChild, "aria-pressed", String(current));
-      mark(item.firstChild, "title", current ? "In use" : "Use this map");
+      mark(item.firstChild, "title", current ? "Current map" : "Use this map");
       for (const each of item.querySelectorAll(".changes")) mark(each, "disabled", socket.mayDrive ? null : "");
     });
   }
@@ -51,14 +51,14 @@ function row(socket, name) {
 }
 
 async function use(socket, name) {
-  const sure = await question(`Use the map ${name}?`, {}, "Use it", { text: "Planner and localiser work on this map from then on." });
-  if (sure) await ask(socket, `Use the map ${name}`, "use_map", { name }, `The map is ${name} now.`);
+  const sure = await question(`Use the map ${name}?`, {}, "Use it", { text: "Planner and localizer will use this map." });
+  if (sure) await ask(socket, `Use the map ${name}`, "use_map", { name }, `Current map: ${name}.`);
 }
 
 async function rename(socket, name) {
   const answer = await question(`Rename the map ${name}`, { to: { label: "New name", value: name, maxlength: LONGEST_NAME } }, "Rename",
-    { text: "Its places, areas and paths go along." });
-  if (answer && answer.to !== name) await ask(socket, `Rename ${name}`, "rename_map", { name, to: answer.to }, `${name} is called ${answer.to} now.`);
+    { text: "Its places, areas and paths stay on it." });
+  if (answer && answer.to !== name) await ask(socket, `Rename ${name}`, "rename_map", { name, to: answer.to }, `Renamed ${name} to ${answer.to}.`);
 }
 
 async function go(socket, name) {
@@ -85,7 +85,7 @@ async function importMaps(socket, files) {
       done = await socket.call("import_map", { key, ...wish });
     }
     if (done.done) say(`Imported ${done.maps.length ? done.maps.join(", ") : "the places"}.`);
-    else say(`Import failed: ${names(done.taken)} is there already.`, { bad: true });
+    else say(`Import failed: ${names(done.taken)} exists already.`, { bad: true });
   } catch (error) {
     say(`Import failed: ${error.message}`, { bad: true });
   }
@@ -94,11 +94,11 @@ async function importMaps(socket, files) {
 
 const names = (taken) => taken.slice(0, 5).map(([kind, name]) => `the ${kind} ${name}`).join(", ") + (taken.length > 5 ? " …" : "");
 
-/** What to do where names are taken: another name for a single map, or replace; null: leave. */
+/** Ask what to do if names are in use: another name for a single map, or replace; null: cancel. */
 async function replacing({ maps, taken }) {
   const one = maps.length === 1 && taken.length === 1 && taken[0][0] === "map";
   const fields = one ? { name: { label: "Import it as", value: maps[0], maxlength: LONGEST_NAME } } : {};
-  const answer = await question("Replace what is there?", fields, "Import", { text: `There is ${names(taken)}${one ? "; the same name replaces it." : "."}`, danger: true });
+  const answer = await question("Replace existing values?", fields, "Import", { text: `Already stored: ${names(taken)}${one ? ". Importing under the same name replaces it." : "."}`, danger: true });
   if (!answer) return null;
   return one && answer.name !== maps[0] ? { name: answer.name } : { replace: true };
 }

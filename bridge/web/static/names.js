@@ -1,4 +1,4 @@
-// Names in the store: asked for, changed, deleted. `kind`: `location`, `area` or `path`.
+// Names in the store: save, rename, delete. `kind`: `location`, `area` or `path`.
 
 import { ask, question } from "./say.js";
 
@@ -7,37 +7,37 @@ export const LONGEST_NAME = 64;
 const WORDS = { location: "place", area: "area", path: "path" };
 const FEED = { location: "locations", area: "areas", path: "paths" };
 const AFTER = {
-  location: "Nobody can be sent there by name any more.",
-  area: "What it asks of robots no longer holds.",
-  path: "Nobody can follow it by name any more.",
+  location: "It can no longer be a goal by name.",
+  area: "Its rules for robots are deleted, too.",
+  path: "It can no longer be followed by name.",
 };
 
-/** Whether `places` (the feed's value, if it is known) has a name. */
+/** Whether `places` (the feed's value, if known) has a name. */
 const has = (places, kind, name) => Object.hasOwn(places?.[FEED[kind]] ?? {}, name);
 
 /**
- * Keep something under a name; `places` tells which names are taken: the operator decides whether it takes the place of one.
- * Resolves to whether it is kept.
+ * Save something under a name; if the name is in use in `places`, the operator decides whether to replace it.
+ * Resolves to whether it was saved.
  */
 export async function keep(socket, places, kind, verb, args, done) {
   const { name } = args;
   let replace = false;
   if (has(places, kind, name)) {
-    replace = Boolean(await question(`Replace ${name}?`, {}, "Replace", { text: `There is a ${WORDS[kind]} of this name.`, danger: true }));
+    replace = Boolean(await question(`Replace ${name}?`, {}, "Replace", { text: `Another ${WORDS[kind]} has this name.`, danger: true }));
     if (!replace) return false;
   }
-  return ask(socket, `Keep ${name}`, verb, replace ? { ...args, replace } : args, done);
+  return ask(socket, `Save ${name}`, verb, replace ? { ...args, replace } : args, done);
 }
 
-/** Give it another name. */
+/** Rename it. */
 export async function rename(socket, kind, name) {
   const answer = await question(`Rename ${name}`, { to: { label: "New name", value: name, maxlength: LONGEST_NAME } }, "Rename");
   if (answer && answer.to !== name) {
-    await ask(socket, `Rename ${name}`, "rename_place", { name, to: answer.to, kind }, `${name} is called ${answer.to} now.`);
+    await ask(socket, `Rename ${name}`, "rename_place", { name, to: answer.to, kind }, `Renamed ${name} to ${answer.to}.`);
   }
 }
 
-/** Delete it, once the operator is sure. */
+/** Delete it, after confirmation. */
 export async function remove(socket, kind, name) {
   const sure = await question(`Delete ${name}?`, {}, "Delete", { text: AFTER[kind], danger: true });
   if (sure) await ask(socket, `Delete ${name}`, "delete_place", { name, kind }, `Deleted ${name}.`);

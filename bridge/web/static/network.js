@@ -1,4 +1,4 @@
-// The daemons of the hub, their sides, and the machines at their doors, as a graph.
+// The hub's daemons, their sides, and the connected machines, as a graph.
 
 import { el, mark, svg } from "./dom.js";
 
@@ -20,7 +20,7 @@ export function networkGraph(own) {
 
   function draw() {
     const wide = Math.max(element.clientWidth, 200);
-    const broad = Math.min(WIDEST, (wide - GAP) / 2); // two beside each other at least: one below the other were a chain
+    const broad = Math.min(WIDEST, (wide - GAP) / 2); // at least two per row: a single column would look like a chain
     if (status === null || !element.clientWidth) return;
     const parts = partsOf(status, own());
     const now = JSON.stringify([wide, parts]);
@@ -51,7 +51,7 @@ export function networkGraph(own) {
   };
 }
 
-/** What is drawn: {own, sides, others}, each with {name, about, mood, kind}. */
+/** The graph: {own, sides, others}, each with {name, about, mood, kind}. */
 function partsOf({ workers, machines }, own) {
   const sidesOf = (daemon) => workers.filter((each) => each.daemon === daemon && each.side);
   const mood = (states) => (states.every((state) => GOOD.has(state)) ? "calm" : "held");
@@ -59,12 +59,12 @@ function partsOf({ workers, machines }, own) {
   const address = (name) => machines.find((each) => each.name === name)?.address ?? "";
   const strangers = machines.filter(({ name }) => !name || !daemons.includes(name));
   return {
-    own: { name: own ?? "this daemon", about: "the hub, here", mood: "calm", kind: "daemon" },
+    own: { name: own ?? "this daemon", about: "this hub", mood: "calm", kind: "daemon" },
     sides: sidesOf(own).map(({ side, state, text }) => ({ name: side, about: text && !GOOD.has(state) ? `${state}: ${text}` : state, mood: mood([state]), kind: "side" })),
     others: [
       ...daemons.map((name) => ({ name, about: [sidesOf(name).map(({ side }) => side).join(", "), address(name)].filter(Boolean).join(" · ") || "a daemon",
         mood: mood(workers.filter(({ daemon }) => daemon === name).map(({ state }) => state)), kind: "daemon" })),
-      ...strangers.map(({ name, address: at, trusted }) => ({ name: name || "no certificate", about: `${at ?? ""}${trusted ? "" : " · may not command"}`, mood: "calm", kind: "machine" })),
+      ...strangers.map(({ name, address: at, trusted }) => ({ name: name || "no certificate", about: `${at ?? ""}${trusted ? "" : " · watch only"}`, mood: "calm", kind: "machine" })),
     ],
   };
 }

@@ -6,27 +6,27 @@ import { parts, runsOf } from "./strokes.js";
 
 const FLAGS = [["Keep out", 1], ["Temporary obstacle", 2], ["Enlarged obstacle", 3], ["Wall", 4], ["Unknown", 5], ["Free", 0]];
 const BRUSHES = [["One cell", 0], ["10 cm", 0.1], ["25 cm", 0.25], ["50 cm", 0.5], ["1 m", 1], ["2 m", 2]];
-const MOST_RUNS = 2000; // of a call, as the console takes them
+const MOST_RUNS = 2000; // per call, the console's limit
 const MOST_CELLS = 200000;
 const MOST_STEPS = 100; // that can be undone
-const MOST_WAITING = 20; // strokes that the console has not yet taken
-const SHOWN = 3000; // ms that a stroke stays drawn beyond the console's answer: the map with it is on its way
+const MOST_WAITING = 20; // strokes that the console has not confirmed
+const SHOWN = 3000; // ms that a stroke stays drawn after the console's reply, until the new map arrives
 
 /** The editor of flags on a map; see `MapBlock.edit`. */
 export class PaintEditor {
   constructor(map, socket) {
     this.map = map;
     this.socket = socket;
-    this.stroke = null; // {points, radius, flag}: what the finger draws
-    this.strokes = new Set(); // those that are not yet part of the map
+    this.stroke = null; // {points, radius, flag}: the current stroke
+    this.strokes = new Set(); // strokes that are not yet in the map
     this.undos = []; // {map, runs}, the newest last
     this.redos = [];
-    this.work = Promise.resolve(); // one change after the other
+    this.work = Promise.resolve(); // changes run one after the other
     this.waiting = 0;
     this.flags = choice("Flag", FLAGS, 1);
     this.brushes = choice("Brush", BRUSHES, 0.25);
     this.flags.addEventListener("change", () => this.erase(false));
-    this.eraser = button("Erase", () => this.erase(this.eraser.getAttribute("aria-pressed") !== "true"), { "aria-pressed": "false", title: "Cells are again what the laser found" });
+    this.eraser = button("Erase", () => this.erase(this.eraser.getAttribute("aria-pressed") !== "true"), { "aria-pressed": "false", title: "Restore the flags from the occupancy" });
     this.undoButton = step("Undo", "Z", "M9 5L4 10l5 5M4 10h10a6 6 0 0 1 0 12h-3", () => this.step(this.undos, this.redos, "Undo"));
     this.redoButton = step("Redo", "Y", "M15 5l5 5-5 5M20 10H10a6 6 0 0 0 0 12h3", () => this.step(this.redos, this.undos, "Redo"));
     this.controls = [this.flags, this.eraser, this.brushes, this.undoButton, this.redoButton];
@@ -34,15 +34,15 @@ export class PaintEditor {
   }
 
   get hint() {
-    if (!this.map.layers.on("flags")) return "The layer Flags is off: what you paint is not shown.";
-    return this.map.values.map ? "" : "There is no map to paint on.";
+    if (!this.map.layers.on("flags")) return "The layer Flags is off: painted flags are not shown.";
+    return this.map.values.map ? "" : "No map to paint on.";
   }
 
   erase(on) {
     this.eraser.setAttribute("aria-pressed", String(on));
   }
 
-  /** The flag that is painted; null: what the occupancy says. */
+  /** The flag to paint; null: from the occupancy. */
   get flag() {
     return this.eraser.getAttribute("aria-pressed") === "true" ? null : Number(this.flags.value);
   }
@@ -53,7 +53,7 @@ export class PaintEditor {
     this.map.redraw();
   }
 
-  // -- fingers and keys
+  // -- gestures and keys
 
   press(px, py) {
     this.stroke = { points: [this.map.view.toMap(px, py)], radius: this.brushes.value / 2, flag: this.flag };
@@ -111,15 +111,15 @@ export class PaintEditor {
     });
   }
 
-  /** Take back the newest of `from`, so that it can be taken back again from `to`. */
+  /** Undo the newest of `from`, and add its inverse to `to`. */
   step(from, to, word) {
     const newest = from.pop();
     if (!newest) return;
-    this.strokes.clear(); // the map shows what there is now
+    this.strokes.clear(); // the map shows the current state
     this.changed();
     this.change(newest.map, newest.runs, word).then((undo) => {
       if (undo?.length) this.keep(to, { map: newest.map, runs: undo });
-      else if (undo) say(`${word}: nothing to change, others have painted over it.`);
+      else if (undo) say(`${word}: nothing to change: others have painted over it.`);
       this.changed();
     });
   }
@@ -129,10 +129,10 @@ export class PaintEditor {
     if (steps.length > MOST_STEPS) steps.shift();
   }
 
-  /** Have runs painted after all that waits; resolves to what undoes them, null where that failed. */
+  /** Paint runs after all pending changes; resolves to their undo, null on failure. */
   change(map, runs, word) {
     if (this.waiting >= MOST_WAITING) {
-      say("The store is slow: wait for what you have painted.", { bad: true });
+      say("The store is slow: wait until your strokes are saved.", { bad: true });
       return Promise.resolve(null);
     }
     this.waiting++;
@@ -149,7 +149,7 @@ export class PaintEditor {
         undo.unshift(...done.undo);
       } catch (error) {
         say(`${word} failed: ${error.message}`, { bad: true });
-        return undo.length ? undo : null; // what was done before can be undone
+        return undo.length ? undo : null; // the completed part can be undone
       }
     }
     return undo;

@@ -1,20 +1,20 @@
-// Patrols: the operator picks places in their order; the console drives there in turn until somebody ends it.
+// Patrols: the operator picks places in order; the robot drives to them in turn until the patrol is ended.
 
 import { button, el, mark, rows, write } from "./dom.js";
 import { ask } from "./say.js";
 
-const MOST = 50; // places, as the console takes them
+const MOST = 50; // places, the console's limit
 const WAITS = [["1 s", 1], ["2 s", 2], ["10 s", 10], ["1 min", 60], ["10 min", 600]];
 
-/** The part of "Send to"; `changed()` is called when picking begins or ends. */
+/** The patrol in "Send to"; `changed()` is called when picking starts or ends. */
 export function patrolBlock(socket, changed) {
   let [picked, picks, patrol] = [[], false, null];
   const line = el("p", { class: "turn", role: "status" });
   const opener = button("Patrol …", () => pickNow(!picks), { "aria-expanded": "false", "aria-controls": "turns" });
-  const list = el("ol", { class: "turns", "aria-label": "Places of the patrol, in their order" });
-  const hint = el("p", { class: "empty", text: "Press the places in their order." });
-  const wait = el("select", { "aria-label": "How long it stands at each place", title: "How long it stands at each place" },
-    ...WAITS.map(([text, value]) => el("option", { value: String(value), text: `stand ${text}` })));
+  const list = el("ol", { class: "turns", "aria-label": "Places of the patrol, in order" });
+  const hint = el("p", { class: "empty", text: "Press the places in order." });
+  const wait = el("select", { "aria-label": "Time at each place", title: "Time at each place" },
+    ...WAITS.map(([text, value]) => el("option", { value: String(value), text: `wait ${text}` })));
   wait.value = "2";
   const start = button("Start patrol", begin, { class: "primary" });
   const picking = el("div", { class: "picking", id: "turns", hidden: true }, hint, list, el("div", { class: "buttons" }, wait, start));
@@ -24,7 +24,7 @@ export function patrolBlock(socket, changed) {
     picks = on;
     picked = [];
     opener.setAttribute("aria-expanded", String(on));
-    write(opener, on ? "No patrol" : "Patrol …");
+    write(opener, on ? "Cancel patrol" : "Patrol …");
     picking.hidden = !on;
     show();
     changed();
@@ -42,7 +42,7 @@ export function patrolBlock(socket, changed) {
     rows(list, turns, ({ name, i }) => `${i} ${name}`, ({ name, i }) => el("li", {}, button(`${name} ×`, () => {
       picked.splice(i, 1);
       show();
-    }, { "aria-label": `Take ${name} out of the patrol` })), () => {});
+    }, { "aria-label": `Remove ${name} from the patrol` })), () => {});
     const active = patrol !== null && patrol.state !== "ended";
     write(line, patrol ? words(patrol) : "");
     mark(line, "data-state", patrol?.state ?? null);
@@ -67,13 +67,13 @@ export function patrolBlock(socket, changed) {
   };
 }
 
-/** A patrol in words. */
+/** A patrol as text. */
 export function words({ state, places, at, round, why }) {
   const turn = `${places[at]} (${at + 1} of ${places.length}, round ${round})`;
   return {
     drives: `Patrol: to ${turn}`,
     waits: `Patrol: at ${turn}`,
     held: `Patrol paused: ${turn}`,
-    ended: `The patrol has ended: ${why}`,
+    ended: `Patrol ended: ${why}`,
   }[state] ?? "";
 }

@@ -1,11 +1,11 @@
-// The pictures of a topic: the newest one, as large as there is room.
+// The newest image of a topic, as large as the space permits.
 
 import { el, mark, write } from "./dom.js";
 import { number } from "./format.js";
 
 export const PICTURES = new Set(["sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"]);
-const WIDTHS = [160, 320, 640, 1280]; // that the console makes
-const PAUSE = 400; // ms between looks at how much room there is
+const WIDTHS = [160, 320, 640, 1280]; // offered by the console
+const PAUSE = 400; // ms between checks of the available space
 
 /** {element, open(topic), close()}: shows one topic at a time. */
 export function pictureBlock(socket) {
@@ -18,7 +18,7 @@ export function pictureBlock(socket) {
     wait = setTimeout(follow, PAUSE);
   }).observe(element);
 
-  /** Watch the feed whose pictures fill the room that there is. */
+  /** Watch the feed whose images fit the available space. */
   function follow() {
     if (!topic) return;
     const room = Math.max(element.clientWidth, 1) * Math.min(devicePixelRatio, 2);
@@ -31,11 +31,11 @@ export function pictureBlock(socket) {
   }
 
   function draw(value, why) {
-    if (!value) return write(about, why || "Waiting for a picture.");
+    if (!value) return write(about, why || "Waiting for an image.");
     mark(image, "src", value.image);
     mark(image, "width", value.width);
     mark(image, "height", value.height);
-    image.alt = `The newest picture of ${topic.split("@")[0]}`;
+    image.alt = `Newest image of ${topic.split("@")[0]}`;
     const range = value.range ? `, black ${number(value.range[0])} to white ${number(value.range[1])}` : "";
     write(about, `${value.width} × ${value.height}, ${value.encoding}${range}${value.frame ? `, ${value.frame}` : ""}`);
   }
@@ -47,7 +47,7 @@ export function pictureBlock(socket) {
       this.close();
       topic = name;
       element.hidden = false;
-      write(about, "Waiting for a picture.");
+      write(about, "Waiting for an image.");
       follow();
     },
     close() {

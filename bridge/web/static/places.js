@@ -1,4 +1,4 @@
-// The view Places: maps, places, and what else has a name on a map.
+// The view Places: maps, places, areas and paths.
 
 import { button, el, mark, rows, write } from "./dom.js";
 import { degrees, metres } from "./format.js";
@@ -30,7 +30,7 @@ export function placesView(root, socket) {
   function show() {
     const named = (of) => Object.entries(places?.[of] ?? {}).map(([name, each]) => ({ name, of, ...each }));
     const found = named("locations").sort((a, b) => (b.map === map) - (a.map === map) || (a.name < b.name ? -1 : 1));
-    locations.fill(found, why || "No places. Keep one: press the map.");
+    locations.fill(found, why || "No places. To save one, press the map.");
     write(number, String(found.length));
     const others = [...named("areas"), ...named("paths")];
     shapes.fill(others, "");
@@ -86,7 +86,7 @@ function actions(socket, current, { name }) {
   };
 }
 
-/** The buttons that change what has a name. */
+/** The buttons that rename and delete. */
 function changes(socket, kind, name) {
   const elements = [
     button("Rename", () => rename(socket, kind, name), { "aria-label": `Rename ${name}` }),

@@ -1,4 +1,4 @@
-// What an operator asks for at a pose on the map: drive there, the robot is there, keep it as a place.
+// Commands for a pose on the map: drive there, set the robot's pose, save it as a place.
 
 import { degrees, position } from "./format.js";
 import { keep, LONGEST_NAME } from "./names.js";
@@ -6,14 +6,14 @@ import { ask, question, say } from "./say.js";
 
 const inDegrees = (theta) => String(Math.round((theta * 180) / Math.PI));
 
-/** A number that a person typed, a comma for a point or not; NaN if it is none. */
+/** Parse a typed number with decimal point or comma; NaN if invalid. */
 const typed = (text) => (text === "" ? NaN : Number(text.replace(",", ".").replace("°", "")));
 
 function poseFields({ x, y, theta }, headingNeeded) {
   const numeric = { inputmode: "text", pattern: "\\s*[\\-+]?[0-9]*[.,]?[0-9]+\\s*°?\\s*", title: "a number" };
   return {
-    x: { label: "x, metres", value: x.toFixed(2), ...numeric },
-    y: { label: "y, metres", value: y.toFixed(2), ...numeric },
+    x: { label: "x, meters", value: x.toFixed(2), ...numeric },
+    y: { label: "y, meters", value: y.toFixed(2), ...numeric },
     theta: {
       label: headingNeeded ? "Heading, degrees" : "Heading, degrees (empty: any)",
       value: theta === undefined ? "" : inDegrees(theta), ...numeric, required: headingNeeded,
@@ -25,7 +25,7 @@ function poseOf(answer) {
   const pose = { x: typed(answer.x), y: typed(answer.y) };
   if (answer.theta !== "") pose.theta = (typed(answer.theta) * Math.PI) / 180;
   if (Object.values(pose).every(Number.isFinite)) return pose;
-  say("That is no position: write numbers.", { bad: true });
+  say("Invalid position: enter numbers.", { bad: true });
   return null;
 }
 
@@ -37,14 +37,14 @@ export const goTo = (socket, pose) => ask(socket, `Go to ${words(pose)}`, "goto"
 /** Drive to a named place. */
 export const goToPlace = (socket, name) => ask(socket, `Go to ${name}`, "goto_place", { name }, `Driving to ${name}.`);
 
-/** Drive to a pose that is typed. */
+/** Drive to a typed pose. */
 export async function goToTyped(socket, pose) {
   const answer = await question("Go here", poseFields(pose, false), "Go");
   const wanted = answer && poseOf(answer);
   if (wanted) await goTo(socket, wanted);
 }
 
-/** The robot is at a pose; the heading is asked for where `pose` has none. */
+/** Set the robot's pose; asks for the heading if `pose` has none. */
 export async function robotIsAt(socket, pose, heading = 0) {
   let known = pose;
   if (pose.theta === undefined) {
@@ -54,14 +54,14 @@ export async function robotIsAt(socket, pose, heading = 0) {
   if (known) await ask(socket, `Robot is at ${words(known)}`, "set_pose", known);
 }
 
-/** Keep a pose under a name that is asked for; `places` as in `keep`. */
+/** Save a pose under a name that the operator enters; `places` as in `keep`. */
 export async function keepPlace(socket, places, pose, heading = 0) {
   const fields = {
     name: { label: "Name", value: "", maxlength: LONGEST_NAME },
     ...poseFields({ ...pose, theta: pose.theta ?? heading }, true),
   };
-  const answer = await question("Keep this place", fields, "Keep");
+  const answer = await question("Save this place", fields, "Save");
   const kept = answer && poseOf(answer);
   if (!kept) return;
-  await keep(socket, places, "location", "keep_place", { name: answer.name, ...kept }, `Kept ${answer.name} at ${words(kept)}.`);
+  await keep(socket, places, "location", "keep_place", { name: answer.name, ...kept }, `Saved ${answer.name} at ${words(kept)}.`);
 }

@@ -1,14 +1,14 @@
-// Other robots on the map, each in a colour of its own.
+// Other robots on the map, each in its own color.
 
 import { drawPath, drawRobot } from "./scene.js";
 
 const COLOURS = 6; // --robot-0 to --robot-5
 
-/** The robots of the feed `robots` that are seen: [{name, pose, footprint, path, ink}]. */
+/** The robots of the feed `robots` with a known pose: [{name, pose, footprint, path, ink}]. */
 export const seen = (robots, colour) =>
   (robots ?? []).map((robot, i) => ({ ...robot, ink: colour[`robot-${i % COLOURS}`] })).filter(({ pose }) => pose);
 
-/** `paths`: whether their paths are drawn; `old`: the line is lost, they may be elsewhere. */
+/** `paths`: whether their paths are drawn; `old`: the connection is lost, so they may be elsewhere. */
 export function drawRobots(context, view, robots, colour, paths, old) {
   for (const { ink, path, pose } of robots) if (paths) drawPath(context, view, path, pose, { ...colour, path: ink });
   for (const robot of robots) drawRobot(context, view, robot, { ...colour, accent: robot.ink }, old);

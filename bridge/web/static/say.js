@@ -1,4 +1,4 @@
-// What was asked and what came, in words; questions to the operator.
+// Messages about commands and their results; questions to the operator.
 
 import { button, el } from "./dom.js";
 
@@ -6,12 +6,12 @@ const SHOWN = 5000;
 const SHOWN_WRONG = 12000;
 const MOST = 4;
 
-let leaveOpen = () => {}; // the question that is open, if one is
+let leaveOpen = () => {}; // closes the open question, if any
 
 const said = document.getElementById("said");
 const wrong = document.getElementById("wrong");
 
-/** Show a line for some seconds. */
+/** Show a message for a few seconds. */
 export function say(text, { bad = false } = {}) {
   const list = bad ? wrong : said;
   for (const old of list.children) if (old.firstChild.textContent === text) old.remove();
@@ -24,8 +24,8 @@ export function say(text, { bad = false } = {}) {
 }
 
 /**
- * Call a verb, tell what was asked and then what came: `done`, or else the console's own words.
- * Resolves to whether it was done.
+ * Call a verb and show its progress and result: `done`, else the console's reply.
+ * Resolves to whether it succeeded.
  */
 export async function ask(socket, what, verb, args, done) {
   const line = say(`${what} …`);
@@ -42,8 +42,8 @@ export async function ask(socket, what, verb, args, done) {
 }
 
 /**
- * Ask for values; resolves to an object of texts by field, or null if the operator leaves.
- * `fields`: {name: {label, value, ...attributes of the input}}. The page stays alive behind it, STOP above all.
+ * Ask for values; resolves to an object of texts by field, or null if the operator cancels.
+ * `fields`: {name: {label, value, ...attributes of the input}}. The page stays usable meanwhile, above all STOP.
  */
 export function question(title, fields, yes, { text, danger = false } = {}) {
   return new Promise((resolve) => {

@@ -1,6 +1,6 @@
-// Draws what lies on the map. `to(x, y)` gives the pixel of a place, `scale` the pixels a metre.
+// Draws the objects on the map. `to(x, y)` gives the pixel of a place, `scale` the pixels a metre.
 
-/** The colours of the page's theme, by the names of style.css. */
+/** The colors of the page's theme, by the names of style.css. */
 export function colours() {
   const style = getComputedStyle(document.documentElement);
   const names = ["floor", "grid", "ink", "muted", "accent", "laser", "path", "layer", "area", "goal", "halo", "bad", "held",
@@ -8,7 +8,7 @@ export function colours() {
   return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 
-/** Metres as a grid, where there is no map. */
+/** A grid of meters, without a map. */
 export function drawGrid(context, view, colour) {
   const step = niceStep(60 / view.scale);
   const [left, top] = view.toMap(0, 0);
@@ -35,7 +35,7 @@ export function niceStep(most) {
   return [5, 2, 1].find((each) => each * power <= most) * power;
 }
 
-/** A length as a bar in the corner, so many pixels above the edge. */
+/** A length as a bar in the corner, `above` pixels above the edge. */
 export function drawScale(context, view, colour, above) {
   const metres = niceStep(110 / view.scale);
   const wide = metres * view.scale;
@@ -71,9 +71,9 @@ function label(context, text, x, y, colour, bold = false) {
   context.fillText(text, x, y);
 }
 
-const PASSED = 0.35; // how much is seen of a way that lies behind
+const PASSED = 0.35; // opacity of the path behind the robot
 
-/** Pairs of x, y in one flat list, joined by a line; what the robot (`pose`, if it is known) has behind it is pale. */
+/** Pairs of x, y in one flat list, joined by a line; the part behind the robot (`pose`, if known) is pale. */
 export function drawPath(context, view, points, pose, colour) {
   if (points.length < 4) return;
   const [at, x, y] = pose ? nearest(points, pose) : [0, points[0], points[1]];
@@ -87,7 +87,7 @@ export function drawPath(context, view, points, pose, colour) {
   line(context, left, 3, colour.path);
 }
 
-/** The way that the robot has come. */
+/** The robot's trail. */
 export function drawTrail(context, view, points, colour) {
   const pixels = [];
   for (let i = 0; i + 1 < points.length; i += 2) pixels.push(view.to(points[i], points[i + 1]));
@@ -105,7 +105,7 @@ function line(context, pixels, width, ink, opacity = 1) {
   context.globalAlpha = 1;
 }
 
-/** Where on a path a place is next to: [the number of the point before it, x, y]. */
+/** The point of a path nearest to a place: [the number of the point before it, x, y]. */
 export function nearest(points, { x, y }) {
   let [least, found] = [Infinity, [0, points[0], points[1]]];
   for (let i = 0; i + 3 < points.length; i += 2) {
@@ -116,7 +116,7 @@ export function nearest(points, { x, y }) {
   return found;
 }
 
-/** What the planner takes for obstacles: cells of `size` metres. */
+/** The planner's obstacles: cells of `size` meters. */
 export function drawObstacles(context, view, { points, size }, colour) {
   const side = Math.max(3, size * view.scale);
   context.fillStyle = colour.held;
@@ -128,7 +128,7 @@ export function drawObstacles(context, view, { points, size }, colour) {
   context.globalAlpha = 1;
 }
 
-/** What the laser sees. */
+/** The laser scan. */
 export function drawLaser(context, view, points, colour) {
   const size = Math.max(2, Math.min(5, view.scale * 0.04));
   context.fillStyle = colour.laser;
@@ -138,7 +138,7 @@ export function drawLaser(context, view, points, colour) {
   }
 }
 
-/** The robot: footprint and where it looks. `old`: the line is lost, it may be elsewhere. */
+/** The robot: footprint and heading. `old`: the connection is lost, so it may be elsewhere. */
 export function drawRobot(context, view, { pose, footprint }, colour, old) {
   const [cos, sin] = [Math.cos(pose.theta), Math.sin(pose.theta)];
   const at = (x, y) => view.to(pose.x + cos * x - sin * y, pose.y + sin * x + cos * y);
@@ -154,7 +154,7 @@ export function drawRobot(context, view, { pose, footprint }, colour, old) {
   context.lineWidth = 2;
   context.strokeStyle = ink;
   context.stroke();
-  const size = Math.max(reach * 0.75, 9 / view.scale); // to be found on a large map too
+  const size = Math.max(reach * 0.75, 9 / view.scale); // visible on a large map too
   shape(context, [[1, 0], [-0.7, 0.65], [-0.35, 0], [-0.7, -0.65]].map(([x, y]) => at(x * size, y * size)));
   context.lineWidth = 3;
   context.strokeStyle = colour.halo;
@@ -224,7 +224,7 @@ function drawNamedPath(context, view, points, colour) {
   context.setLineDash([]);
 }
 
-/** The names of places, then those of areas and paths where there is room. */
+/** The names of places, then those of areas and paths if there is space. */
 export function drawNames(labels, view, { areas, paths, locations }, colour) {
   for (const [name, place] of locations) {
     const [x, y] = view.to(place.x, place.y);
@@ -243,7 +243,7 @@ export function drawNames(labels, view, { areas, paths, locations }, colour) {
   }
 }
 
-/** The goal, or a pose that a finger sets: a ring and, with a heading, an arrow. */
+/** The goal, or a pose being set: a ring and, with a heading, an arrow. */
 export function drawPose(context, view, { x, y, theta }, ink, colour, length = 30) {
   const [px, py] = view.to(x, y);
   const line = () => {
@@ -269,7 +269,7 @@ export function drawPose(context, view, { x, y, theta }, ink, colour, length = 3
   line();
 }
 
-/** A cross in the middle of the window, where keys set what fingers set elsewhere. */
+/** A cross at the center of the window, where the keyboard sets poses. */
 export function drawCross(context, view, colour) {
   const [x, y] = [Math.round(view.width / 2) + 0.5, Math.round(view.height / 2) + 0.5];
   for (const [width, ink] of [[5, colour.halo], [2, colour.ink]]) {
@@ -284,7 +284,7 @@ export function drawCross(context, view, colour) {
   }
 }
 
-/** Whether a place is inside of a polygon. */
+/** Whether a place is inside a polygon. */
 export function inside(points, x, y) {
   let odd = false;
   points.forEach(([ax, ay], i) => {
@@ -294,14 +294,14 @@ export function inside(points, x, y) {
   return odd;
 }
 
-/** The place on the line from a to b that is next to x, y. */
+/** The place on the line from a to b nearest to x, y. */
 function onLine(ax, ay, bx, by, x, y) {
   const [dx, dy] = [bx - ax, by - ay];
   const share = Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
   return [ax + share * dx, ay + share * dy];
 }
 
-/** How far a place is from a line of points. */
+/** The distance of a place from a line of points. */
 export function farFrom(points, x, y) {
   let least = Infinity;
   points.forEach(([bx, by], i) => {

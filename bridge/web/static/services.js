@@ -19,14 +19,14 @@ export function serviceBlock(socket) {
     const tree = new Tree(new Map(), () => false, () => {});
     tree.fill(found);
     reply.append(tree.element);
-    return Object.keys(found).length ? "It answers:" : "It is done; the answer has no fields.";
+    return Object.keys(found).length ? "Reply:" : "Done; the reply has no fields.";
   });
   const form = opener("Call …", socket, block, () => ({ type: kind, kind: "service" }), (why) => say(why, { bad: true }));
   const element = el("section", { class: "block topic", "aria-label": "Service", hidden: true },
     el("div", { class: "heading" }, el("a", { href: "#topics/services", class: "back", text: "All services" }), title, form.element),
     type, block.element, reply);
 
-  /** A service is chosen to be called: its form opens, once there is a line to ask over. */
+  /** A service is chosen to be called: its form opens once there is a connection. */
   function begin() {
     if (socket.open) form.element.click();
     else socket.addEventListener("state", () => name && form.element.getAttribute("aria-expanded") === "false" && begin(), { once: true });

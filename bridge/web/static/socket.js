@@ -1,17 +1,17 @@
-// The WebSocket to the console: feeds, calls, driving by hand. See docs/operate/console_protocol.md.
+// The WebSocket to the console: feeds, calls, manual driving. See docs/operate/console_protocol.md.
 
 const PROTOCOL = "midspan.console.1";
 const FIRST_WAIT = 250;
 const LONGEST_WAIT = 2000;
-const OPENING = 2500; // an attempt that is not answered for so long is given up
-const SILENCE = 2000; // after so long without a word the console is asked for one
-const ANSWER = 2000; // and after so long without an answer the line counts as dead
+const OPENING = 2500; // ms until an unanswered attempt is aborted
+const SILENCE = 2000; // ms without a message until a ping is sent
+const ANSWER = 2000; // ms without a reply until the connection counts as dead
 
 /**
- * Joins the console and joins it again by itself.
+ * Connects to the console, and reconnects automatically.
  *
- * Events: `state` (`open`, `hello` or why the line is lost), `held` (detail: what is commanded), `refused`
- * (detail: words), `frame` (the newest values have been handed out and are to be drawn now).
+ * Events: `state` (`open`, `hello` or why the connection is lost), `held` (detail: the commanded velocity), `refused`
+ * (detail: the reason), `frame` (the newest values have been delivered and should be drawn now).
  */
 export class Socket extends EventTarget {
   constructor(address) {
@@ -23,7 +23,7 @@ export class Socket extends EventTarget {
     this.wait = FIRST_WAIT;
     this.timer = 0;
     this.feeds = new Map(); // name -> {takers, n, value, why, has}
-    this.due = new Set(); // feeds whose newest value is not drawn
+    this.due = new Set(); // feeds whose newest value is not drawn yet
     this.frame = 0;
     this.calls = new Map();
     this.nextId = 1;
@@ -40,7 +40,7 @@ export class Socket extends EventTarget {
     return this.open && this.hello?.role === "drive";
   }
 
-  // -- the line
+  // -- the connection
 
   join() {
     clearTimeout(this.timer);
@@ -71,7 +71,7 @@ export class Socket extends EventTarget {
     this.due.clear();
     link.close();
     for (const call of this.calls.values()) {
-      call.failed(new Error("The connection was lost before the answer came. It may have been done."));
+      call.failed(new Error("The connection was lost before the reply. The command may have been executed."));
     }
     this.calls.clear();
     this.timer = setTimeout(() => this.join(), this.wait);
@@ -79,7 +79,7 @@ export class Socket extends EventTarget {
     this.tell("state");
   }
 
-  /** A network that vanishes closes no socket: ask for a sign of life where there was none for long. */
+  /** Send a ping after a long silence, since a vanished network does not close the socket. */
   listen() {
     const now = performance.now();
     if (!this.open || document.hidden) {
@@ -89,7 +89,7 @@ export class Socket extends EventTarget {
       this.lose();
     } else if (!this.asked && now - this.heard > SILENCE) {
       this.asked = now;
-      this.call("ping").catch(() => {}); // an answer is a sign of life, whatever it says
+      this.call("ping").catch(() => {}); // any reply shows that the connection is alive
     }
   }
 
@@ -123,7 +123,7 @@ export class Socket extends EventTarget {
 
   // -- feeds
 
-  /** Hand each newest value of a feed to `taker(value, why)`, once a frame; returns what ends it. */
+  /** Pass each newest value of a feed to `taker(value, why)`, once a frame; returns a function that ends it. */
   watch(name, taker) {
     let feed = this.feeds.get(name);
     if (feed === undefined) {
@@ -160,7 +160,7 @@ export class Socket extends EventTarget {
     const drawn = [...this.due];
     this.due.clear();
     for (const name of drawn) {
-      const feed = this.feeds.get(name); // a taker before it may have ended it, or begun it anew
+      const feed = this.feeds.get(name); // an earlier taker may have ended or restarted it
       if (!feed?.has) continue;
       for (const taker of feed.takers) guarded(() => taker(feed.value, feed.why));
     }
@@ -173,11 +173,11 @@ export class Socket extends EventTarget {
 
   // -- calls
 
-  /** Ask for something; resolves with the reply's value, rejects with an Error in words. Nothing is kept for later. */
+  /** Call a verb; resolves with the reply's value, rejects with an Error. Nothing is queued while disconnected. */
   call(verb, args = {}) {
     const id = this.nextId++;
     return new Promise((done, failed) => {
-      if (!this.send({ op: "call", id, verb, args })) failed(new Error("There is no connection. Nothing was sent."));
+      if (!this.send({ op: "call", id, verb, args })) failed(new Error("No connection: nothing was sent."));
       else this.calls.set(id, { done, failed });
     });
   }
@@ -189,9 +189,9 @@ export class Socket extends EventTarget {
     else call?.failed(new Error(error));
   }
 
-  // -- driving by hand
+  // -- manual driving
 
-  /** Say a velocity, unless an earlier word still waits on this side: a late one must never drive. */
+  /** Send a velocity, unless an earlier message is still unsent: a late one must never drive. */
   hold(x, y, turn) {
     return this.open && this.link.bufferedAmount === 0 && this.send({ op: "hold", x, y, turn });
   }

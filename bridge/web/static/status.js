@@ -1,4 +1,4 @@
-// The view Status: workers, what was refused with its cure, and every route.
+// The view Status: workers, refused topics with their cures, and every route.
 
 import { cureLine, explained } from "./cure.js";
 import { button, el, mark, rows, write } from "./dom.js";
@@ -14,7 +14,7 @@ const workerKey = (worker) => JSON.stringify([worker.daemon, worker.worker]);
 
 /** Builds the view. */
 export function statusView(root, socket) {
-  const curves = new Map(); // of a route -> its rates of the last minute
+  const curves = new Map(); // route -> its rates of the last minute
   const workers = workerTable();
   const routes = routeTable(curves);
   const refused = refusedList(socket);
@@ -67,7 +67,7 @@ function block(title, id, content, ...beside) {
     el("div", { class: "heading" }, el("h2", { text: title, id: `${id}-title` }), ...beside), content);
 }
 
-/** Add each route's rate to its curve; curves of routes that are gone go too. */
+/** Add each route's rate to its curve; curves of removed routes are deleted. */
 function remember(curves, routes) {
   const gone = new Set(curves.keys());
   for (const route of routes) {
@@ -108,17 +108,17 @@ function routeTable(curves) {
     { label: "Dropped", class: "num", down: true, value: (r) => r.dropped, text: (r) => `${count(r.dropped)} ${reasons(r)}`,
       mood: (r) => (r.dropped ? "held" : "calm"), made: () => twoLines((r) => count(r.dropped), reasons) },
     { label: "Latency", class: "num", down: true, value: (r) => r.latency, text: (r) => seconds(r.latency) },
-    { label: "Way", class: "way", value: (r) => r.way ?? "", text: (r) => `${r.way ?? ""} ${r.why ?? ""}`,
+    { label: "Transport", class: "way", value: (r) => r.way ?? "", text: (r) => `${r.way ?? ""} ${r.why ?? ""}`,
       made: () => twoLines((r) => WAYS[r.way] ?? "", (r) => (r.way === "lane" ? "" : r.why ?? "")) },
   ], routeKey);
 }
 
-/** How messages go between the workers. */
+/** Transports between the workers. */
 const WAYS = { lane: "lane", zenoh: "zenoh", both: "lane, zenoh" };
 
 const reasons = ({ drops }) => Object.entries(drops ?? {}).filter(([, number]) => number).map(([name, number]) => `${name} ${number}`).join(", ");
 
-/** The name of a route's topic, which leads to the topic, and its type. */
+/** The name of a route's topic, with a link to it, and its type. */
 function topicLines() {
   const [link, type] = [el("a", { class: "first" }), el("span", { class: "second" })];
   return {
@@ -133,14 +133,14 @@ function topicLines() {
   };
 }
 
-/** What does not cross, why, and what to write to mend it; why any name does or does not. */
+/** Refused topics with reason and cure; explains the decision on any name. */
 function refusedList(socket) {
   const list = el("ul", { class: "refusals" });
   const number = el("span", { class: "count" });
   const answer = el("ul", { class: "crossing" });
   const name = el("input", { type: "text", placeholder: "/topic, service or action", "aria-label": "Name of a topic, service or action", autocomplete: "off", spellcheck: "false", required: true, maxlength: "255" });
   let asked = 0;
-  const form = el("form", { class: "asking", on: { submit: ask } }, name, button("Why does it cross?", () => form.requestSubmit()));
+  const form = el("form", { class: "asking", on: { submit: ask } }, name, button("Explain", () => form.requestSubmit()));
 
   async function ask(event) {
     event.preventDefault();
@@ -155,7 +155,7 @@ function refusedList(socket) {
   }
 
   return {
-    element: block("What does not cross", "refused", el("div", {}, answer, list), number, form),
+    element: block("Not bridged", "refused", el("div", {}, answer, list), number, form),
     fill(refused) {
       write(number, String(refused.length));
       rows(list, refused, (each) => JSON.stringify([each.side, each.topic, each.reason, each.cure]), refusal, () => {});
@@ -165,7 +165,7 @@ function refusedList(socket) {
 
 const JOINED = new Set(["connected", "connecting", "listening"]);
 
-/** The endpoints of hub.open by which no machine joins, why, and the cure; hidden if there are none. */
+/** The failing endpoints of hub.open with reason and cure; hidden if there are none. */
 function endpointList() {
   const list = el("ul", { class: "refusals" });
   const element = block("Other machines cannot join", "endpoints", list);

@@ -1,4 +1,4 @@
-// Strokes of a brush as runs of cells, which is what the console paints.
+// Converts brush strokes to runs of cells, which the console paints.
 
 /** The cell, as [column, row] with fractions, of a place on a map; the first row is the top one. */
 export function cellOf(map, x, y) {
@@ -9,8 +9,8 @@ export function cellOf(map, x, y) {
 }
 
 /**
- * The cells that a round brush covers on its way along `points` ([[x, y], ...], metres), as runs [row, column, length]
- * without gaps or overlaps. `radius` in metres; 0: the cells that the middle goes through.
+ * The cells that a round brush covers on its way along `points` ([[x, y], ...], meters), as runs [row, column, length]
+ * without gaps or overlaps. `radius` in meters; 0: the cells that the middle goes through.
  */
 export function runsOf(map, points, radius) {
   const rows = new Map(); // row -> [[first, last], ...]
@@ -56,7 +56,7 @@ function joined(spans) {
   return found;
 }
 
-/** Runs in parts of at most so many runs and cells; `length` of a run is its third number. */
+/** Split runs into parts of limited runs and cells; `length` of a run is its third number. */
 export function parts(runs, mostRuns, mostCells) {
   const found = [];
   let cells = Infinity;

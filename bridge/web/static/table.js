@@ -1,12 +1,12 @@
-// Tables whose rows stay where they are while their values change, sorted by a column, searched by words.
+// Tables with stable rows and changing values, sortable by column, searchable by words.
 
 import { button, el, rows, write } from "./dom.js";
 
-const MOST = 400; // rows that are shown; a search finds the others
+const MOST = 400; // rows shown; a search finds the others
 
 /**
  * A table. `columns`: [{name, label, class, text(item), value(item) to sort by, made(item) -> element}]: `text` is
- * written on each update, `made` once a row and then told `update(item)`. `key(item)` names a row.
+ * written on each update, `made` is called once per row, then its `update(item)`. `key(item)` names a row.
  */
 export class Table {
   constructor(label, columns, key) {
@@ -45,13 +45,13 @@ export class Table {
     this.fill(this.items);
   }
 
-  /** Show what holds all words; `words` of an item: the texts of its columns. */
+  /** Show the rows that contain all words; an item's words are the texts of its columns. */
   find(search) {
     this.search = search.trim().toLowerCase();
     this.fill(this.items);
   }
 
-  /** Show items; `empty`: what is said where there are none. */
+  /** Show items; `empty`: the text if there are none. */
   fill(items, empty = this.empty ?? "") {
     this.items = items;
     this.empty = empty;
@@ -64,7 +64,7 @@ export class Table {
     const shown = found.slice(0, MOST);
     rows(this.body, shown, this.key, (item) => this.row(item), (row, item) => {
       row.item = item;
-      if (!row.outOfSight) this.update(row, item); // hundreds of rows cost what the window shows of them
+      if (!row.outOfSight) this.update(row, item); // only visible rows are updated
     });
     const left = found.length - shown.length;
     write(this.more, left ? `${left} more: search to see them.` : found.length ? "" : items.length ? "Nothing found." : empty);
@@ -109,7 +109,7 @@ export class Table {
   }
 }
 
-/** A field that searches; `changed(text)`. */
+/** A search field; calls `changed(text)`. */
 export function searchField(label, changed) {
   return el("input", { type: "search", placeholder: label, "aria-label": label, autocomplete: "off", spellcheck: "false",
     on: { input: (event) => changed(event.target.value) } });

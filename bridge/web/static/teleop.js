@@ -1,34 +1,34 @@
-// The stick and the buttons for driving by hand.
+// The joystick and the buttons for manual driving.
 
 import { el, icon, write } from "./dom.js";
 import { degrees } from "./format.js";
 import { Hold } from "./hold.js";
 
-const DEAD = 0.08; // of the stick's way: a finger that only rests
+const DEAD = 0.08; // share of the joystick's range: a resting finger
 const ARROWS = { ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1] };
 
-// label, what it holds as shares of the most (ahead, to the left, turn), icon
+// label, velocity as shares of the limit (forward, left, rotation), icon
 const BUTTONS = [
   ["Turn left", [0, 0, 1], "M9 4L4 9l5 5M4 9h9a6 6 0 0 1 6 6v4"],
-  ["Ahead", [1, 0, 0], "M12 20V4M5 11l7-7 7 7"],
+  ["Forward", [1, 0, 0], "M12 20V4M5 11l7-7 7 7"],
   ["Turn right", [0, 0, -1], "M15 4l5 5-5 5M20 9h-9a6 6 0 0 0-6 6v4"],
   ["Sideways left", [0, 1, 0], "M20 12H4M11 5l-7 7 7 7"],
   ["Back", [-1, 0, 0], "M12 4v16M5 13l7 7 7-7"],
   ["Sideways right", [0, -1, 0], "M4 12h16M13 5l7 7-7 7"],
 ];
 
-/** The block "By hand"; returns {element, end()}. */
+/** The block "Manual driving"; returns {element, end()}. */
 export function teleop(socket) {
   const knob = el("span", { class: "knob" });
   const stick = el("div", {
     class: "stick", tabindex: "0", role: "application",
-    "aria-label": "Stick. Hold the arrow keys to drive, let go to stand.",
+    "aria-label": "Joystick. Hold the arrow keys to drive, release to stop.",
   }, knob);
   const share = el("input", { type: "range", min: "10", max: "100", step: "5", value: "50", id: "share" });
   const shareText = el("output", { for: "share", class: "figure" });
   const commanded = el("p", { class: "commanded", "aria-live": "off" });
-  let pointer = null; // the one that holds
-  let holder = null; // the element it holds
+  let pointer = null; // the holding pointer
+  let holder = null; // the held element
   const keys = new Set();
 
   const hold = new Hold(socket, () => {
@@ -44,7 +44,7 @@ export function teleop(socket) {
     return { x: (x * share.value) / 100, turn: (turn * share.value) / 100 };
   }
 
-  /** Drive at shares of the most. */
+  /** Drive at shares of the limits. */
   function drive(x, y, turn) {
     const limit = most();
     return hold.drive(x * limit.x, y * limit.x, turn * limit.turn);
@@ -55,7 +55,7 @@ export function teleop(socket) {
     knob.style.setProperty("--down", down.toFixed(3));
   }
 
-  /** Let a pointer hold an element: `push(event)` says what it commands. */
+  /** Let a pointer hold an element: `push(event)` returns the velocity. */
   function holdable(element, push) {
     element.addEventListener("pointerdown", (event) => {
       if (event.button !== 0 || pointer !== null) return;
@@ -95,7 +95,7 @@ export function teleop(socket) {
   stick.addEventListener("keydown", (event) => {
     if (!(event.key in ARROWS) || event.altKey || event.ctrlKey || event.metaKey || pointer !== null) return;
     event.preventDefault();
-    if (event.repeat) return; // a key that is still down after the hold ended does not begin it again
+    if (event.repeat) return; // a key still down after the hold's end does not restart it
     keys.add(event.key);
     push();
   });
@@ -129,11 +129,11 @@ export function teleop(socket) {
   const shareChanged = () => {
     const limit = most();
     write(shareText, `${limit.x.toFixed(2)} m/s`);
-    share.setAttribute("aria-valuetext", `${share.value} percent, ${limit.x.toFixed(2)} metres a second`);
+    share.setAttribute("aria-valuetext", `${share.value} percent, ${limit.x.toFixed(2)} meters per second`);
   };
   const heldChanged = ({ x, y, turn }) => {
     write(commanded, x || y || turn
-      ? `${x.toFixed(2)} m/s ahead, ${y ? `${y.toFixed(2)} m/s left, ` : ""}${degrees(turn)}/s`
+      ? `${x.toFixed(2)} m/s forward, ${y ? `${y.toFixed(2)} m/s left, ` : ""}${degrees(turn)}/s`
       : "Drives only while you hold.");
   };
   share.addEventListener("input", shareChanged);
@@ -144,7 +144,7 @@ export function teleop(socket) {
   heldChanged({ x: 0, y: 0, turn: 0 });
 
   const element = el("section", { class: "block teleop drives", "aria-labelledby": "by-hand" },
-    el("h2", { text: "By hand", id: "by-hand" }),
+    el("h2", { text: "Manual driving", id: "by-hand" }),
     el("div", { class: "sticks" }, stick, pad),
     el("label", { class: "share", for: "share" }, el("span", { text: "Speed" }), share, shareText),
     commanded);

@@ -103,7 +103,7 @@ function namesList(socket, feed, title, nameOf, href, about, always = false) {
   };
 }
 
-/** How many ends: a number, or a list of names. */
+/** The number of endpoints: a number, or a list of names. */
 const ends = (value) => (Array.isArray(value) ? value.length : (value ?? "–"));
 
 function nameRow(name) {
@@ -112,7 +112,7 @@ function nameRow(name) {
   return Object.assign(el("li", {}, link), { parts: { type, ends: sides, link } });
 }
 
-/** One topic: {element, choose(name)}; the empty name closes it. `typeOf(name)`: its type where nobody publishes it. */
+/** One topic: {element, choose(name)}; the empty name closes it. `typeOf(name)`: its type if it has no publisher. */
 function topicBlock(socket, typeOf) {
   const title = el("h2");
   const type = el("p", { class: "second" });
@@ -163,16 +163,16 @@ function topicBlock(socket, typeOf) {
     try {
       found = await socket.call("explain", { name: name.split("@")[0] });
     } catch (error) {
-      found = [{ side: "", decision: "Not known", why: error.message, cure: "" }];
+      found = [{ side: "", decision: "Unknown", why: error.message, cure: "" }];
     }
-    if (name !== topic) return; // another one was chosen meanwhile
+    if (name !== topic) return; // another topic was chosen meanwhile
     crossing.replaceChildren(...explained(name.split("@")[0], found));
   }
 
   const element = el("section", { class: "block topic", "aria-label": "Topic", hidden: true },
     el("div", { class: "heading" },
       el("a", { href: "#topics", class: "back", text: "All topics" }), title, often,
-      form.element, button("Why does it cross?", explain, { class: "why" })),
+      form.element, button("Explain", explain, { class: "why" })),
     type, block.element, crossing, why, picture.element, charts, body);
   return {
     element,

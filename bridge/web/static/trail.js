@@ -1,16 +1,16 @@
-// The way that the robot has come since its drive began, as far as this page saw it.
+// The robot's trail since the start of its drive, as seen by this page.
 
-const STEP = 0.1; // metres between two points
-const MOST = 1000; // points; of a longer way every second is kept
+const STEP = 0.1; // meters between two points
+const MOST = 1000; // points; of a longer trail every second one is kept
 
-/** Takes what the feeds say; `points` is x, y, x, y ... */
+/** Receives the feeds' values; `points` is x, y, x, y ... */
 export class Trail {
   constructor() {
     this.points = [];
     this.goal = "";
   }
 
-  /** A new goal begins a new trail; one that ended stays in sight until the next. */
+  /** A new goal starts a new trail; a finished one stays visible until then. */
   driving(value) {
     const goal = value?.goal ? `${value.goal.x} ${value.goal.y}` : "";
     if (goal && goal !== this.goal) this.points = [];

@@ -3,7 +3,7 @@
 import { button, el, icon, mark, rows, write } from "./dom.js";
 import { number } from "./format.js";
 
-const CUT = "..."; // {"...": 360} stands for what a long array has beyond the ones shown
+const CUT = "..."; // {"...": 360} stands for the omitted elements of a long array
 const JOIN = "\n"; // between the keys of a path: no key of a message has it
 const DEEP = 3; // levels that are open at first
 const FEW = 12; // and only branches with so few children
@@ -86,7 +86,7 @@ export class Tree {
 }
 
 function inBrief(value) {
-  if (!Array.isArray(value)) return Object.keys(value).length === 0 ? "nothing in it" : Object.keys(value).slice(0, 4).join(", ") + (Object.keys(value).length > 4 ? " …" : "");
+  if (!Array.isArray(value)) return Object.keys(value).length === 0 ? "empty" : Object.keys(value).slice(0, 4).join(", ") + (Object.keys(value).length > 4 ? " …" : "");
   const cut = value.find(isCut);
   const length = cut ? cut[CUT] : value.length;
   return `${length} ${length === 1 ? "item" : "items"}`;
@@ -99,5 +99,5 @@ export function at(message, path) {
   return value;
 }
 
-/** A path as people write it. */
+/** A path in the usual notation. */
 export const pathWords = (path) => path.split(JOIN).slice(1).join(".");

@@ -1,4 +1,4 @@
-// Which part of the map the window shows: the middle in metres, and CSS pixels a metre.
+// The visible part of the map: the center in meters, and CSS pixels per meter.
 
 const NEAREST = 400;
 const FARTHEST = 0.5;
@@ -29,7 +29,7 @@ export class Viewport {
     this.y += dy / this.scale;
   }
 
-  /** Zoom; the place under a pixel stays there. */
+  /** Zoom around a pixel. */
   zoom(factor, px = this.width / 2, py = this.height / 2) {
     const [x, y] = this.toMap(px, py);
     this.scale = Math.min(NEAREST, Math.max(FARTHEST, this.scale * factor));
