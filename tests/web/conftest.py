@@ -57,9 +57,9 @@ class Desk:
 
 @pytest.fixture
 def desk(tmp_path: Path) -> Iterator[Desk]:
-    made = Desk(tmp_path)
-    yield made
-    made.close()
+    desk_ = Desk(tmp_path)
+    yield desk_
+    desk_.close()
 
 
 @pytest.fixture

@@ -75,7 +75,7 @@ class HostileConsole:
         self._wrong = ""
         self.sent = self.drove = 0
         kind = self._registry.ros2(TWIST).type_id
-        self._far.hub.subscription("/cmd_vel", TWIST, kind, Qos(depth=100), self._heard)
+        self._far.hub.subscription("/cmd_vel", TWIST, kind, Qos(depth=100), self._on_velocity)
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "bridge.cli.main", "worker", "web", "--config", str(file)],
@@ -92,9 +92,9 @@ class HostileConsole:
             return True
         return False
 
-    def _heard(self, sample: Any) -> None:
-        said = to_json(self._registry, TWIST, sample.data())
-        velocity = [*said["linear"].values(), *said["angular"].values()]
+    def _on_velocity(self, sample: Any) -> None:
+        content = to_json(self._registry, TWIST, sample.data())
+        velocity = [*content["linear"].values(), *content["angular"].values()]
         if not any(velocity):
             return
         self.drove += 1
@@ -108,26 +108,26 @@ class HostileConsole:
     def ask(self, requests: Sequence[bytes]) -> None:
         """Send each on a connection of its own, all at once; what is answered must be an answer."""
         open_ = [socket.create_connection(("127.0.0.1", self.port), 10) for _ in requests]
-        heard = dict.fromkeys(open_, b"")
+        received = dict.fromkeys(open_, b"")
         try:
             for sock, request in zip(open_, requests, strict=True):
                 with contextlib.suppress(OSError):
                     sock.sendall(request)
             left = set(open_)
             while left and (ready := select.select(left, [], [], 0.004)[0]):
-                left -= {sock for sock in ready if not _more(sock, heard)}
+                left -= {sock for sock in ready if not _more(sock, received)}
             for sock in left:  # an unfinished request: no more comes
                 with contextlib.suppress(OSError):
                     sock.shutdown(socket.SHUT_WR)
             end = time.monotonic() + 20.0
             while left:
                 assert time.monotonic() < end, "the console keeps a connection whose other end has closed"
-                left -= {sock for sock in select.select(left, [], [], 1.0)[0] if not _more(sock, heard)}
+                left -= {sock for sock in select.select(left, [], [], 1.0)[0] if not _more(sock, received)}
         finally:
             for sock in open_:
                 sock.close()
         for sock, request in zip(open_, requests, strict=True):
-            self._judge(request, heard[sock])
+            self._judge(request, received[sock])
         self._after(len(requests))
 
     def _judge(self, request: bytes, answer: bytes) -> None:
@@ -148,8 +148,8 @@ class HostileConsole:
         """Open a socket as a page does, and send frames: the first byte of each says of which kind."""
         with socket.create_connection(("127.0.0.1", self.port), 10) as sock:
             sock.sendall(opening(self.host))
-            said = _Frames(sock)
-            head = said.head()
+            content = _Frames(sock)
+            head = content.head()
             if not head.startswith(b"HTTP/1.1 101 "):
                 assert int(head[9:12]) == 503, head[:200]
                 return
@@ -162,7 +162,7 @@ class HostileConsole:
                     whole &= kind != b"r"
                     sock.sendall(_frames(kind, content))
                 sock.sendall(client_frame(9, b"the end"))
-                said.until_pong(b"the end", 10.0 if whole else 0.02)
+                content.until_pong(b"the end", 10.0 if whole else 0.02)
             except OSError:
                 pass  # the console has cut it
         if self._may_drive == math.inf:
@@ -174,9 +174,9 @@ class HostileConsole:
     def _after(self, sent: int) -> None:
         self.sent += sent
         if next(self._numbers) % _LOOK == 0:
-            self.look()
+            self.check()
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Raises `AssertionError` where the worker ended, drove, grew, or wrote of an error that it did not expect."""
         assert self._process.poll() is None, f"the worker has ended: {self.log()[-3000:]}"
         wrong, self._wrong = self._wrong, ""
@@ -186,11 +186,11 @@ class HostileConsole:
         used = self._console.memory_info().rss
         if self.sent >= _WARM:
             self._warm_bytes = self._warm_bytes or used
-            grown = used - self._warm_bytes
-            assert grown <= MOST_GROWTH, f"the worker grew by {grown >> 20} MB over {self.sent} requests and frames"
+            growth = used - self._warm_bytes
+            assert growth <= MOST_GROWTH, f"the worker grew by {growth >> 20} MB over {self.sent} requests and frames"
 
     @property
-    def grown(self) -> int:
+    def growth(self) -> int:
         """Bytes by which the worker grew since it is warm."""
         return int(self._console.memory_info().rss) - self._warm_bytes
 
@@ -223,13 +223,13 @@ def _end_with_parent() -> None:
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
-def _more(sock: socket.socket, heard: dict[socket.socket, bytes]) -> bool:
+def _more(sock: socket.socket, received: dict[socket.socket, bytes]) -> bool:
     """Read once; whether more may come."""
     try:
         data = sock.recv(1 << 16)
     except OSError:
         return False
-    heard[sock] = (heard[sock] + data)[:4096]
+    received[sock] = (received[sock] + data)[:4096]
     return bool(data)
 
 

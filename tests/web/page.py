@@ -43,7 +43,7 @@ class TestPage:
         self.takes = takes
         self.values: dict[str, dict[str, Any]] = {}
         self.counts: dict[str, int] = {}
-        self.said: list[dict[str, Any]] = []  # all other messages
+        self.others: list[dict[str, Any]] = []  # all other messages
         self._calls = 0
 
     def send(self, **message: Any) -> None:
@@ -67,21 +67,21 @@ class TestPage:
             if self.takes:
                 self.send(op="took", feed=feed, n=message["n"])
         else:
-            self.said.append(message)
+            self.others.append(message)
         return True
 
     def until(self, condition: Callable[[], Any], what: str, seconds: float = 30.0) -> Any:
         """Read until a condition is true."""
         end = time.monotonic() + seconds
-        while not (found := condition()):
-            assert time.monotonic() < end, f"not within {seconds:g} s: {what}; {self.values} {self.said}"
+        while not (result := condition()):
+            assert time.monotonic() < end, f"not within {seconds:g} s: {what}; {self.values} {self.others}"
             self.read()
-        return found
+        return result
 
-    def value(self, feed: str, wanted: Callable[[Any], Any] = bool, what: str = "") -> Any:
+    def value(self, feed: str, wanted: Callable[[Any], Any] = bool, description: str = "") -> Any:
         """A feed's newest value, once it is as wanted."""
-        what = what or f"the feed {feed} has a value"
-        self.until(lambda: feed in self.values and wanted(self.values[feed]["value"]), what)
+        description = description or f"the feed {feed} has a value"
+        self.until(lambda: feed in self.values and wanted(self.values[feed]["value"]), description)
         return self.values[feed]["value"]
 
     def call(self, verb: str, **args: Any) -> dict[str, Any]:
@@ -89,16 +89,16 @@ class TestPage:
         self._calls += 1
         number = self._calls
         self.send(op="call", id=number, verb=verb, args=args)
-        found: dict[str, Any] = self.until(
-            lambda: next((m for m in self.said if m["op"] == "reply" and m["id"] == number), None),
+        reply: dict[str, Any] = self.until(
+            lambda: next((m for m in self.others if m["op"] == "reply" and m["id"] == number), None),
             f"{verb} is answered",
         )
-        if found["ok"]:
-            check_done(verb, args, found["value"])
-        return found
+        if reply["ok"]:
+            check_done(verb, args, reply["value"])
+        return reply
 
     def errors(self) -> list[str]:
-        return [message["error"] for message in self.said if message["op"] == "error"]
+        return [message["error"] for message in self.others if message["op"] == "error"]
 
     def __enter__(self) -> Self:
         return self

@@ -517,10 +517,10 @@ _CALLS = {verb: _call(verb) for verb in VERBS}
 
 
 def _union(kinds: list[Any]) -> Any:
-    found = kinds[0]
+    union = kinds[0]
     for kind in kinds[1:]:
-        found = found | kind
-    return found
+        union = union | kind
+    return union
 
 
 FROM_CONSOLE: TypeAdapter[Any] = TypeAdapter(_union([Hello, Done, Failed, Held, Error, NoValue, *_VALUES]))
@@ -541,29 +541,29 @@ def check_done(verb: str, args: dict[str, Any], value: Any) -> None:
 
 def schema() -> dict[str, Any]:
     """The JSON Schema of all messages; the console may add keys."""
-    said, asked = (adapter.json_schema() for adapter in (FROM_CONSOLE, FROM_PAGE))
-    results = {f"{_title(verb)}Result": each.json_schema() for verb, each in _RESULTS.items()}
+    from_console, from_page = (adapter.json_schema() for adapter in (FROM_CONSOLE, FROM_PAGE))
+    results = {f"{_title(verb)}Result": definition.json_schema() for verb, definition in _RESULTS.items()}
     defs: dict[str, Any] = {}
-    for name, each in results.items():
-        said.setdefault("$defs", {}).update(each.pop("$defs", {}))
-        said["$defs"][name] = each
-    for name, each in said.pop("$defs").items():
-        defs[name] = _open(each)
-    defs.update(asked.pop("$defs"))
+    for name, definition in results.items():
+        from_console.setdefault("$defs", {}).update(definition.pop("$defs", {}))
+        from_console["$defs"][name] = definition
+    for name, definition in from_console.pop("$defs").items():
+        defs[name] = _open(definition)
+    defs.update(from_page.pop("$defs"))
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "The console's protocol, midspan.console.1",
         "description": "A message is one of from_console or from_page. A call's value is the verb's ...Result.",
         "oneOf": [{"$ref": "#/$defs/from_console"}, {"$ref": "#/$defs/from_page"}],
-        "$defs": {"from_console": said, "from_page": asked, **defs},
+        "$defs": {"from_console": from_console, "from_page": from_page, **defs},
     }
 
 
 def _open(value: Any) -> Any:
     """A schema whose objects may have further keys."""
     if isinstance(value, dict):
-        return {key: _open(each) for key, each in value.items() if (key, each) != ("additionalProperties", False)}
-    return [_open(each) for each in value] if isinstance(value, list) else value
+        return {key: _open(item) for key, item in value.items() if (key, item) != ("additionalProperties", False)}
+    return [_open(item) for item in value] if isinstance(value, list) else value
 
 
 def text() -> str:

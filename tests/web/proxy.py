@@ -34,7 +34,7 @@ class Proxy:
             config, lines = re.subn(r" *(auth_basic|auth_basic_user_file|proxy_pass) .*\n", "", config)
             assert lines == 3
             config = config.replace("    location /robot1/ {\n", f"    location /robot1/ {{\n{for_tokens}")
-        here = {
+        replacements = {
             "443 ssl": f"127.0.0.1:{self.port} ssl",
             "/etc/nginx/robots.example.pem": str(keys / "proxy.pem"),
             "/etc/nginx/robots.example.key": str(keys / "proxy.key"),
@@ -42,9 +42,9 @@ class Proxy:
             **({"/etc/midspan/keys/": f"{keys}/", "proxy_ssl_name robot1": "proxy_ssl_name here"} if tokens else
                {"/etc/nginx/robot1.htpasswd": str(folder / "users")}),
         }  # fmt: skip
-        for documented, own in here.items():
+        for documented, local in replacements.items():
             assert config.count(documented) == 1, documented
-            config = config.replace(documented, own)
+            config = config.replace(documented, local)
         kinds = ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
         temporary = "".join(f"{kind}_temp_path {folder}/{kind};\n" for kind in kinds)
         file = folder / "nginx.conf"

@@ -36,7 +36,7 @@ class WebRobot:
         self.file = folder / "midspan.yaml"
         config: dict[str, Any] = yaml.safe_load(CONFIG.read_text())
         store = {key: str(CONFIG.parent / file) for key, file in config["store"].items()}
-        own = {
+        sections = {
             "name": "web-test",
             "state": str(folder / "state"),
             "hub": {"listen": f"tcp/127.0.0.1:{self.router}"},
@@ -47,7 +47,7 @@ class WebRobot:
             "yarp": {**config["yarp"], "address": f"127.0.0.1:{self.names}", "ip": "127.0.0.1"},
             "web": {"enabled": True, "listen": f"127.0.0.1:{self.port}", "robots": [PORTER]},
         }
-        self.file.write_text(yaml.safe_dump({**config, **own}))
+        self.file.write_text(yaml.safe_dump({**config, **sections}))
         self.daemon = self._start()
 
     @property

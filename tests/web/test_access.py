@@ -71,8 +71,8 @@ class GuardedDesk(Desk):
 
     def login(self, token: str, **headers: str) -> tuple[int, dict[str, str], str]:
         """Log in as the page does."""
-        own = {"Origin": f"https://127.0.0.1:{self.port}", **headers}
-        return self.ask("POST", "/login", json.dumps({"token": token}), **own)
+        all_headers = {"Origin": f"https://127.0.0.1:{self.port}", **headers}
+        return self.ask("POST", "/login", json.dumps({"token": token}), **all_headers)
 
     def page(self, token: str = "", name: str = "", **headers: str) -> TestPage:
         """A page of who has a token, or a certificate."""
@@ -83,12 +83,12 @@ class GuardedDesk(Desk):
 
 @pytest.fixture
 def guarded(tmp_path: Path) -> Iterator[GuardedDesk]:
-    made = GuardedDesk(tmp_path, tmp_path / "keys")
-    yield made
-    made.close()
+    desk = GuardedDesk(tmp_path, tmp_path / "keys")
+    yield desk
+    desk.close()
 
 
-def test_others_need_tls_and_somebody_who_may() -> None:
+def test_a_public_address_needs_tls_and_a_login() -> None:
     assert not WebSection().guarded
     with pytest.raises(ValidationError, match=r"other machines reach 0\.0\.0\.0, but it has no login"):
         WebSection(listen="0.0.0.0:8480")
@@ -98,14 +98,14 @@ def test_others_need_tls_and_somebody_who_may() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    "invalid",
     [{"prefix": "robot1"}, {"prefix": "/a b"}, {"prefix": "/../x"}, {"prefix": "/map"}, {"prefix": "/login/x"},
      {"tokens": {"a b": TOKENS["anna"]}}, {"tokens": {"a": {"role": "root", "sha256": DRIVE[1]}}},
      {"tokens": {"a": {"role": "drive", "sha256": DRIVE[0]}}}, {"names": ["http://robot"]}, {"names": ["robot:80"]}],
 )  # fmt: skip
-def test_invalid_settings_are_refused(wrong: dict[str, Any]) -> None:
+def test_invalid_settings_are_refused(invalid: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
-        WebSection.model_validate(wrong)
+        WebSection.model_validate(invalid)
 
 
 @pytest.mark.parametrize(("prefix", "used"), [("", ""), ("/", ""), ("/a", "/a"), ("/a/b.c-d_e/", "/a/b.c-d_e")])
@@ -122,7 +122,7 @@ def test_a_login_below_a_prefix_has_its_own_cookie(guarded: GuardedDesk) -> None
     assert guarded.ask("GET", "/robot1/whoami", Cookie=cookie.replace("robot1", "robot2"))[0] == 401
 
 
-def test_a_stranger_gets_the_login_alone(guarded: GuardedDesk) -> None:
+def test_an_unauthenticated_client_gets_only_the_login(guarded: GuardedDesk) -> None:
     status, headers, _ = guarded.ask("GET", "/")
     assert (status, headers["location"]) == (303, "/login")
     status, headers, body = guarded.ask("GET", "/login")
@@ -139,22 +139,22 @@ def test_a_stranger_gets_the_login_alone(guarded: GuardedDesk) -> None:
         guarded.page()
 
 
-def test_a_login(guarded: GuardedDesk) -> None:
+def test_a_login_sets_a_cookie(guarded: GuardedDesk) -> None:
     status, headers, body = guarded.login(DRIVE[0])
     assert (status, json.loads(body)) == (200, {"name": "anna", "role": "drive"})
-    cookie, *rest = headers["set-cookie"].split("; ")
+    cookie, *attributes = headers["set-cookie"].split("; ")
     assert cookie.startswith(f"{COOKIE}=anna.")
     assert DRIVE[0] not in cookie
-    assert {"HttpOnly", "Secure", "SameSite=strict", "Path=/"} <= set(rest)
-    assert not any(each.lower().startswith("domain") for each in rest)
+    assert {"HttpOnly", "Secure", "SameSite=strict", "Path=/"} <= set(attributes)
+    assert not any(attribute.lower().startswith("domain") for attribute in attributes)
     assert guarded.ask("GET", "/", Cookie=f"x=1; {cookie}")[0] == 200
     with guarded.page(Cookie=cookie) as page:
-        page.until(lambda: page.said, "it says hello")
-        assert (page.said[0]["role"], page.said[0]["who"]) == ("drive", "anna")
+        page.until(lambda: page.others, "it says hello")
+        assert (page.others[0]["role"], page.others[0]["who"]) == ("drive", "anna")
     guarded.open_with()
     assert json.loads(guarded.ask("GET", "/whoami", Cookie=cookie)[2])["name"] == "anna", "it outlasts a restart"
-    for wrong in (f"{COOKIE}=hall{cookie[len(COOKIE) + 5 :]}", cookie[:-1] + ("0" if cookie[-1] != "0" else "1")):
-        assert guarded.ask("GET", "/whoami", Cookie=wrong)[0] == 401
+    for invalid in (f"{COOKIE}=hall{cookie[len(COOKIE) + 5 :]}", cookie[:-1] + ("0" if cookie[-1] != "0" else "1")):
+        assert guarded.ask("GET", "/whoami", Cookie=invalid)[0] == 401
     assert (
         "Max-Age=0"
         in guarded.ask("POST", "/logout", Origin=f"https://127.0.0.1:{guarded.port}", Cookie=cookie)[1]["set-cookie"]
@@ -166,18 +166,18 @@ def test_a_login(guarded: GuardedDesk) -> None:
     [("", 400), ("[]", 400), ('{"token": 1}', 400), ("[" * 900, 400), ('{"token": "' + "x" * 2000 + '"}', 400),
      ('{"token": "\\ud800"}', 403), ('{"token": ""}', 403)],
 )  # fmt: skip
-def test_bad_logins_are_refused(guarded: GuardedDesk, body: str, status: int) -> None:
-    own = f"https://127.0.0.1:{guarded.port}"
-    assert guarded.ask("POST", "/login", body, Origin=own)[0] == status
+def test_invalid_logins_are_refused(guarded: GuardedDesk, body: str, status: int) -> None:
+    origin = f"https://127.0.0.1:{guarded.port}"
+    assert guarded.ask("POST", "/login", body, Origin=origin)[0] == status
     assert guarded.ask("POST", "/login", json.dumps({"token": DRIVE[0]}))[0] == 403, "not without a page"
 
 
-def test_a_watcher_commands_nothing(guarded: GuardedDesk) -> None:
+def test_a_watching_client_may_not_command(guarded: GuardedDesk) -> None:
     base = Base(guarded)
     with guarded.page(WATCH[0]) as page:
         page.watch("topics", "topic:/cmd_vel")
         page.value("topics", lambda topics: topics is not None)
-        commands = {verb for verb, found in guarded.console.verbs.known.items() if found.commands}
+        commands = {verb for verb, page_verb in guarded.console.verbs.known.items() if page_verb.commands}
         assert {"goto", "patrol", "halt", "paint_flags"} < commands
         for verb in commands:
             assert page.call(verb)["error"] == f"this page has the role 'watch': {verb} is not done"
@@ -190,14 +190,14 @@ def test_a_watcher_commands_nothing(guarded: GuardedDesk) -> None:
 
 
 @pytest.mark.parametrize(("name", "role"), [("operator1", "drive"), ("guest", "watch")])
-def test_a_certificate(guarded: GuardedDesk, name: str, role: str) -> None:
+def test_a_certificate_determines_the_role(guarded: GuardedDesk, name: str, role: str) -> None:
     with guarded.page(name=name) as page:
-        page.until(lambda: page.said, "it says hello")
-        assert (page.said[0]["role"], page.said[0]["who"]) == (role, name)
+        page.until(lambda: page.others, "it says hello")
+        assert (page.others[0]["role"], page.others[0]["who"]) == (role, name)
         assert ("role 'watch'" in page.call("stop").get("error", "")) == (role == "watch")
 
 
-def test_a_certificate_of_another_authority_is_none(guarded: GuardedDesk, tmp_path: Path) -> None:
+def test_a_certificate_of_another_authority_is_refused(guarded: GuardedDesk, tmp_path: Path) -> None:
     other = Authority(tmp_path / "other")
     other.make()
     other.issue("operator1")
@@ -207,7 +207,7 @@ def test_a_certificate_of_another_authority_is_none(guarded: GuardedDesk, tmp_pa
         TestPage(guarded.port, ssl=context)
 
 
-def test_each_command_is_logged_with_who_sent_it(guarded: GuardedDesk, caplog: pytest.LogCaptureFixture) -> None:
+def test_each_command_is_logged_with_its_client(guarded: GuardedDesk, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO, "midspan.web"):
         with guarded.page(DRIVE[0]) as page:
             page.call("delete_place", name="sofa")
@@ -220,7 +220,7 @@ def test_each_command_is_logged_with_who_sent_it(guarded: GuardedDesk, caplog: p
     assert DRIVE[0] not in caplog.text
 
 
-def test_a_wrong_token_keeps_no_other_client_out(
+def test_a_wrong_token_blocks_no_other_client(
     guarded: GuardedDesk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(access, "FIRST_WAIT", 30.0)
@@ -260,10 +260,10 @@ class Guesser:
         log = ScarceLog()
         monkeypatch.setattr(log, "warn", self.lines.append)
         monkeypatch.setattr(time, "monotonic", lambda: self.now)
-        self.wrong = WrongTokens(log, "web.tokens")
+        self.invalid = WrongTokens(log, "web.tokens")
 
     def wait(self, address: str, token: str) -> int:
-        return self.wrong.refuse(address, token, "curl")
+        return self.invalid.refuse(address, token, "curl")
 
 
 @pytest.fixture
@@ -296,13 +296,13 @@ def test_many_wrong_tokens_of_an_address_share_a_delay(guesser: Guesser) -> None
 def test_wrong_tokens_use_little_memory(guesser: Guesser) -> None:
     for number in range(10_000):
         guesser.wait("a", f"n{number}")
-    assert len(guesser.wrong._attempts) == access.MOST_WRONG + 1, "of one address"
+    assert len(guesser.invalid._attempts) == access.MOST_WRONG + 1, "of one address"
     for number in range(3 * access.MOST_ENTRIES):
         guesser.wait(f"m{number}", "old")
-    assert len(guesser.wrong._attempts) == access.MOST_ENTRIES
+    assert len(guesser.invalid._attempts) == access.MOST_ENTRIES
     guesser.now += access.FORGET_SECONDS + 1.0
     guesser.wait("a", "old")
-    assert len(guesser.wrong._attempts) == 1
+    assert len(guesser.invalid._attempts) == 1
 
 
 def test_a_wrong_token_has_few_log_lines(guesser: Guesser) -> None:
@@ -316,7 +316,7 @@ def test_a_wrong_token_has_few_log_lines(guesser: Guesser) -> None:
     ]
 
 
-def test_a_login_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_login_expires(monkeypatch: pytest.MonkeyPatch) -> None:
     section = WebSection(tokens={"anna": TokenSection(sha256=DRIVE[1])})
     mine = Access(section, b"s" * 32)
     headers = {"cookie": f"{COOKIE}={mine.login(DRIVE[0], 'a')[1]}"}
@@ -330,16 +330,16 @@ def test_a_login_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     assert mine.grant(headers, "", "a") is None
 
 
-def test_the_secret_is_the_owners(tmp_path: Path) -> None:
-    made = stored_secret(tmp_path / "state")
-    assert stored_secret(tmp_path / "state") == made
+def test_the_secret_is_readable_only_by_its_owner(tmp_path: Path) -> None:
+    secret = stored_secret(tmp_path / "state")
+    assert stored_secret(tmp_path / "state") == secret
     assert stat.S_IMODE((tmp_path / "state" / "web.secret").stat().st_mode) == 0o600
     (tmp_path / "file").write_text("")
     with pytest.raises(RuntimeError, match="the console stores its key"):
         stored_secret(tmp_path / "file")
 
 
-def test_names_of_the_certificate_are_hosts(guarded: GuardedDesk) -> None:
+def test_the_certificates_names_are_valid_hosts(guarded: GuardedDesk) -> None:
     """DNS rebinding: a name that an attacker makes point here is none of them."""
     port = guarded.port
     token = {"Authorization": f"Bearer {DRIVE[0]}"}
@@ -359,12 +359,12 @@ def test_names_of_the_certificate_are_hosts(guarded: GuardedDesk) -> None:
     assert guarded.console.server.address == f"https://tablet.test:{guarded.port}/"
 
 
-def test_without_tls_nothing_is_said(guarded: GuardedDesk) -> None:
+def test_plain_http_gets_no_response(guarded: GuardedDesk) -> None:
     with pytest.raises((http.client.HTTPException, ConnectionError)):
         ask(guarded.port, "/login")
 
 
-def test_who_never_begins_tls_is_cut(guarded: GuardedDesk) -> None:
+def test_a_connection_without_a_tls_handshake_is_closed(guarded: GuardedDesk) -> None:
     with connect(guarded.port) as sock:
         assert is_cut(sock)
 
@@ -374,7 +374,7 @@ def test_who_never_begins_tls_is_cut(guarded: GuardedDesk) -> None:
     [("missing", "is no .*here.key"), ("expired", "here.pem expired on"), ("junk", "is not a certificate"),
      ("other", "was not signed by"), ("unfit", "cannot have TLS")],
 )  # fmt: skip
-def test_files_that_cannot_be_used_are_named(guarded: GuardedDesk, tmp_path: Path, break_: str, why: str) -> None:
+def test_invalid_key_files_are_named(guarded: GuardedDesk, tmp_path: Path, break_: str, why: str) -> None:
     keys = guarded.keys
     if break_ == "missing":
         (keys / "here.key").unlink()
@@ -391,7 +391,7 @@ def test_files_that_cannot_be_used_are_named(guarded: GuardedDesk, tmp_path: Pat
         guarded.open()
 
 
-def test_a_new_certificate_is_taken_up(guarded: GuardedDesk) -> None:
+def test_a_renewed_certificate_is_loaded(guarded: GuardedDesk) -> None:
     def number() -> bytes:
         with guarded.page(DRIVE[0]) as page:
             peer = page.socket.socket.getpeercert(binary_form=True)  # type: ignore[attr-defined]
@@ -401,8 +401,8 @@ def test_a_new_certificate_is_taken_up(guarded: GuardedDesk) -> None:
     before = number()
     Authority(guarded.keys).issue("here", ["127.0.0.1"], replace=True)
 
-    def renewed() -> bool:
+    def is_renewed() -> bool:
         guarded.console.refresh_tls()
         return number() != before
 
-    until(renewed, "it shows the new one")
+    until(is_renewed, "it shows the new one")

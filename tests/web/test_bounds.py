@@ -33,7 +33,7 @@ def connect(port: int, source: str = "127.0.0.1") -> socket.socket:
     return socket.create_connection(("127.0.0.1", port), 20, (source, 0))
 
 
-def is_cut(sock: socket.socket) -> bool:
+def is_closed(sock: socket.socket) -> bool:
     """Whether the other end closes a connection on which nothing is said."""
     try:
         while sock.recv(1 << 16):
@@ -43,23 +43,23 @@ def is_cut(sock: socket.socket) -> bool:
     return True
 
 
-def is_answered(port: int, source: str) -> bool:
+def gets_response(port: int, source: str) -> bool:
     with contextlib.suppress(ConnectionError), connect(port, source) as sock:
         sock.sendall(b"GET / HTTP/1.0\r\n\r\n")
         return sock.recv(100).startswith(b"HTTP/1.1")
     return False
 
 
-def test_one_address_does_not_take_all_connections(desk: Desk) -> None:
+def test_connections_per_address_are_limited(desk: Desk) -> None:
     with contextlib.ExitStack() as stack:
         for _ in range(MOST_OF_ADDRESS):
             stack.enter_context(connect(desk.port, "127.0.0.2"))
-        assert is_cut(stack.enter_context(connect(desk.port, "127.0.0.2")))
+        assert is_closed(stack.enter_context(connect(desk.port, "127.0.0.2")))
         assert ask(desk.port, "/")[0] == 200
-    until(lambda: is_answered(desk.port, "127.0.0.2"), "their places are free again")
+    until(lambda: gets_response(desk.port, "127.0.0.2"), "their places are free again")
 
 
-def test_connections_are_bounded_in_all() -> None:
+def test_the_total_number_of_connections_is_limited() -> None:
     assert 2 * MOST_OF_ADDRESS < MOST_CONNECTIONS
 
 
@@ -67,21 +67,21 @@ def test_connections_are_bounded_in_all() -> None:
     "said",
     [b"", b"GET / HTTP/1.1\r\nHost: ", b"POST /none HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000000\r\n\r\nx"],
 )
-def test_who_never_ends_a_request_is_cut(desk: Desk, monkeypatch: pytest.MonkeyPatch, said: bytes) -> None:
+def test_an_unfinished_request_is_closed(desk: Desk, monkeypatch: pytest.MonkeyPatch, said: bytes) -> None:
     monkeypatch.setattr(connections, "REQUEST_SECONDS", 0.3)
     with connect(desk.port) as sock:
         sock.sendall(said)
-        assert is_cut(sock)
+        assert is_closed(sock)
 
 
-def test_a_page_outlives_the_time_of_a_request(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_outlives_the_time_limit_of_a_request(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections, "REQUEST_SECONDS", 0.3)
     with TestPage(desk.port) as page, connect(desk.port) as other:
-        assert is_cut(other), "so much time has gone"
+        assert is_closed(other), "so much time has gone"
         assert page.call("ping")["ok"]
 
 
-def test_pings_that_nobody_hears_are_not_kept(desk: Desk) -> None:
+def test_pongs_that_are_not_read_close_the_connection(desk: Desk) -> None:
     with connect(desk.port) as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         sock.sendall(opening(f"127.0.0.1:{desk.port}"))
@@ -91,7 +91,7 @@ def test_pings_that_nobody_hears_are_not_kept(desk: Desk) -> None:
     assert ask(desk.port, "/")[0] == 200
 
 
-def test_one_address_does_not_take_all_pages(desk: Desk) -> None:
+def test_pages_per_address_are_limited(desk: Desk) -> None:
     with contextlib.ExitStack() as stack:
         for _ in range(MOST_PAGES_OF_ADDRESS):
             stack.enter_context(TestPage(desk.port, source_address=("127.0.0.2", 0)))
@@ -103,41 +103,41 @@ def test_one_address_does_not_take_all_pages(desk: Desk) -> None:
 
 
 @pytest.mark.thorough
-def test_answers_that_nobody_reads_are_not_kept(desk: Desk) -> None:
+def test_replies_that_are_not_read_close_the_connection(desk: Desk) -> None:
     with connect(desk.port) as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         sock.sendall(opening(f"127.0.0.1:{desk.port}"))
         flood = client_frame(1, b'{"op": "call", "id": 1, "verb": "%s"}' % (b"x" * 80)) * 1000
 
-        def is_cut_off() -> bool:
+        def is_disconnected() -> bool:
             try:
                 sock.sendall(flood)
             except ConnectionError:
                 return True
             return False
 
-        until(is_cut_off, "it is cut", every=0.0)
+        until(is_disconnected, "it is cut", every=0.0)
     with TestPage(desk.port) as page:
         assert page.call("ping")["ok"]
 
 
-def test_a_message_has_not_too_many_parts(desk: Desk) -> None:
+def test_a_message_with_too_many_parts_closes_the_connection(desk: Desk) -> None:
     with connect(desk.port) as sock:
         sock.sendall(opening(f"127.0.0.1:{desk.port}"))
         until(lambda: b"hello" in sock.recv(1 << 16), "it says hello")
         with contextlib.suppress(ConnectionError):
             sock.sendall(client_frame(1, b"", fin=False) + client_frame(0, b"", fin=False) * 2000)
-        assert is_cut(sock)
+        assert is_closed(sock)
 
 
-def test_a_call_that_waited_for_long_is_not_done(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_call_that_waited_too_long_is_not_executed(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verbs, "BEGIN_SECONDS", -1.0)
     with TestPage(desk.port) as page:
         assert "is not done; ask again" in page.call("ping")["error"]
         assert "is not done" not in page.call("stop").get("error", ""), "a stop is never too late"
 
 
-def test_calls_of_a_page_that_left_are_not_begun(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_waiting_calls_of_a_closed_page_are_canceled(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     known, kept = desk.console.verbs, desk.console.verbs.begin
     may_end, begun, calls = threading.Event(), list[int](), list[Future[Any]]()
 
@@ -172,7 +172,7 @@ def test_calls_of_a_page_that_left_are_not_begun(desk: Desk, monkeypatch: pytest
 GOOD = {"names": ["house"], "current": "house"}
 
 
-class Broken(Feed):
+class FailingFeed(Feed):
     """Cannot be followed the first times."""
 
     TIMES = 100
@@ -191,12 +191,12 @@ class Broken(Feed):
         return
 
 
-def test_a_feed_that_fails_is_said_and_can_be_asked_for_again(desk: Desk) -> None:
-    desk.console.feeds.fixed["maps"] = Broken()
+def test_a_failing_feed_is_reported_and_can_be_watched_again(desk: Desk) -> None:
+    desk.console.feeds.fixed["maps"] = FailingFeed()
     with TestPage(desk.port) as page, TestPage(desk.port) as other:
-        for asked in range(1, Broken.TIMES + 1):
+        for attempt in range(1, FailingFeed.TIMES + 1):
             page.watch("maps")
-            page.until(lambda asked=asked: len(page.errors()) == asked, "it says so")
+            page.until(lambda attempt=attempt: len(page.errors()) == attempt, "it says so")
         assert set(page.errors()) == {"maps cannot be followed: 'no such thing'"}
         page.watch("maps")
         assert page.value("maps") == GOOD
@@ -204,12 +204,12 @@ def test_a_feed_that_fails_is_said_and_can_be_asked_for_again(desk: Desk) -> Non
         assert other.value("maps") == GOOD
 
 
-def test_a_feed_goes_on_after_an_error(desk: Desk) -> None:
-    console, asked, asking = desk.console, list[int](), SerialExecutor("asking")
+def test_a_feed_continues_after_an_error(desk: Desk) -> None:
+    console, queries, asking = desk.console, list[int](), SerialExecutor("asking")
 
     def answer() -> dict[str, Any]:
-        asked.append(1)
-        if len(asked) == 1:
+        queries.append(1)
+        if len(queries) == 1:
             raise KeyError("gone")
         return GOOD
 
@@ -220,7 +220,7 @@ def test_a_feed_goes_on_after_an_error(desk: Desk) -> None:
         assert page.value("maps") == GOOD
 
 
-def test_what_strangers_cause_does_not_fill_the_log(
+def test_warnings_caused_by_clients_are_rate_limited(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     scarce = ScarceLog()
@@ -234,7 +234,7 @@ def test_what_strangers_cause_does_not_fill_the_log(
     assert caplog.messages[20:] == ["80 more such warnings before", "bad again"]
 
 
-def test_verb_error_is_what_a_late_call_gets(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_late_call_raises_a_verb_error(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verbs, "BEGIN_SECONDS", -1.0)
     with pytest.raises(VerbError, match="is not done"):
         desk.console.verbs.begin("ping", {}, "a page").result(20)

@@ -61,31 +61,31 @@ HANG = f"const end = Date.now() + {1000 * HANGING}; setTimeout(() => {{ while (D
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebRobot]:
     for reason in (BROWSER, DART):
         need(reason)
-    made = WebRobot(tmp_path_factory.mktemp("web"))
+    robot_ = WebRobot(tmp_path_factory.mktemp("web"))
     try:
-        made.ready()
-        yield made
+        robot_.ready()
+        yield robot_
     finally:
-        made.close()
+        robot_.close()
 
 
 @pytest.fixture(scope="module")
 def chrome(robot: WebRobot, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
     options = ChromeOptions()
     profile = tmp_path_factory.mktemp("chrome")
-    for word in (
+    for argument in (
         "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--window-size=1280,800",
         f"--user-data-dir={profile}", "--disable-background-networking",
     ):  # fmt: skip
-        options.add_argument(word)
+        options.add_argument(argument)
     options.binary_location = str(shutil.which("chromium"))
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    made = Chrome(options, Service(shutil.which("chromedriver")))
+    driver = Chrome(options, Service(shutil.which("chromedriver")))
     try:
-        made.get(robot.address)
-        yield made
+        driver.get(robot.address)
+        yield driver
     finally:
-        made.quit()
+        driver.quit()
 
 
 class Operator:
@@ -101,19 +101,19 @@ class Operator:
     def line(self) -> str:
         return self.chrome.find_element(By.ID, "line-text").text
 
-    def button(self, words: str, within: str = "") -> WebElement:
+    def button(self, text: str, within: str = "") -> WebElement:
         """The button in sight with these words or this name, within an element of a kind."""
 
-        def found() -> WebElement | None:
-            for each in self.chrome.find_elements(By.CSS_SELECTOR, f"{within} button"):
+        def find() -> WebElement | None:
+            for element in self.chrome.find_elements(By.CSS_SELECTOR, f"{within} button"):
                 with contextlib.suppress(StaleElementReferenceException):  # a list that was filled again meanwhile
-                    if words in (each.text, each.accessible_name) and each.is_displayed():
-                        return each
+                    if text in (element.text, element.accessible_name) and element.is_displayed():
+                        return element
             return None
 
-        made = until(found, f"there is a button {words!r}")
-        assert made is not None
-        return made
+        shown = until(find, f"there is a button {text!r}")
+        assert shown is not None
+        return shown
 
     def choose(self, part: str) -> None:
         """Show a part of the panel, Send or By hand, if the window is too low for both."""
@@ -129,19 +129,19 @@ class Operator:
 
     def pixels(self, colour: str) -> int:
         """How many pixels of the map have a colour of the style."""
-        found: int = self.chrome.execute_script(PIXELS, colour)
-        return found
+        count: int = self.chrome.execute_script(PIXELS, colour)
+        return count
 
     def middle(self) -> list[int]:
         """The colour a little above the middle of the map."""
-        found: list[int] = self.chrome.execute_script(MIDDLE)
-        return found
+        color: list[int] = self.chrome.execute_script(MIDDLE)
+        return color
 
     def texts(self, selector: str) -> list[str]:
         """Return the texts of elements that may be filled again meanwhile."""
         script = "return [...document.querySelectorAll(arguments[0])].map((each) => each.textContent)"
-        found: list[str] = self.chrome.execute_script(script, selector)
-        return found
+        texts: list[str] = self.chrome.execute_script(script, selector)
+        return texts
 
     def said(self) -> str:
         return " ".join(self.chrome.find_element(By.ID, name).text for name in ("said", "wrong"))
@@ -155,13 +155,13 @@ class Operator:
 
 @pytest.fixture
 def operator(chrome: Chrome, robot: WebRobot) -> Iterator[Operator]:
-    made = Operator(chrome, robot)
-    made.open("drive")
-    made.choose("Send")
-    yield made
+    person = Operator(chrome, robot)
+    person.open("drive")
+    person.choose("Send")
+    yield person
     with TestPage(robot.port) as page:
         page.call("stop")
-    assert made.errors() == []
+    assert person.errors() == []
 
 
 @pytest.fixture
@@ -189,23 +189,23 @@ def distance(place: dict[str, float], spot: tuple[float, float]) -> float:
     return math.dist((place["x"], place["y"]), spot)
 
 
-def off(page: TestPage, x: float, y: float) -> float:
+def offset(page: TestPage, x: float, y: float) -> float:
     return distance(page.values["robot"]["value"]["pose"], (x, y))
 
 
 def test_a_press_on_the_map_sends_the_robot(operator: Operator, watch: TestPage) -> None:
-    spot = min((one for one in SPOTS if off(watch, *one) > 1.5 * NEAR), key=lambda one: off(watch, *one))
+    spot = min((point for point in SPOTS if offset(watch, *point) > 1.5 * NEAR), key=lambda point: offset(watch, *point))
     canvas = operator.map_at(*spot)
     operator.button("Go here").click()
     ActionChains(operator.chrome).move_to_element(canvas).click().perform()
     watch.value("driving", lambda value: value["goal"] and distance(value["goal"], spot) < 0.1)
     watch.until(lambda: watch.values["driving"]["value"]["state"] == "goal_reached", "it arrives", 120)
-    assert off(watch, *spot) < NEAR
+    assert offset(watch, *spot) < NEAR
     until(lambda: "arriv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the page shows it")
 
 
 @pytest.mark.thorough
-def test_another_robot_has_its_own_colour(operator: Operator, watch: TestPage) -> None:
+def test_another_robot_has_its_own_color(operator: Operator, watch: TestPage) -> None:
     watch.watch("robots")
     watch.call("goto_place", name="corridor")
     (porter,) = watch.value("robots", lambda robots: robots and robots[0]["pose"] and robots[0]["path"])
@@ -226,12 +226,12 @@ def table_about(x: float, y: float) -> tuple[dict[str, Any], dict[str, Any]]:
     info = {"resolution": size, "width": columns, "height": rows, "origin": origin}
     header = {"frame_id": "map"}
     heights = to_grid_map({"lowest": lowest}, corner, size, header)
-    plain = {**heights, "data": [{**each, "data": each["data"].tolist()} for each in heights["data"]]}
+    plain = {**heights, "data": [{**layer_, "data": layer_["data"].tolist()} for layer_ in heights["data"]]}
     return {"header": header, "info": info, "data": (100 * blocked).reshape(-1).tolist()}, plain
 
 
 @pytest.mark.thorough
-def test_the_layer_is_a_tint_with_heights(operator: Operator, robot: WebRobot) -> None:
+def test_the_layer_is_shown_as_a_tint_with_heights(operator: Operator, robot: WebRobot) -> None:
     far = robot.hub_program()
     try:
         layer, heights = table_about(*FREE)
@@ -267,17 +267,17 @@ def test_the_layer_is_a_tint_with_heights(operator: Operator, robot: WebRobot) -
         far.hub.close()
 
 
-def test_a_drag_gives_the_heading(operator: Operator, watch: TestPage) -> None:
+def test_a_drag_sets_the_heading(operator: Operator, watch: TestPage) -> None:
     canvas = operator.map_at(*FREE)
     operator.button("Go here").click()
     ActionChains(operator.chrome).move_to_element(canvas).click_and_hold().move_by_offset(0, 80).release().perform()
-    found = watch.value("driving", lambda value: value["goal"] and abs(value["goal"]["theta"] + math.pi / 2) < 0.05)
-    assert distance(found["goal"], FREE) < 0.1
+    driving = watch.value("driving", lambda value: value["goal"] and abs(value["goal"]["theta"] + math.pi / 2) < 0.05)
+    assert distance(driving["goal"], FREE) < 0.1
 
 
-def test_a_pause_keeps_what_is_left(operator: Operator, watch: TestPage) -> None:
+def test_a_pause_keeps_distance_and_path(operator: Operator, watch: TestPage) -> None:
     watch.watch("path")
-    operator.button("bedroom" if off(watch, 8.2, 7.4) > 2.0 else "kitchen", ".places-list").click()
+    operator.button("bedroom" if offset(watch, 8.2, 7.4) > 2.0 else "kitchen", ".places-list").click()
     watch.until(lambda: moves(watch), "it drives", 60)
     watch.value("driving", lambda value: value["distance"])
     until(lambda: operator.pixels("--path") > 100, "the path is drawn")
@@ -295,7 +295,7 @@ def test_a_pause_keeps_what_is_left(operator: Operator, watch: TestPage) -> None
 
 
 @pytest.mark.parametrize("how", ["button", "space"])
-def test_stop_while_it_drives(operator: Operator, watch: TestPage, how: str) -> None:
+def test_stop_during_a_drive(operator: Operator, watch: TestPage, how: str) -> None:
     pose = watch.values["robot"]["value"]["pose"]
     place = max(
         watch.value("places")["locations"].items(),
@@ -312,15 +312,15 @@ def test_stop_while_it_drives(operator: Operator, watch: TestPage, how: str) -> 
     watch.value("driving", lambda value: value["state"] not in ("moving", "preparing_before_move"))
 
 
-def drive_by_hand(operator: Operator, watch: TestPage) -> None:
+def drive_manually(operator: Operator, watch: TestPage) -> None:
     operator.choose("By hand")
     button = operator.button("Turn left")
     ActionChains(operator.chrome).click_and_hold(button).perform()
     watch.until(lambda: moves(watch), "it turns while the button is held", 30)
 
 
-def test_by_hand_while_it_is_held(operator: Operator, watch: TestPage) -> None:
-    drive_by_hand(operator, watch)
+def test_manual_driving_lasts_while_the_button_is_held(operator: Operator, watch: TestPage) -> None:
+    drive_manually(operator, watch)
     ActionChains(operator.chrome).release().perform()
     watch.until(lambda: stands(watch), "it stands once the finger lifts", 30)
 
@@ -333,8 +333,8 @@ def test_by_hand_while_it_is_held(operator: Operator, watch: TestPage) -> None:
         pytest.param("the tab hides", marks=pytest.mark.thorough),
     ],
 )
-def test_by_hand_when_the_page_fails(operator: Operator, watch: TestPage, how: str) -> None:
-    drive_by_hand(operator, watch)
+def test_manual_driving_stops_when_the_page_fails(operator: Operator, watch: TestPage, how: str) -> None:
+    drive_manually(operator, watch)
     try:
         if how == "the page's script stands still":
             operator.chrome.execute_script(HANG)
@@ -364,14 +364,14 @@ def test_by_hand_when_the_page_fails(operator: Operator, watch: TestPage, how: s
 
 
 @pytest.mark.thorough
-def test_a_place_is_kept_for_all(operator: Operator, watch: TestPage, robot: WebRobot) -> None:
+def test_a_saved_place_is_visible_to_all(operator: Operator, watch: TestPage, robot: WebRobot) -> None:
     canvas = operator.map_at(*FREE)
     operator.button("Keep place").click()
     ActionChains(operator.chrome).move_to_element(canvas).click().perform()
     name = until(lambda: operator.chrome.switch_to.active_element, "the name is asked for")
     name.send_keys("here be tea", Keys.ENTER)
-    found = watch.value("places", lambda value: "here be tea" in value["locations"])["locations"]["here be tea"]
-    assert distance(found, FREE) < 0.1
+    saved = watch.value("places", lambda value: "here be tea" in value["locations"])["locations"]["here be tea"]
+    assert distance(saved, FREE) < 0.1
     assert "here be tea" in robot.command("location", "list")
     with robot.yarp_maps() as yarp:
         place = yarp.locations["here be tea"]
@@ -383,7 +383,7 @@ def test_a_place_is_kept_for_all(operator: Operator, watch: TestPage, robot: Web
 
 
 @pytest.mark.thorough
-def test_an_area_is_drawn_for_all(operator: Operator, watch: TestPage, robot: WebRobot) -> None:
+def test_a_drawn_area_is_visible_to_all(operator: Operator, watch: TestPage, robot: WebRobot) -> None:
     canvas = operator.map_at(*FREE)
     operator.button("Edit map").click()
     chain = ActionChains(operator.chrome).move_to_element_with_offset(canvas, -40, -20)
@@ -406,7 +406,7 @@ def test_an_area_is_drawn_for_all(operator: Operator, watch: TestPage, robot: We
 
 
 @pytest.mark.thorough
-def test_an_area_by_its_corners_on_the_keyboard(operator: Operator, watch: TestPage) -> None:
+def test_an_area_is_drawn_with_the_keyboard(operator: Operator, watch: TestPage) -> None:
     canvas = operator.map_at(*FREE)
     operator.button("Edit map").send_keys(Keys.ENTER)
     for key in (Keys.ARROW_RIGHT, Keys.ARROW_UP, Keys.ARROW_LEFT):
@@ -415,14 +415,14 @@ def test_an_area_by_its_corners_on_the_keyboard(operator: Operator, watch: TestP
     operator.button("Finish").send_keys(Keys.ENTER)
     name = until(lambda: operator.chrome.switch_to.active_element, "the name is asked for")
     name.send_keys("by keys", Keys.ENTER)
-    found = watch.value("places", lambda value: "by keys" in value["areas"])["areas"]["by keys"]["points"]
-    assert len(found) == 3
+    corners = watch.value("places", lambda value: "by keys" in value["areas"])["areas"]["by keys"]["points"]
+    assert len(corners) == 3
     operator.button("Done").click()
     watch.call("delete_place", name="by keys", kind="area")
 
 
 @pytest.mark.thorough
-def test_a_map_goes_down_and_comes_up(operator: Operator, watch: TestPage, tmp_path: Path) -> None:
+def test_a_map_is_exported_and_imported(operator: Operator, watch: TestPage, tmp_path: Path) -> None:
     watch.watch("maps")
     name = watch.value("maps")["current"]
     behaviour = {"behavior": "allow", "downloadPath": str(tmp_path)}
@@ -438,29 +438,29 @@ def test_a_map_goes_down_and_comes_up(operator: Operator, watch: TestPage, tmp_p
     operator.button("Rename the map copy").send_keys(Keys.ENTER)
     field = until(lambda: operator.chrome.find_elements(By.CSS_SELECTOR, "dialog input"), "it asks for the name")[0]
     field.send_keys(Keys.CONTROL, "a", Keys.NULL, "spare", Keys.ENTER)
-    found = watch.value("maps", lambda value: "spare" in value["names"])
-    assert found == {"names": sorted([name, "spare"]), "current": name}
+    maps = watch.value("maps", lambda value: "spare" in value["names"])
+    assert maps == {"names": sorted([name, "spare"]), "current": name}
 
 
 @pytest.mark.thorough
-def test_a_goal_by_the_keyboard(operator: Operator, watch: TestPage) -> None:
+def test_a_goal_is_set_with_the_keyboard(operator: Operator, watch: TestPage) -> None:
     canvas = operator.map_at(*FREE)
     operator.button("Go here").send_keys(Keys.ENTER)
     canvas.send_keys(Keys.ENTER)
-    found = watch.value("driving", lambda value: value["goal"] and distance(value["goal"], FREE) < 0.1)
-    assert found["state"] not in ("idle", "goal_reached")
+    driving = watch.value("driving", lambda value: value["goal"] and distance(value["goal"], FREE) < 0.1)
+    assert driving["state"] not in ("idle", "goal_reached")
 
 
-def kept_out(robot: WebRobot) -> int:
+def keep_out_cells(robot: WebRobot) -> int:
     """How many cells of the map in use are to be kept out of."""
-    found: dict[str, int] = next(row for row in json.loads(robot.command("map", "list", "--json")) if row["current"])[
+    shown: dict[str, int] = next(row for row in json.loads(robot.command("map", "list", "--json")) if row["current"])[
         "flags"
     ]
-    return found.get("keep_out", 0)
+    return shown.get("keep_out", 0)
 
 
 @pytest.mark.thorough
-def test_flags_are_painted_and_taken_back(operator: Operator, watch: TestPage, robot: WebRobot) -> None:
+def test_flags_are_painted_and_undone(operator: Operator, watch: TestPage, robot: WebRobot) -> None:
     watch.watch("map")
     clean = watch.value("map")["flags"]
     canvas = operator.map_at(*FREE)
@@ -469,7 +469,7 @@ def test_flags_are_painted_and_taken_back(operator: Operator, watch: TestPage, r
     chain = ActionChains(operator.chrome).move_to_element_with_offset(canvas, -30, 0)
     chain.click_and_hold().move_by_offset(30, 0).move_by_offset(30, 0).release().perform()
     watch.value("map", lambda value: value["flags"] != clean)
-    painted = kept_out(robot)
+    painted = keep_out_cells(robot)
     assert painted > 10
     with robot.yarp_maps() as yarp:
         assert np.count_nonzero(yarp.maps["apartment"].flags == MapFlag.KEEP_OUT) == painted, "YARP's clients know it"
@@ -478,7 +478,7 @@ def test_flags_are_painted_and_taken_back(operator: Operator, watch: TestPage, r
     until(lambda: operator.button("Redo").is_enabled(), "it can be done again")
     canvas.send_keys(Keys.CONTROL, "y")
     watch.value("map", lambda value: value["flags"] != clean)
-    assert kept_out(robot) == painted
+    assert keep_out_cells(robot) == painted
     until(lambda: operator.button("Undo").is_enabled(), "it can be taken back again")
     canvas.send_keys(Keys.CONTROL, "z")
     watch.value("map", lambda value: value["flags"] == clean)
@@ -486,10 +486,10 @@ def test_flags_are_painted_and_taken_back(operator: Operator, watch: TestPage, r
 
 
 @pytest.mark.thorough
-def test_a_patrol_until_somebody_ends_it(operator: Operator, watch: TestPage) -> None:
+def test_a_patrol_runs_until_it_is_ended(operator: Operator, watch: TestPage) -> None:
     watch.watch("patrol")
     places = watch.value("places")["locations"]
-    first = min(places, key=lambda name: off(watch, places[name]["x"], places[name]["y"]))
+    first = min(places, key=lambda name: offset(watch, places[name]["x"], places[name]["y"]))
     second = "dock" if first != "dock" else "corridor"
     operator.button("Patrol …").click()
     for name in (first, second):
@@ -503,14 +503,14 @@ def test_a_patrol_until_somebody_ends_it(operator: Operator, watch: TestPage) ->
     turn = operator.chrome.find_element(By.CLASS_NAME, "turn")
     until(lambda: f"{second} (2 of 2, round 1)" in turn.text, "the page shows it")
     operator.button("End drive").click()
-    found = watch.value("patrol", lambda value: value["state"] == "ended")
-    assert "stopped" in found["why"]
+    patrol = watch.value("patrol", lambda value: value["state"] == "ended")
+    assert "stopped" in patrol["why"]
     until(lambda: "has ended" in operator.chrome.find_element(By.CLASS_NAME, "turn").text, "the page shows it")
     watch.until(lambda: stands(watch), "it stands", 30)
 
 
 @pytest.mark.thorough
-def test_two_tabs_agree(operator: Operator, watch: TestPage) -> None:
+def test_two_tabs_show_the_same_state(operator: Operator, watch: TestPage) -> None:
     first = operator.chrome.current_window_handle
     operator.chrome.switch_to.new_window("tab")
     try:
@@ -536,7 +536,7 @@ _LESS = ("places", "topics", "frames", "system")
 @pytest.mark.parametrize(
     "view", ["drive", "status", *(pytest.param(view, marks=pytest.mark.thorough) for view in _LESS)]
 )
-def test_every_view_fits(operator: Operator, view: str, width: int) -> None:
+def test_every_view_fits_the_window(operator: Operator, view: str, width: int) -> None:
     chrome = operator.chrome
     with viewport(chrome, width, 780):
         operator.open(view)
@@ -589,7 +589,7 @@ def places(watch: TestPage) -> Iterator[Callable[[int], None]]:
     ("width", "height"),
     [(1366, 625), (1280, 757), *(pytest.param(*size, marks=pytest.mark.thorough) for size in WINDOWS)],
 )
-def test_the_places_to_send_to_are_in_sight(
+def test_the_goal_places_are_visible(
     operator: Operator, places: Callable[[int], None], width: int, height: int
 ) -> None:
     chrome = operator.chrome
@@ -609,7 +609,7 @@ def test_the_places_to_send_to_are_in_sight(
 
 
 @pytest.mark.thorough
-def test_a_patrol_that_has_ended_covers_no_place(
+def test_an_ended_patrol_covers_no_place(
     operator: Operator, places: Callable[[int], None], watch: TestPage
 ) -> None:
     places(9)
@@ -657,7 +657,7 @@ return result;
 """
 
 
-def test_an_endpoint_that_does_not_connect(operator: Operator) -> None:
+def test_a_failing_endpoint_is_shown(operator: Operator) -> None:
     operator.open("status")
     before, failing, after = operator.chrome.execute_script(f"return (async () => {{{ENDPOINTS}}})()")
     assert before is after is None
@@ -668,7 +668,7 @@ def test_an_endpoint_that_does_not_connect(operator: Operator) -> None:
     assert "7448 listening" not in failing
 
 
-def test_status_and_frames(operator: Operator) -> None:
+def test_status_and_frames_show_the_deployment(operator: Operator) -> None:
     chrome = operator.chrome
     operator.open("status")
     until(lambda: {"web-test", "YARP"} <= set(operator.texts(".graph .name")), "daemon and side are drawn")
@@ -696,7 +696,7 @@ import("./socket.js").then(({ Socket }) => {
 """
 
 
-def test_a_feed_that_ends_as_another_is_drawn_holds_up_none(operator: Operator) -> None:
+def test_a_feed_that_ends_during_drawing_blocks_no_other(operator: Operator) -> None:
     """As where frames that came choose another pose to follow."""
     address = operator.robot.address.replace("http", "ws", 1).rstrip("/") + "/socket"
     try:
@@ -706,13 +706,13 @@ def test_a_feed_that_ends_as_another_is_drawn_holds_up_none(operator: Operator) 
 
 
 @pytest.mark.thorough
-def test_the_system(operator: Operator, robot: WebRobot) -> None:
+def test_the_system_view_shows_log_configuration_and_doctor(operator: Operator, robot: WebRobot) -> None:
     chrome = operator.chrome
     operator.open("system")
     field = chrome.find_element(By.CSS_SELECTOR, ".logs input")
     field.send_keys("the console is at")
-    there = [f"the console is at {robot.address}"]
-    until(lambda: operator.texts(".log .text") == there, "the log, searched")
+    expected = [f"the console is at {robot.address}"]
+    until(lambda: operator.texts(".log .text") == expected, "the log, searched")
     operator.open("system/config")
     until(lambda: "No problem" in chrome.find_element(By.CSS_SELECTOR, ".verdict").text, "the configuration is checked")
     assert "name: web-test" in operator.texts(".config li")
@@ -740,7 +740,7 @@ def test_a_message_and_a_call_from_a_form(operator: Operator, watch: TestPage) -
         voltage.clear()
         voltage.send_keys(text, Keys.ENTER)
         error = f"voltage {limits}, not “{text}”"
-        until(lambda error=error: any(error in each for each in operator.texts(".form-wrong")), "the error is shown")
+        until(lambda error=error: any(error in text_ for text_ in operator.texts(".form-wrong")), "the error is shown")
     voltage.clear()
     voltage.send_keys("12.5", Keys.ENTER)
     until(lambda: "published on /battery_state" in operator.texts(".told"), "it is published")
@@ -752,7 +752,7 @@ def test_a_message_and_a_call_from_a_form(operator: Operator, watch: TestPage) -
 
 
 @pytest.mark.thorough
-def test_the_daemon_comes_back(operator: Operator, robot: WebRobot) -> None:
+def test_the_page_reconnects_after_a_restart_of_the_daemon(operator: Operator, robot: WebRobot) -> None:
     robot.kill_daemon_and_start_again()
     until(lambda: operator.line() != "Connected", "the page shows that the line is lost")
     until(lambda: operator.line() == "Connected", "the page recovers by itself", 60)

@@ -44,39 +44,39 @@ def frames(desk: Desk) -> Any:
     out = desk.far.advertise("/tf", TF)
     over = threading.Event()
 
-    def say() -> None:
+    def publish_frames() -> None:
         while not over.wait(0.05):
             moved = [transform("map", "odom", 1.0, 2.0), transform("odom", "base_link", 0.5, 0.0, math.pi / 2)]
             desk.far.publish(out, {"transforms": moved})
 
-    thread = threading.Thread(target=say)
+    thread = threading.Thread(target=publish_frames)
     thread.start()
     yield
     over.set()
     thread.join()
 
 
-def test_hello(desk: Desk) -> None:
+def test_the_hello_describes_the_console(desk: Desk) -> None:
     with TestPage(desk.port) as page:
-        page.until(lambda: page.said, "the hello comes")
-        assert page.said[0] | {"version": ""} == {
+        page.until(lambda: page.others, "the hello comes")
+        assert page.others[0] | {"version": ""} == {
             "op": "hello", "daemon": "here", "version": "", "role": "drive", "who": "", "frame": "map",
             "hold_seconds": HOLD_SECONDS, "speed": {"x": 0.3, "y": 0.3, "turn": 0.6},
         }  # fmt: skip
 
 
 @pytest.mark.usefixtures("frames")
-def test_where_the_robot_is(desk: Desk) -> None:
+def test_the_robots_pose_is_shown(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.watch("robot", "frames")
-        found = page.value("robot")
-        assert found["pose"] == pytest.approx({"x": 1.5, "y": 2.0, "theta": math.pi / 2}, abs=1e-3)
+        robot = page.value("robot")
+        assert robot["pose"] == pytest.approx({"x": 1.5, "y": 2.0, "theta": math.pi / 2}, abs=1e-3)
         names = {frame["name"]: frame["parent"] for frame in page.value("frames")}
         assert names == {"odom": "map", "base_link": "odom"}
 
 
 @pytest.mark.usefixtures("frames")
-def test_a_footprint_with_corners(desk: Desk) -> None:
+def test_a_configured_footprint_is_shown(desk: Desk) -> None:
     corners = [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]
     desk.open_with(web={"footprint": corners})
     with TestPage(desk.port) as page:
@@ -85,31 +85,31 @@ def test_a_footprint_with_corners(desk: Desk) -> None:
 
 
 @pytest.mark.usefixtures("frames")
-def test_other_robots(desk: Desk) -> None:
+def test_other_robots_are_shown(desk: Desk) -> None:
     robots = [{"name": "r2", "base_frame": "odom", "path": "/r2/plan"}, {"name": "r3", "base_frame": "r3/base_link"}]
     desk.open_with(web={"robots": robots})
-    way = desk.far.advertise("/r2/plan", "nav_msgs/Path", latched=True)
+    plan = desk.far.advertise("/r2/plan", "nav_msgs/Path", latched=True)
     spots = [{"pose": {"position": {"x": float(x), "y": 2.0}}} for x in range(3)]
-    desk.far.publish(way, {"header": {"frame_id": "map"}, "poses": spots})
+    desk.far.publish(plan, {"header": {"frame_id": "map"}, "poses": spots})
     with TestPage(desk.port) as page:
         page.watch("robots")
-        found = page.value("robots", lambda robots: robots and robots[0]["pose"] and robots[0]["path"])
-        assert found[0]["pose"] == pytest.approx({"x": 1.0, "y": 2.0, "theta": 0.0})
-        assert found[0]["path"] == [0.0, 2.0, 1.0, 2.0, 2.0, 2.0]
-        assert max(x for x, _ in found[0]["footprint"]) == 0.3
-        assert found[1]["name"] == "r3"
-        assert found[1]["pose"] is None
-        assert "not known where r3/base_link is" in found[1]["why"]
+        robots_ = page.value("robots", lambda robots: robots and robots[0]["pose"] and robots[0]["path"])
+        assert robots_[0]["pose"] == pytest.approx({"x": 1.0, "y": 2.0, "theta": 0.0})
+        assert robots_[0]["path"] == [0.0, 2.0, 1.0, 2.0, 2.0, 2.0]
+        assert max(x for x, _ in robots_[0]["footprint"]) == 0.3
+        assert robots_[1]["name"] == "r3"
+        assert robots_[1]["pose"] is None
+        assert "not known where r3/base_link is" in robots_[1]["why"]
 
 
 @pytest.mark.usefixtures("frames")
-def test_where_one_frame_is_in_another(desk: Desk) -> None:
+def test_the_pose_of_one_frame_in_another(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.watch("pose:map>base_link", "pose:base_link>odom", "pose:map>camera", "pose:map", "pose:>map")
-        found = page.value("pose:map>base_link")
-        assert found["position"] == pytest.approx({"x": 1.5, "y": 2.0, "z": 0.0}, abs=1e-3)
-        assert found["angles"] == pytest.approx({"roll": 0.0, "pitch": 0.0, "yaw": math.pi / 2}, abs=1e-3)
-        assert found["age"] < 30.0
+        pose = page.value("pose:map>base_link")
+        assert pose["position"] == pytest.approx({"x": 1.5, "y": 2.0, "z": 0.0}, abs=1e-3)
+        assert pose["angles"] == pytest.approx({"roll": 0.0, "pitch": 0.0, "yaw": math.pi / 2}, abs=1e-3)
+        assert pose["age"] < 30.0
         back = page.value("pose:base_link>odom")
         assert back["position"] == pytest.approx({"x": 0.0, "y": 0.5, "z": 0.0}, abs=1e-3)
         page.until(lambda: "camera" in page.values["pose:map>camera"].get("why", ""), "the reason is given")
@@ -117,7 +117,7 @@ def test_where_one_frame_is_in_another(desk: Desk) -> None:
         assert "'pose:map' is no feed of a pose: ask for pose:REFERENCE>FRAME" in page.errors()
 
 
-def test_why_it_is_not_known_where_the_robot_is(desk: Desk) -> None:
+def test_an_unknown_pose_has_a_reason(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.watch("robot")
         page.until(lambda: "robot" in page.values, "the robot has a value")
@@ -126,7 +126,7 @@ def test_why_it_is_not_known_where_the_robot_is(desk: Desk) -> None:
 
 
 @pytest.mark.usefixtures("frames")
-def test_the_laser_on_the_map(desk: Desk) -> None:
+def test_the_laser_is_shown_on_the_map(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.watch("robot", "laser")
         page.value("robot")
@@ -147,7 +147,7 @@ def test_the_laser_on_the_map(desk: Desk) -> None:
 
 
 @pytest.mark.usefixtures("frames")
-def test_obstacles_as_the_planner_sees_them(desk: Desk) -> None:
+def test_the_planners_obstacles_are_shown(desk: Desk) -> None:
     out = desk.far.advertise("/local_costmap/costmap", "nav_msgs/OccupancyGrid", latched=True)
     status = desk.far.advertise("/navigation/status", "midspan_msgs/NavigationStatus", latched=True)
     desk.far.publish(status, {"state": "moving"})
@@ -158,9 +158,9 @@ def test_obstacles_as_the_planner_sees_them(desk: Desk) -> None:
         page.value("driving", lambda value: value and value["state"] == "moving")
         page.value("robot")
         desk.far.publish(out, {"header": {"frame_id": "odom"}, "info": info, "data": [0, 99, 100, -1, 0, 0]})
-        found = page.value("obstacles", lambda value: value and value["points"])
+        obstacles = page.value("obstacles", lambda value: value and value["points"])
         # the odometry's frame is at 1, 2; the cell's middle at 1.25, 0.25 from the grid's corner
-        assert found == {"points": [3.25, 2.25], "size": 0.5}
+        assert obstacles == {"points": [3.25, 2.25], "size": 0.5}
         desk.far.publish(status, {"state": "goal_reached"})
         page.value("obstacles", lambda value: not value["points"])
         desk.far.publish(status, {"state": "moving"})
@@ -169,20 +169,20 @@ def test_obstacles_as_the_planner_sees_them(desk: Desk) -> None:
         page.until(lambda: "up to 1048576 are shown" in page.values["obstacles"].get("why", ""), "it is refused")
 
 
-def test_nothing_is_followed_while_nobody_watches(desk: Desk) -> None:
+def test_feeds_are_subscribed_only_while_watched(desk: Desk) -> None:
     graph = desk.far.hub.graph
     assert not graph.subscriptions("/tf")
-    with TestPage(desk.port) as one, TestPage(desk.port) as other:
-        for page in (one, other):
+    with TestPage(desk.port) as first, TestPage(desk.port) as other:
+        for page in (first, other):
             page.watch("robot", "topic:/heard")
         until(lambda: len(graph.subscriptions("/tf")) == 1, "one subscription serves both")
-        one.send(op="unwatch", feed="robot")
+        first.send(op="unwatch", feed="robot")
         other.until(lambda: "robot" in other.values, "the other is still served")
         assert graph.subscriptions("/tf")
     until(lambda: not graph.subscriptions("/tf"), "the frames have no subscriber any longer")
 
 
-def test_a_topic_as_a_tree(desk: Desk) -> None:
+def test_a_topic_is_shown_as_a_tree(desk: Desk) -> None:
     out = desk.far.advertise("/heard", "std_msgs/Int32MultiArray")
     with TestPage(desk.port) as page:
         page.watch("topic:/heard")
@@ -193,9 +193,9 @@ def test_a_topic_as_a_tree(desk: Desk) -> None:
             return bool(page.values.get("topic:/heard", {}).get("value"))
 
         until(publish, "the message is seen", every=0.05)
-        found = page.values["topic:/heard"]["value"]
-        assert found["type"] == "std_msgs/msg/Int32MultiArray"
-        assert found["message"]["data"] == [*range(32), {"...": 100}]
+        message = page.values["topic:/heard"]["value"]
+        assert message["type"] == "std_msgs/msg/Int32MultiArray"
+        assert message["message"]["data"] == [*range(32), {"...": 100}]
 
 
 def test_a_large_message_is_not_shown(desk: Desk) -> None:
@@ -203,16 +203,16 @@ def test_a_large_message_is_not_shown(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.watch("topic:/heard")
 
-        def told() -> bool:
+        def is_reported() -> bool:
             desk.far.publish(out, {"data": "x" * (4 << 20)})
             page.read()
             return "is not shown" in page.values.get("topic:/heard", {}).get("why", "")
 
-        until(told, "the reason is given", every=0.05)
+        until(is_reported, "the reason is given", every=0.05)
 
 
 @pytest.mark.usefixtures("frames")
-def test_a_slow_page_gets_the_newest_alone(desk: Desk) -> None:
+def test_a_slow_page_gets_only_the_newest_value(desk: Desk) -> None:
     with TestPage(desk.port, takes=False) as slow, TestPage(desk.port) as quick:
         for page in (slow, quick):
             page.watch("frames")
@@ -226,13 +226,13 @@ def test_a_slow_page_gets_the_newest_alone(desk: Desk) -> None:
         assert slow.values["frames"]["n"] > first["n"] + 1
 
 
-def test_topics_and_workers(desk: Desk) -> None:
+def test_topics_and_workers_are_listed(desk: Desk) -> None:
     desk.far.advertise("/said", "std_msgs/String")
     with TestPage(desk.port) as page:
         page.watch("topics", "status")
-        found = page.value("topics", lambda topics: any(one["topic"] == "/said" for one in topics or ()))
-        one = next(one for one in found if one["topic"] == "/said")
-        assert one == {"topic": "/said", "type": "std_msgs/msg/String", "publishers": 1, "subscribers": 0}
+        topics_ = page.value("topics", lambda topics: any(said_topic["topic"] == "/said" for said_topic in topics or ()))
+        said_topic = next(said_topic for said_topic in topics_ if said_topic["topic"] == "/said")
+        assert said_topic == {"topic": "/said", "type": "std_msgs/msg/String", "publishers": 1, "subscribers": 0}
         status = page.value("status")
         assert isinstance(status["workers"], list)
         assert status["machines"] == []
@@ -246,14 +246,14 @@ class Base:
         registry = desk.far.registry
         self._zero = from_json(registry, "geometry_msgs/msg/Twist", {})
         name = "geometry_msgs/msg/Twist"
-        desk.far.hub.subscription("/cmd_vel", name, registry.ros2(name).type_id, Qos(depth=10), self._take)
+        desk.far.hub.subscription("/cmd_vel", name, registry.ros2(name).type_id, Qos(depth=10), self._on_message)
         self._desk = desk
 
-    def _take(self, sample: Any) -> None:
+    def _on_message(self, sample: Any) -> None:
         from bridge.messages.json import to_json
 
-        said = to_json(self._desk.far.registry, "geometry_msgs/msg/Twist", sample.data())
-        self.heard.append((time.monotonic(), said["linear"]["x"], said["angular"]["z"]))
+        twist = to_json(self._desk.far.registry, "geometry_msgs/msg/Twist", sample.data())
+        self.heard.append((time.monotonic(), twist["linear"]["x"], twist["angular"]["z"]))
 
     def drives(self) -> bool:
         return bool(self.heard) and self.heard[-1][1:] != (0.0, 0.0)
@@ -266,7 +266,7 @@ def hold(page: TestPage, base: Base, seconds: float = 0.0, x: float = 0.1) -> No
     """Hold until the base drives, and for these seconds after."""
     end = time.monotonic() + 30
     while not base.drives():
-        assert time.monotonic() < end, f"the base does not drive: {page.said}"
+        assert time.monotonic() < end, f"the base does not drive: {page.others}"
         page.send(op="hold", x=x, y=0.0, turn=0.0)
         page.read(0.05)
     until_ = time.monotonic() + seconds
@@ -275,7 +275,7 @@ def hold(page: TestPage, base: Base, seconds: float = 0.0, x: float = 0.1) -> No
         page.read(0.05)
 
 
-def test_a_hold_drives_while_it_is_said(desk: Desk) -> None:
+def test_a_hold_drives_while_it_is_repeated(desk: Desk) -> None:
     base = Base(desk)
     with TestPage(desk.port) as page:
         hold(page, base, 0.6, x=5.0)
@@ -290,7 +290,7 @@ def test_a_hold_drives_while_it_is_said(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize("how", ["silent", "cut", "closed"])
-def test_a_page_that_goes_stops_the_base(desk: Desk, how: str) -> None:
+def test_a_page_that_closes_stops_the_base(desk: Desk, how: str) -> None:
     base = Base(desk)
     with TestPage(desk.port) as page:
         hold(page, base)
@@ -301,7 +301,7 @@ def test_a_page_that_goes_stops_the_base(desk: Desk, how: str) -> None:
         until(base.stands, "it stands")
 
 
-def test_no_hold_without_a_topic_of_velocities(desk: Desk) -> None:
+def test_no_hold_without_a_velocity_topic(desk: Desk) -> None:
     desk.open_with(navigation={"planner": "nav2", "velocity": ""})
     with TestPage(desk.port) as page:
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
@@ -312,13 +312,13 @@ def test_no_hold_without_a_topic_of_velocities(desk: Desk) -> None:
 
 def test_one_page_drives_at_a_time(desk: Desk) -> None:
     base = Base(desk)
-    with TestPage(desk.port) as one, TestPage(desk.port) as other:
-        hold(one, base)
+    with TestPage(desk.port) as first, TestPage(desk.port) as other:
+        hold(first, base)
         stop = time.monotonic() + 30
         while not other.errors():
             assert time.monotonic() < stop
-            one.send(op="hold", x=0.1, y=0.0, turn=0.0)
-            one.read(0.02)
+            first.send(op="hold", x=0.1, y=0.0, turn=0.0)
+            first.read(0.02)
             other.send(op="hold", x=-0.1, y=0.0, turn=0.0)
             other.read(0.05)
         assert "drives by hand" in other.errors()[0]
@@ -352,7 +352,7 @@ def test_no_hold_against_a_planner(desk: Desk) -> None:
      '{"op": "watch"}', '{"op": "watch", "feed": 3}', '{"op": "watch", "feed": "robot", "more": 1}',
      '{"op": "call", "id": "1", "verb": "stop"}', '{"op": "call", "id": 1, "verb": "stop", "args": []}', "[" * 5000],
 )  # fmt: skip
-def test_bad_messages_are_named(desk: Desk, text: str) -> None:
+def test_invalid_messages_are_reported(desk: Desk, text: str) -> None:
     base = Base(desk)
     with TestPage(desk.port) as page:
         page.socket.send(text)
@@ -371,14 +371,14 @@ def test_a_hold_out_of_range_is_refused_with_its_limits(desk: Desk, x: str, show
         assert page.errors() == [f"hold: x {limits}, not {shown}"]
 
 
-def test_a_page_of_bad_messages_alone_is_closed(desk: Desk) -> None:
+def test_a_page_that_sends_only_invalid_messages_is_closed(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         for _ in range(30):
             page.socket.send("{")
         with pytest.raises(Exception, match="1008"):
             page.until(lambda: False, "it is closed")
     with TestPage(desk.port) as page:
-        page.until(lambda: page.said, "others are served")
+        page.until(lambda: page.others, "others are served")
 
 
 LIMITS = "must be a number between -1,000,000 and 1,000,000"
@@ -404,7 +404,7 @@ LIMITS = "must be a number between -1,000,000 and 1,000,000"
         ("use_map", {"name": "house"}, "no daemon on the hub keeps a store"),
     ],
 )
-def test_calls_that_cannot_be(desk: Desk, verb: str, args: dict[str, Any], why: str) -> None:
+def test_invalid_calls_are_refused(desk: Desk, verb: str, args: dict[str, Any], why: str) -> None:
     with TestPage(desk.port) as page:
         reply = page.call(verb, **args)
         assert not reply["ok"]
@@ -412,21 +412,21 @@ def test_calls_that_cannot_be(desk: Desk, verb: str, args: dict[str, Any], why: 
 
 
 @pytest.mark.parametrize("topic", ["/initialpose", "/r1/start"])
-def test_where_the_robot_is_said_to_be(desk: Desk, topic: str) -> None:
+def test_set_pose_publishes_the_initial_pose(desk: Desk, topic: str) -> None:
     desk.open_with(modules={"localization_server": {"initialpose": topic}})
-    heard = desk.far.subscribe(topic, "geometry_msgs/PoseWithCovarianceStamped")
+    subscription = desk.far.subscribe(topic, "geometry_msgs/PoseWithCovarianceStamped")
     with TestPage(desk.port) as page:
         reply: dict[str, Any] = {}
 
-        def told() -> bool:
+        def is_reported() -> bool:
             reply.update(page.call("set_pose", x=1.0, y=2.0, theta=math.pi))
             return bool(reply["ok"])
 
-        until(told, "the pose is taken once the listener is known")
-        found = desk.far.wait(heard, 1)[0]
-        assert found["header"]["frame_id"] == "map"
-        assert found["pose"]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.0}
-        assert found["pose"]["pose"]["orientation"]["z"] == pytest.approx(1.0)
+        until(is_reported, "the pose is taken once the listener is known")
+        message = desk.far.wait(subscription, 1)[0]
+        assert message["header"]["frame_id"] == "map"
+        assert message["pose"]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.0}
+        assert message["pose"]["pose"]["orientation"]["z"] == pytest.approx(1.0)
 
 
 def test_a_stop_goes_to_the_gateway_and_ends_a_hold(desk: Desk) -> None:
@@ -446,7 +446,7 @@ def test_a_stop_goes_to_the_gateway_and_ends_a_hold(desk: Desk) -> None:
     assert stops is not None
 
 
-def test_a_goal_whose_answer_does_not_come_is_cancelled(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_goal_without_a_reply_is_canceled(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verbs, "GOAL_SECONDS", 0.5)
     gateway = LateGateway(desk.hubs.settings("gateway"))
     try:
@@ -454,11 +454,11 @@ def test_a_goal_whose_answer_does_not_come_is_cancelled(desk: Desk, monkeypatch:
             page.until(lambda: desk.far.hub.graph.servers(f"{ACTION}/_action/send_goal"), "the gateway is there")
             reply: dict[str, Any] = {}
 
-            def asked() -> bool:
+            def is_sent() -> bool:
                 reply.update(page.call("goto", x=1.0, y=2.0))
                 return gateway.asked.is_set()
 
-            until(asked, "the gateway is asked")
+            until(is_sent, "the gateway is asked")
             assert "the gateway did not accept or reject the goal within 0.5 s" in reply["error"]
         gateway.may_answer.set()
         assert gateway.cancelled.wait(30)
@@ -473,9 +473,9 @@ class LateGateway(Program):
     def __init__(self, settings: Any) -> None:
         super().__init__(settings)
         self.asked, self.may_answer, self.cancelled = threading.Event(), threading.Event(), threading.Event()
-        self.on(lambda: self.node.action_server(ACTION, NAVIGATE, self._take, self._cancel))
+        self.on(lambda: self.node.action_server(ACTION, NAVIGATE, self._on_message, self._cancel))
 
-    def _take(self, goal: Goal) -> bool:
+    def _on_message(self, goal: Goal) -> bool:
         self.asked.set()
         self.may_answer.wait(30)
         goal.execute()
@@ -487,7 +487,7 @@ class LateGateway(Program):
         return True
 
 
-def test_too_many_topics(desk: Desk) -> None:
+def test_the_number_of_watched_feeds_is_limited(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         for number in range(70):
             page.watch(f"topic:/t{number}")
@@ -495,7 +495,7 @@ def test_too_many_topics(desk: Desk) -> None:
         assert "at most 64 feeds" in page.errors()[0]
 
 
-def test_a_feed_that_is_none_hinders_nobody(desk: Desk) -> None:
+def test_an_unknown_feed_is_refused_and_affects_no_other(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.watch("topics", "nothing:of this name")
         page.until(page.errors, "the feed is refused")
@@ -503,7 +503,7 @@ def test_a_feed_that_is_none_hinders_nobody(desk: Desk) -> None:
         page.value("topics", lambda topics: topics is not None)
 
 
-def test_messages_are_bounded(desk: Desk) -> None:
+def test_the_size_of_messages_is_limited(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.socket.send(json.dumps({"op": "watch", "feed": "x" * 100_000}))
         with pytest.raises(Exception, match="1009"):

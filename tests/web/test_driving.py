@@ -62,16 +62,16 @@ class Planner(Program):
 
 @pytest.fixture
 def planner(desk: Desk) -> Iterator[Planner]:
-    made = Planner(desk.hubs.settings("planner"))
-    yield made
-    made.close()
+    planner_ = Planner(desk.hubs.settings("planner"))
+    yield planner_
+    planner_.close()
 
 
 @pytest.fixture
 def page(desk: Desk) -> Iterator[TestPage]:
-    with TestPage(desk.port) as made:
-        made.watch("driving", "path")
-        yield made
+    with TestPage(desk.port) as page_:
+        page_.watch("driving", "path")
+        yield page_
 
 
 def shown(page: TestPage, state: str) -> tuple[float | None, list[float]]:
@@ -138,7 +138,7 @@ def test_what_follows_a_pause_clears_the_distance(planner: Planner, page: TestPa
     assert points == ([] if state.ended else STRAIGHT), "a new goal has the old path until the planner replaces it"
 
 
-def test_driving_by_hand_during_a_pause_makes_the_distance_unknown(planner: Planner, page: TestPage) -> None:
+def test_manual_driving_during_a_pause_makes_the_distance_unknown(planner: Planner, page: TestPage) -> None:
     planner.drive(page)
     planner.state(State.PAUSED)
     assert shown(page, "paused") == (3.2, STRAIGHT)

@@ -20,34 +20,34 @@ INPUTS = 250
 
 @pytest.fixture
 def console(tmp_path: Path) -> Iterator[HostileConsole]:
-    made = HostileConsole(tmp_path)
-    yield made
-    made.close()
+    console_ = HostileConsole(tmp_path)
+    yield console_
+    console_.close()
 
 
-def test_strangers_neither_end_it_nor_drive(console: HostileConsole) -> None:
+def test_hostile_clients_neither_crash_it_nor_drive(console: HostileConsole) -> None:
     seeds = [*requests(), *conversations()]
     dice = Mutator(seeds, WORDS, 4000, "short")
     for content in (*seeds, *(dice.next() for _ in range(INPUTS))):
         give(console, content)
-    console.look()
+    console.check()
     assert console.sent > 1000
     assert console.drove > 0, "a valid hold among them drives, so that the rest is known not to"
 
 
-def test_who_drives_without_a_hold_is_found_out(console: HostileConsole) -> None:
+def test_the_test_detects_driving_without_a_hold(console: HostileConsole) -> None:
     far = HubSide(Hub.open(console.hubs.settings("other")), Registry())
     out = far.advertise("/cmd_vel", "geometry_msgs/Twist")
 
-    def driven() -> bool:
+    def is_reported() -> bool:
         far.publish(out, {"linear": {"x": 0.1}})
         try:
-            console.look()
+            console.check()
         except AssertionError as err:
             return "though nobody holds" in str(err)
         return False
 
     try:
-        until(driven, "it is found out")
+        until(is_reported, "it is found out")
     finally:
         far.hub.close()

@@ -31,14 +31,14 @@ class Daemon:
             QueryServer(self._loop, folder / "here.daemon.sock", lambda: {"config": str(file)}),
             LogServer(self._loop, folder / "here.log.sock", self.kept),
         ]
-        self._thread = threading.Thread(target=self._turn)
+        self._thread = threading.Thread(target=self._serve)
         self._thread.start()
 
-    def _turn(self) -> None:
+    def _serve(self) -> None:
         while not self._over:
             self._loop.step(0.2)
 
-    def say(self, text: str, level: int = logging.INFO, worker: str = "ros1") -> None:
+    def log_line(self, text: str, level: int = logging.INFO, worker: str = "ros1") -> None:
         record = logging.LogRecord("midspan", level, "", 0, text, None, None)
         record.worker = worker
         self.kept.handle(record)
@@ -62,18 +62,18 @@ def file(tmp_path: Path) -> Path:
 @pytest.fixture
 def daemon(desk: Desk, tmp_path: Path, file: Path) -> Iterator[Daemon]:
     assert desk.port
-    made = Daemon(tmp_path, file)
-    yield made
-    made.close()
+    daemon_ = Daemon(tmp_path, file)
+    yield daemon_
+    daemon_.close()
 
 
-def test_the_log_live_and_filtered(desk: Desk, daemon: Daemon) -> None:
-    daemon.say("the first")
+def test_the_log_is_live_and_filtered(desk: Desk, daemon: Daemon) -> None:
+    daemon.log_line("the first")
     with TestPage(desk.port) as page:
         page.watch("log")
         assert page.value("log") == {"last": 1, "workers": ["ros1"]}
-        daemon.say("no master\nanywhere", logging.WARNING)
-        daemon.say("a port is taken", logging.ERROR, "yarp")
+        daemon.log_line("no master\nanywhere", logging.WARNING)
+        daemon.log_line("a port is taken", logging.ERROR, "yarp")
         assert page.value("log", lambda value: value and value["last"] == 4)["workers"] == ["ros1", "yarp"]
 
         def texts(**args: Any) -> list[str]:
@@ -87,9 +87,9 @@ def test_the_log_live_and_filtered(desk: Desk, daemon: Daemon) -> None:
         assert page.call("log", after=4)["value"] == {"last": 4, "lines": []}
 
 
-def test_a_long_log_is_read_whole_and_told_in_part(desk: Desk, daemon: Daemon) -> None:
+def test_a_long_log_is_read_completely_and_returned_in_part(desk: Desk, daemon: Daemon) -> None:
     for number in range(1500):
-        daemon.say(f"line {number} {'x' * 200}")
+        daemon.log_line(f"line {number} {'x' * 200}")
     with TestPage(desk.port) as page:
         page.watch("log")
         page.value("log", lambda value: value and value["last"] == 1500)
@@ -97,9 +97,9 @@ def test_a_long_log_is_read_whole_and_told_in_part(desk: Desk, daemon: Daemon) -
         assert [line["n"] for line in lines] == list(range(1001, 1501)), "the newest"
 
 
-def test_the_log_of_another_daemon_begins_anew(desk: Desk, daemon: Daemon, tmp_path: Path, file: Path) -> None:
+def test_the_log_of_a_restarted_daemon_starts_again(desk: Desk, daemon: Daemon, tmp_path: Path, file: Path) -> None:
     for number in range(5):
-        daemon.say(str(number))
+        daemon.log_line(str(number))
     with TestPage(desk.port) as page:
         page.watch("log")
         page.value("log", lambda value: value and value["last"] == 5)
@@ -108,7 +108,7 @@ def test_the_log_of_another_daemon_begins_anew(desk: Desk, daemon: Daemon, tmp_p
         assert "the daemon does not answer" in page.values["log"]["why"]
         again = Daemon(tmp_path, file)
         try:
-            again.say("anew")
+            again.log_line("anew")
             page.value("log", lambda value: value and value["last"] == 1)
             assert [line["text"] for line in page.call("log")["value"]["lines"]] == ["anew"]
         finally:
@@ -125,23 +125,23 @@ def test_the_log_of_another_daemon_begins_anew(desk: Desk, daemon: Daemon, tmp_p
         ({"side": "ros1"}, "log has no argument 'side'; it has after, level, worker, text"),
     ],
 )
-def test_filters_that_cannot_be(desk: Desk, args: dict[str, Any], why: str) -> None:
+def test_invalid_filters_are_refused(desk: Desk, args: dict[str, Any], why: str) -> None:
     with TestPage(desk.port) as page:
         assert why in page.call("log", **args)["error"]
 
 
-def test_the_configuration_with_its_comments(desk: Desk, daemon: Daemon, file: Path) -> None:
+def test_the_configuration_is_shown_with_its_comments(desk: Desk, daemon: Daemon, file: Path) -> None:
     assert daemon
     zenoh = "  zenoh: {transport: {auth: {pubkey: {private_key_pem: hunter2}}}}"
     file.write_text(f"# of the lab's robot\nname: here\nhub:\n{zenoh}\n")
     with TestPage(desk.port) as page:
-        found = page.call("config")["value"]
-        assert found["file"] == str(file)
-        assert found["text"] == (
+        config = page.call("config")["value"]
+        assert config["file"] == str(file)
+        assert config["text"] == (
             "# of the lab's robot\nname: here\nhub:\n"
             f"  zenoh: {{transport: {{auth: {{pubkey: {{private_key_pem: {HIDDEN}}}}}}}}}\n"
         )
-        assert found["problems"] == []
+        assert config["problems"] == []
 
 
 def test_the_check_names_every_problem(desk: Desk, daemon: Daemon, file: Path) -> None:
@@ -149,22 +149,22 @@ def test_the_check_names_every_problem(desk: Desk, daemon: Daemon, file: Path) -
     file.write_text("nam: here\nlog:\n  level: loud\n")
     with TestPage(desk.port) as page:
         problems = page.call("config")["value"]["problems"]
-        assert [(each["line"], each["key"]) for each in problems] == [(1, "nam"), (3, "log.level")]
+        assert [(problem["line"], problem["key"]) for problem in problems] == [(1, "nam"), (3, "log.level")]
         assert problems[0]["text"] == "unknown key 'nam'; did you mean 'name'?"
 
 
-def test_a_configuration_that_cannot_be_read(desk: Desk, daemon: Daemon, file: Path) -> None:
+def test_an_unreadable_configuration_is_reported(desk: Desk, daemon: Daemon, file: Path) -> None:
     assert daemon
     with TestPage(desk.port) as page:
-        found = page.call("config")["value"]
-        assert found["text"] is None
-        assert "no such file" in found["why"]
+        config = page.call("config")["value"]
+        assert config["text"] is None
+        assert "no such file" in config["why"]
         file.write_text("name: [\npassword: hunter2hunter2\n")
-        found = page.call("config")["value"]
-        assert found["text"] is None
-        assert "no YAML" in found["why"]
-        assert "not valid YAML" in found["problems"][0]["text"]
-        assert "hunter2" not in str(found)
+        config = page.call("config")["value"]
+        assert config["text"] is None
+        assert "no YAML" in config["why"]
+        assert "not valid YAML" in config["problems"][0]["text"]
+        assert "hunter2" not in str(config)
 
 
 @pytest.mark.parametrize(
@@ -191,47 +191,47 @@ def test_secrets_are_hidden(text: str, secret: str) -> None:
     assert shown.count("\n") >= text.count("\n") - 3
 
 
-def test_what_is_no_secret_stays() -> None:
+def test_other_values_are_not_hidden() -> None:
     text = "name: here # whose token is elsewhere\nkeys: /etc/midspan/keys\nzenoh:\n  keys: [{key: robot/pose}]\n"
     assert without_secrets(text, secrets_of(text)) == text
 
 
-def test_problems_do_not_tell_secrets(desk: Desk, daemon: Daemon, file: Path) -> None:
+def test_problems_do_not_reveal_secrets(desk: Desk, daemon: Daemon, file: Path) -> None:
     assert daemon
     file.write_text("web:\n  token: hunter2\nname: correct horse\nsecret: correct horse\n")
     with TestPage(desk.port) as page:
-        said = str(page.call("config")["value"])
-        assert "hunter2" not in said
-        assert "correct horse" not in said
+        text = str(page.call("config")["value"])
+        assert "hunter2" not in text
+        assert "correct horse" not in text
 
 
-def test_the_doctor_looks(desk: Desk, daemon: Daemon, file: Path) -> None:
+def test_the_doctor_returns_its_findings(desk: Desk, daemon: Daemon, file: Path) -> None:
     assert daemon
     file.write_text("nam: here\n")
     with TestPage(desk.port) as page:
-        found = page.call("doctor")["value"]
-        about = {entry["check"]: entry for entry in found}
+        findings = page.call("doctor")["value"]
+        about = {entry["check"]: entry for entry in findings}
         assert about["config"]["result"] == "fail", about["config"]
         assert "did you mean 'name'?" in about["config"]["seen"]
         assert about["config"]["cure"]
         assert {"kernels", "clock", "shm-size"} <= about.keys()
 
 
-def test_one_doctor_at_a_time(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_one_doctor_runs_at_a_time(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     may_end = threading.Event()
     monkeypatch.setattr(inspection.Doctor, "_examine", lambda _self: [] if may_end.wait(30) else None)
-    with TestPage(desk.port) as one, TestPage(desk.port) as other:
-        one.send(op="call", id=1, verb="doctor")
-        said: dict[str, Any] = {}
+    with TestPage(desk.port) as first, TestPage(desk.port) as other:
+        first.send(op="call", id=1, verb="doctor")
+        reply: dict[str, Any] = {}
 
         def refused() -> bool:
-            other.send(op="call", id=7, verb="doctor") if not said else None
-            said.update(next((m for m in other.said if m.get("id") == 7), {}))
+            other.send(op="call", id=7, verb="doctor") if not reply else None
+            reply.update(next((m for m in other.others if m.get("id") == 7), {}))
             other.read()
-            return bool(said)
+            return bool(reply)
 
         until(refused, "the second is refused")
-        assert "the doctor is at work already" in said["error"]
+        assert "the doctor is at work already" in reply["error"]
         may_end.set()
-        one.until(lambda: any(m.get("id") == 1 and m["ok"] for m in one.said), "the first is answered")
+        first.until(lambda: any(m.get("id") == 1 and m["ok"] for m in first.others), "the first is answered")
         assert other.call("doctor")["ok"], "and the next may look again"

@@ -26,25 +26,25 @@ HERE = Pose(0.0, 0.0, 0.0)
 def heights(frame: str = "map") -> dict[str, Any]:
     """About the three cells on the left, in which something is hit."""
     lowest = np.array([[NAN, 0.72, 1.104], [0.1, NAN, NAN]], np.float32)
-    made = to_grid_map({"lowest": lowest}, (1.0, 2.0), 0.5, {"frame_id": frame})
-    return {**made, "inner_start_index": 0, "outer_start_index": 0}
+    message = to_grid_map({"lowest": lowest}, (1.0, 2.0), 0.5, {"frame_id": frame})
+    return {**message, "inner_start_index": 0, "outer_start_index": 0}
 
 
 def plain(message: dict[str, Any]) -> dict[str, Any]:
     """As JSON has it."""
-    return {**message, "data": [{**each, "data": each["data"].tolist()} for each in message["data"]]}
+    return {**message, "data": [{**layer, "data": layer["data"].tolist()} for layer in message["data"]]}
 
 
-def test_the_layer_with_its_heights(desk: Desk) -> None:
+def test_the_layer_is_shown_with_its_heights(desk: Desk) -> None:
     far = desk.far
     layer = far.advertise("/mapper3d/layer", "nav_msgs/OccupancyGrid", latched=True, depth=1)
     above = far.advertise("/mapper3d/layer_heights", "grid_map_msgs/GridMap", latched=True, depth=1)
     far.publish(layer, GRID)
     with TestPage(desk.port) as page:
         page.watch("layer")
-        found = page.value("layer")
-        assert (found["origin"], found["size"]) == ({"x": 1.0, "y": 2.0, "theta": 0.0}, 0.5)
-        assert found["runs"] == [[0, 1, None, None], [1, 0, None], [1, 3, None]]
+        shown = page.value("layer")
+        assert (shown["origin"], shown["size"]) == ({"x": 1.0, "y": 2.0, "theta": 0.0}, 0.5)
+        assert shown["runs"] == [[0, 1, None, None], [1, 0, None], [1, 3, None]]
         far.publish(above, plain(heights()))
         wanted = [[0, 1, 0.72, 1.1], [1, 0, 0.1], [1, 3, None]]
         page.value("layer", lambda value: value["runs"] == wanted, "its heights are there")
@@ -58,7 +58,7 @@ def test_the_layer_with_its_heights(desk: Desk) -> None:
         late.value("layer", lambda value: value and value["runs"] == wanted, "who comes late has both")
 
 
-def test_no_layer_is_configured(desk: Desk) -> None:
+def test_an_unconfigured_layer_has_a_reason(desk: Desk) -> None:
     desk.open_with(web={"layer": ""})
     with TestPage(desk.port) as page:
         page.watch("layer")
@@ -66,23 +66,23 @@ def test_no_layer_is_configured(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "words"),
+    ("changed", "message"),
     [
         ({"data": [0]}, "data: 1 cells are not 4 x 2"),
         ({"info": {**GRID["info"], "resolution": 0.0}}, "info.resolution"),
     ],
 )
-def test_a_bad_layer_is_told_of_by_the_name_of_its_field(changed: dict[str, Any], words: str) -> None:
-    with pytest.raises(ValueError, match=words):
+def test_an_invalid_layer_is_reported_with_its_field(changed: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         tint({**GRID, **changed}, None, HERE)
 
 
-def test_bad_heights_are_told_of() -> None:
+def test_invalid_heights_are_reported() -> None:
     with pytest.raises(ValueError, match="of its heights, layers: no 'lowest' among x"):
         tint(GRID, {**heights(), "layers": ["x"]}, HERE)
 
 
-def test_heights_of_another_frame_are_not_believed() -> None:
+def test_heights_in_another_frame_are_ignored() -> None:
     assert tint(GRID, heights("odom"), HERE)["runs"][0] == [0, 1, None, None]
 
 
@@ -95,7 +95,7 @@ def test_a_page_gets_a_bounded_number_of_cells() -> None:
         **to_grid_map({"lowest": lowest}, (1.0, 2.0), 0.5, {"frame_id": "map"}),
         **dict.fromkeys(("inner_start_index", "outer_start_index"), 0),
     }
-    found = tint({**GRID, "info": info, "data": np.full(side * side, 100, np.int8)}, above, HERE)
-    assert found["size"] == 2.0
-    assert sum(len(run) - 2 for run in found["runs"]) == 76 * 76 <= MOST_TINTED
-    assert found["runs"][0][:5] == [0, 0, 0.9, 0.3, 0.9]  # the lowest of sixteen
+    layer = tint({**GRID, "info": info, "data": np.full(side * side, 100, np.int8)}, above, HERE)
+    assert layer["size"] == 2.0
+    assert sum(len(run) - 2 for run in layer["runs"]) == 76 * 76 <= MOST_TINTED
+    assert layer["runs"][0][:5] == [0, 0, 0.9, 0.3, 0.9]  # the lowest of sixteen

@@ -22,23 +22,23 @@ from tests.web.test_access import DRIVE, WATCH, GuardedDesk
 @pytest.fixture
 def guarded(tmp_path: Path) -> Iterator[GuardedDesk]:
     need(BROWSER)
-    made = GuardedDesk(tmp_path, tmp_path / "keys")
-    yield made
-    made.close()
+    desk = GuardedDesk(tmp_path, tmp_path / "keys")
+    yield desk
+    desk.close()
 
 
 @pytest.fixture
 def chrome(tmp_path: Path) -> Iterator[Chrome]:
     options = ChromeOptions()
-    for word in (
+    for argument in (
         "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--window-size=360,740",
         f"--user-data-dir={tmp_path / 'chrome'}", "--disable-background-networking", "--ignore-certificate-errors",
     ):  # fmt: skip
-        options.add_argument(word)
+        options.add_argument(argument)
     options.binary_location = str(shutil.which("chromium"))
-    made = Chrome(options, Service(shutil.which("chromedriver")))
-    yield made
-    made.quit()
+    driver = Chrome(options, Service(shutil.which("chromedriver")))
+    yield driver
+    driver.quit()
 
 
 def text(chrome: Chrome, name: str) -> str:
@@ -50,7 +50,7 @@ def log_in(chrome: Chrome, token: str) -> None:
     chrome.find_element(By.ID, "token").send_keys(token + Keys.ENTER)
 
 
-def test_log_in_and_watch(guarded: GuardedDesk, chrome: Chrome, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_client_logs_in_and_watches(guarded: GuardedDesk, chrome: Chrome, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bridge.web.serving.access.FIRST_WAIT", 0.01)
     address = f"https://127.0.0.1:{guarded.port}/"
     chrome.get(address)
@@ -81,7 +81,7 @@ def test_log_in_and_watch(guarded: GuardedDesk, chrome: Chrome, monkeypatch: pyt
     assert chrome.current_url == f"{address}login"
 
 
-def test_log_in_through_a_proxy_with_a_path(guarded: GuardedDesk, chrome: Chrome, tmp_path: Path) -> None:
+def test_a_client_logs_in_through_a_proxy_with_a_path(guarded: GuardedDesk, chrome: Chrome, tmp_path: Path) -> None:
     guarded.open_with(web=WEB)
     with contextlib.closing(Proxy(tmp_path, guarded.keys, guarded.port, tokens=True)) as proxy:
         address = f"https://127.0.0.1:{proxy.port}/robot1/"
@@ -93,7 +93,7 @@ def test_log_in_through_a_proxy_with_a_path(guarded: GuardedDesk, chrome: Chrome
         assert [cookie["name"] for cookie in chrome.get_cookies()] == ["__Host-midspan~robot1"]
 
 
-def test_a_strange_page_drives_nobody(
+def test_a_foreign_page_cannot_drive(
     guarded: GuardedDesk, chrome: Chrome, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A page of another origin in the browser of who is logged in gets neither socket nor answer."""

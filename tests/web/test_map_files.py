@@ -40,8 +40,8 @@ def store(store: Store) -> Store:
 @pytest.fixture
 def page(desk: Desk, store: Store) -> Iterator[TestPage]:
     assert store is not None
-    with TestPage(desk.port) as made:
-        yield made
+    with TestPage(desk.port) as page_:
+        yield page_
 
 
 def send(page: TestPage, files: dict[str, bytes], part: int = 700) -> str:
@@ -63,17 +63,17 @@ def written(folder: Path, grid: MapGrid2D, form: str) -> dict[str, bytes]:
 
 def fetch(page: TestPage, name: str) -> dict[str, bytes]:
     """The files of a map's zip."""
-    found = page.call("export_map", name=name)["value"]
+    export = page.call("export_map", name=name)["value"]
     data = b""
-    while len(data) < found["size"]:
-        data += base64.b64decode(page.call("download_part", key=found["key"], at=len(data))["value"])
+    while len(data) < export["size"]:
+        data += base64.b64decode(page.call("download_part", key=export["key"], at=len(data))["value"])
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         assert archive.testzip() is None
-        return {info.filename: archive.read(info) for info in archive.infolist()} | {found["file"]: data}
+        return {info.filename: archive.read(info) for info in archive.infolist()} | {export["file"]: data}
 
 
 @pytest.mark.parametrize("form", [".map", ".yaml"])
-def test_a_map_comes_up(page: TestPage, store: Store, tmp_path: Path, form: str) -> None:
+def test_a_map_is_imported(page: TestPage, store: Store, tmp_path: Path, form: str) -> None:
     grid = house("office")
     key = send(page, written(tmp_path / "files", grid, form))
     assert page.call("import_map", key=key, use=True)["value"] == {"done": True, "maps": ["office"], "taken": []}
@@ -85,7 +85,7 @@ def test_a_map_comes_up(page: TestPage, store: Store, tmp_path: Path, form: str)
     assert "forgotten" in page.call("import_map", key=key)["error"]
 
 
-def test_a_map_is_not_replaced_unasked(page: TestPage, store: Store, tmp_path: Path) -> None:
+def test_a_map_is_replaced_only_on_request(page: TestPage, store: Store, tmp_path: Path) -> None:
     other = house()
     other.flags[9, 9] = MapFlag.WALL
     key = send(page, written(tmp_path / "files", other, ".map"))
@@ -97,7 +97,7 @@ def test_a_map_is_not_replaced_unasked(page: TestPage, store: Store, tmp_path: P
     assert store.get(MAP, "house") == other
 
 
-def test_what_goes_down_comes_up(page: TestPage, store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exported_map_can_be_imported(page: TestPage, store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(map_files, "PART", 100)
     files = fetch(page, "house")
     assert {"house/house.map", "house/house_grid.yaml", "house.zip"} <= set(files)
@@ -126,7 +126,7 @@ def test_a_map_is_renamed_with_its_places(page: TestPage, store: Store) -> None:
         ({"a.zip": b"PK\3\4 no zip"}, "a.zip cannot be unpacked"),
     ],
 )  # fmt: skip
-def test_files_that_are_no_map(page: TestPage, store: Store, files: dict[str, bytes], why: str) -> None:
+def test_invalid_map_files_are_refused(page: TestPage, store: Store, files: dict[str, bytes], why: str) -> None:
     reply = page.call("import_map", key=send(page, files))
     assert why in reply["error"]
     assert store.names(MAP) == ["house"]
@@ -144,7 +144,7 @@ def test_files_that_are_no_map(page: TestPage, store: Store, files: dict[str, by
         ({"key": "guessed"}, "these files are forgotten"),
     ],
 )
-def test_parts_that_are_none(page: TestPage, args: dict[str, Any], why: str) -> None:
+def test_invalid_parts_are_refused(page: TestPage, args: dict[str, Any], why: str) -> None:
     part = {"key": page.call("upload")["value"], "file": "a.map", "at": 0, "data": "QUJD"}
     assert why in page.call("upload_part", **{**part, **args})["error"]
 
@@ -152,20 +152,20 @@ def test_parts_that_are_none(page: TestPage, args: dict[str, Any], why: str) -> 
 def test_uploads_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(map_files, "MOST_BYTES", 10)
     monkeypatch.setattr(map_files, "MOST_FILES", 2)
-    parcels = Transfers()
-    key = parcels.new({})
-    assert parcels.add(key, "a", 0, bytes(8)) == 8
+    transfers = Transfers()
+    key = transfers.new({})
+    assert transfers.add(key, "a", 0, bytes(8)) == 8
     with pytest.raises(VerbError, match="up to 2 files"):
-        parcels.add(key, "a", 8, bytes(3))
-    assert parcels.add(key, "b", 0, b"") == 0
+        transfers.add(key, "a", 8, bytes(3))
+    assert transfers.add(key, "b", 0, b"") == 0
     with pytest.raises(VerbError, match="up to 2 files"):
-        parcels.add(key, "c", 0, b"")
-    parcels.new({})
-    parcels.new({})
+        transfers.add(key, "c", 0, b"")
+    transfers.new({})
+    transfers.new({})
     with pytest.raises(VerbError, match="on their way already"):
-        parcels.new({})
+        transfers.new({})
     monkeypatch.setattr(map_files, "IDLE_SECONDS", 0.0)
-    parcels.new({})
+    transfers.new({})
 
 
 def test_zips_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,7 +180,7 @@ def test_zips_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sorted(unpacked({"a.zip": bytearray(packed.getvalue())})) == ["a.pgm", "b.pgm"]
 
 
-def test_which_files_name_the_others() -> None:
+def test_root_files_refer_to_the_others() -> None:
     assert root_files(["a.map", "a_grid.yaml", "a.pgm"]) == ["a.map"]
     assert root_files(["a.yaml", "b.yml", "a.pgm"]) == ["a.yaml", "b.yml"]
     assert root_files(["maps_collection.ini", "a.map"]) == ["maps_collection.ini"]

@@ -49,8 +49,8 @@ class Steps:
         """Write the page's configuration with what the commands printed; the console's port."""
         config: dict[str, Any] = yaml.safe_load(self._yaml)
         for text in printed:
-            made: dict[str, Any] = yaml.safe_load(text[text.index("web:") :])
-            for name, token in made["web"]["tokens"].items():
+            document: dict[str, Any] = yaml.safe_load(text[text.index("web:") :])
+            for name, token in document["web"]["tokens"].items():
                 assert config["web"]["tokens"][name]["role"] == token["role"]
                 config["web"]["tokens"][name] = token
         port = free_port()
@@ -61,7 +61,7 @@ class Steps:
         return port
 
 
-def test_step_by_step(tmp_path: Path) -> None:
+def test_the_documented_steps_open_the_console(tmp_path: Path) -> None:
     steps = Steps(tmp_path)
     keys, anna, hall, doctor, web = steps.commands
     assert "for connecting to robot1, robot1.local, 192.168.1.20" in steps.run([*keys, "127.0.0.1"])
@@ -70,10 +70,10 @@ def test_step_by_step(tmp_path: Path) -> None:
     assert "browsers find the console as robot1" in steps.run(doctor, config=True)
     daemon = Process([*MIDSPAN, "run", "--config", steps.file])
     try:
-        said = until(lambda: address(steps, web), f"the address is said; {daemon.output()[-2000:]}", 60)
-        assert said[0] == f"https://robot1:{port}/"
-        assert any("ca.pem" in line for line in said)
-        assert any("anna (drive), hall (watch)" in line for line in said)
+        output = until(lambda: address(steps, web), f"the address is said; {daemon.output()[-2000:]}", 60)
+        assert output[0] == f"https://robot1:{port}/"
+        assert any("ca.pem" in line for line in output)
+        assert any("anna (drive), hall (watch)" in line for line in output)
         for text, role in zip(printed, ("drive", "watch"), strict=True):
             token = re.findall(r"^  (\S{40,})$", text, re.MULTILINE)[0]
             assert logged_in(tmp_path, port, token) == role
@@ -92,18 +92,18 @@ def address(steps: Steps, command: list[str]) -> list[str]:
 def logged_in(folder: Path, port: int, token: str) -> str:
     """The role that a token gives, by a login and by a socket."""
     context = ssl.create_default_context(cafile=folder / "midspan" / "keys" / "ca.pem")
-    own = f"https://127.0.0.1:{port}"
-    request = urllib.request.Request(f"{own}/login", json.dumps({"token": token}).encode(), {"Origin": own})
+    origin = f"https://127.0.0.1:{port}"
+    request = urllib.request.Request(f"{origin}/login", json.dumps({"token": token}).encode(), {"Origin": origin})
     with urllib.request.urlopen(request, timeout=10, context=context) as answer:
         role = str(json.load(answer)["role"])
     with TestPage(port, ssl=context, additional_headers={"Authorization": f"Bearer {token}"}) as page:
-        page.until(lambda: page.said, "it says hello")
-        assert page.said[0]["role"] == role
+        page.until(lambda: page.others, "it says hello")
+        assert page.others[0]["role"] == role
     return role
 
 
 @pytest.mark.parametrize("name", ["a b", "", "x" * 64, "-a"])
-def test_a_token_has_a_name(name: str) -> None:
+def test_a_token_needs_a_valid_name(name: str) -> None:
     done = subprocess.run([*MIDSPAN, "web", f"--token={name}"], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
     assert "is not a name" in done.stderr

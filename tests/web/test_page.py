@@ -52,7 +52,7 @@ class NoHold:
         return
 
 
-def test_a_page_that_reads_no_answers_is_closed() -> None:
+def test_a_page_that_reads_no_replies_is_closed() -> None:
     socket = StuckSocket()
 
     def post(action: Callable[[], Any]) -> None:
@@ -60,17 +60,17 @@ def test_a_page_that_reads_no_answers_is_closed() -> None:
 
     async def serve() -> None:
         nobody: Any = None
-        made = page.Page(
+        page_ = page.Page(
             cast("Any", socket), EVERYBODY, {}, nobody, cast("Any", NoVerbs()), cast("Any", NoHold()), post
         )
-        await asyncio.wait_for(made.serve(), 30)
+        await asyncio.wait_for(page_.serve(), 30)
 
     asyncio.run(serve())
     assert socket.closed == 1008
     assert page.MOST_REPLIES <= socket.asked <= 2 * page.MOST_REPLIES
 
 
-class Held:
+class RecordingHold:
     """Keeps what is asked of it."""
 
     def __init__(self) -> None:
@@ -94,17 +94,17 @@ class Script(StuckSocket):
         return self._messages.pop(0) if self._messages else {"type": "websocket.disconnect"}
 
 
-def test_the_newest_of_holds_and_releases_counts_however_many_wait() -> None:
+def test_only_the_newest_hold_or_release_is_executed() -> None:
     holds = [{"op": "hold", "x": number, "y": 0, "turn": 0} for number in range(5)]
     watches = [{"op": "watch", "feed": f"f{number}"} for number in range(10)]
     script = Script(*watches * 30, *holds, {"op": "release"}, *watches)
-    hold, waiting = Held(), []
+    hold, waiting = RecordingHold(), []
 
     async def serve() -> None:
         nobody: Any = None
         verbs, held = cast("Any", NoVerbs()), cast("Any", hold)
-        made = page.Page(cast("Any", script), EVERYBODY, {}, nobody, verbs, held, waiting.append)
-        await asyncio.wait_for(made.serve(), 30)
+        page_ = page.Page(cast("Any", script), EVERYBODY, {}, nobody, verbs, held, waiting.append)
+        await asyncio.wait_for(page_.serve(), 30)
         for action in waiting[10:-1]:  # behind the ten feeds, before it has left
             action()
 

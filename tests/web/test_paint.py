@@ -29,14 +29,14 @@ def house(width: int = 6, height: int = 4) -> MapGrid2D:
     return MapGrid2D.of(flags, name="house", resolution=0.1)
 
 
-def asked(*runs: list[Any]) -> list[Run]:
+def runs_from(*runs: list[Any]) -> list[Run]:
     return runs_of(list(runs))
 
 
-def test_runs_and_what_undoes_them() -> None:
+def test_painting_returns_the_undo() -> None:
     grid = house()
     before = grid.flags.copy()
-    undo = paint(grid, asked([1, 0, 6, KEEP_OUT], [1, 2, 2, TEMPORARY]))
+    undo = paint(grid, runs_from([1, 0, 6, KEEP_OUT], [1, 2, 2, TEMPORARY]))
     assert grid.flags[1].tolist() == [1, 1, 2, 2, 1, 1]
     assert (grid.flags[[0, 2, 3]] == before[[0, 2, 3]]).all()
     redo = paint(grid, undo)
@@ -45,34 +45,34 @@ def test_runs_and_what_undoes_them() -> None:
     assert grid.flags[1].tolist() == [1, 1, 2, 2, 1, 1]
 
 
-def test_an_undo_leaves_alone_what_others_painted_since() -> None:
+def test_an_undo_preserves_later_changes_of_others() -> None:
     grid = house()
-    undo = paint(grid, asked([1, 0, 4, KEEP_OUT]))
-    paint(grid, asked([1, 1, 1, WALL]))
+    undo = paint(grid, runs_from([1, 0, 4, KEEP_OUT]))
+    paint(grid, runs_from([1, 1, 1, WALL]))
     redo = paint(grid, undo)
     assert grid.flags[1].tolist() == [0, WALL, 0, 0, 0, WALL]
     assert sum(run.length for run in redo) == 3
 
 
-def test_erased_cells_are_what_the_occupancy_says() -> None:
+def test_erased_cells_get_their_flag_from_the_occupancy() -> None:
     grid = house()
     grid.occupancy[1, 3] = UNKNOWN
-    paint(grid, asked([1, 0, 6, KEEP_OUT]))
-    paint(grid, asked([1, 0, 6, None]))
+    paint(grid, runs_from([1, 0, 6, KEEP_OUT]))
+    paint(grid, runs_from([1, 0, 6, None]))
     assert grid.flags[1].tolist() == [0, 0, 0, MapFlag.UNKNOWN, 0, WALL]
 
 
 @pytest.mark.parametrize("run", [[4, 0, 1, 1], [0, 5, 2, 1], [0, 6, 1, 1]])
-def test_no_run_leaves_the_map(run: list[int]) -> None:
+def test_runs_outside_the_map_are_refused(run: list[int]) -> None:
     with pytest.raises(VerbError, match="the map has 6 x 4"):
-        paint(house(), asked(run))
+        paint(house(), runs_from(run))
 
 
-def test_what_undoes_it_is_bounded() -> None:
+def test_the_size_of_an_undo_is_limited() -> None:
     wide = 2 * MOST_PIECES
     grid = MapGrid2D.of(np.arange(wide, dtype=np.uint8).reshape(1, wide) % 2, name="house")
     with pytest.raises(VerbError, match="paint less at once"):
-        paint(grid, asked([0, 0, wide, KEEP_OUT + 1]))
+        paint(grid, runs_from([0, 0, wide, KEEP_OUT + 1]))
 
 
 @pytest.mark.parametrize(
@@ -80,12 +80,12 @@ def test_what_undoes_it_is_bounded() -> None:
     ["", [], [[1, 2, 3]], [[1, 2, 3, 4, 5, 6]], [[0, 0, 1, 6]], [[0, 0, 1, -1]], [[0, 0, 1.5, 1]], [[0, True, 1, 1]],
      [[-1, 0, 1, 1]], [[0, 0, 1 << 40, 1]], [[0, 0, 1, 1]] * (MOST_RUNS + 1), [[0, 0, MOST_CELLS + 1, 1]], [None]],
 )  # fmt: skip
-def test_runs_that_are_none(runs: Any) -> None:
+def test_invalid_runs_are_refused(runs: Any) -> None:
     with pytest.raises(ValueError, match=r"^(are|have)"):
         runs_of(runs)
 
 
-def test_pictures_tell_what_they_show() -> None:
+def test_image_addresses_depend_on_the_content() -> None:
     grid, pictures = house(), Pictures()
     assert flags_picture(grid) is None
     walls = pictures.put("occupancy", occupancy_picture(grid))
@@ -102,7 +102,7 @@ def test_pictures_tell_what_they_show() -> None:
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_the_colours_of_pictures(*, dark: bool) -> None:
+def test_the_colors_of_images(*, dark: bool) -> None:
     grid, pictures = house(), Pictures()
     grid.flags[1, 2], grid.flags[1, 5] = WALL, MapFlag.UNKNOWN
     ((address,),) = pictures.put("occupancy", occupancy_picture(grid))["tiles"]
@@ -114,7 +114,7 @@ def test_the_colours_of_pictures(*, dark: bool) -> None:
     assert picture[1, 5, 3] == 0, "nothing known"
 
 
-def test_a_change_is_one_tile() -> None:
+def test_a_change_replaces_one_tile() -> None:
     cells, pictures = np.zeros((1500, 2100), np.uint8), Pictures()
     cells[:, :1024] = CLEAR["occupancy"]
     before = pictures.put("occupancy", cells)
@@ -123,7 +123,7 @@ def test_a_change_is_one_tile() -> None:
     cells[1100, 2050] = 100
     after = pictures.put("occupancy", cells)
     changed = [
-        (y, x) for y, row in enumerate(after["tiles"]) for x, one in enumerate(row) if one != before["tiles"][y][x]
+        (y, x) for y, row in enumerate(after["tiles"]) for x, address in enumerate(row) if address != before["tiles"][y][x]
     ]
     assert changed == [(1, 2)]
     png = pictures.get("occupancy", after["tiles"][1][2].partition("=")[2])
@@ -146,26 +146,26 @@ def store(store: Store) -> Store:
 def flags(store: Store) -> list[list[int]]:
     grid = store.get(MAP, "house")
     assert grid is not None
-    found: list[list[int]] = grid.flags.tolist()
-    return found
+    rows: list[list[int]] = grid.flags.tolist()
+    return rows
 
 
-def test_what_one_page_paints_all_see(desk: Desk, store: Store) -> None:
+def test_all_pages_see_painted_flags(desk: Desk, store: Store) -> None:
     whole = {"map": "house", "size": [6, 4]}
-    with TestPage(desk.port) as one, TestPage(desk.port) as other:
+    with TestPage(desk.port) as painter, TestPage(desk.port) as other:
         other.watch("map")
         assert other.value("map")["flags"] is None
-        first = one.call("paint_flags", runs=[[1, 0, 3, KEEP_OUT]], **whole)["value"]
+        first = painter.call("paint_flags", runs=[[1, 0, 3, KEEP_OUT]], **whole)["value"]
         assert first == {"changed": 3, "undo": [[1, 0, 3, FREE, KEEP_OUT]]}
         other.value("map", lambda value: value["flags"])
         assert other.call("paint_flags", runs=[[1, 2, 3, TEMPORARY]], **whole)["ok"]
         assert flags(store)[1] == [1, 1, 2, 2, 2, WALL]
-        one.call("paint_flags", runs=first["undo"], **whole)
+        painter.call("paint_flags", runs=first["undo"], **whole)
         assert flags(store)[1] == [0, 0, 2, 2, 2, WALL], "what the other painted is not lost"
         image = other.values["map"]["value"]["image"]
         store.write([Write(LOCATION, "desk", Map2DLocation("house", 1.0))])
-        one.watch("places")
-        one.value("places", lambda value: value["locations"])
+        painter.watch("places")
+        painter.value("places", lambda value: value["locations"])
         assert other.values["map"]["value"]["image"] == image
 
 
@@ -177,7 +177,7 @@ def test_what_one_page_paints_all_see(desk: Desk, store: Store) -> None:
         ({"map": "house", "size": [6]}, "paint_flags: size is [width, height] of the map"),
     ],
 )
-def test_what_cannot_be_painted_is_told(desk: Desk, store: Store, args: dict[str, Any], why: str) -> None:
+def test_invalid_paint_calls_are_reported(desk: Desk, store: Store, args: dict[str, Any], why: str) -> None:
     with TestPage(desk.port) as page:
         reply = page.call("paint_flags", runs=[[0, 0, 1, KEEP_OUT]], **args)
         assert why in reply["error"]

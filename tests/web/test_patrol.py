@@ -34,23 +34,23 @@ class FakeGateway(Program):
 
     def _open(self) -> None:
         self._status = self.node.publisher("/navigation/status", STATUS, LATCHED)
-        self.node.action_server(ACTION, NAVIGATE, self._take, self._cancel)
+        self.node.action_server(ACTION, NAVIGATE, self._on_goal, self._cancel)
         self.node.server("/navigation/get_location", "midspan_msgs/srv/GetLocation", self._find)
         for name in ("pause", "resume", "stop"):
             self.node.server(f"/navigation/{name}", "std_srvs/srv/Trigger", getattr(self, f"_{name}"))
-        self.say(State.IDLE)
+        self.publish_status(State.IDLE)
 
-    def say(self, state: State, goal_id: bytes = NO_GOAL) -> None:
+    def publish_status(self, state: State, goal_id: bytes = NO_GOAL) -> None:
         self._status.publish(status_message({"sec": 0, "nanosec": 0}, PlannerStatus(state), goal_id=goal_id))
 
-    def _take(self, goal: Goal) -> bool:
+    def _on_goal(self, goal: Goal) -> bool:
         self.at_once = max(self.at_once, 1 + (self.now is not None))
         if self.now is not None:
             self.now.canceled({"error_msg": "another client gave another goal, which took its place"})
         self.now = goal
         self.goals.append(goal)
         goal.execute()
-        self.say(State.MOVING, goal.id)
+        self.publish_status(State.MOVING, goal.id)
         return True
 
     def _cancel(self, goal: Goal) -> bool:
@@ -68,22 +68,22 @@ class FakeGateway(Program):
         if self.now is None:
             answer({"success": False, "message": "nothing to pause"})
             return
-        self.say(State.PAUSED, self.now.id)
+        self.publish_status(State.PAUSED, self.now.id)
         answer({"success": True, "message": ""})
 
     def _resume(self, _request: Any, answer: Answer) -> None:
         assert self.now is not None
-        self.say(State.MOVING, self.now.id)
+        self.publish_status(State.MOVING, self.now.id)
         answer({"success": True, "message": ""})
 
     def _stop(self, _request: Any, answer: Answer) -> None:
         goal, self.now = self.now, None
         if goal is not None:
             goal.canceled({"error_msg": "it was stopped"})
-        self.say(State.IDLE)
+        self.publish_status(State.IDLE)
         answer({"success": True, "message": "stands"})
 
-    def at(self, count: int) -> float:
+    def goal_x(self, count: int) -> float:
         """Return the x of a goal by its number, once it has come."""
         until(lambda: len(self.goals) >= count, f"goal {count} is there", 30)
         return float(self.goals[count - 1].goal["pose"]["pose"]["position"]["x"])
@@ -93,7 +93,7 @@ class FakeGateway(Program):
             goal, self.now = self.now, None
             assert goal is not None
             goal.succeed({})
-            self.say(State.REACHED)
+            self.publish_status(State.REACHED)
 
         self.on(done)
 
@@ -102,27 +102,27 @@ class FakeGateway(Program):
             goal, self.now = self.now, None
             assert goal is not None
             goal.abort({"error_code": 9006, "error_msg": why})
-            self.say(State.ABORTED)
+            self.publish_status(State.ABORTED)
 
         self.on(done)
 
 
 @pytest.fixture
 def gateway(desk: Desk) -> Iterator[FakeGateway]:
-    made = FakeGateway(desk.hubs.settings("gateway"))
-    yield made
-    made.close()
+    gateway_ = FakeGateway(desk.hubs.settings("gateway"))
+    yield gateway_
+    gateway_.close()
 
 
 @pytest.fixture
 def page(desk: Desk, gateway: FakeGateway) -> Iterator[TestPage]:
-    with TestPage(desk.port) as made:
-        made.watch("driving", "patrol")
-        made.value("driving", lambda value: value and value["state"] == "idle")
+    with TestPage(desk.port) as page_:
+        page_.watch("driving", "patrol")
+        page_.value("driving", lambda value: value and value["state"] == "idle")
         graph = desk.console.host.node.hub.graph
-        made.until(lambda: graph.servers(f"{ACTION}/_action/send_goal"), "the gateway is known")
-        made.until(lambda: graph.servers("/navigation/stop"), "all of it")
-        yield made
+        page_.until(lambda: graph.servers(f"{ACTION}/_action/send_goal"), "the gateway is known")
+        page_.until(lambda: graph.servers("/navigation/stop"), "all of it")
+        yield page_
     assert gateway.at_once <= 1
 
 
@@ -132,34 +132,34 @@ def begin(page: TestPage, *places: str, wait: float = 1.0) -> None:
 
 
 def state(page: TestPage, wanted: str) -> dict[str, Any]:
-    found: dict[str, Any] = page.value("patrol", lambda value: value and value["state"] == wanted, f"it {wanted}")
-    return found
+    patrol: dict[str, Any] = page.value("patrol", lambda value: value and value["state"] == wanted, f"it {wanted}")
+    return patrol
 
 
-def test_it_drives_to_places_in_turn(page: TestPage, gateway: FakeGateway) -> None:
+def test_a_patrol_drives_to_places_in_turn(page: TestPage, gateway: FakeGateway) -> None:
     page.until(lambda: page.values.get("patrol", {}).get("why") == "no patrol yet", "it says so")
     begin(page, "a", "b", "a", "c")
     for count, place in enumerate(("a", "b", "a", "c", "a", "b"), 1):
-        assert gateway.at(count) == PLACES[place]
+        assert gateway.goal_x(count) == PLACES[place]
         gateway.reach()
     found = page.value("patrol", lambda value: (value["round"], value["at"]) == (2, 1))
     assert found["places"] == ["a", "b", "a", "c"]
 
 
-def test_it_goes_on_though_the_page_goes(desk: Desk, page: TestPage, gateway: FakeGateway) -> None:
+def test_a_patrol_continues_without_its_page(desk: Desk, page: TestPage, gateway: FakeGateway) -> None:
     with TestPage(desk.port) as other:
         begin(other, "a", "b")
-        gateway.at(1)
+        gateway.goal_x(1)
     gateway.reach()
-    assert gateway.at(2) == PLACES["b"]
+    assert gateway.goal_x(2) == PLACES["b"]
     assert "a patrol is under way" in page.call("patrol", places=["c", "a"])["error"]
 
 
 @pytest.mark.parametrize("how", ["console", "elsewhere"])
 @pytest.mark.parametrize("where", ["driving", "at a place"])
-def test_a_stop_ends_it(desk: Desk, page: TestPage, gateway: FakeGateway, how: str, where: str) -> None:
+def test_a_stop_ends_the_patrol(desk: Desk, page: TestPage, gateway: FakeGateway, how: str, where: str) -> None:
     begin(page, "a", "b", wait=2.0)
-    gateway.at(1)
+    gateway.goal_x(1)
     page.value("driving", lambda value: value["state"] == "moving")
     if where == "at a place":
         gateway.reach()
@@ -171,13 +171,13 @@ def test_a_stop_ends_it(desk: Desk, page: TestPage, gateway: FakeGateway, how: s
         desk.far.call("/navigation/stop", "std_srvs/Trigger").result(20)
     assert "stopped" in state(page, "ended")["why"]
     begin(page, "c", "a")
-    assert gateway.at(2) == PLACES["c"], "nothing is left of the patrol before"
+    assert gateway.goal_x(2) == PLACES["c"], "nothing is left of the patrol before"
 
 
 @pytest.mark.parametrize("where", ["driving", "at a place"])
-def test_a_goal_of_anybody_else_ends_it(desk: Desk, page: TestPage, gateway: FakeGateway, where: str) -> None:
+def test_another_clients_goal_ends_the_patrol(desk: Desk, page: TestPage, gateway: FakeGateway, where: str) -> None:
     begin(page, "a", "b", wait=60.0)
-    gateway.at(1)
+    gateway.goal_x(1)
     page.value("driving", lambda value: value["state"] == "moving")
     if where == "at a place":
         gateway.reach()
@@ -188,28 +188,28 @@ def test_a_goal_of_anybody_else_ends_it(desk: Desk, page: TestPage, gateway: Fak
         until(lambda: client.ready, "the gateway is known", 20)
         gateway.at_once = -1 if where == "driving" else 0  # the gateway itself ends the goal before
         other.on(lambda: client.send({"pose": pose(9.0)}, lambda *_: None))
-        assert gateway.at(2) == 9.0
+        assert gateway.goal_x(2) == 9.0
         assert "another goal" in state(page, "ended")["why"]
     finally:
         gateway.at_once = 0
         other.close()
 
 
-def test_a_place_that_cannot_be_reached_ends_it(page: TestPage, gateway: FakeGateway) -> None:
+def test_an_unreachable_place_ends_the_patrol(page: TestPage, gateway: FakeGateway) -> None:
     begin(page, "a", "b")
-    gateway.at(1)
+    gateway.goal_x(1)
     gateway.give_up("no path leads there")
     assert state(page, "ended")["why"] == "driving to a: no path leads there"
     begin(page, "a", "gone")
-    gateway.at(2)
+    gateway.goal_x(2)
     gateway.reach()
     assert state(page, "ended")["why"] == "unknown location or area 'gone'"
 
 
 @pytest.mark.parametrize("where", ["driving", "at a place"])
-def test_it_pauses_and_goes_on(page: TestPage, gateway: FakeGateway, where: str) -> None:
+def test_a_patrol_is_paused_and_resumed(page: TestPage, gateway: FakeGateway, where: str) -> None:
     begin(page, "a", "b", wait=1.0)
-    gateway.at(1)
+    gateway.goal_x(1)
     page.value("driving", lambda value: value["state"] == "moving")
     if where == "at a place":
         gateway.reach()
@@ -220,12 +220,12 @@ def test_it_pauses_and_goes_on(page: TestPage, gateway: FakeGateway, where: str)
     state(page, "drives")
     if where == "driving":
         gateway.reach()
-    gateway.at(2)
+    gateway.goal_x(2)
 
 
-def test_nobody_drives_by_hand_against_it(page: TestPage, gateway: FakeGateway) -> None:
+def test_manual_driving_is_refused_during_a_patrol(page: TestPage, gateway: FakeGateway) -> None:
     begin(page, "a", "b", wait=60.0)
-    gateway.at(1)
+    gateway.goal_x(1)
     gateway.reach()
     state(page, "waits")
     page.value("driving", lambda value: value["state"] == "goal_reached")
@@ -234,7 +234,7 @@ def test_nobody_drives_by_hand_against_it(page: TestPage, gateway: FakeGateway) 
     assert page.errors() == ["a patrol is under way; pause or stop it first"]
 
 
-def test_without_a_gateway_it_says_so(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_gateway_is_reported(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(patrol, "ANSWER_SECONDS", 0.3)
     with TestPage(desk.port) as page:
         page.watch("patrol")
@@ -253,6 +253,6 @@ def test_without_a_gateway_it_says_so(desk: Desk, monkeypatch: pytest.MonkeyPatc
         ({"places": ["a", "b"], "wait": "2"}, "wait must be a number of seconds"),
     ],
 )
-def test_patrols_that_are_none(desk: Desk, args: dict[str, Any], why: str) -> None:
+def test_invalid_patrols_are_refused(desk: Desk, args: dict[str, Any], why: str) -> None:
     with TestPage(desk.port) as page:
         assert why in page.call("patrol", **args)["error"]

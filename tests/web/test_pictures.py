@@ -53,68 +53,68 @@ def solid(*channels: int, size: tuple[int, int] = (8, 6)) -> np.ndarray[Any, Any
     ],
 )
 @pytest.mark.parametrize("padding", [0, 5])
-def test_colours(encoding: str, cells: np.ndarray[Any, Any], padding: int) -> None:
-    found = decode(message(encoding, cells, padding=padding), 320)
-    assert found.image.size == (found.width, found.height) == cells.shape[1::-1]
-    assert found.image.convert("RGB").getpixel((2, 2)) == RED
-    assert found.range is None
+def test_color_encodings(encoding: str, cells: np.ndarray[Any, Any], padding: int) -> None:
+    picture_ = decode(message(encoding, cells, padding=padding), 320)
+    assert picture_.image.size == (picture_.width, picture_.height) == cells.shape[1::-1]
+    assert picture_.image.convert("RGB").getpixel((2, 2)) == RED
+    assert picture_.range is None
 
 
 @pytest.mark.parametrize(("encoding", "order"), [("yuv422", (1, 0, 3, 2)), ("yuyv", (0, 1, 2, 3))])
-def test_yuv(encoding: str, order: tuple[int, ...]) -> None:
+def test_yuv_encodings(encoding: str, order: tuple[int, ...]) -> None:
     y, u, v = Image.new("RGB", (1, 1), RED).convert("YCbCr").getpixel((0, 0))  # type: ignore[misc]
     four = np.empty(4, np.uint8)
     four[list(order)] = (y, u, y, v)
-    found = decode(message(encoding, np.tile(four, (6, 4)).reshape(6, 16, 1)), 320)
-    assert (found.width, found.height) == (8, 6)
-    assert found.image.size == (8, 6)
-    assert found.image.getpixel((3, 3)) == pytest.approx(RED, abs=3)
+    picture_ = decode(message(encoding, np.tile(four, (6, 4)).reshape(6, 16, 1)), 320)
+    assert (picture_.width, picture_.height) == (8, 6)
+    assert picture_.image.size == (8, 6)
+    assert picture_.image.getpixel((3, 3)) == pytest.approx(RED, abs=3)
 
 
 @pytest.mark.parametrize(
     ("encoding", "kind"), [("16UC1", "<u2"), ("mono16", ">u2"), ("32FC1", "<f4"), ("32FC1", ">f4"), ("64FC1", "<f8")]
 )
-def test_measures_are_shown_from_the_smallest_to_the_largest(encoding: str, kind: str) -> None:
+def test_measurements_are_scaled_from_smallest_to_largest(encoding: str, kind: str) -> None:
     cells = np.array([[0, 100], [200, 300]], kind)
-    found = decode(message(encoding, cells, big=kind[0] == ">"), 320)
-    assert found.range == (100.0, 300.0)
-    none, low, middle, high = found.image.tobytes()
+    picture_ = decode(message(encoding, cells, big=kind[0] == ">"), 320)
+    assert picture_.range == (100.0, 300.0)
+    none, low, middle, high = picture_.image.tobytes()
     assert (none, low, high) == (0, 0, 255)
     assert middle in (127, 128)
 
 
-def test_measures_without_any() -> None:
-    found = decode(message("32FC1", np.full((2, 2), np.nan, np.float32)), 320)
-    assert found.range == (0.0, 0.0)
-    assert set(found.image.tobytes()) == {0}
+def test_an_image_without_measurements_is_black() -> None:
+    picture_ = decode(message("32FC1", np.full((2, 2), np.nan, np.float32)), 320)
+    assert picture_.range == (0.0, 0.0)
+    assert set(picture_.image.tobytes()) == {0}
 
 
 @pytest.mark.parametrize("size", [(1000, 2000), (2000, 30), (3, 4000), (321, 320)])
 @pytest.mark.parametrize("encoding", ["mono8", "16UC1", "bayer_rggb8"])
-def test_large_pictures_are_scaled_down_in_their_proportions(size: tuple[int, int], encoding: str) -> None:
+def test_large_images_are_scaled_down_proportionally(size: tuple[int, int], encoding: str) -> None:
     kind = np.uint16 if encoding == "16UC1" else np.uint8
-    found = decode(message(encoding, np.ones(size, kind)), 320)
-    wide, high = found.image.size
+    picture_ = decode(message(encoding, np.ones(size, kind)), 320)
+    wide, high = picture_.image.size
     assert max(wide, high) == 320
     assert wide == max(1, round(size[1] * 320 / max(size)))
     assert high == max(1, round(size[0] * 320 / max(size)))
 
 
 @pytest.mark.parametrize("kind", ["JPEG", "PNG", "WEBP"])
-def test_compressed(kind: str) -> None:
+def test_compressed_images(kind: str) -> None:
     out = io.BytesIO()
     Image.new("RGB", (800, 600), RED).save(out, kind)
-    found = decode({"format": f"rgb8; {kind.lower()}", "data": np.frombuffer(out.getvalue(), np.uint8)}, 160)
-    assert (found.width, found.height, found.image.size) == (800, 600, (160, 120))
-    assert found.image.getpixel((5, 5)) == pytest.approx(RED, abs=4)
+    picture_ = decode({"format": f"rgb8; {kind.lower()}", "data": np.frombuffer(out.getvalue(), np.uint8)}, 160)
+    assert (picture_.width, picture_.height, picture_.image.size) == (800, 600, (160, 120))
+    assert picture_.image.getpixel((5, 5)) == pytest.approx(RED, abs=4)
 
 
-def test_compressed_depth() -> None:
+def test_compressed_depth_images() -> None:
     out = io.BytesIO()
     Image.fromarray(np.array([[0, 1000], [2000, 3000]], np.uint16)).save(out, "PNG")
     data = struct.pack("<iff", 0, 0.0, 0.0) + out.getvalue()
-    found = decode({"format": "16UC1; compressedDepth png", "data": data}, 160)
-    assert found.range == (1000.0, 3000.0)
+    picture_ = decode({"format": "16UC1; compressedDepth png", "data": data}, 160)
+    assert picture_.range == (1000.0, 3000.0)
 
 
 @pytest.mark.parametrize(
@@ -130,19 +130,19 @@ def test_compressed_depth() -> None:
         ({"encoding": "bayer_rggb8", "width": 1, "height": 1, "step": 1}, "no colours"),
     ],
 )
-def test_what_is_no_picture(change: dict[str, Any], why: str) -> None:
+def test_invalid_images_are_refused(change: dict[str, Any], why: str) -> None:
     good = message("rgb8", solid(*RED, size=(6, 8)))
     with pytest.raises(ConversionError, match=why):
         decode({**good, **change}, 320)
 
 
 @pytest.mark.parametrize("data", [b"", b"\xff\xd8\xff", b"GIF89a", b"\x89PNG\r\n\x1a\n" + bytes(50)])
-def test_what_is_no_compressed_picture(data: bytes) -> None:
+def test_invalid_compressed_images_are_refused(data: bytes) -> None:
     with pytest.raises(ConversionError, match=r"the compressed picture \(jpeg\) cannot be read"):
         decode({"format": "jpeg", "data": data}, 320)
 
 
-def test_a_picture_that_would_be_huge_is_not_unpacked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_huge_compressed_image_is_not_decompressed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pictures, "MOST_PIXELS", 100)
     out = io.BytesIO()
     Image.new("L", (50, 50)).save(out, "PNG")
@@ -150,29 +150,29 @@ def test_a_picture_that_would_be_huge_is_not_unpacked(monkeypatch: pytest.Monkey
         decode({"format": "png", "data": out.getvalue()}, 320)
 
 
-def test_a_picture_on_the_hub(desk: Desk) -> None:
+def test_an_image_on_the_hub_is_shown(desk: Desk) -> None:
     out = desk.far.advertise("/camera", "sensor_msgs/Image")
     cells = solid(*RED, size=(300, 400))
-    said = message("rgb8", cells)
+    image = message("rgb8", cells)
     with TestPage(desk.port) as page:
         page.watch("image:160:/camera")
 
         def publish() -> bool:
-            desk.far.publish(out, {**said, "data": base64.b64encode(said["data"].tobytes()).decode()})
+            desk.far.publish(out, {**image, "data": base64.b64encode(image["data"].tobytes()).decode()})
             page.read()
             return bool(page.values.get("image:160:/camera", {}).get("value"))
 
         until(publish, "the picture is seen", every=0.05)
-        found = page.values["image:160:/camera"]["value"]
-        assert (found["width"], found["height"], found["encoding"], found["range"]) == (400, 300, "rgb8", None)
-        head, _, data = found["image"].partition(",")
+        picture_ = page.values["image:160:/camera"]["value"]
+        assert (picture_["width"], picture_["height"], picture_["encoding"], picture_["range"]) == (400, 300, "rgb8", None)
+        head, _, data = picture_["image"].partition(",")
         assert head == "data:image/jpeg;base64"
         shown = Image.open(io.BytesIO(base64.b64decode(data)))
         assert shown.size == (160, 120)
         assert shown.getpixel((80, 60)) == pytest.approx(RED, abs=4)
 
 
-def test_only_pictures_are_pictures(desk: Desk) -> None:
+def test_other_types_are_refused_as_images(desk: Desk) -> None:
     out = desk.far.advertise("/words", "std_msgs/String")
     with TestPage(desk.port) as page:
         page.watch("image:160:/words", "image:161:/words", "image:160:words", "image:/words")
@@ -187,21 +187,21 @@ def test_only_pictures_are_pictures(desk: Desk) -> None:
         until(lambda: "std_msgs/msg/String is no picture" in publish(), "it says why there is none", every=0.05)
 
 
-def test_two_types_under_one_name_are_told_apart(desk: Desk) -> None:
-    words, numbers = desk.far.advertise("/said", "std_msgs/String"), desk.far.advertise("/said", "std_msgs/Int32")
-    one, other = "topic:/said@std_msgs/msg/String", "topic:/said@std_msgs/msg/Int32"
+def test_two_types_of_one_topic_are_distinguished(desk: Desk) -> None:
+    strings, numbers = desk.far.advertise("/said", "std_msgs/String"), desk.far.advertise("/said", "std_msgs/Int32")
+    first, other = "topic:/said@std_msgs/msg/String", "topic:/said@std_msgs/msg/Int32"
     with TestPage(desk.port) as page:
-        page.watch("topic:/said", one, other, "topic:/said@std_msgs/msg/Bool")
+        page.watch("topic:/said", first, other, "topic:/said@std_msgs/msg/Bool")
 
         def publish() -> bool:
-            desk.far.publish(words, {"data": "yes"})
+            desk.far.publish(strings, {"data": "yes"})
             desk.far.publish(numbers, {"data": 3})
             page.read()
-            return all(page.values.get(feed, {}).get("value") for feed in (one, other))
+            return all(page.values.get(feed, {}).get("value") for feed in (first, other))
 
         until(publish, "both are seen", every=0.05)
-        assert page.values[one]["value"]["message"] == {"data": "yes"}
+        assert page.values[first]["value"]["message"] == {"data": "yes"}
         assert page.values[other]["value"]["message"] == {"data": 3}
-        why = "/said is published with several types: std_msgs/msg/Int32, std_msgs/msg/String; watch topic:/said@TYPE"
-        page.until(lambda: why in page.values["topic:/said"].get("why", ""), "which types there are")
+        reason = "/said is published with several types: std_msgs/msg/Int32, std_msgs/msg/String; watch topic:/said@TYPE"
+        page.until(lambda: reason in page.values["topic:/said"].get("why", ""), "which types there are")
         assert "nobody publishes /said as std_msgs/msg/Bool" in page.values["topic:/said@std_msgs/msg/Bool"]["why"]

@@ -32,13 +32,13 @@ def store(store: Store) -> Store:
 @pytest.fixture
 def page(desk: Desk, store: Store) -> Iterator[TestPage]:
     assert store is not None
-    with TestPage(desk.port) as made:
-        made.watch("places")
-        made.value("places")
-        yield made
+    with TestPage(desk.port) as page_:
+        page_.watch("places")
+        page_.value("places")
+        yield page_
 
 
-def test_an_area_is_kept_for_all(page: TestPage, store: Store) -> None:
+def test_a_saved_area_is_visible_to_all(page: TestPage, store: Store) -> None:
     assert page.call("keep_area", name="hall", points=SQUARE) == {
         "op": "reply", "id": 1, "ok": True, "value": "hall is kept",
     }  # fmt: skip
@@ -50,7 +50,7 @@ def test_an_area_is_kept_for_all(page: TestPage, store: Store) -> None:
     page.value("places", lambda value: len(value["areas"]["hall"]["points"]) == 3)
 
 
-def test_a_place_is_not_lost_to_another_of_its_name(page: TestPage, store: Store) -> None:
+def test_a_place_is_replaced_only_on_request(page: TestPage, store: Store) -> None:
     pose = {"name": "desk", "y": 0.0, "theta": 0.0}
     assert page.call("keep_place", x=1.0, **pose)["ok"]
     assert page.call("keep_place", x=2.0, **pose)["error"] == "there is the place 'desk' already"
@@ -60,16 +60,16 @@ def test_a_place_is_not_lost_to_another_of_its_name(page: TestPage, store: Store
 
 
 def test_all_kinds_are_renamed_and_deleted(page: TestPage, store: Store) -> None:
-    desk, way = Map2DLocation("house", 1.0), Map2DPath([Map2DLocation("house", 1.0)])
+    desk, path = Map2DLocation("house", 1.0), Map2DPath([Map2DLocation("house", 1.0)])
     store.write([
-        Write(LOCATION, "desk", desk), Write(AREA, "hall", HALL), Write(PATH, "way", way),
+        Write(LOCATION, "desk", desk), Write(AREA, "hall", HALL), Write(PATH, "way", path),
         Write(BEHAVIOUR, "hall", AreaBehaviour(keep_out=True)),
     ])  # fmt: skip
     assert page.call("rename_place", name="desk", to="my desk")["ok"]
     assert page.call("rename_place", name="hall", to="lobby", kind="area")["ok"]
     assert page.call("rename_place", name="way", to="round", kind="path")["ok"]
-    found = page.value("places", lambda value: "round" in value["paths"])
-    assert [list(found[kind]) for kind in ("locations", "areas", "paths")] == [["my desk"], ["lobby"], ["round"]]
+    places = page.value("places", lambda value: "round" in value["paths"])
+    assert [list(places[kind]) for kind in ("locations", "areas", "paths")] == [["my desk"], ["lobby"], ["round"]]
     assert store.get(BEHAVIOUR, "lobby") == AreaBehaviour(keep_out=True)
     for kind, name in (("location", "my desk"), ("area", "lobby"), ("path", "round")):
         assert page.call("delete_place", name=name, kind=kind)["ok"]
@@ -93,7 +93,7 @@ def test_all_kinds_are_renamed_and_deleted(page: TestPage, store: Store) -> None
         ("rename_place", {"name": "none", "to": "x"}, "no location 'none'"),
     ],
 )
-def test_what_cannot_be_is_refused_in_words(page: TestPage, verb: str, args: dict[str, Any], why: str) -> None:
+def test_invalid_calls_are_refused_with_a_reason(page: TestPage, verb: str, args: dict[str, Any], why: str) -> None:
     reply = page.call(verb, **args)
     assert not reply["ok"]
     assert why in reply["error"]

@@ -19,18 +19,18 @@ TEXT = (DOCS / "console_protocol.md").read_text()
 
 
 def test_the_schema_is_up_to_date() -> None:
-    why = f"python -m tests.web.protocol > {SCHEMA.relative_to(DOCS.parents[1])}"
-    assert SCHEMA.read_text() == protocol.text(), why
+    hint = f"python -m tests.web.protocol > {SCHEMA.relative_to(DOCS.parents[1])}"
+    assert SCHEMA.read_text() == protocol.text(), hint
     assert f"({SCHEMA.name})" in TEXT
 
 
-def test_each_reference_leads_somewhere() -> None:
-    found = json.loads(SCHEMA.read_text())
+def test_each_reference_has_a_target() -> None:
+    document = json.loads(SCHEMA.read_text())
     names = set(re.findall(r'"#/\$defs/(\w+)"', SCHEMA.read_text()))
-    assert names <= set(found["$defs"])
+    assert names <= set(document["$defs"])
 
 
-def test_it_has_the_consoles_verbs_and_feeds(desk: Desk) -> None:
+def test_the_schema_has_all_verbs_and_feeds(desk: Desk) -> None:
     verbs = desk.console.verbs.known
     assert set(protocol.VERBS) == set(verbs)
     for name, verb in verbs.items():
@@ -44,7 +44,7 @@ def table(title: str) -> str:
     return TEXT.partition(f"## {title}\n")[2].partition("\n## ")[0]
 
 
-def test_the_page_has_the_same(desk: Desk) -> None:
+def test_the_documentation_has_all_verbs_and_feeds(desk: Desk) -> None:
     rows = [line.split("|") for line in table("Verbs").splitlines() if line.startswith("| `")]
     roles = {name: row[3].strip() for row in rows for name in re.findall(r"`(\w+)`", row[1])}
     verbs = desk.console.verbs.known
@@ -58,7 +58,7 @@ def test_the_page_has_the_same(desk: Desk) -> None:
     [{"op": "hello"}, {"op": "value", "feed": "robot", "n": 1, "value": {"pose": 3}}, {"op": "held", "x": "1"},
      {"op": "value", "feed": "unknown", "n": 1, "value": {}}, {"op": "error", "error": "a", "more": 1}, {}],
 )  # fmt: skip
-def test_what_is_none_of_it(message: dict[str, Any]) -> None:
+def test_invalid_messages_are_rejected(message: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         protocol.check_said(message)
 
@@ -67,6 +67,6 @@ def test_what_is_none_of_it(message: dict[str, Any]) -> None:
     ("verb", "args", "value"),
     [("goto", {"x": 1.0}, ""), ("goto", {"x": 1.0, "y": 2.0, "z": 1}, ""), ("ping", {}, 1), ("stop", {"a": 1}, "")],
 )
-def test_calls_that_are_none(verb: str, args: dict[str, Any], value: Any) -> None:
+def test_invalid_calls_are_rejected(verb: str, args: dict[str, Any], value: Any) -> None:
     with pytest.raises(ValidationError):
         protocol.check_done(verb, args, value)

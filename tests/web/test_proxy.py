@@ -47,8 +47,8 @@ def test_page_socket_and_map_work_at_a_path_of_the_proxy(proxy: Proxy, store: St
 
 
 def test_pages_of_other_origins_are_refused_behind_the_proxy(proxy: Proxy) -> None:
-    own = "robots.example"
-    others = (f"http://{own}:{proxy.port}", f"https://{own}", f"https://{own}:{proxy.port + 1}")
+    host = "robots.example"
+    others = (f"http://{host}:{proxy.port}", f"https://{host}", f"https://{host}:{proxy.port + 1}")
     for origin in ("https://evil.example", "null", *others):
         with pytest.raises(InvalidStatus, match="403"):
             proxy.page(origin, **ANNA)

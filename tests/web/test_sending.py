@@ -18,29 +18,29 @@ def settled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sending, "_SETTLE_SECONDS", 0.0)
 
 
-def test_a_definition_with_all_that_it_nests(desk: Desk) -> None:
+def test_a_definition_includes_nested_types(desk: Desk) -> None:
     with TestPage(desk.port) as page:
-        found = page.call("definition", type="geometry_msgs/PoseStamped")["value"]
-        assert found["type"] == found["root"] == "geometry_msgs/msg/PoseStamped"
-        assert [field["name"] for field in found["types"][found["root"]]["fields"]] == ["header", "pose"]
-        w = found["types"]["geometry_msgs/msg/Quaternion"]["fields"][3]
+        definition = page.call("definition", type="geometry_msgs/PoseStamped")["value"]
+        assert definition["type"] == definition["root"] == "geometry_msgs/msg/PoseStamped"
+        assert [field["name"] for field in definition["types"][definition["root"]]["fields"]] == ["header", "pose"]
+        w = definition["types"]["geometry_msgs/msg/Quaternion"]["fields"][3]
         assert (w["name"], w["base"], w["shape"], w["default"]) == ("w", "float64", "single", 1)
-        assert {"std_msgs/msg/Header", "builtin_interfaces/msg/Time", "geometry_msgs/msg/Point"} <= found[
+        assert {"std_msgs/msg/Header", "builtin_interfaces/msg/Time", "geometry_msgs/msg/Point"} <= definition[
             "types"
         ].keys()
 
 
-def test_a_definition_with_constants(desk: Desk) -> None:
+def test_a_definition_includes_constants(desk: Desk) -> None:
     with TestPage(desk.port) as page:
-        found = page.call("definition", type="sensor_msgs/msg/BatteryState")["value"]
-        constants = {each["name"]: each["value"] for each in found["types"][found["root"]]["constants"]}
+        definition = page.call("definition", type="sensor_msgs/msg/BatteryState")["value"]
+        constants = {constant["name"]: constant["value"] for constant in definition["types"][definition["root"]]["constants"]}
         assert constants["POWER_SUPPLY_STATUS_CHARGING"] == 1
 
 
-def test_a_services_definition(desk: Desk) -> None:
+def test_a_services_definition_has_request_and_response(desk: Desk) -> None:
     with TestPage(desk.port) as page:
-        found = page.call("definition", type="std_srvs/SetBool", kind="service")["value"]
-        request, response = found["types"][found["root"]], found["types"][found["response"]]
+        definition = page.call("definition", type="std_srvs/SetBool", kind="service")["value"]
+        request, response = definition["types"][definition["root"]], definition["types"][definition["response"]]
         assert [(field["name"], field["base"]) for field in request["fields"]] == [("data", "bool")]
         assert [field["name"] for field in response["fields"]] == ["success", "message"]
 
@@ -65,7 +65,7 @@ def test_a_services_definition(desk: Desk) -> None:
         ("call_service", {"name": "/x/_action/send_goal", "type": "a/srv/B", "request": {}}, "is no service"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_sent(desk: Desk, verb: str, args: dict[str, Any], why: str) -> None:
+def test_invalid_messages_and_calls_are_refused(desk: Desk, verb: str, args: dict[str, Any], why: str) -> None:
     with TestPage(desk.port) as page:
         assert why in page.call(verb, **args)["error"]
 
@@ -95,30 +95,30 @@ def test_velocities_are_refused(desk: Desk, topic: str, type_name: str) -> None:
         assert not desk.far.hub.graph.publishers(topic)
 
 
-def test_a_message_is_published_once_and_not_kept(desk: Desk) -> None:
-    heard = desk.far.subscribe("/said", "std_msgs/String")
+def test_a_message_is_published_once_and_not_latched(desk: Desk) -> None:
+    subscription = desk.far.subscribe("/said", "std_msgs/String")
     with TestPage(desk.port) as page:
         page.until(lambda: desk.console.host.node.hub.graph.subscriptions("/said"), "the listener is known")
         reply = page.call("publish", topic="/said", type="std_msgs/String", message={"data": "hello"})
         assert reply["value"] == "published on /said"
-        assert desk.far.wait(heard, 1)[0] == {"data": "hello"}
+        assert desk.far.wait(subscription, 1)[0] == {"data": "hello"}
         (end,) = until(lambda: desk.far.hub.graph.publishers("/said"), "the graph tells of its publisher")
         assert end.qos.durability is Durability.VOLATILE
         second = page.call("publish", topic="/said", type="std_msgs/String", message={"data": "again"})
         while not second["ok"]:
             second = page.call("publish", topic="/said", type="std_msgs/String", message={"data": "again"})
-        assert [each["data"] for each in desk.far.wait(heard, 2)] == ["hello", "again"]
+        assert [message["data"] for message in desk.far.wait(subscription, 2)] == ["hello", "again"]
         assert len(desk.far.hub.graph.publishers("/said")) == 1, "the same publisher"
 
 
-def test_nobody_listens(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_subscriber_is_reported(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sending, "_MATCH_SECONDS", 0.2)
     with TestPage(desk.port) as page:
         reply = page.call("publish", topic="/void", type="std_msgs/Empty", message={})
         assert reply["value"] == "published on /void, and nobody on the hub listens to it"
 
 
-def test_no_more_than_some_messages_a_second(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rate_of_messages_is_limited(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sending, "_MATCH_SECONDS", 0.0)
     with TestPage(desk.port) as page:
         for number in range(1, 13):
@@ -127,25 +127,25 @@ def test_no_more_than_some_messages_a_second(desk: Desk, monkeypatch: pytest.Mon
                 op="call", id=1000 + number, verb="publish",
                 args={"topic": "/often", "type": "std_msgs/String", "message": message},
             )  # fmt: skip
-        page.until(lambda: sum(m.get("id", 0) > 1000 for m in page.said) == 12, "all are answered")
-        errors = [m["error"] for m in page.said if m.get("id", 0) > 1000 and not m["ok"]]
+        page.until(lambda: sum(m.get("id", 0) > 1000 for m in page.others) == 12, "all are answered")
+        errors = [m["error"] for m in page.others if m.get("id", 0) > 1000 and not m["ok"]]
         assert errors
         assert all("at most 5 messages a second are published" in error for error in errors)
 
 
-def test_a_call_and_its_reply(desk: Desk) -> None:
+def test_a_service_call_returns_its_reply(desk: Desk) -> None:
     served = desk.far.serve("/light", "std_srvs/SetBool", reply={"success": True, "message": "it is on"})
     assert served is not None
     with TestPage(desk.port) as page:
         page.watch("services")
-        found = page.value("services", lambda value: any(each["service"] == "/light" for each in value or ()))
-        assert next(each for each in found if each["service"] == "/light") == {
+        services = page.value("services", lambda value: any(service["service"] == "/light" for service in value or ()))
+        assert next(service for service in services if service["service"] == "/light") == {
             "service": "/light", "type": "std_srvs/srv/SetBool", "servers": 1, "clients": 0,
         }  # fmt: skip
         reply = page.call("call_service", name="/light", type="std_srvs/SetBool", request={"data": True})
         assert reply["value"] == {"success": True, "message": "it is on"}
-        wrong = page.call("call_service", name="/light", type="std_srvs/SetBool", request={"data": 3})
-        assert wrong["error"] == "std_srvs/srv/SetBool: data is bool, not 3"
+        invalid = page.call("call_service", name="/light", type="std_srvs/SetBool", request={"data": 3})
+        assert invalid["error"] == "std_srvs/srv/SetBool: data is bool, not 3"
         other = page.call("call_service", name="/light", type="std_srvs/Trigger", request={})
         assert "/light is std_srvs/srv/SetBool on the hub, not std_srvs/srv/Trigger" in other["error"]
         graph = desk.far.hub.graph

@@ -23,12 +23,12 @@ def scope(kind: str = "http", **headers: str) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8480", "localhost:8480", "LOCALHOST:8480"])
-def test_own_hosts(host: str) -> None:
+def test_own_hosts_are_accepted(host: str) -> None:
     assert not refusal(scope(host=host), OWN)
 
 
 @pytest.mark.parametrize("host", ["evil.example:8480", "127.0.0.1", "127.0.0.1:80", "localhost:8480.evil.example", ""])
-def test_names_that_are_made_to_point_here_are_refused(host: str) -> None:
+def test_rebound_names_are_refused(host: str) -> None:
     assert "no such host" in refusal(scope(host=host), OWN)
 
 
@@ -42,7 +42,7 @@ def test_configured_names_are_hosts_at_any_port(host: str) -> None:
 
 
 @pytest.mark.parametrize("host", ["x.robot.lab", "robot.lab.evil.example:8480", "robot.lab:8480:1", "127.0.0.1:80", ""])
-def test_other_names_are_refused_beside_configured_ones(host: str) -> None:
+def test_other_names_than_the_configured_ones_are_refused(host: str) -> None:
     assert "no such host" in refusal(scope(host=host), OWN, NAMED)
 
 
@@ -68,9 +68,9 @@ def test_a_proxys_page_has_its_name_port_and_scheme(
     kind: str, host: str, origin: str, scheme: str | None, *, accepted: bool
 ) -> None:
     forwarded = {} if scheme is None else {"x_forwarded_proto": scheme}
-    why = refusal(scope(kind, host=host, origin=origin, **forwarded), OWN, NAMED)
-    assert (why == "") == accepted
-    assert accepted or "X-Forwarded-Proto" in why
+    reason = refusal(scope(kind, host=host, origin=origin, **forwarded), OWN, NAMED)
+    assert (reason == "") == accepted
+    assert accepted or "X-Forwarded-Proto" in reason
 
 
 def test_with_tls_a_proxy_does_not_change_the_scheme() -> None:
@@ -101,7 +101,7 @@ def test_two_hosts_or_none_are_refused() -> None:
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://localhost:8480", "http://localhost:8481"])
 @pytest.mark.parametrize("kind", ["http", "websocket"])
-def test_pages_of_others_are_refused(kind: str, origin: str) -> None:
+def test_pages_of_other_origins_are_refused(kind: str, origin: str) -> None:
     assert refusal(scope(kind, host="localhost:8480", origin=origin), OWN)
     assert not refusal(scope(kind, host="localhost:8480", origin="http://localhost:8480"), OWN)
 
@@ -111,7 +111,7 @@ def test_another_sites_request_is_refused() -> None:
     assert not refusal(scope(host="localhost:8480", sec_fetch_site="same-origin"), OWN)
 
 
-def test_a_browsers_socket_says_whose_it_is() -> None:
+def test_a_browsers_socket_needs_an_origin() -> None:
     assert refusal(scope("websocket", host="localhost:8480", user_agent="Mozilla/5.0"), OWN)
     assert not refusal(scope("websocket", host="localhost:8480", user_agent="Python"), OWN)
 
@@ -139,43 +139,43 @@ def test_the_page_and_its_policy(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize("path", ["/../worker.py", "/%2e%2e/worker.py", "/..%2fworker.py", "/map/none.png", "/none"])
-def test_nothing_else_is_there(desk: Desk, path: str) -> None:
+def test_other_paths_are_not_found(desk: Desk, path: str) -> None:
     status, headers, body = ask(desk.port, path)
     assert status == 404
     assert b"import" not in body
     assert "content-security-policy" in headers
 
 
-def test_strange_hosts_get_nothing(desk: Desk) -> None:
+def test_unknown_hosts_are_refused(desk: Desk) -> None:
     status, _, body = ask(desk.port, "/", Host=f"evil.example:{desk.port}")
     assert status == 403
     assert b"no such host" in body
 
 
-def test_nobody_passes_for_another_address(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+def test_clients_cannot_forge_their_address(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "midspan.web"):
         ask(desk.port, "/", **{"Host": "evil.example", "X-Forwarded-For": "10.9.8.7"})
     assert "a request from 127.0.0.1 is refused" in caplog.text
 
 
-def test_strange_pages_get_no_socket(desk: Desk) -> None:
+def test_foreign_pages_get_no_socket(desk: Desk) -> None:
     for options in ({"origin": "http://evil.example"}, {"additional_headers": {"Sec-Fetch-Site": "cross-site"}}):
         with pytest.raises(InvalidStatus):
             TestPage(desk.port, **options)
     assert desk.console.server.pages == 0
 
 
-def test_an_address_that_is_taken_is_named(desk: Desk) -> None:
+def test_an_address_in_use_is_reported(desk: Desk) -> None:
     with pytest.raises(RuntimeError, match=rf"cannot listen on 127.0.0.1:{desk.port}: .*in use; set web.listen"):
         WebServer(f"127.0.0.1:{desk.port}", None, None, None)  # type: ignore[arg-type]
 
 
-def test_half_requests_do_not_keep_others_out(desk: Desk) -> None:
+def test_incomplete_requests_do_not_block_others(desk: Desk) -> None:
     open_ = [socket.create_connection(("127.0.0.1", desk.port)) for _ in range(20)]
     try:
-        for one in open_:
-            one.sendall(b"GET / HTTP/1.1\r\nHost: ")
+        for sock in open_:
+            sock.sendall(b"GET / HTTP/1.1\r\nHost: ")
         assert ask(desk.port, "/")[0] == 200
     finally:
-        for one in open_:
-            one.close()
+        for sock in open_:
+            sock.close()
