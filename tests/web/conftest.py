@@ -1,4 +1,4 @@
-"""The console in the test's own process, on a hub of its own."""
+"""The console in the test's own process, on its own hub."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.support.quick_hub import QuickHub
 
 
 class Desk:
-    """A console and a program on its hub (``far``)."""
+    """A console, and a program on its hub (``far``)."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -41,7 +41,7 @@ class Desk:
         return console
 
     def open_with(self, **sections: Any) -> None:
-        """The console once more, with sections of the configuration."""
+        """Restart the console with other sections of the configuration."""
         self.console.close()
         self.console = self.open(**sections)
 
@@ -64,6 +64,6 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
 
 @pytest.fixture
 def store(desk: Desk, tmp_path: Path) -> Iterator[Store]:
-    """A daemon's store on the console's hub."""
+    """Return a daemon's store on the console's hub."""
     with Shared(tmp_path, "here", desk.hubs.endpoint) as shared:
         yield shared.store

@@ -1,4 +1,4 @@
-"""A console worker in a process of its own, on a real hub, and the strangers that send it whatever they like."""
+"""A console worker in a separate process, on a real hub, and clients that send it arbitrary data."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ from tests.support.wait import until
 TWIST = "geometry_msgs/msg/Twist"
 SPEED, TURN = 0.3, 0.6
 MOST_GROWTH = 32 << 20
-"""Bytes that the worker may grow by once it is warm. Measured: 14 MB over 135,000 requests and frames, 18 over 426,000;
-cyclic garbage waits for Python's collector, and one kind of request alone grows no further after some thousand."""
+"""Allowed growth in bytes after the warm-up. Measured: 14 MB over 135,000 requests and frames, 18 over 426,000;
+cyclic garbage waits for Python's collector, and a single kind of request stops growing after some thousand."""
 
 _WARM = 1000
 _LOOK = 200
 _ANSWERS = {100, 101, 200, 206, 304, 307, 400, 403, 404, 405, 413, 416, 426, 431, 503}
 _OPS = {"hello", "value", "reply", "held", "error"}
 _LATER = 0.8
-"""Seconds after a page's last hold in which the base may still be told to move: 0.3 s, and what the way takes."""
+"""Seconds after a page's last hold in which the base may still be commanded to move: 0.3 s, and the latency."""
 
 
 class HostileConsole:
-    """Speaks to the console as nobody should, and looks at what became of it.
+    """Sends invalid data to the console, and checks the consequences.
 
     Attributes:
         hubs: the console's hub.
-        sent: how many requests and frames.
-        drove: how many velocities that were not zero came while a page held.
+        sent: number of requests and frames.
+        drove: number of velocities other than zero received while a page held.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -83,7 +83,7 @@ class HostileConsole:
                 preexec_fn=_end_with_parent,
             )  # fmt: skip
         self._console = psutil.Process(self._process.pid)
-        until(self._answers, "the console answers", 60)
+        until(self._answers, "the console responds", 60)
         self._warm_bytes = 0
         self._numbers = itertools.count(1)
 
@@ -99,14 +99,14 @@ class HostileConsole:
             return
         self.drove += 1
         if time.monotonic() > self._may_drive:
-            self._wrong = f"the base is driven though nobody holds: {velocity}"
+            self._wrong = f"the base is driven although no page holds: {velocity}"
         elif max(map(abs, velocity[:3])) > SPEED or max(map(abs, velocity[3:])) > TURN:
             self._wrong = f"the base is driven too fast: {velocity}"
 
     # -- HTTP ----------------------------------------------------------------------------------------------------------
 
     def ask(self, requests: Sequence[bytes]) -> None:
-        """Send each on a connection of its own, all at once; what is answered must be an answer."""
+        """Send each request on a separate connection, all at once; each reply must be a valid response."""
         open_ = [socket.create_connection(("127.0.0.1", self.port), 10) for _ in requests]
         received = dict.fromkeys(open_, b"")
         try:
@@ -116,7 +116,7 @@ class HostileConsole:
             left = set(open_)
             while left and (ready := select.select(left, [], [], 0.004)[0]):
                 left -= {sock for sock in ready if not _more(sock, received)}
-            for sock in left:  # an unfinished request: no more comes
+            for sock in left:  # an unfinished request: nothing more is sent
                 with contextlib.suppress(OSError):
                     sock.shutdown(socket.SHUT_WR)
             end = time.monotonic() + 20.0
@@ -145,7 +145,7 @@ class HostileConsole:
     # -- WebSocket -----------------------------------------------------------------------------------------------------
 
     def converse(self, pieces: Sequence[bytes]) -> None:
-        """Open a socket as a page does, and send frames: the first byte of each says of which kind."""
+        """Open a socket as a page does, and send frames; the first byte of each piece gives its kind."""
         with socket.create_connection(("127.0.0.1", self.port), 10) as sock:
             sock.sendall(opening(self.host))
             content = _Frames(sock)
@@ -164,12 +164,12 @@ class HostileConsole:
                 sock.sendall(client_frame(9, b"the end"))
                 content.until_pong(b"the end", 10.0 if whole else 0.02)
             except OSError:
-                pass  # the console has cut it
+                pass  # the console has closed it
         if self._may_drive == math.inf:
             self._may_drive = time.monotonic() + _LATER
         self._after(1 + sum(piece[1] if piece[:1] == b"m" and len(piece) > 1 else 1 for piece in pieces))
 
-    # -- what became of it ---------------------------------------------------------------------------------------------
+    # -- consequences --------------------------------------------------------------------------------------------------
 
     def _after(self, sent: int) -> None:
         self.sent += sent
@@ -177,7 +177,7 @@ class HostileConsole:
             self.check()
 
     def check(self) -> None:
-        """Raises `AssertionError` where the worker ended, drove, grew, or wrote of an error that it did not expect."""
+        """Raise `AssertionError` if the worker ended, drove, grew, or logged an unexpected error."""
         assert self._process.poll() is None, f"the worker has ended: {self.log()[-3000:]}"
         wrong, self._wrong = self._wrong, ""
         assert not wrong, wrong
@@ -191,11 +191,11 @@ class HostileConsole:
 
     @property
     def growth(self) -> int:
-        """Bytes by which the worker grew since it is warm."""
+        """Return the growth of the worker since the warm-up, in bytes."""
         return int(self._console.memory_info().rss) - self._warm_bytes
 
     def log(self) -> str:
-        """What the worker wrote."""
+        """Return the worker's output."""
         return self._log.read_text(errors="replace")
 
     def close(self) -> None:
@@ -211,7 +211,7 @@ class HostileConsole:
 
 
 def opening(host: str) -> bytes:
-    """How a page begins its socket."""
+    """Return the request that opens a page's socket."""
     return (
         f"GET /socket HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nUpgrade: websocket\r\n"
         "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
@@ -224,7 +224,7 @@ def _end_with_parent() -> None:
 
 
 def _more(sock: socket.socket, received: dict[socket.socket, bytes]) -> bool:
-    """Read once; whether more may come."""
+    """Read once; return whether more may arrive."""
     try:
         data = sock.recv(1 << 16)
     except OSError:
@@ -234,7 +234,7 @@ def _more(sock: socket.socket, received: dict[socket.socket, bytes]) -> bool:
 
 
 def client_frame(opcode: int, content: bytes, *, fin: bool = True) -> bytes:
-    """A frame of a client, masked with zeros (RFC 6455, 5.2)."""
+    """Return a client's frame, masked with zeros (RFC 6455, 5.2)."""
     size = len(content)
     head = bytes([(0x80 if fin else 0) | opcode])
     if size < 126:
@@ -271,7 +271,7 @@ def _frames(kind: bytes, content: bytes) -> bytes:
 
 
 def _holds(kind: bytes, content: bytes) -> bool:
-    """Whether a piece may be a hold that is as the protocol wants it; parts of messages may become one together."""
+    """Return whether a piece may be a valid hold; parts of messages may combine to one."""
     if kind in (b"s", b"n", b"e", b"r"):
         return True
     try:
@@ -282,7 +282,7 @@ def _holds(kind: bytes, content: bytes) -> bool:
 
 
 class _Frames:
-    """What the console says on a socket."""
+    """The console's frames on a socket."""
 
     def __init__(self, sock: socket.socket) -> None:
         self._sock, self._left = sock, b""
@@ -295,15 +295,15 @@ class _Frames:
         return bool(data)
 
     def head(self) -> bytes:
-        """The answer to the opening."""
+        """Return the response to the opening request."""
         end = time.monotonic() + 20.0
         while b"\r\n\r\n" not in self._left:
-            assert self._read(end), f"the console does not answer an opening: {self._left!r}"
+            assert self._read(end), f"the console does not respond to an opening request: {self._left!r}"
         head, _, self._left = self._left.partition(b"\r\n\r\n")
         return head
 
     def until_pong(self, content: bytes, seconds: float) -> None:
-        """Read up to a pong or the end; each text must be a message of the protocol."""
+        """Read up to a pong or the end; each text must be a valid message of the protocol."""
         end = time.monotonic() + seconds
         while True:
             while (found := self._next()) is not None:
@@ -315,11 +315,11 @@ class _Frames:
                     return
             if not self._read(end):
                 waited = time.monotonic() > end
-                assert not waited or seconds < 1.0, "the console does not answer a ping"
+                assert not waited or seconds < 1.0, "the console does not reply to a ping"
                 return
 
     def _next(self) -> tuple[int, bytes] | None:
-        """The next whole frame; the console's are not masked."""
+        """Return the next complete frame; the console's are not masked."""
         if len(self._left) < 2:
             return None
         size, at = self._left[1] & 0x7F, 2

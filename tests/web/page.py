@@ -79,19 +79,19 @@ class TestPage:
         return result
 
     def value(self, feed: str, wanted: Callable[[Any], Any] = bool, description: str = "") -> Any:
-        """A feed's newest value, once it is as wanted."""
+        """Wait until a feed has the wanted value, and return it."""
         description = description or f"the feed {feed} has a value"
         self.until(lambda: feed in self.values and wanted(self.values[feed]["value"]), description)
         return self.values[feed]["value"]
 
     def call(self, verb: str, **args: Any) -> dict[str, Any]:
-        """Call a verb; the reply."""
+        """Call a verb, and return the reply."""
         self._calls += 1
         number = self._calls
         self.send(op="call", id=number, verb=verb, args=args)
         reply: dict[str, Any] = self.until(
             lambda: next((m for m in self.others if m["op"] == "reply" and m["id"] == number), None),
-            f"{verb} is answered",
+            f"{verb} gets a reply",
         )
         if reply["ok"]:
             check_done(verb, args, reply["value"])

@@ -1,4 +1,4 @@
-"""The console's protocol as types, which the tests' pages check every message with, and the published JSON Schema.
+"""The console's protocol as types, which the tests check every message with, and the published JSON Schema.
 
 ``python -m tests.web.protocol > docs/operate/console_protocol.schema.json`` writes the schema again.
 """
@@ -408,7 +408,7 @@ VERBS: dict[str, tuple[dict[str, Any], Any]] = {
     "publish": ({"topic": Name, "type": Name, "message": dict[str, JsonValue]}, str),
     "call_service": ({"name": Name, "type": Name, "request": dict[str, JsonValue]}, dict[str, JsonValue]),
 }  # fmt: skip
-"""The arguments of each verb, those that may be left out with their default, and its value."""
+"""Each verb's arguments, optional ones with their default, and its value."""
 
 
 # -- messages ----------------------------------------------------------------------------------------------------------
@@ -534,7 +534,7 @@ def check_said(message: dict[str, Any]) -> None:
 
 
 def check_done(verb: str, args: dict[str, Any], value: Any) -> None:
-    """The same for a call that was done: its arguments and its value."""
+    """Check a successful call: its arguments and its value."""
     FROM_PAGE.validate_python({"op": "call", "id": 1, "verb": verb, "args": args})
     _RESULTS[verb].validate_python(value)
 
@@ -560,14 +560,14 @@ def schema() -> dict[str, Any]:
 
 
 def _open(value: Any) -> Any:
-    """A schema whose objects may have further keys."""
+    """Return a schema whose objects may have further keys."""
     if isinstance(value, dict):
         return {key: _open(item) for key, item in value.items() if (key, item) != ("additionalProperties", False)}
     return [_open(item) for item in value] if isinstance(value, list) else value
 
 
 def text() -> str:
-    """The schema's file."""
+    """Return the content of the schema's file."""
     return json.dumps(schema(), indent=2) + "\n"
 
 

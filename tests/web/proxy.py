@@ -70,7 +70,7 @@ class Proxy:
             connection.close()
 
     def page(self, origin: str = "", **headers: str) -> TestPage:
-        """Return a page at the documented address."""
+        """Open a page at the documented address."""
         return TestPage(
             self.port, url=f"wss://robots.example:{self.port}/robot1/socket", host="127.0.0.1", ssl=self.context,
             origin=origin or f"https://robots.example:{self.port}", additional_headers=headers,

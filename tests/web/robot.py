@@ -1,4 +1,4 @@
-"""A daemon with the demo's robot and the console, on ports of a test's own, without ROS 1 and ROS 2."""
+"""A daemon with the demo's robot and the console, on the test's own ports, without ROS 1 and ROS 2."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from yarp_compat.naming.config import Address
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "configs" / "navigation.yaml"
 PORTER = {"name": "porter", "base_frame": "odom", "path": "/planner/robot_path_planner/path"}
-"""Another robot: it stands where odometry began, and means to go where the first one does."""
+"""Another robot: it stands at the start of the odometry, and has the same goal as the first one."""
 
 
 class WebRobot:
-    """The robot drives once `ready` has returned."""
+    """The robot can drive once `ready` has returned."""
 
     def __init__(self, folder: Path) -> None:
         self.port, self.router, self.names = free_port(), free_port(), free_port()
@@ -58,11 +58,11 @@ class WebRobot:
         return Process([sys.executable, "-m", "bridge.cli.main", "run", "--config", self.file])
 
     def ready(self) -> None:
-        """Wait until the page is there and the robot can drive."""
-        until(self._answers, f"the page is there; {self.daemon.output()[-2000:]}", 60)
+        """Wait until the page is served and the robot can drive."""
+        until(self._answers, f"the page is served; {self.daemon.output()[-2000:]}", 60)
         with TestPage(self.port) as page:
             page.watch("robot", "driving", "places")
-            page.value("robot", what="it is known where the robot is")
+            page.value("robot", what="the robot's pose is known")
             page.value("driving", lambda value: value and value["state"] == "idle")
             page.value("places", lambda value: value and "kitchen" in value["locations"])
 
@@ -74,17 +74,17 @@ class WebRobot:
             return False
 
     def hub_program(self) -> HubSide:
-        """A program on the robot's hub."""
+        """Return a program on the robot's hub."""
         settings = HubSettings(node="far", worker="test", daemon="test", router=f"tcp/127.0.0.1:{self.router}")
         return HubSide(Hub.open(settings), Registry())
 
     def yarp_maps(self) -> Map2DClient:
-        """A YARP client of Map2DServer."""
+        """Return a YARP client of Map2DServer."""
         names = NameClient(Address("127.0.0.1", self.names), namespace="/root")
         return Map2DClient(naming=names, timeout=30)
 
     def command(self, *words: str) -> str:
-        """What a verb prints."""
+        """Return the output of a command."""
         done = subprocess.run(
             [sys.executable, "-m", "bridge.cli.main", *words, "--config", str(self.file)],
             capture_output=True, text=True, timeout=60, check=True,
@@ -92,7 +92,7 @@ class WebRobot:
         return done.stdout.strip()
 
     def kill_daemon_and_start_again(self) -> None:
-        """Kill the daemon and every worker, and start it anew."""
+        """Kill the daemon and every worker, and restart it."""
         self.daemon.signal(9)
         self.daemon.stop()
         self.daemon = self._start()

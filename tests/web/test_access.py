@@ -1,4 +1,4 @@
-"""Who may come in to a console that is open to others, and what each may do."""
+"""Access to a console that other machines reach: authentication, and what each role may do."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class GuardedDesk(Desk):
         return super().open(hub=hub, web={"tokens": TOKENS, "trusted": ["operator1"], **sections.get("web", {})})
 
     def tls(self, name: str = "") -> ssl.SSLContext:
-        """How a peer of a name connects, "" for one without a certificate."""
+        """Return the TLS context of a peer with this name, "" for one without a certificate."""
         context = ssl.create_default_context(cafile=self.keys / "ca.pem")
         if name:
             context.load_cert_chain(self.keys / f"{name}.pem", self.keys / f"{name}.key")
@@ -60,7 +60,7 @@ class GuardedDesk(Desk):
     def ask(
         self, method: str, path: str, body: str = "", name: str = "", **headers: str
     ) -> tuple[int, dict[str, str], str]:
-        """The answer to a request."""
+        """Return the response to a request."""
         connection = http.client.HTTPSConnection("127.0.0.1", self.port, timeout=10, context=self.tls(name))
         try:
             connection.request(method, path, body or None, {k.replace("_", "-"): v for k, v in headers.items()})
@@ -75,7 +75,7 @@ class GuardedDesk(Desk):
         return self.ask("POST", "/login", json.dumps({"token": token}), **all_headers)
 
     def page(self, token: str = "", name: str = "", **headers: str) -> TestPage:
-        """A page of who has a token, or a certificate."""
+        """Open a page with a token or a certificate."""
         if token:
             headers["Authorization"] = f"Bearer {token}"
         return TestPage(self.port, ssl=self.tls(name), additional_headers=headers)
@@ -149,10 +149,10 @@ def test_a_login_sets_a_cookie(guarded: GuardedDesk) -> None:
     assert not any(attribute.lower().startswith("domain") for attribute in attributes)
     assert guarded.ask("GET", "/", Cookie=f"x=1; {cookie}")[0] == 200
     with guarded.page(Cookie=cookie) as page:
-        page.until(lambda: page.others, "it says hello")
+        page.until(lambda: page.others, "the hello arrives")
         assert (page.others[0]["role"], page.others[0]["who"]) == ("drive", "anna")
     guarded.open_with()
-    assert json.loads(guarded.ask("GET", "/whoami", Cookie=cookie)[2])["name"] == "anna", "it outlasts a restart"
+    assert json.loads(guarded.ask("GET", "/whoami", Cookie=cookie)[2])["name"] == "anna", "it survives a restart"
     for invalid in (f"{COOKIE}=hall{cookie[len(COOKIE) + 5 :]}", cookie[:-1] + ("0" if cookie[-1] != "0" else "1")):
         assert guarded.ask("GET", "/whoami", Cookie=invalid)[0] == 401
     assert (
@@ -169,7 +169,7 @@ def test_a_login_sets_a_cookie(guarded: GuardedDesk) -> None:
 def test_invalid_logins_are_refused(guarded: GuardedDesk, body: str, status: int) -> None:
     origin = f"https://127.0.0.1:{guarded.port}"
     assert guarded.ask("POST", "/login", body, Origin=origin)[0] == status
-    assert guarded.ask("POST", "/login", json.dumps({"token": DRIVE[0]}))[0] == 403, "not without a page"
+    assert guarded.ask("POST", "/login", json.dumps({"token": DRIVE[0]}))[0] == 403, "only from a page"
 
 
 def test_a_watching_client_may_not_command(guarded: GuardedDesk) -> None:
@@ -180,11 +180,11 @@ def test_a_watching_client_may_not_command(guarded: GuardedDesk) -> None:
         commands = {verb for verb, page_verb in guarded.console.verbs.known.items() if page_verb.commands}
         assert {"goto", "patrol", "halt", "paint_flags"} < commands
         for verb in commands:
-            assert page.call(verb)["error"] == f"this page has the role 'watch': {verb} is not done"
+            assert page.call(verb)["error"] == f"this page has the role 'watch': {verb} is not allowed"
         assert page.call("ping")["ok"]
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
-        page.until(page.errors, "it says why not")
-        assert page.errors() == ["this page has the role 'watch': it may not drive by hand"]
+        page.until(page.errors, "the reason is sent")
+        assert page.errors() == ["this page has the role 'watch': it may not drive manually"]
     with guarded.page(DRIVE[0]) as page:
         hold(page, base)
 
@@ -192,7 +192,7 @@ def test_a_watching_client_may_not_command(guarded: GuardedDesk) -> None:
 @pytest.mark.parametrize(("name", "role"), [("operator1", "drive"), ("guest", "watch")])
 def test_a_certificate_determines_the_role(guarded: GuardedDesk, name: str, role: str) -> None:
     with guarded.page(name=name) as page:
-        page.until(lambda: page.others, "it says hello")
+        page.until(lambda: page.others, "the hello arrives")
         assert (page.others[0]["role"], page.others[0]["who"]) == (role, name)
         assert ("role 'watch'" in page.call("stop").get("error", "")) == (role == "watch")
 
@@ -231,7 +231,7 @@ def test_a_wrong_token_blocks_no_other_client(
         status, headers, body = guarded.ask("GET", "/whoami", **old)
         assert (status, headers["connection"]) == (429, "close")
         assert 20 < int(headers["retry-after"]) <= 30
-        assert f"try again in {headers['retry-after']} s" in body
+        assert f"wait {headers['retry-after']} s" in body
         assert guarded.ask("GET", "/whoami", Authorization=f"Bearer {DRIVE[0]}")[0] == 200
     assert (guarded.ask("GET", "/login", **old)[0], guarded.ask("GET", "/style.css", **old)[0]) == (200, 200)
     with pytest.raises(InvalidStatus) as refused:
@@ -282,7 +282,7 @@ def test_a_wrong_token_waits_longer_each_time_and_delays_no_other(guesser: Guess
     guesser.now += access.FORGET_SECONDS + 1.0
     assert guesser.wait("a", "old") == 0
     guesser.now += 0.5
-    assert guesser.wait("a", "old") == 1, "a token that was not used for long begins again"
+    assert guesser.wait("a", "old") == 1, "a token that was not used for a long time starts again"
 
 
 def test_many_wrong_tokens_of_an_address_share_a_delay(guesser: Guesser) -> None:
@@ -340,7 +340,7 @@ def test_the_secret_is_readable_only_by_its_owner(tmp_path: Path) -> None:
 
 
 def test_the_certificates_names_are_valid_hosts(guarded: GuardedDesk) -> None:
-    """DNS rebinding: a name that an attacker makes point here is none of them."""
+    """DNS rebinding: a name that an attacker points to this address is not one of them."""
     port = guarded.port
     token = {"Authorization": f"Bearer {DRIVE[0]}"}
     for host in ("robot.test", "127.0.0.1", "here", "HERE.local"):
@@ -348,7 +348,7 @@ def test_the_certificates_names_are_valid_hosts(guarded: GuardedDesk) -> None:
     for host in ("evil.example", "robot.test.evil.example", "10.0.0.1"):
         status, _, body = guarded.ask("GET", "/whoami", Host=f"{host}:{port}", **token)
         assert status == 403
-        assert "no such host here" in body
+        assert "unknown host" in body
     for origin in ("http://127.0.0.1:{}", "https://evil.example:{}"):
         with pytest.raises(InvalidStatus, match="403"):
             TestPage(port, ssl=guarded.tls(), additional_headers=token, origin=origin.format(port))
@@ -372,7 +372,7 @@ def test_a_connection_without_a_tls_handshake_is_closed(guarded: GuardedDesk) ->
 @pytest.mark.parametrize(
     ("break_", "why"),
     [("missing", "is no .*here.key"), ("expired", "here.pem expired on"), ("junk", "is not a certificate"),
-     ("other", "was not signed by"), ("unfit", "cannot have TLS")],
+     ("other", "was not signed by"), ("unfit", "cannot use TLS")],
 )  # fmt: skip
 def test_invalid_key_files_are_named(guarded: GuardedDesk, tmp_path: Path, break_: str, why: str) -> None:
     keys = guarded.keys
@@ -405,4 +405,4 @@ def test_a_renewed_certificate_is_loaded(guarded: GuardedDesk) -> None:
         guarded.console.refresh_tls()
         return number() != before
 
-    until(is_renewed, "it shows the new one")
+    until(is_renewed, "it presents the new certificate")

@@ -1,4 +1,4 @@
-"""What strangers and slow peers may take of the console: connections, time, memory, lines of its log."""
+"""Limits for clients and slow peers of the console: connections, time, memory, log lines."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def connect(port: int, source: str = "127.0.0.1") -> socket.socket:
 
 
 def is_closed(sock: socket.socket) -> bool:
-    """Whether the other end closes a connection on which nothing is said."""
+    """Return whether the other end closes an idle connection."""
     try:
         while sock.recv(1 << 16):
             pass
@@ -56,7 +56,7 @@ def test_connections_per_address_are_limited(desk: Desk) -> None:
             stack.enter_context(connect(desk.port, "127.0.0.2"))
         assert is_closed(stack.enter_context(connect(desk.port, "127.0.0.2")))
         assert ask(desk.port, "/")[0] == 200
-    until(lambda: gets_response(desk.port, "127.0.0.2"), "their places are free again")
+    until(lambda: gets_response(desk.port, "127.0.0.2"), "the connections are released")
 
 
 def test_the_total_number_of_connections_is_limited() -> None:
@@ -77,7 +77,7 @@ def test_an_unfinished_request_is_closed(desk: Desk, monkeypatch: pytest.MonkeyP
 def test_a_page_outlives_the_time_limit_of_a_request(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections, "REQUEST_SECONDS", 0.3)
     with TestPage(desk.port) as page, connect(desk.port) as other:
-        assert is_closed(other), "so much time has gone"
+        assert is_closed(other), "the time limit is over"
         assert page.call("ping")["ok"]
 
 
@@ -99,7 +99,7 @@ def test_pages_per_address_are_limited(desk: Desk) -> None:
             TestPage(desk.port, source_address=("127.0.0.2", 0))
         with TestPage(desk.port) as page:
             assert page.call("ping")["ok"]
-    until(lambda: not desk.console.server.pages, "their places are free again")
+    until(lambda: not desk.console.server.pages, "the pages are released")
 
 
 @pytest.mark.thorough
@@ -116,7 +116,7 @@ def test_replies_that_are_not_read_close_the_connection(desk: Desk) -> None:
                 return True
             return False
 
-        until(is_disconnected, "it is cut", every=0.0)
+        until(is_disconnected, "it is disconnected", every=0.0)
     with TestPage(desk.port) as page:
         assert page.call("ping")["ok"]
 
@@ -124,7 +124,7 @@ def test_replies_that_are_not_read_close_the_connection(desk: Desk) -> None:
 def test_a_message_with_too_many_parts_closes_the_connection(desk: Desk) -> None:
     with connect(desk.port) as sock:
         sock.sendall(opening(f"127.0.0.1:{desk.port}"))
-        until(lambda: b"hello" in sock.recv(1 << 16), "it says hello")
+        until(lambda: b"hello" in sock.recv(1 << 16), "the hello arrives")
         with contextlib.suppress(ConnectionError):
             sock.sendall(client_frame(1, b"", fin=False) + client_frame(0, b"", fin=False) * 2000)
         assert is_closed(sock)
@@ -133,8 +133,8 @@ def test_a_message_with_too_many_parts_closes_the_connection(desk: Desk) -> None
 def test_a_call_that_waited_too_long_is_not_executed(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verbs, "BEGIN_SECONDS", -1.0)
     with TestPage(desk.port) as page:
-        assert "is not done; ask again" in page.call("ping")["error"]
-        assert "is not done" not in page.call("stop").get("error", ""), "a stop is never too late"
+        assert "not executed: " in page.call("ping")["error"]
+        assert "not executed" not in page.call("stop").get("error", ""), "a stop is never too late"
 
 
 def test_waiting_calls_of_a_closed_page_are_canceled(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,10 +158,10 @@ def test_waiting_calls_of_a_closed_page_are_canceled(desk: Desk, monkeypatch: py
         with TestPage(desk.port) as page:
             for number in range(10):
                 page.send(op="call", id=number, verb="goto", args={"n": number})
-            until(lambda: len(calls) == 10 and len(begun) == verbs.THREADS, "some run, the others wait")
+            until(lambda: len(calls) == 10 and len(begun) == verbs.THREADS, "some calls run, the others wait")
             waited = waiting()
             assert len(waited) == 10 - verbs.THREADS
-        until(lambda: all(call.cancelled() for call in waited), "those that wait are cancelled")
+        until(lambda: all(call.cancelled() for call in waited), "waiting calls are canceled")
     finally:
         may_end.set()
     with TestPage(desk.port) as page:
@@ -173,7 +173,7 @@ GOOD = {"names": ["house"], "current": "house"}
 
 
 class FailingFeed(Feed):
-    """Cannot be followed the first times."""
+    """A feed that cannot be opened the first times."""
 
     TIMES = 100
 
@@ -196,8 +196,8 @@ def test_a_failing_feed_is_reported_and_can_be_watched_again(desk: Desk) -> None
     with TestPage(desk.port) as page, TestPage(desk.port) as other:
         for attempt in range(1, FailingFeed.TIMES + 1):
             page.watch("maps")
-            page.until(lambda attempt=attempt: len(page.errors()) == attempt, "it says so")
-        assert set(page.errors()) == {"maps cannot be followed: 'no such thing'"}
+            page.until(lambda attempt=attempt: len(page.errors()) == attempt, "the error is reported")
+        assert set(page.errors()) == {"maps cannot be opened: 'no such thing'"}
         page.watch("maps")
         assert page.value("maps") == GOOD
         other.watch("maps")
@@ -216,7 +216,7 @@ def test_a_feed_continues_after_an_error(desk: Desk) -> None:
     console.feeds.fixed["maps"] = PolledFeed(console.host, "maps", asking, answer)
     with contextlib.closing(asking), TestPage(desk.port) as page:
         page.watch("maps")
-        page.until(lambda: page.values.get("maps", {}).get("why") == "KeyError: 'gone'", "it says why there is none")
+        page.until(lambda: page.values.get("maps", {}).get("why") == "KeyError: 'gone'", "the reason is reported")
         assert page.value("maps") == GOOD
 
 
@@ -230,11 +230,11 @@ def test_warnings_caused_by_clients_are_rate_limited(
         assert len(caplog.messages) == 20
         later = time.monotonic() + 11.0
         monkeypatch.setattr(time, "monotonic", lambda: later)
-        scarce.warn("bad again")
-    assert caplog.messages[20:] == ["80 more such warnings before", "bad again"]
+        scarce.warn("another warning")
+    assert caplog.messages[20:] == ["80 further warnings were suppressed", "another warning"]
 
 
 def test_a_late_call_raises_a_verb_error(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verbs, "BEGIN_SECONDS", -1.0)
-    with pytest.raises(VerbError, match="is not done"):
+    with pytest.raises(VerbError, match="not executed"):
         desk.console.verbs.begin("ping", {}, "a page").result(20)

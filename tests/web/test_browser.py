@@ -28,9 +28,9 @@ from tests.web.robot import WebRobot
 from yarp_compat.dev.mapgrid import MapFlag
 
 FREE = (6.0, 4.8)
-"""In the corridor."""
+"""A place in the corridor."""
 SPOTS = (FREE, (7.5, 4.8), (3.0, 7.4))
-"""Free ones to drive to, of which one is near wherever the robot is."""
+"""Free places to drive to, at least one of which is near the robot at any time."""
 NEAR = 0.4
 PIXELS = """
 const canvas = document.querySelector("canvas");
@@ -47,14 +47,14 @@ const [x, y] = [canvas.width / 2, canvas.height / 2 - 10 * devicePixelRatio];
 return [...canvas.getContext("2d").getImageData(x, y, 1, 1).data];
 """
 WINDOWS = ((1440, 760), (1536, 730), (1600, 789), (1440, 900), (1879, 1019), (1880, 920), (1920, 937), (2560, 1300))
-"""Sizes of browsers' pages on common screens, and on both sides of the limits in drive.css."""
+"""Window sizes on common screens, and on both sides of the limits in drive.css."""
 
 until = partial(wait.until, every=0.2)
-"""Each look at the page is a request to the browser, and one at its pixels costs as much as drawing them."""
+"""Interval between checks: each is a request to the browser, and one of its pixels is as costly as drawing them."""
 
 HANGING = 8.0
 HANG = f"const end = Date.now() + {1000 * HANGING}; setTimeout(() => {{ while (Date.now() < end); }}, 0)"
-"""So many seconds no script of the page runs."""
+"""No script of the page runs for this many seconds."""
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def chrome(robot: WebRobot, tmp_path_factory: pytest.TempPathFactory) -> Iterato
 
 
 class Operator:
-    """A person at the page."""
+    """A person who uses the page."""
 
     def __init__(self, chrome: Chrome, robot: WebRobot) -> None:
         self.chrome, self.robot = chrome, robot
@@ -102,38 +102,38 @@ class Operator:
         return self.chrome.find_element(By.ID, "line-text").text
 
     def button(self, text: str, within: str = "") -> WebElement:
-        """The button in sight with these words or this name, within an element of a kind."""
+        """Return the visible button with this text or name, within elements that match a selector."""
 
         def find() -> WebElement | None:
             for element in self.chrome.find_elements(By.CSS_SELECTOR, f"{within} button"):
-                with contextlib.suppress(StaleElementReferenceException):  # a list that was filled again meanwhile
+                with contextlib.suppress(StaleElementReferenceException):  # the list has been filled again
                     if text in (element.text, element.accessible_name) and element.is_displayed():
                         return element
             return None
 
-        shown = until(find, f"there is a button {text!r}")
+        shown = until(find, f"the button is shown:  {text!r}")
         assert shown is not None
         return shown
 
     def choose(self, part: str) -> None:
-        """Show a part of the panel, Send or By hand, if the window is too low for both."""
+        """Show a part of the panel, Send or Manual, if the window is too low for both."""
         if self.chrome.find_element(By.CSS_SELECTOR, ".panel .parts").is_displayed():
             self.button(part, ".panel .parts").click()
 
     def map_at(self, x: float, y: float) -> WebElement:
-        """The map with a place in its middle."""
+        """Return the map, centered on a place."""
         self.open(f"drive/{x},{y}")
         canvas = self.chrome.find_element(By.TAG_NAME, "canvas")
-        until(lambda: canvas.is_displayed() and canvas.size["width"] > 100, "the map is there")
+        until(lambda: canvas.is_displayed() and canvas.size["width"] > 100, "the map is shown")
         return canvas
 
     def pixels(self, colour: str) -> int:
-        """How many pixels of the map have a colour of the style."""
+        """Return the number of pixels of the map in a color of the style."""
         count: int = self.chrome.execute_script(PIXELS, colour)
         return count
 
     def middle(self) -> list[int]:
-        """The colour a little above the middle of the map."""
+        """Return the color slightly above the center of the map."""
         color: list[int] = self.chrome.execute_script(MIDDLE)
         return color
 
@@ -166,7 +166,7 @@ def operator(chrome: Chrome, robot: WebRobot) -> Iterator[Operator]:
 
 @pytest.fixture
 def watch(robot: WebRobot) -> Iterator[TestPage]:
-    """The robot as another page sees it."""
+    """Return another page that watches the robot."""
     with TestPage(robot.port) as page:
         page.watch("robot", "driving", "places", "topic:/cmd_vel", "topic:/odom")
         page.value("robot")
@@ -194,12 +194,14 @@ def offset(page: TestPage, x: float, y: float) -> float:
 
 
 def test_a_press_on_the_map_sends_the_robot(operator: Operator, watch: TestPage) -> None:
-    spot = min((point for point in SPOTS if offset(watch, *point) > 1.5 * NEAR), key=lambda point: offset(watch, *point))
+    spot = min(
+        (point for point in SPOTS if offset(watch, *point) > 1.5 * NEAR), key=lambda point: offset(watch, *point)
+    )
     canvas = operator.map_at(*spot)
     operator.button("Go here").click()
     ActionChains(operator.chrome).move_to_element(canvas).click().perform()
     watch.value("driving", lambda value: value["goal"] and distance(value["goal"], spot) < 0.1)
-    watch.until(lambda: watch.values["driving"]["value"]["state"] == "goal_reached", "it arrives", 120)
+    watch.until(lambda: watch.values["driving"]["value"]["state"] == "goal_reached", "the robot arrives", 120)
     assert offset(watch, *spot) < NEAR
     until(lambda: "arriv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the page shows it")
 
@@ -211,7 +213,7 @@ def test_another_robot_has_its_own_color(operator: Operator, watch: TestPage) ->
     (porter,) = watch.value("robots", lambda robots: robots and robots[0]["pose"] and robots[0]["path"])
     assert porter["name"] == "porter"
     operator.map_at(porter["pose"]["x"], porter["pose"]["y"])
-    until(lambda: operator.pixels("--robot-0") > 50, "it is drawn in its colour")
+    until(lambda: operator.pixels("--robot-0") > 50, "it is drawn in its color")
 
 
 def table_about(x: float, y: float) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -249,20 +251,20 @@ def test_the_layer_is_shown_as_a_tint_with_heights(operator: Operator, robot: We
 
         until(lambda: over(0) == "hit at 0.74 m", "the height of the table is shown")
         tinted = operator.middle()
-        assert over(28) == "a drop, or of unknown height"
-        assert over(80) == "", "nothing stands there"
+        assert over(28) == "a drop, or unknown height"
+        assert over(80) == "", "there is no obstacle"
         assert not tip.is_displayed()
         ActionChains(operator.chrome).move_to_element(canvas).click().perform()
         menu = operator.chrome.find_element(By.CSS_SELECTOR, ".pointmenu p")
-        assert menu.text.endswith("hit at 0.74 m"), "fingers have it from the menu"
+        assert menu.text.endswith("hit at 0.74 m"), "touch users get it from the menu"
         operator.button("Layers").click()
         operator.button("3D layer").click()
         try:
-            until(lambda: over(0) == "", "it is off")
-            until(lambda: operator.middle() != tinted, "the tint is gone")
+            until(lambda: over(0) == "", "the layer is off")
+            until(lambda: operator.middle() != tinted, "the tint is removed")
         finally:
             operator.button("3D layer").click()
-        until(lambda: over(0) == "hit at 0.74 m", "it is on again")
+        until(lambda: over(0) == "hit at 0.74 m", "the layer is on again")
     finally:
         far.hub.close()
 
@@ -278,20 +280,20 @@ def test_a_drag_sets_the_heading(operator: Operator, watch: TestPage) -> None:
 def test_a_pause_keeps_distance_and_path(operator: Operator, watch: TestPage) -> None:
     watch.watch("path")
     operator.button("bedroom" if offset(watch, 8.2, 7.4) > 2.0 else "kitchen", ".places-list").click()
-    watch.until(lambda: moves(watch), "it drives", 60)
+    watch.until(lambda: moves(watch), "the robot drives", 60)
     watch.value("driving", lambda value: value["distance"])
     until(lambda: operator.pixels("--path") > 100, "the path is drawn")
     operator.button("Pause").click()
     driving = watch.value("driving", lambda value: value["state"] == "paused")
-    watch.until(lambda: stands(watch), "it stands", 30)
+    watch.until(lambda: stands(watch), "the robot stands", 30)
     left = f"{driving['distance']:.1f} m"
-    until(lambda: operator.texts(".doing .facts dd")[1] == left, "the panel shows what is left")
+    until(lambda: operator.texts(".doing .facts dd")[1] == left, "the panel shows the remaining distance")
     assert operator.chrome.find_element(By.ID, "driving").text == "Paused"
     assert len(watch.values["path"]["value"]["points"]) >= 4
     operator.chrome.refresh()
     until(lambda: operator.pixels("--path") > 100, "a page that is loaded during the pause draws the path")
-    operator.button("Go on").click()
-    watch.until(lambda: moves(watch), "it goes on", 60)
+    operator.button("Resume").click()
+    watch.until(lambda: moves(watch), "the robot continues", 60)
 
 
 @pytest.mark.parametrize("how", ["button", "space"])
@@ -302,62 +304,62 @@ def test_stop_during_a_drive(operator: Operator, watch: TestPage, how: str) -> N
         key=lambda item: math.dist((item[1]["x"], item[1]["y"]), (pose["x"], pose["y"])),
     )[0]
     operator.button(place).click()
-    watch.until(lambda: moves(watch), "it drives", 60)
+    watch.until(lambda: moves(watch), "the robot drives", 60)
     operator.open("topics" if how == "button" else "drive")
     if how == "button":
         operator.button("STOP").click()
     else:
         operator.chrome.find_element(By.TAG_NAME, "body").send_keys(Keys.SPACE)
-    watch.until(lambda: stands(watch), "it stands", 30)
+    watch.until(lambda: stands(watch), "the robot stands", 30)
     watch.value("driving", lambda value: value["state"] not in ("moving", "preparing_before_move"))
 
 
 def drive_manually(operator: Operator, watch: TestPage) -> None:
-    operator.choose("By hand")
+    operator.choose("Manual")
     button = operator.button("Turn left")
     ActionChains(operator.chrome).click_and_hold(button).perform()
-    watch.until(lambda: moves(watch), "it turns while the button is held", 30)
+    watch.until(lambda: moves(watch), "the robot turns while the button is held", 30)
 
 
 def test_manual_driving_lasts_while_the_button_is_held(operator: Operator, watch: TestPage) -> None:
     drive_manually(operator, watch)
     ActionChains(operator.chrome).release().perform()
-    watch.until(lambda: stands(watch), "it stands once the finger lifts", 30)
+    watch.until(lambda: stands(watch), "the robot stands after the release", 30)
 
 
 @pytest.mark.parametrize(
     "how",
     [
-        pytest.param("the page's script stands still", marks=pytest.mark.thorough),
-        "the tab's socket is cut",
-        pytest.param("the tab hides", marks=pytest.mark.thorough),
+        pytest.param("the page's script hangs", marks=pytest.mark.thorough),
+        "the tab's socket is closed",
+        pytest.param("the tab is hidden", marks=pytest.mark.thorough),
     ],
 )
 def test_manual_driving_stops_when_the_page_fails(operator: Operator, watch: TestPage, how: str) -> None:
     drive_manually(operator, watch)
     try:
-        if how == "the page's script stands still":
+        if how == "the page's script hangs":
             operator.chrome.execute_script(HANG)
             began = time.monotonic()
-            watch.until(lambda: stands(watch), "it stands though the page is silent", 30)
+            watch.until(lambda: stands(watch), "the robot stands although the page is silent", 30)
             assert time.monotonic() - began < HANGING, "while the page still hangs"
-        elif how == "the tab's socket is cut":
+        elif how == "the tab's socket is closed":
             operator.chrome.execute_cdp_cmd("Network.enable", {})
             operator.chrome.execute_cdp_cmd(
                 "Network.emulateNetworkConditions",
                 {"offline": True, "latency": 0, "downloadThroughput": 0, "uploadThroughput": 0},
             )
-            watch.until(lambda: stands(watch), "it stands", 30)
+            watch.until(lambda: stands(watch), "the robot stands", 30)
         else:
             operator.chrome.switch_to.new_window("tab")
-            watch.until(lambda: stands(watch), "it stands", 30)
+            watch.until(lambda: stands(watch), "the robot stands", 30)
     finally:
-        if how == "the tab's socket is cut":
+        if how == "the tab's socket is closed":
             operator.chrome.execute_cdp_cmd(
                 "Network.emulateNetworkConditions",
                 {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1},
             )
-        if how == "the tab hides":
+        if how == "the tab is hidden":
             operator.chrome.close()
             operator.chrome.switch_to.window(operator.chrome.window_handles[0])
         ActionChains(operator.chrome).release().perform()
@@ -366,16 +368,16 @@ def test_manual_driving_stops_when_the_page_fails(operator: Operator, watch: Tes
 @pytest.mark.thorough
 def test_a_saved_place_is_visible_to_all(operator: Operator, watch: TestPage, robot: WebRobot) -> None:
     canvas = operator.map_at(*FREE)
-    operator.button("Keep place").click()
+    operator.button("Save place").click()
     ActionChains(operator.chrome).move_to_element(canvas).click().perform()
-    name = until(lambda: operator.chrome.switch_to.active_element, "the name is asked for")
+    name = until(lambda: operator.chrome.switch_to.active_element, "the name field is shown")
     name.send_keys("here be tea", Keys.ENTER)
     saved = watch.value("places", lambda value: "here be tea" in value["locations"])["locations"]["here be tea"]
     assert distance(saved, FREE) < 0.1
     assert "here be tea" in robot.command("location", "list")
     with robot.yarp_maps() as yarp:
         place = yarp.locations["here be tea"]
-        assert math.dist((place.x, place.y), FREE) < 0.1, "YARP's clients know it"
+        assert math.dist((place.x, place.y), FREE) < 0.1, "YARP clients see it"
     operator.open("places")
     operator.button("Delete here be tea").click()
     operator.button("Delete", "dialog").click()
@@ -388,7 +390,7 @@ def test_a_drawn_area_is_visible_to_all(operator: Operator, watch: TestPage, rob
     operator.button("Edit map").click()
     chain = ActionChains(operator.chrome).move_to_element_with_offset(canvas, -40, -20)
     chain.click_and_hold().move_by_offset(80, 40).release().perform()
-    name = until(lambda: operator.chrome.switch_to.active_element, "the name is asked for")
+    name = until(lambda: operator.chrome.switch_to.active_element, "the name field is shown")
     name.send_keys("tea corner", Keys.ENTER)
     corners = watch.value("places", lambda value: "tea corner" in value["areas"])["areas"]["tea corner"]["points"]
     middle = (sum(x for x, _ in corners) / 4, sum(y for _, y in corners) / 4)
@@ -397,7 +399,7 @@ def test_a_drawn_area_is_visible_to_all(operator: Operator, watch: TestPage, rob
     operator.button("Done").click()
     operator.open("places")
     operator.button("Rename tea corner").click()
-    field = until(lambda: operator.chrome.switch_to.active_element, "the new name is asked for")
+    field = until(lambda: operator.chrome.switch_to.active_element, "the name field is shown")
     field.send_keys(Keys.CONTROL, "a", Keys.NULL, "coffee corner", Keys.ENTER)
     watch.value("places", lambda value: "coffee corner" in value["areas"] and "tea corner" not in value["areas"])
     operator.button("Delete coffee corner").click()
@@ -413,7 +415,7 @@ def test_an_area_is_drawn_with_the_keyboard(operator: Operator, watch: TestPage)
         canvas.send_keys(Keys.ENTER, key)
     canvas.send_keys(Keys.BACKSPACE, Keys.ENTER)
     operator.button("Finish").send_keys(Keys.ENTER)
-    name = until(lambda: operator.chrome.switch_to.active_element, "the name is asked for")
+    name = until(lambda: operator.chrome.switch_to.active_element, "the name field is shown")
     name.send_keys("by keys", Keys.ENTER)
     corners = watch.value("places", lambda value: "by keys" in value["areas"])["areas"]["by keys"]["points"]
     assert len(corners) == 3
@@ -430,13 +432,15 @@ def test_a_map_is_exported_and_imported(operator: Operator, watch: TestPage, tmp
     operator.open("places")
     operator.button(f"Export the map {name}").click()
     packed = tmp_path / f"{name}.zip"
-    until(packed.exists, "the zip is there")
+    until(packed.exists, "the zip is downloaded")
     operator.chrome.find_element(By.CSS_SELECTOR, "input[type=file]").send_keys(str(packed))
-    field = until(lambda: operator.chrome.find_elements(By.CSS_SELECTOR, "dialog input"), "it asks what to replace")[0]
+    field = until(
+        lambda: operator.chrome.find_elements(By.CSS_SELECTOR, "dialog input"), "the dialog about replacing is shown"
+    )[0]
     field.send_keys(Keys.CONTROL, "a", Keys.NULL, "copy", Keys.ENTER)
     watch.value("maps", lambda value: "copy" in value["names"])
     operator.button("Rename the map copy").send_keys(Keys.ENTER)
-    field = until(lambda: operator.chrome.find_elements(By.CSS_SELECTOR, "dialog input"), "it asks for the name")[0]
+    field = until(lambda: operator.chrome.find_elements(By.CSS_SELECTOR, "dialog input"), "the name field is shown")[0]
     field.send_keys(Keys.CONTROL, "a", Keys.NULL, "spare", Keys.ENTER)
     maps = watch.value("maps", lambda value: "spare" in value["names"])
     assert maps == {"names": sorted([name, "spare"]), "current": name}
@@ -452,7 +456,7 @@ def test_a_goal_is_set_with_the_keyboard(operator: Operator, watch: TestPage) ->
 
 
 def keep_out_cells(robot: WebRobot) -> int:
-    """How many cells of the map in use are to be kept out of."""
+    """Return the number of keep-out cells of the current map."""
     shown: dict[str, int] = next(row for row in json.loads(robot.command("map", "list", "--json")) if row["current"])[
         "flags"
     ]
@@ -472,14 +476,14 @@ def test_flags_are_painted_and_undone(operator: Operator, watch: TestPage, robot
     painted = keep_out_cells(robot)
     assert painted > 10
     with robot.yarp_maps() as yarp:
-        assert np.count_nonzero(yarp.maps["apartment"].flags == MapFlag.KEEP_OUT) == painted, "YARP's clients know it"
+        assert np.count_nonzero(yarp.maps["apartment"].flags == MapFlag.KEEP_OUT) == painted, "YARP clients see it"
     operator.button("Undo").click()
     watch.value("map", lambda value: value["flags"] == clean)
-    until(lambda: operator.button("Redo").is_enabled(), "it can be done again")
+    until(lambda: operator.button("Redo").is_enabled(), "redo is possible")
     canvas.send_keys(Keys.CONTROL, "y")
     watch.value("map", lambda value: value["flags"] != clean)
     assert keep_out_cells(robot) == painted
-    until(lambda: operator.button("Undo").is_enabled(), "it can be taken back again")
+    until(lambda: operator.button("Undo").is_enabled(), "undo is possible again")
     canvas.send_keys(Keys.CONTROL, "z")
     watch.value("map", lambda value: value["flags"] == clean)
     operator.button("Done").click()
@@ -497,7 +501,7 @@ def test_a_patrol_runs_until_it_is_ended(operator: Operator, watch: TestPage) ->
     operator.button("Start patrol").click()
     watch.until(
         lambda: (watch.values.get("patrol", {}).get("value") or {}).get("at") == 1,
-        "it sets out to the second place",
+        "the robot drives to the second place",
         90,
     )
     turn = operator.chrome.find_element(By.CLASS_NAME, "turn")
@@ -505,8 +509,8 @@ def test_a_patrol_runs_until_it_is_ended(operator: Operator, watch: TestPage) ->
     operator.button("End drive").click()
     patrol = watch.value("patrol", lambda value: value["state"] == "ended")
     assert "stopped" in patrol["why"]
-    until(lambda: "has ended" in operator.chrome.find_element(By.CLASS_NAME, "turn").text, "the page shows it")
-    watch.until(lambda: stands(watch), "it stands", 30)
+    until(lambda: "Patrol ended" in operator.chrome.find_element(By.CLASS_NAME, "turn").text, "the page shows it")
+    watch.until(lambda: stands(watch), "the robot stands", 30)
 
 
 @pytest.mark.thorough
@@ -516,11 +520,11 @@ def test_two_tabs_show_the_same_state(operator: Operator, watch: TestPage) -> No
     try:
         operator.open("drive")
         operator.button("kitchen").click()
-        watch.until(lambda: moves(watch), "it drives", 60)
+        watch.until(lambda: moves(watch), "the robot drives", 60)
         operator.chrome.switch_to.window(first)
         until(lambda: "driv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the first tab shows it")
         operator.button("End drive").click()
-        watch.until(lambda: stands(watch), "it stands", 30)
+        watch.until(lambda: stands(watch), "the robot stands", 30)
     finally:
         for handle in operator.chrome.window_handles:
             if handle != first:
@@ -541,9 +545,9 @@ def test_every_view_fits_the_window(operator: Operator, view: str, width: int) -
     with viewport(chrome, width, 780):
         operator.open(view)
         wide = chrome.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
-        assert wide[0] <= wide[1], "nothing sticks out to the side"
+        assert wide[0] <= wide[1], "nothing extends beyond the side"
         stop = chrome.find_element(By.ID, "stop")
-        assert stop.is_displayed(), "STOP is in sight"
+        assert stop.is_displayed(), "STOP is visible"
         assert stop.location["x"] + stop.size["width"] <= width
 
 
@@ -561,7 +565,7 @@ return {
 
 @contextlib.contextmanager
 def viewport(chrome: Chrome, width: int, height: int) -> Iterator[None]:
-    """A page of this size in pixels; a phone's if it is narrow."""
+    """Give the page this size in pixels; narrow ones emulate a phone."""
     size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
     chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     try:
@@ -598,20 +602,18 @@ def test_the_goal_places_are_visible(
         operator.open("drive")
         operator.choose("Send")
         until(lambda: len(operator.texts(".places-list button")) == 9, "nine places are listed")
-        until(lambda: chrome.execute_script(SENDING)["visible"] == 9, "nine places are in sight")
+        until(lambda: chrome.execute_script(SENDING)["visible"] == 9, "nine places are visible")
         nine = chrome.execute_script(SENDING)
         assert nine["content"] <= nine["panel"], "the panel does not scroll"
         assert operator.button("End drive").is_displayed()
-        operator.choose("By hand")
+        operator.choose("Manual")
         assert operator.button("Turn left").is_displayed()
         panel = chrome.execute_script(SENDING)
-        assert panel["content"] <= panel["panel"], "nor does it with the controls for driving by hand"
+        assert panel["content"] <= panel["panel"], "nor does it with the controls for manual driving"
 
 
 @pytest.mark.thorough
-def test_an_ended_patrol_covers_no_place(
-    operator: Operator, places: Callable[[int], None], watch: TestPage
-) -> None:
+def test_an_ended_patrol_covers_no_place(operator: Operator, places: Callable[[int], None], watch: TestPage) -> None:
     places(9)
     names = list(watch.value("places")["locations"])[:2]
     watch.watch("patrol")
@@ -623,7 +625,7 @@ def test_an_ended_patrol_covers_no_place(
         operator.open("drive")
         operator.choose("Send")
         until(lambda: len(operator.texts(".places-list button")) == 9, "nine places are listed")
-        until(lambda: operator.chrome.execute_script(SENDING)["visible"] == 9, "nine places are in sight")
+        until(lambda: operator.chrome.execute_script(SENDING)["visible"] == 9, "nine places are visible")
 
 
 @pytest.mark.thorough
@@ -673,12 +675,12 @@ def test_status_and_frames_show_the_deployment(operator: Operator) -> None:
     operator.open("status")
     until(lambda: {"web-test", "YARP"} <= set(operator.texts(".graph .name")), "daemon and side are drawn")
     chrome.find_element(By.CSS_SELECTOR, ".asking input").send_keys("/cmd_vel", Keys.ENTER)
-    until(lambda: operator.texts(".refused .crossing li"), "why it crosses", 30)
-    until(lambda: "0" in operator.texts(".workers td:last-child"), "how often each worker was restarted")
+    until(lambda: operator.texts(".refused .crossing li"), "the decision is shown", 30)
+    until(lambda: "0" in operator.texts(".workers td:last-child"), "the restarts of each worker are shown")
     operator.open("frames")
     script = "return [...document.querySelectorAll('.framepose select')].map((each) => each.value)"
     until(lambda: chrome.execute_script(script) == ["base_link", "map"], "the robot on the map is chosen")
-    until(lambda: any(text.endswith(" m") for text in operator.texts(".framepose dd")), "where it is")
+    until(lambda: any(text.endswith(" m") for text in operator.texts(".framepose dd")), "the pose is shown")
 
 
 TWO_FEEDS = """
@@ -697,12 +699,12 @@ import("./socket.js").then(({ Socket }) => {
 
 
 def test_a_feed_that_ends_during_drawing_blocks_no_other(operator: Operator) -> None:
-    """As where frames that came choose another pose to follow."""
+    """Like received transforms that make the page watch another pose."""
     address = operator.robot.address.replace("http", "ws", 1).rstrip("/") + "/socket"
     try:
         assert operator.chrome.execute_async_script(TWO_FEEDS, address) == [1, 3, 4]
     finally:
-        operator.chrome.refresh()  # that socket would go on
+        operator.chrome.refresh()  # that socket would reconnect
 
 
 @pytest.mark.thorough
@@ -712,13 +714,13 @@ def test_the_system_view_shows_log_configuration_and_doctor(operator: Operator, 
     field = chrome.find_element(By.CSS_SELECTOR, ".logs input")
     field.send_keys("the console is at")
     expected = [f"the console is at {robot.address}"]
-    until(lambda: operator.texts(".log .text") == expected, "the log, searched")
+    until(lambda: operator.texts(".log .text") == expected, "the matching log lines are shown")
     operator.open("system/config")
     until(lambda: "No problem" in chrome.find_element(By.CSS_SELECTOR, ".verdict").text, "the configuration is checked")
     assert "name: web-test" in operator.texts(".config li")
     operator.open("system/doctor")
-    operator.button("Look now").click()
-    until(lambda: chrome.find_elements(By.CSS_SELECTOR, ".findings li"), "the doctor's findings", 60)
+    operator.button("Run checks").click()
+    until(lambda: chrome.find_elements(By.CSS_SELECTOR, ".findings li"), "the doctor's findings are shown", 60)
 
 
 @pytest.mark.thorough
@@ -726,11 +728,11 @@ def test_a_message_and_a_call_from_a_form(operator: Operator, watch: TestPage) -
     chrome = operator.chrome
     operator.open("topics/%2Fbattery_state")
     operator.button("Publish …").click()
-    number = until(lambda: chrome.find_elements(By.CSS_SELECTOR, ".sending input"), "the form")[0]
+    number = until(lambda: chrome.find_elements(By.CSS_SELECTOR, ".sending input"), "the form is shown")[0]
     number.clear()
     number.send_keys("3.5", Keys.ENTER)
     until(
-        lambda: operator.texts(".form-wrong")[0].startswith("header.stamp.sec is a whole number from -2147483648"),
+        lambda: operator.texts(".form-wrong")[0].startswith("header.stamp.sec must be an integer from -2147483648"),
         "the error is shown before anything is sent",
     )
     number.clear()
@@ -745,16 +747,18 @@ def test_a_message_and_a_call_from_a_form(operator: Operator, watch: TestPage) -
     voltage.send_keys("12.5", Keys.ENTER)
     until(lambda: "published on /battery_state" in operator.texts(".told"), "it is published")
     operator.open("topics/service:%2Fsim%2Femergency_stop@std_srvs%2Fsrv%2FSetBool")
-    form = until(lambda: chrome.find_elements(By.CSS_SELECTOR, "[aria-label=Service] .sending select"), "the form")
+    form = until(
+        lambda: chrome.find_elements(By.CSS_SELECTOR, "[aria-label=Service] .sending select"), "the form is shown"
+    )
     assert form[0].is_displayed()
     operator.button("Call").click()
-    until(lambda: "success" in operator.texts("[aria-label=Service] .message .key"), "the reply as a tree", 30)
+    until(lambda: "success" in operator.texts("[aria-label=Service] .message .key"), "the reply is shown as a tree", 30)
 
 
 @pytest.mark.thorough
 def test_the_page_reconnects_after_a_restart_of_the_daemon(operator: Operator, robot: WebRobot) -> None:
     robot.kill_daemon_and_start_again()
-    until(lambda: operator.line() != "Connected", "the page shows that the line is lost")
-    until(lambda: operator.line() == "Connected", "the page recovers by itself", 60)
+    until(lambda: operator.line() != "Connected", "the page shows the lost connection")
+    until(lambda: operator.line() == "Connected", "the page reconnects automatically", 60)
     robot.ready()
     assert robot.command("web") == robot.address

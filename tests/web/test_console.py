@@ -1,4 +1,4 @@
-"""The console on a real hub, by its protocol."""
+"""The console on a real hub, through its protocol."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def transform(parent: str, child: str, x: float, y: float, yaw: float = 0.0) -> 
 
 @pytest.fixture
 def frames(desk: Desk) -> Any:
-    """Publish the robot's pose, again and again."""
+    """Publish the robot's pose periodically."""
     out = desk.far.advertise("/tf", TF)
     over = threading.Event()
 
@@ -58,7 +58,7 @@ def frames(desk: Desk) -> Any:
 
 def test_the_hello_describes_the_console(desk: Desk) -> None:
     with TestPage(desk.port) as page:
-        page.until(lambda: page.others, "the hello comes")
+        page.until(lambda: page.others, "the hello arrives")
         assert page.others[0] | {"version": ""} == {
             "op": "hello", "daemon": "here", "version": "", "role": "drive", "who": "", "frame": "map",
             "hold_seconds": HOLD_SECONDS, "speed": {"x": 0.3, "y": 0.3, "turn": 0.6},
@@ -113,8 +113,8 @@ def test_the_pose_of_one_frame_in_another(desk: Desk) -> None:
         back = page.value("pose:base_link>odom")
         assert back["position"] == pytest.approx({"x": 0.0, "y": 0.5, "z": 0.0}, abs=1e-3)
         page.until(lambda: "camera" in page.values["pose:map>camera"].get("why", ""), "the reason is given")
-        page.until(lambda: len(page.errors()) == 2, "names that are none")
-        assert "'pose:map' is no feed of a pose: ask for pose:REFERENCE>FRAME" in page.errors()
+        page.until(lambda: len(page.errors()) == 2, "the invalid names are reported")
+        assert "'pose:map' is not a pose feed: use pose:REFERENCE>FRAME" in page.errors()
 
 
 def test_an_unknown_pose_has_a_reason(desk: Desk) -> None:
@@ -141,8 +141,8 @@ def test_the_laser_is_shown_on_the_map(desk: Desk) -> None:
             page.read()
             return bool(page.values.get("laser", {}).get("value"))
 
-        until(publish, "the laser is seen", every=0.05)
-        # the robot looks along y: one metre ahead, two to its left
+        until(publish, "the laser is shown", every=0.05)
+        # the robot heads along y: one meter ahead, two to its left
         assert page.values["laser"]["value"]["points"] == pytest.approx([1.5, 3.0, -0.5, 2.0], abs=0.02)
 
 
@@ -159,7 +159,7 @@ def test_the_planners_obstacles_are_shown(desk: Desk) -> None:
         page.value("robot")
         desk.far.publish(out, {"header": {"frame_id": "odom"}, "info": info, "data": [0, 99, 100, -1, 0, 0]})
         obstacles = page.value("obstacles", lambda value: value and value["points"])
-        # the odometry's frame is at 1, 2; the cell's middle at 1.25, 0.25 from the grid's corner
+        # the odometry's frame is at 1, 2; the cell's center at 1.25, 0.25 from the grid's corner
         assert obstacles == {"points": [3.25, 2.25], "size": 0.5}
         desk.far.publish(status, {"state": "goal_reached"})
         page.value("obstacles", lambda value: not value["points"])
@@ -177,7 +177,7 @@ def test_feeds_are_subscribed_only_while_watched(desk: Desk) -> None:
             page.watch("robot", "topic:/heard")
         until(lambda: len(graph.subscriptions("/tf")) == 1, "one subscription serves both")
         first.send(op="unwatch", feed="robot")
-        other.until(lambda: "robot" in other.values, "the other is still served")
+        other.until(lambda: "robot" in other.values, "the other page is still served")
         assert graph.subscriptions("/tf")
     until(lambda: not graph.subscriptions("/tf"), "the frames have no subscriber any longer")
 
@@ -192,7 +192,7 @@ def test_a_topic_is_shown_as_a_tree(desk: Desk) -> None:
             page.read()
             return bool(page.values.get("topic:/heard", {}).get("value"))
 
-        until(publish, "the message is seen", every=0.05)
+        until(publish, "the message is shown", every=0.05)
         message = page.values["topic:/heard"]["value"]
         assert message["type"] == "std_msgs/msg/Int32MultiArray"
         assert message["message"]["data"] == [*range(32), {"...": 100}]
@@ -217,12 +217,12 @@ def test_a_slow_page_gets_only_the_newest_value(desk: Desk) -> None:
         for page in (slow, quick):
             page.watch("frames")
         first = slow.until(lambda: slow.values.get("frames"), "a first value")
-        quick.until(lambda: quick.counts.get("frames", 0) >= 3, "values for who takes them")
+        quick.until(lambda: quick.counts.get("frames", 0) >= 3, "values for a page that reads them")
         while slow.read():
             pass
         assert slow.counts["frames"] == 1
         slow.send(op="took", feed="frames", n=first["n"])
-        slow.until(lambda: slow.counts["frames"] == 2, "the next one once it is taken")
+        slow.until(lambda: slow.counts["frames"] == 2, "the next value after the acknowledgment")
         assert slow.values["frames"]["n"] > first["n"] + 1
 
 
@@ -230,7 +230,9 @@ def test_topics_and_workers_are_listed(desk: Desk) -> None:
     desk.far.advertise("/said", "std_msgs/String")
     with TestPage(desk.port) as page:
         page.watch("topics", "status")
-        topics_ = page.value("topics", lambda topics: any(said_topic["topic"] == "/said" for said_topic in topics or ()))
+        topics_ = page.value(
+            "topics", lambda topics: any(said_topic["topic"] == "/said" for said_topic in topics or ())
+        )
         said_topic = next(said_topic for said_topic in topics_ if said_topic["topic"] == "/said")
         assert said_topic == {"topic": "/said", "type": "std_msgs/msg/String", "publishers": 1, "subscribers": 0}
         status = page.value("status")
@@ -263,7 +265,7 @@ class Base:
 
 
 def hold(page: TestPage, base: Base, seconds: float = 0.0, x: float = 0.1) -> None:
-    """Hold until the base drives, and for these seconds after."""
+    """Hold until the base drives, and for ``seconds`` afterwards."""
     end = time.monotonic() + 30
     while not base.drives():
         assert time.monotonic() < end, f"the base does not drive: {page.others}"
@@ -279,9 +281,9 @@ def test_a_hold_drives_while_it_is_repeated(desk: Desk) -> None:
     base = Base(desk)
     with TestPage(desk.port) as page:
         hold(page, base, 0.6, x=5.0)
-        assert base.heard[-1][1] == 0.3, "no faster than the configuration allows"
+        assert base.heard[-1][1] == 0.3, "limited by the configuration"
         page.send(op="release")
-        until(base.stands, "it stands once the page lets go")
+        until(base.stands, "the base stands after the release")
         count = len(base.heard)
         page.watch("topics")
         page.value("topics")
@@ -298,7 +300,7 @@ def test_a_page_that_closes_stops_the_base(desk: Desk, how: str) -> None:
             page.socket.socket.shutdown(socket.SHUT_RDWR)
         elif how == "closed":
             page.socket.close()
-        until(base.stands, "it stands")
+        until(base.stands, "the base stands")
 
 
 def test_no_hold_without_a_velocity_topic(desk: Desk) -> None:
@@ -306,7 +308,7 @@ def test_no_hold_without_a_velocity_topic(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
         page.until(page.errors, "it is refused")
-        assert page.errors() == ["no topic of velocities is configured (navigation.velocity)"]
+        assert page.errors() == ["no velocity topic is configured (navigation.velocity)"]
         assert page.call("ping")["ok"]
 
 
@@ -321,7 +323,7 @@ def test_one_page_drives_at_a_time(desk: Desk) -> None:
             first.read(0.02)
             other.send(op="hold", x=-0.1, y=0.0, turn=0.0)
             other.read(0.05)
-        assert "drives by hand" in other.errors()[0]
+        assert "drives manually" in other.errors()[0]
         assert all(x >= 0.0 for _, x, _ in base.heard)
 
 
@@ -341,7 +343,7 @@ def test_no_hold_against_a_planner(desk: Desk) -> None:
         desk.far.publish(status, {"state": "moving"})
         page.value("driving", lambda value: value and value["state"] == "moving")
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
-        until(base.stands, "a planner that begins ends the hold")
+        until(base.stands, "a planner that starts ends the hold")
 
 
 @pytest.mark.parametrize(
@@ -358,7 +360,7 @@ def test_invalid_messages_are_reported(desk: Desk, text: str) -> None:
         page.socket.send(text)
         page.until(page.errors, "the message is refused")
         reply = page.call("explain", name="/x")
-        assert reply["ok"], "the socket goes on"
+        assert reply["ok"], "the socket stays open"
     assert not base.drives()
 
 
@@ -378,7 +380,7 @@ def test_a_page_that_sends_only_invalid_messages_is_closed(desk: Desk) -> None:
         with pytest.raises(Exception, match="1008"):
             page.until(lambda: False, "it is closed")
     with TestPage(desk.port) as page:
-        page.until(lambda: page.others, "others are served")
+        page.until(lambda: page.others, "other pages are served")
 
 
 LIMITS = "must be a number between -1,000,000 and 1,000,000"
@@ -422,7 +424,7 @@ def test_set_pose_publishes_the_initial_pose(desk: Desk, topic: str) -> None:
             reply.update(page.call("set_pose", x=1.0, y=2.0, theta=math.pi))
             return bool(reply["ok"])
 
-        until(is_reported, "the pose is taken once the listener is known")
+        until(is_reported, "the pose is published once the subscriber is discovered")
         message = desk.far.wait(subscription, 1)[0]
         assert message["header"]["frame_id"] == "map"
         assert message["pose"]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.0}
@@ -440,9 +442,9 @@ def test_a_stop_goes_to_the_gateway_and_ends_a_hold(desk: Desk) -> None:
             reply.update(page.call("stop"))
             return bool(reply["ok"])
 
-        until(stopped, "the gateway is asked")
+        until(stopped, "the gateway receives the call")
         assert reply["value"] == "stands"
-        until(base.stands, "the hold ended")
+        until(base.stands, "the hold has ended")
     assert stops is not None
 
 
@@ -451,14 +453,14 @@ def test_a_goal_without_a_reply_is_canceled(desk: Desk, monkeypatch: pytest.Monk
     gateway = LateGateway(desk.hubs.settings("gateway"))
     try:
         with TestPage(desk.port) as page:
-            page.until(lambda: desk.far.hub.graph.servers(f"{ACTION}/_action/send_goal"), "the gateway is there")
+            page.until(lambda: desk.far.hub.graph.servers(f"{ACTION}/_action/send_goal"), "the gateway is discovered")
             reply: dict[str, Any] = {}
 
             def is_sent() -> bool:
                 reply.update(page.call("goto", x=1.0, y=2.0))
                 return gateway.asked.is_set()
 
-            until(is_sent, "the gateway is asked")
+            until(is_sent, "the gateway receives the goal")
             assert "the gateway did not accept or reject the goal within 0.5 s" in reply["error"]
         gateway.may_answer.set()
         assert gateway.cancelled.wait(30)
@@ -468,7 +470,7 @@ def test_a_goal_without_a_reply_is_canceled(desk: Desk, monkeypatch: pytest.Monk
 
 
 class LateGateway(Program):
-    """Takes a goal no sooner than it may."""
+    """Accepts a goal only when allowed."""
 
     def __init__(self, settings: Any) -> None:
         super().__init__(settings)

@@ -1,4 +1,4 @@
-"""What pages show of a drive, above all during a pause."""
+"""What pages show of a drive, especially during a pause."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def page(desk: Desk) -> Iterator[TestPage]:
 
 
 def shown(page: TestPage, state: str) -> tuple[float | None, list[float]]:
-    """Return the distance and the path, once the state is shown and a later value of another feed has come."""
+    """Return the distance and the path, once the state is shown and a later value of another feed has arrived."""
     page.value("driving", lambda value: value["state"] == state)
     assert page.call("ping")["ok"]
     return page.values["driving"]["value"]["distance"], page.values["path"]["value"]["points"]
@@ -86,13 +86,13 @@ def test_a_pause_keeps_distance_and_path(planner: Planner, page: TestPage, clear
     planner.drive(page)
 
     def clear() -> None:
-        """As planners do whose goal is canceled for the pause."""
+        """Clear the path, as planners do when their goal is canceled for a pause."""
         planner.path([])
         planner.distance(0.0)
 
     if cleared == "before the pause":
         clear()
-        assert shown(page, "moving") == (3.2, STRAIGHT), "nothing blinks until the robot stands"
+        assert shown(page, "moving") == (3.2, STRAIGHT), "nothing changes until the robot stands"
     planner.state(State.PAUSED)
     page.value("driving", lambda value: value["state"] == "paused")
     if cleared == "after the pause":

@@ -32,7 +32,7 @@ def test_hostile_clients_neither_crash_it_nor_drive(console: HostileConsole) -> 
         give(console, content)
     console.check()
     assert console.sent > 1000
-    assert console.drove > 0, "a valid hold among them drives, so that the rest is known not to"
+    assert console.drove > 0, "a valid hold among them drives, which proves that driving would be detected"
 
 
 def test_the_test_detects_driving_without_a_hold(console: HostileConsole) -> None:
@@ -44,10 +44,10 @@ def test_the_test_detects_driving_without_a_hold(console: HostileConsole) -> Non
         try:
             console.check()
         except AssertionError as err:
-            return "though nobody holds" in str(err)
+            return "although no page holds" in str(err)
         return False
 
     try:
-        until(is_reported, "it is found out")
+        until(is_reported, "it is detected")
     finally:
         far.hub.close()

@@ -1,4 +1,4 @@
-"""The daemon on the console: log, doctor, configuration."""
+"""The daemon in the console: log, doctor, configuration."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.web.page import TestPage
 
 
 class Daemon:
-    """A daemon that answers on its sockets."""
+    """A daemon that responds on its sockets."""
 
     def __init__(self, folder: Path, file: Path) -> None:
         self._loop = SelectorLoop()
@@ -94,7 +94,7 @@ def test_a_long_log_is_read_completely_and_returned_in_part(desk: Desk, daemon: 
         page.watch("log")
         page.value("log", lambda value: value and value["last"] == 1500)
         lines = page.call("log")["value"]["lines"]
-        assert [line["n"] for line in lines] == list(range(1001, 1501)), "the newest"
+        assert [line["n"] for line in lines] == list(range(1001, 1501)), "the newest lines"
 
 
 def test_the_log_of_a_restarted_daemon_starts_again(desk: Desk, daemon: Daemon, tmp_path: Path, file: Path) -> None:
@@ -104,8 +104,8 @@ def test_the_log_of_a_restarted_daemon_starts_again(desk: Desk, daemon: Daemon, 
         page.watch("log")
         page.value("log", lambda value: value and value["last"] == 5)
         daemon.close()
-        page.until(lambda: page.values["log"]["value"] is None, "nobody answers")
-        assert "the daemon does not answer" in page.values["log"]["why"]
+        page.until(lambda: page.values["log"]["value"] is None, "there is no daemon")
+        assert "the daemon does not respond" in page.values["log"]["why"]
         again = Daemon(tmp_path, file)
         try:
             again.log_line("anew")
@@ -118,10 +118,10 @@ def test_the_log_of_a_restarted_daemon_starts_again(desk: Desk, daemon: Daemon, 
 @pytest.mark.parametrize(
     ("args", "why"),
     [
-        ({"after": -1}, "log: after is the number of a line, not -1"),
-        ({"after": True}, "log: after is the number of a line, not True"),
-        ({"level": "loud"}, "log: level is one of debug, info, warning, error, not 'loud'"),
-        ({"text": "x" * 300}, "log: text is a text of up to 200 characters"),
+        ({"after": -1}, "log: after must be the number of a line, not -1"),
+        ({"after": True}, "log: after must be the number of a line, not True"),
+        ({"level": "loud"}, "log: level must be one of debug, info, warning, error, not 'loud'"),
+        ({"text": "x" * 300}, "log: text must be a text of up to 200 characters"),
         ({"side": "ros1"}, "log has no argument 'side'; it has after, level, worker, text"),
     ],
 )
@@ -230,8 +230,8 @@ def test_only_one_doctor_runs_at_a_time(desk: Desk, monkeypatch: pytest.MonkeyPa
             other.read()
             return bool(reply)
 
-        until(refused, "the second is refused")
-        assert "the doctor is at work already" in reply["error"]
+        until(refused, "the second call is refused")
+        assert "the doctor is running already" in reply["error"]
         may_end.set()
-        first.until(lambda: any(m.get("id") == 1 and m["ok"] for m in first.others), "the first is answered")
-        assert other.call("doctor")["ok"], "and the next may look again"
+        first.until(lambda: any(m.get("id") == 1 and m["ok"] for m in first.others), "the first call gets its reply")
+        assert other.call("doctor")["ok"], "the next call may run again"

@@ -1,4 +1,4 @@
-"""The console's feed of a layer: blocked cells on the map, and how high what is hit there is."""
+"""The console's feed of a layer: blocked cells on the map, and the obstacles' heights."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ HERE = Pose(0.0, 0.0, 0.0)
 
 
 def heights(frame: str = "map") -> dict[str, Any]:
-    """About the three cells on the left, in which something is hit."""
+    """Return heights around the three cells on the left, which have obstacles."""
     lowest = np.array([[NAN, 0.72, 1.104], [0.1, NAN, NAN]], np.float32)
     message = to_grid_map({"lowest": lowest}, (1.0, 2.0), 0.5, {"frame_id": frame})
     return {**message, "inner_start_index": 0, "outer_start_index": 0}
 
 
 def plain(message: dict[str, Any]) -> dict[str, Any]:
-    """As JSON has it."""
+    """Return the message in its JSON form."""
     return {**message, "data": [{**layer, "data": layer["data"].tolist()} for layer in message["data"]]}
 
 
@@ -47,28 +47,28 @@ def test_the_layer_is_shown_with_its_heights(desk: Desk) -> None:
         assert shown["runs"] == [[0, 1, None, None], [1, 0, None], [1, 3, None]]
         far.publish(above, plain(heights()))
         wanted = [[0, 1, 0.72, 1.1], [1, 0, 0.1], [1, 3, None]]
-        page.value("layer", lambda value: value["runs"] == wanted, "its heights are there")
+        page.value("layer", lambda value: value["runs"] == wanted, "its heights are shown")
         far.publish(layer, {**GRID, "data": [0] * 8})
-        page.value("layer", lambda value: value["runs"] == [], "nothing is in the way any more")
+        page.value("layer", lambda value: value["runs"] == [], "there is no obstacle any longer")
         far.publish(layer, {**GRID, "header": {"frame_id": "attic"}})
-        page.until(lambda: "attic" in page.values["layer"].get("why", ""), "it says which frame is missing")
+        page.until(lambda: "attic" in page.values["layer"].get("why", ""), "the missing frame is reported")
     with TestPage(desk.port) as late:
         far.publish(layer, GRID)
         late.watch("layer")
-        late.value("layer", lambda value: value and value["runs"] == wanted, "who comes late has both")
+        late.value("layer", lambda value: value and value["runs"] == wanted, "a late page gets both")
 
 
 def test_an_unconfigured_layer_has_a_reason(desk: Desk) -> None:
     desk.open_with(web={"layer": ""})
     with TestPage(desk.port) as page:
         page.watch("layer")
-        page.until(lambda: "web.layer" in page.values.get("layer", {}).get("why", ""), "it says why there is none")
+        page.until(lambda: "web.layer" in page.values.get("layer", {}).get("why", ""), "the reason is reported")
 
 
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"data": [0]}, "data: 1 cells are not 4 x 2"),
+        ({"data": [0]}, "data: 1 cells instead of 4 x 2"),
         ({"info": {**GRID["info"], "resolution": 0.0}}, "info.resolution"),
     ],
 )
@@ -78,7 +78,7 @@ def test_an_invalid_layer_is_reported_with_its_field(changed: dict[str, Any], me
 
 
 def test_invalid_heights_are_reported() -> None:
-    with pytest.raises(ValueError, match="of its heights, layers: no 'lowest' among x"):
+    with pytest.raises(ValueError, match="heights: layers: no 'lowest' among x"):
         tint(GRID, {**heights(), "layers": ["x"]}, HERE)
 
 

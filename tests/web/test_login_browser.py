@@ -56,11 +56,11 @@ def test_a_client_logs_in_and_watches(guarded: GuardedDesk, chrome: Chrome, monk
     chrome.get(address)
     assert chrome.current_url == f"{address}login"
     log_in(chrome, "wrong")
-    until(lambda: text(chrome, "why") == "Not logged in: no such token.", "it says why not")
+    until(lambda: text(chrome, "why") == "Not logged in: no such token.", "the reason is shown")
     log_in(chrome, WATCH[0])
-    until(lambda: chrome.current_url == address, "it goes to the console")
+    until(lambda: chrome.current_url == address, "the console opens")
     until(lambda: text(chrome, "line-text") == "Watching", "it is connected")
-    assert text(chrome, "watching") == "You watch as hall: you may look, but not command. STOP is off, too."
+    assert text(chrome, "watching") == "Watching as hall: commands are disabled, including STOP."
     assert not chrome.find_element(By.ID, "stop").is_enabled()
     teleop = chrome.find_element(By.CSS_SELECTOR, ".teleop")
     assert teleop.get_attribute("inert") is not None
@@ -70,11 +70,14 @@ def test_a_client_logs_in_and_watches(guarded: GuardedDesk, chrome: Chrome, monk
     guarded.console = guarded.open(web={"listen": f"127.0.0.1:{port}", "tokens": {"anna": {"sha256": DRIVE[1]}}})
     until(lambda: chrome.current_url == f"{address}login", "a page whose token was removed shows the login")
     log_in(chrome, DRIVE[0])
-    until(lambda: chrome.current_url == address and text(chrome, "line-text") == "Connected", "who may drive is let in")
+    until(
+        lambda: chrome.current_url == address and text(chrome, "line-text") == "Connected",
+        "a client with the role drive is accepted",
+    )
     assert chrome.find_element(By.ID, "stop").is_enabled()
     assert text(chrome, "watching") == ""
     chrome.get(f"{address}login")
-    until(lambda: text(chrome, "name") == "You are logged in as anna.", "the login page knows who this is")
+    until(lambda: text(chrome, "name") == "You are logged in as anna.", "the login page shows the client's name")
     chrome.find_element(By.ID, "out").click()
     until(lambda: not chrome.find_element(By.ID, "known").is_displayed(), "it has logged out")
     chrome.get(address)
@@ -96,7 +99,7 @@ def test_a_client_logs_in_through_a_proxy_with_a_path(guarded: GuardedDesk, chro
 def test_a_foreign_page_cannot_drive(
     guarded: GuardedDesk, chrome: Chrome, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A page of another origin in the browser of who is logged in gets neither socket nor answer."""
+    """A page of another origin, in the browser of a logged-in client, gets neither socket nor response."""
     address = f"https://127.0.0.1:{guarded.port}/"
     chrome.get(f"{address}login")
     log_in(chrome, DRIVE[0])
@@ -110,6 +113,6 @@ def test_a_foreign_page_cannot_drive(
     </script>""")
     chrome.get(strange.as_uri())
     until(lambda: chrome.title == "refused", "the page gets nothing")
-    assert caplog.text.count("a page of 'null' may not ask") == 2, "neither socket nor request was answered"
+    assert caplog.text.count("a page of 'null' may not access") == 2, "neither socket nor request was accepted"
     with TestPage(guarded.port, ssl=guarded.tls(), additional_headers={"Authorization": f"Bearer {DRIVE[0]}"}) as page:
         assert page.call("ping")["ok"]

@@ -1,4 +1,4 @@
-"""Maps that come up from a page and go down to it, on a real hub."""
+"""Maps that are imported from a page and exported to it, on a real hub."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def house(name: str = "house") -> MapGrid2D:
 
 @pytest.fixture
 def store(store: Store) -> Store:
-    """With a map in use."""
+    """Return a store with a current map."""
     store.put(MAP, "house", house())
     store.use_map("house")
     return store
@@ -45,7 +45,7 @@ def page(desk: Desk, store: Store) -> Iterator[TestPage]:
 
 
 def send(page: TestPage, files: dict[str, bytes], part: int = 700) -> str:
-    """Bring files up; their key."""
+    """Upload files, and return their key."""
     key: str = page.call("upload")["value"]
     for file, data in files.items():
         for at in range(0, max(len(data), 1), part):
@@ -62,7 +62,7 @@ def written(folder: Path, grid: MapGrid2D, form: str) -> dict[str, bytes]:
 
 
 def fetch(page: TestPage, name: str) -> dict[str, bytes]:
-    """The files of a map's zip."""
+    """Return the files in a map's zip."""
     export = page.call("export_map", name=name)["value"]
     data = b""
     while len(data) < export["size"]:
@@ -117,13 +117,13 @@ def test_a_map_is_renamed_with_its_places(page: TestPage, store: Store) -> None:
 @pytest.mark.parametrize(
     ("files", "why"),
     [
-        ({}, "no map is among no files"),
-        ({"notes.txt": b"x"}, "no map is among notes.txt"),
+        ({}, "no map among no files"),
+        ({"notes.txt": b"x"}, "no map among notes.txt"),
         ({"a.map": b"nothing"}, "a.map says no MapName"),
         ({"a.yaml": b"image: ../../etc/passwd\nresolution: 0.1\norigin: [0, 0, 0]\n"}, "is outside of"),
         ({"a.yaml": b"image: /etc/passwd\nresolution: 0.1\norigin: [0, 0, 0]\n"}, "is outside of"),
         ({"a.yaml": b"image: a.pgm\nresolution: 0.1\norigin: [0, 0, 0]\n"}, "a.pgm: No such file"),
-        ({"a.zip": b"PK\3\4 no zip"}, "a.zip cannot be unpacked"),
+        ({"a.zip": b"PK\3\4 no zip"}, "cannot unpack a.zip"),
     ],
 )  # fmt: skip
 def test_invalid_map_files_are_refused(page: TestPage, store: Store, files: dict[str, bytes], why: str) -> None:
@@ -135,13 +135,13 @@ def test_invalid_map_files_are_refused(page: TestPage, store: Store, files: dict
 @pytest.mark.parametrize(
     ("args", "why"),
     [
-        ({"file": "../a.map"}, "file is a file's name"),
-        ({"file": ".bashrc"}, "file is a file's name"),
-        ({"data": "%%%%"}, "data is base64"),
-        ({"data": "A" * 48_004}, "data is base64 of up to 48000 characters"),
-        ({"at": -1}, "at is a whole number"),
+        ({"file": "../a.map"}, "file must be a file name"),
+        ({"file": ".bashrc"}, "file must be a file name"),
+        ({"data": "%%%%"}, "data must be base64"),
+        ({"data": "A" * 48_004}, "data must be base64 of up to 48000 characters"),
+        ({"at": -1}, "at must be an integer"),
         ({"at": 7}, "the part at 7 does not follow on 0 bytes"),
-        ({"key": "guessed"}, "these files are forgotten"),
+        ({"key": "guessed"}, "this transfer has expired"),
     ],
 )
 def test_invalid_parts_are_refused(page: TestPage, args: dict[str, Any], why: str) -> None:
@@ -155,14 +155,14 @@ def test_uploads_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     transfers = Transfers()
     key = transfers.new({})
     assert transfers.add(key, "a", 0, bytes(8)) == 8
-    with pytest.raises(VerbError, match="up to 2 files"):
+    with pytest.raises(VerbError, match="the limits are 2 files"):
         transfers.add(key, "a", 8, bytes(3))
     assert transfers.add(key, "b", 0, b"") == 0
-    with pytest.raises(VerbError, match="up to 2 files"):
+    with pytest.raises(VerbError, match="the limits are 2 files"):
         transfers.add(key, "c", 0, b"")
     transfers.new({})
     transfers.new({})
-    with pytest.raises(VerbError, match="on their way already"):
+    with pytest.raises(VerbError, match="in progress already"):
         transfers.new({})
     monkeypatch.setattr(map_files, "IDLE_SECONDS", 0.0)
     transfers.new({})

@@ -1,4 +1,4 @@
-"""The console is opened on the network as docs/operate/console.md says, step by step."""
+"""The console is opened on the network by the steps in docs/operate/console.md."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
 
 
 class Steps:
-    """The commands and the configuration of the page's section, done in a folder."""
+    """The commands and the configuration in the page's section, run in a folder."""
 
     def __init__(self, folder: Path) -> None:
         section = PAGE.read_text().partition("### Open it on the network")[2]
@@ -38,7 +38,7 @@ class Steps:
         self._env = {**os.environ, "XDG_CONFIG_HOME": str(folder)}
 
     def run(self, command: list[str], *, config: bool = False) -> str:
-        """What a command prints."""
+        """Return the output of a command."""
         more = ["--config", str(self.file)] if config else []
         done = subprocess.run(
             [*MIDSPAN, *command, *more], capture_output=True, text=True, timeout=60, check=True, env=self._env
@@ -46,7 +46,7 @@ class Steps:
         return done.stdout
 
     def configure(self, printed: list[str]) -> int:
-        """Write the page's configuration with what the commands printed; the console's port."""
+        """Write the page's configuration with the commands' output; return the console's port."""
         config: dict[str, Any] = yaml.safe_load(self._yaml)
         for text in printed:
             document: dict[str, Any] = yaml.safe_load(text[text.index("web:") :])
@@ -70,7 +70,7 @@ def test_the_documented_steps_open_the_console(tmp_path: Path) -> None:
     assert "browsers find the console as robot1" in steps.run(doctor, config=True)
     daemon = Process([*MIDSPAN, "run", "--config", steps.file])
     try:
-        output = until(lambda: address(steps, web), f"the address is said; {daemon.output()[-2000:]}", 60)
+        output = until(lambda: address(steps, web), f"the address is printed; {daemon.output()[-2000:]}", 60)
         assert output[0] == f"https://robot1:{port}/"
         assert any("ca.pem" in line for line in output)
         assert any("anna (drive), hall (watch)" in line for line in output)
@@ -90,14 +90,14 @@ def address(steps: Steps, command: list[str]) -> list[str]:
 
 
 def logged_in(folder: Path, port: int, token: str) -> str:
-    """The role that a token gives, by a login and by a socket."""
+    """Return the role of a token, by a login and by a socket."""
     context = ssl.create_default_context(cafile=folder / "midspan" / "keys" / "ca.pem")
     origin = f"https://127.0.0.1:{port}"
     request = urllib.request.Request(f"{origin}/login", json.dumps({"token": token}).encode(), {"Origin": origin})
     with urllib.request.urlopen(request, timeout=10, context=context) as answer:
         role = str(json.load(answer)["role"])
     with TestPage(port, ssl=context, additional_headers={"Authorization": f"Bearer {token}"}) as page:
-        page.until(lambda: page.others, "it says hello")
+        page.until(lambda: page.others, "the hello arrives")
         assert page.others[0]["role"] == role
     return role
 

@@ -1,4 +1,4 @@
-"""A page whose socket does not take what is sent."""
+"""A page whose socket is not read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bridge.web.verbs.verbs import VerbError
 
 
 class StuckSocket:
-    """Asks and asks, and takes one answer."""
+    """Sends many requests, and reads one reply."""
 
     application_state = WebSocketState.CONNECTED
     client = None
@@ -26,7 +26,7 @@ class StuckSocket:
 
     async def receive(self) -> dict[str, Any]:
         self.asked += 1
-        await asyncio.sleep(0)  # the calls before this one are answered
+        await asyncio.sleep(0)  # the previous calls get their replies
         return {"type": "websocket.receive", "text": json.dumps({"op": "call", "id": self.asked, "verb": "fly"})}
 
     async def send_text(self, _text: str) -> None:
@@ -44,7 +44,7 @@ class NoVerbs:
         return False
 
     def begin(self, verb: str, _args: Any, _who: str) -> Any:
-        raise VerbError(f"there is no verb {verb}")
+        raise VerbError(f"unknown verb {verb}")
 
 
 class NoHold:
@@ -71,7 +71,7 @@ def test_a_page_that_reads_no_replies_is_closed() -> None:
 
 
 class RecordingHold:
-    """Keeps what is asked of it."""
+    """Records the actions."""
 
     def __init__(self) -> None:
         self.said: list[Any] = []
@@ -84,7 +84,7 @@ class RecordingHold:
 
 
 class Script(StuckSocket):
-    """Says some messages, and ends."""
+    """Sends some messages, then ends."""
 
     def __init__(self, *messages: dict[str, Any]) -> None:
         super().__init__()
@@ -105,7 +105,7 @@ def test_only_the_newest_hold_or_release_is_executed() -> None:
         verbs, held = cast("Any", NoVerbs()), cast("Any", hold)
         page_ = page.Page(cast("Any", script), EVERYBODY, {}, nobody, verbs, held, waiting.append)
         await asyncio.wait_for(page_.serve(), 30)
-        for action in waiting[10:-1]:  # behind the ten feeds, before it has left
+        for action in waiting[10:-1]:  # after the ten feeds, before the page is closed
             action()
 
     asyncio.run(serve())

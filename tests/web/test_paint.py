@@ -1,4 +1,4 @@
-"""Flags that pages paint, on a real hub."""
+"""Flags painted by pages, on a real hub."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FREE, KEEP_OUT, TEMPORARY, WALL = MapFlag.FREE, MapFlag.KEEP_OUT, MapFlag.TEMPOR
 
 
 def house(width: int = 6, height: int = 4) -> MapGrid2D:
-    """Free, with a wall in the last column."""
+    """Return a free map with a wall in the last column."""
     flags = np.zeros((height, width), np.uint8)
     flags[:, -1] = WALL
     return MapGrid2D.of(flags, name="house", resolution=0.1)
@@ -90,14 +90,14 @@ def test_image_addresses_depend_on_the_content() -> None:
     assert flags_picture(grid) is None
     walls = pictures.put("occupancy", occupancy_picture(grid))
     grid.flags[1, 1] = KEEP_OUT
-    assert pictures.put("occupancy", occupancy_picture(grid)) == walls, "keep-out cells are on the other picture"
+    assert pictures.put("occupancy", occupancy_picture(grid)) == walls, "keep-out cells are in the other image"
     tints = flags_picture(grid)
     assert tints is not None
     assert np.argwhere(tints).tolist() == [[1, 1]]
     grid.flags[1, 2], grid.flags[1, 5] = WALL, MapFlag.UNKNOWN
     grid.occupancy[2, 2], grid.flags[2, 2] = UNKNOWN, FREE
     cells = occupancy_picture(grid)
-    assert (cells[1, 2], cells[1, 5]) == (100, 101), "a wall, and nothing known"
+    assert (cells[1, 2], cells[1, 5]) == (100, 101), "a wall, and an unknown cell"
     assert cells[2, 2] == 101, "planners do not know this cell either"
 
 
@@ -111,7 +111,7 @@ def test_the_colors_of_images(*, dark: bool) -> None:
     picture = np.asarray(Image.open(io.BytesIO(png)).convert("RGBA"))
     assert picture[1, 2].tolist() == ([160, 176, 190, 255] if dark else [0, 0, 0, 255]), "a wall"
     assert picture[1, 0].tolist() == ([20, 25, 30, 255] if dark else [255, 255, 255, 255]), "free"
-    assert picture[1, 5, 3] == 0, "nothing known"
+    assert picture[1, 5, 3] == 0, "unknown"
 
 
 def test_a_change_replaces_one_tile() -> None:
@@ -119,11 +119,14 @@ def test_a_change_replaces_one_tile() -> None:
     cells[:, :1024] = CLEAR["occupancy"]
     before = pictures.put("occupancy", cells)
     assert before["size"] == TILE
-    assert [row[0] for row in before["tiles"]] == [None, None], "nothing is to be seen there"
+    assert [row[0] for row in before["tiles"]] == [None, None], "the tiles are transparent"
     cells[1100, 2050] = 100
     after = pictures.put("occupancy", cells)
     changed = [
-        (y, x) for y, row in enumerate(after["tiles"]) for x, address in enumerate(row) if address != before["tiles"][y][x]
+        (y, x)
+        for y, row in enumerate(after["tiles"])
+        for x, address in enumerate(row)
+        if address != before["tiles"][y][x]
     ]
     assert changed == [(1, 2)]
     png = pictures.get("occupancy", after["tiles"][1][2].partition("=")[2])
@@ -137,7 +140,7 @@ def test_a_change_replaces_one_tile() -> None:
 
 @pytest.fixture
 def store(store: Store) -> Store:
-    """With a map in use."""
+    """Return a store with a current map."""
     store.put(MAP, "house", house())
     store.use_map("house")
     return store
@@ -161,7 +164,7 @@ def test_all_pages_see_painted_flags(desk: Desk, store: Store) -> None:
         assert other.call("paint_flags", runs=[[1, 2, 3, TEMPORARY]], **whole)["ok"]
         assert flags(store)[1] == [1, 1, 2, 2, 2, WALL]
         painter.call("paint_flags", runs=first["undo"], **whole)
-        assert flags(store)[1] == [0, 0, 2, 2, 2, WALL], "what the other painted is not lost"
+        assert flags(store)[1] == [0, 0, 2, 2, 2, WALL], "the other page's flags are preserved"
         image = other.values["map"]["value"]["image"]
         store.write([Write(LOCATION, "desk", Map2DLocation("house", 1.0))])
         painter.watch("places")
@@ -172,9 +175,9 @@ def test_all_pages_see_painted_flags(desk: Desk, store: Store) -> None:
 @pytest.mark.parametrize(
     ("args", "why"),
     [
-        ({"map": "none", "size": [6, 4]}, "there is no map 'none' in the store; house"),
-        ({"map": "house", "size": [6, 5]}, "the map 'house' has another size now: 6 x 4 cells"),
-        ({"map": "house", "size": [6]}, "paint_flags: size is [width, height] of the map"),
+        ({"map": "none", "size": [6, 4]}, "no map 'none' in the store; existing maps: house"),
+        ({"map": "house", "size": [6, 5]}, "the size of the map 'house' has changed: 6 x 4 cells"),
+        ({"map": "house", "size": [6]}, "paint_flags: size must be [width, height] of the map"),
     ],
 )
 def test_invalid_paint_calls_are_reported(desk: Desk, store: Store, args: dict[str, Any], why: str) -> None:

@@ -1,4 +1,4 @@
-"""A patrol over a gateway of the test's own, on a real hub."""
+"""A patrol with the test's own gateway, on a real hub."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class FakeGateway(Program):
         super().__init__(settings)
         self.goals: list[Goal] = []
         self.now: Goal | None = None
-        self.at_once = 0  # the most goals that were active together
+        self.at_once = 0  # largest number of simultaneously active goals
         self.on(self._open)
 
     def _open(self) -> None:
@@ -46,7 +46,7 @@ class FakeGateway(Program):
     def _on_goal(self, goal: Goal) -> bool:
         self.at_once = max(self.at_once, 1 + (self.now is not None))
         if self.now is not None:
-            self.now.canceled({"error_msg": "another client gave another goal, which took its place"})
+            self.now.canceled({"error_msg": "another client sent a goal, which replaced it"})
         self.now = goal
         self.goals.append(goal)
         goal.execute()
@@ -84,8 +84,8 @@ class FakeGateway(Program):
         answer({"success": True, "message": "stands"})
 
     def goal_x(self, count: int) -> float:
-        """Return the x of a goal by its number, once it has come."""
-        until(lambda: len(self.goals) >= count, f"goal {count} is there", 30)
+        """Wait for the goal of a number, and return its x."""
+        until(lambda: len(self.goals) >= count, f"goal {count} is sent", 30)
         return float(self.goals[count - 1].goal["pose"]["pose"]["position"]["x"])
 
     def reach(self) -> None:
@@ -120,8 +120,8 @@ def page(desk: Desk, gateway: FakeGateway) -> Iterator[TestPage]:
         page_.watch("driving", "patrol")
         page_.value("driving", lambda value: value and value["state"] == "idle")
         graph = desk.console.host.node.hub.graph
-        page_.until(lambda: graph.servers(f"{ACTION}/_action/send_goal"), "the gateway is known")
-        page_.until(lambda: graph.servers("/navigation/stop"), "all of it")
+        page_.until(lambda: graph.servers(f"{ACTION}/_action/send_goal"), "the gateway is discovered")
+        page_.until(lambda: graph.servers("/navigation/stop"), "all its services are discovered")
         yield page_
     assert gateway.at_once <= 1
 
@@ -137,7 +137,7 @@ def state(page: TestPage, wanted: str) -> dict[str, Any]:
 
 
 def test_a_patrol_drives_to_places_in_turn(page: TestPage, gateway: FakeGateway) -> None:
-    page.until(lambda: page.values.get("patrol", {}).get("why") == "no patrol yet", "it says so")
+    page.until(lambda: page.values.get("patrol", {}).get("why") == "no patrol yet", "the state is reported")
     begin(page, "a", "b", "a", "c")
     for count, place in enumerate(("a", "b", "a", "c", "a", "b"), 1):
         assert gateway.goal_x(count) == PLACES[place]
@@ -152,7 +152,7 @@ def test_a_patrol_continues_without_its_page(desk: Desk, page: TestPage, gateway
         gateway.goal_x(1)
     gateway.reach()
     assert gateway.goal_x(2) == PLACES["b"]
-    assert "a patrol is under way" in page.call("patrol", places=["c", "a"])["error"]
+    assert "a patrol is active" in page.call("patrol", places=["c", "a"])["error"]
 
 
 @pytest.mark.parametrize("how", ["console", "elsewhere"])
@@ -171,7 +171,7 @@ def test_a_stop_ends_the_patrol(desk: Desk, page: TestPage, gateway: FakeGateway
         desk.far.call("/navigation/stop", "std_srvs/Trigger").result(20)
     assert "stopped" in state(page, "ended")["why"]
     begin(page, "c", "a")
-    assert gateway.goal_x(2) == PLACES["c"], "nothing is left of the patrol before"
+    assert gateway.goal_x(2) == PLACES["c"], "the previous patrol has no effect"
 
 
 @pytest.mark.parametrize("where", ["driving", "at a place"])
@@ -185,11 +185,11 @@ def test_another_clients_goal_ends_the_patrol(desk: Desk, page: TestPage, gatewa
     other = Program(desk.hubs.settings("other"))
     try:
         client = other.on(lambda: other.node.action_client(ACTION, NAVIGATE))
-        until(lambda: client.ready, "the gateway is known", 20)
-        gateway.at_once = -1 if where == "driving" else 0  # the gateway itself ends the goal before
+        until(lambda: client.ready, "the gateway is discovered", 20)
+        gateway.at_once = -1 if where == "driving" else 0  # the gateway itself ends the previous goal
         other.on(lambda: client.send({"pose": pose(9.0)}, lambda *_: None))
         assert gateway.goal_x(2) == 9.0
-        assert "another goal" in state(page, "ended")["why"]
+        assert "sent a goal" in state(page, "ended")["why"]
     finally:
         gateway.at_once = 0
         other.close()
@@ -230,8 +230,8 @@ def test_manual_driving_is_refused_during_a_patrol(page: TestPage, gateway: Fake
     state(page, "waits")
     page.value("driving", lambda value: value["state"] == "goal_reached")
     page.send(op="hold", x=0.1, y=0.0, turn=0.0)
-    page.until(page.errors, "it says why not")
-    assert page.errors() == ["a patrol is under way; pause or stop it first"]
+    page.until(page.errors, "the reason is reported")
+    assert page.errors() == ["a patrol is active; pause or stop it first"]
 
 
 def test_a_missing_gateway_is_reported(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -245,8 +245,8 @@ def test_a_missing_gateway_is_reported(desk: Desk, monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize(
     ("args", "why"),
     [
-        ({"places": ["a"]}, "places are 2 to 50 names"),
-        ({"places": ["a"] * 51}, "places are 2 to 50 names"),
+        ({"places": ["a"]}, "places must be 2 to 50 names"),
+        ({"places": ["a"] * 51}, "places must be 2 to 50 names"),
         ({"places": ["a", 1]}, "places must be a name"),
         ({"places": ["a", "b"], "wait": 0}, "wait must be a number of seconds between 1 and 3,600, not 0"),
         ({"places": ["a", "b"], "wait": 1e300}, "between 1 and 3,600, not 1e+300"),

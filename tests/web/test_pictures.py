@@ -1,4 +1,4 @@
-"""Pictures of all encodings, and what is no picture."""
+"""Images of all encodings, and invalid ones."""
 
 from __future__ import annotations
 
@@ -120,14 +120,14 @@ def test_compressed_depth_images() -> None:
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"encoding": "cmyk"}, "encoded as 'cmyk' are not shown; those of mono8"),
+        ({"encoding": "cmyk"}, "encoded as 'cmyk' are not supported; supported: mono8"),
         ({"width": 0}, "0 x 6 pixels is not shown"),
-        ({"width": 2**31, "height": 2**31}, "pixels is not shown: at most"),
-        ({"step": 10}, "a row has 10 bytes \\(step\\), and 24 are needed"),
-        ({"step": 2**31}, "144 bytes, and 6 rows of 2147483648 are needed"),
-        ({"height": 7}, "144 bytes, and 7 rows of 24 are needed"),
-        ({"data": np.zeros(0, np.uint8)}, "0 bytes, and 6 rows"),
-        ({"encoding": "bayer_rggb8", "width": 1, "height": 1, "step": 1}, "no colours"),
+        ({"width": 2**31, "height": 2**31}, "pixels is not shown: the limit"),
+        ({"step": 10}, "a row has 10 bytes \\(step\\), but its pixels need 24"),
+        ({"step": 2**31}, "144 bytes, but 6 rows of 2147483648 are needed"),
+        ({"height": 7}, "144 bytes, but 7 rows of 24 are needed"),
+        ({"data": np.zeros(0, np.uint8)}, "0 bytes, but 6 rows"),
+        ({"encoding": "bayer_rggb8", "width": 1, "height": 1, "step": 1}, "no colors"),
     ],
 )
 def test_invalid_images_are_refused(change: dict[str, Any], why: str) -> None:
@@ -138,7 +138,7 @@ def test_invalid_images_are_refused(change: dict[str, Any], why: str) -> None:
 
 @pytest.mark.parametrize("data", [b"", b"\xff\xd8\xff", b"GIF89a", b"\x89PNG\r\n\x1a\n" + bytes(50)])
 def test_invalid_compressed_images_are_refused(data: bytes) -> None:
-    with pytest.raises(ConversionError, match=r"the compressed picture \(jpeg\) cannot be read"):
+    with pytest.raises(ConversionError, match=r"cannot read the compressed image \(jpeg\)"):
         decode({"format": "jpeg", "data": data}, 320)
 
 
@@ -162,9 +162,14 @@ def test_an_image_on_the_hub_is_shown(desk: Desk) -> None:
             page.read()
             return bool(page.values.get("image:160:/camera", {}).get("value"))
 
-        until(publish, "the picture is seen", every=0.05)
+        until(publish, "the image is shown", every=0.05)
         picture_ = page.values["image:160:/camera"]["value"]
-        assert (picture_["width"], picture_["height"], picture_["encoding"], picture_["range"]) == (400, 300, "rgb8", None)
+        assert (picture_["width"], picture_["height"], picture_["encoding"], picture_["range"]) == (
+            400,
+            300,
+            "rgb8",
+            None,
+        )
         head, _, data = picture_["image"].partition(",")
         assert head == "data:image/jpeg;base64"
         shown = Image.open(io.BytesIO(base64.b64decode(data)))
@@ -176,15 +181,15 @@ def test_other_types_are_refused_as_images(desk: Desk) -> None:
     out = desk.far.advertise("/words", "std_msgs/String")
     with TestPage(desk.port) as page:
         page.watch("image:160:/words", "image:161:/words", "image:160:words", "image:/words")
-        page.until(lambda: len(page.errors()) == 3, "it says which feeds are none")
-        assert "'image:161:/words' is no feed of pictures: ask for image:WIDTH:/NAME" in page.errors()[0]
+        page.until(lambda: len(page.errors()) == 3, "the invalid feeds are reported")
+        assert "'image:161:/words' is not an image feed: use image:WIDTH:/NAME" in page.errors()[0]
 
         def publish() -> str:
             desk.far.publish(out, {"data": "x"})
             page.read()
             return str(page.values.get("image:160:/words", {}).get("why", ""))
 
-        until(lambda: "std_msgs/msg/String is no picture" in publish(), "it says why there is none", every=0.05)
+        until(lambda: "std_msgs/msg/String is not an image type" in publish(), "the reason is reported", every=0.05)
 
 
 def test_two_types_of_one_topic_are_distinguished(desk: Desk) -> None:
@@ -199,9 +204,11 @@ def test_two_types_of_one_topic_are_distinguished(desk: Desk) -> None:
             page.read()
             return all(page.values.get(feed, {}).get("value") for feed in (first, other))
 
-        until(publish, "both are seen", every=0.05)
+        until(publish, "both are shown", every=0.05)
         assert page.values[first]["value"]["message"] == {"data": "yes"}
         assert page.values[other]["value"]["message"] == {"data": 3}
-        reason = "/said is published with several types: std_msgs/msg/Int32, std_msgs/msg/String; watch topic:/said@TYPE"
-        page.until(lambda: reason in page.values["topic:/said"].get("why", ""), "which types there are")
-        assert "nobody publishes /said as std_msgs/msg/Bool" in page.values["topic:/said@std_msgs/msg/Bool"]["why"]
+        reason = (
+            "/said is published with several types: std_msgs/msg/Int32, std_msgs/msg/String; watch topic:/said@TYPE"
+        )
+        page.until(lambda: reason in page.values["topic:/said"].get("why", ""), "the types are reported")
+        assert "no publisher of /said as std_msgs/msg/Bool" in page.values["topic:/said@std_msgs/msg/Bool"]["why"]

@@ -1,4 +1,4 @@
-"""What pages do with the places of the store, on a real hub."""
+"""The verbs for places of the store, on a real hub."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HALL = Map2DArea("house", [Vec2D(x, y) for x, y in SQUARE])
 
 @pytest.fixture
 def store(store: Store) -> Store:
-    """With a map in use."""
+    """Return a store with a current map."""
     store.write([Write(MAP, "house", MapGrid2D.of(np.zeros((4, 5)), name="house", resolution=0.1))])
     store.use_map("house")
     return store
@@ -40,12 +40,12 @@ def page(desk: Desk, store: Store) -> Iterator[TestPage]:
 
 def test_a_saved_area_is_visible_to_all(page: TestPage, store: Store) -> None:
     assert page.call("keep_area", name="hall", points=SQUARE) == {
-        "op": "reply", "id": 1, "ok": True, "value": "hall is kept",
+        "op": "reply", "id": 1, "ok": True, "value": "saved hall",
     }  # fmt: skip
     assert store.get(AREA, "hall") == HALL
     assert page.value("places", lambda value: value["areas"])["areas"]["hall"] == {"map": "house", "points": SQUARE}
     again = page.call("keep_area", name="hall", points=SQUARE[:3])
-    assert again["error"] == "there is the area 'hall' already"
+    assert again["error"] == "the area 'hall' exists already"
     assert page.call("keep_area", name="hall", points=SQUARE[:3], replace=True)["ok"]
     page.value("places", lambda value: len(value["areas"]["hall"]["points"]) == 3)
 
@@ -53,7 +53,7 @@ def test_a_saved_area_is_visible_to_all(page: TestPage, store: Store) -> None:
 def test_a_place_is_replaced_only_on_request(page: TestPage, store: Store) -> None:
     pose = {"name": "desk", "y": 0.0, "theta": 0.0}
     assert page.call("keep_place", x=1.0, **pose)["ok"]
-    assert page.call("keep_place", x=2.0, **pose)["error"] == "there is the place 'desk' already"
+    assert page.call("keep_place", x=2.0, **pose)["error"] == "the place 'desk' exists already"
     assert store.get(LOCATION, "desk") == Map2DLocation("house", 1.0)
     assert page.call("keep_place", x=2.0, replace=True, **pose)["ok"]
     assert store.get(LOCATION, "desk") == Map2DLocation("house", 2.0)
@@ -80,16 +80,16 @@ def test_all_kinds_are_renamed_and_deleted(page: TestPage, store: Store) -> None
 @pytest.mark.parametrize(
     ("verb", "args", "why"),
     [
-        ("keep_area", {"name": "a", "points": SQUARE[:2]}, "points are 3 to 500 corners"),
-        ("keep_area", {"name": "a", "points": [[0, 0]] * 501}, "points are 3 to 500 corners"),
+        ("keep_area", {"name": "a", "points": SQUARE[:2]}, "points must be 3 to 500 corners"),
+        ("keep_area", {"name": "a", "points": [[0, 0]] * 501}, "points must be 3 to 500 corners"),
         ("keep_area", {"name": "a", "points": [[0, 0], [1, 1], [2]]}, "points must be corners [x, y], in meters"),
         ("keep_area", {"name": "a", "points": [[0, 0], [1, 1], [2, "2"]]}, "points must be corners [x, y], in meters"),
         ("keep_area", {"name": "a", "points": [[0, 0], [1, 1], [2, 2]]}, "not all on one line"),
         ("keep_area", {"name": "a/b", "points": SQUARE}, "the name 'a/b' has /"),
-        ("keep_area", {"name": "a", "points": SQUARE, "replace": 1}, "replace is true or false"),
+        ("keep_area", {"name": "a", "points": SQUARE, "replace": 1}, "replace must be true or false"),
         ("delete_place", {"name": "none", "kind": "area"}, "unknown area 'none'"),
-        ("delete_place", {"name": "none", "kind": "map"}, "kind is one of location, area, path"),
-        ("delete_place", {"name": "none", "kind": []}, "kind is one of location, area, path"),
+        ("delete_place", {"name": "none", "kind": "map"}, "kind must be one of location, area, path"),
+        ("delete_place", {"name": "none", "kind": []}, "kind must be one of location, area, path"),
         ("rename_place", {"name": "none", "to": "x"}, "no location 'none'"),
     ],
 )
@@ -101,4 +101,4 @@ def test_invalid_calls_are_refused_with_a_reason(page: TestPage, verb: str, args
 
 def test_an_area_needs_a_map(page: TestPage, store: Store) -> None:
     store.clear(CURRENT)
-    assert "no map is in use" in page.call("keep_area", name="a", points=SQUARE)["error"]
+    assert "no current map" in page.call("keep_area", name="a", points=SQUARE)["error"]

@@ -1,4 +1,4 @@
-"""The published JSON Schema, which `tests.web.page.TestPage` holds the messages of all other tests against."""
+"""The published JSON Schema, against which `tests.web.page.TestPage` checks the messages of all other tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Page, socket and map of a console that a reverse proxy serves."""
+"""Page, socket and map of a console behind a reverse proxy."""
 
 from __future__ import annotations
 

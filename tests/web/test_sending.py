@@ -1,4 +1,4 @@
-"""Forms of the console: definitions, one message, one call."""
+"""The console's forms: definitions, one message, one call."""
 
 from __future__ import annotations
 
@@ -33,7 +33,9 @@ def test_a_definition_includes_nested_types(desk: Desk) -> None:
 def test_a_definition_includes_constants(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         definition = page.call("definition", type="sensor_msgs/msg/BatteryState")["value"]
-        constants = {constant["name"]: constant["value"] for constant in definition["types"][definition["root"]]["constants"]}
+        constants = {
+            constant["name"]: constant["value"] for constant in definition["types"][definition["root"]]["constants"]
+        }
         assert constants["POWER_SUPPLY_STATUS_CHARGING"] == 1
 
 
@@ -50,10 +52,10 @@ def test_a_services_definition_has_request_and_response(desk: Desk) -> None:
     [
         ("definition", {"type": "std_msgs/Strin"}, "no worker on the hub has its definition. Did you mean"),
         ("definition", {"type": "nonsense"}, "'nonsense' is no type"),
-        ("definition", {"type": "std_msgs/String", "kind": "action"}, "definition: kind is one of topic, service"),
-        ("publish", {"topic": "/x", "type": "std_msgs/String", "message": []}, "publish: message is an object"),
-        ("publish", {"topic": "x y", "type": "std_msgs/String", "message": {}}, "'x y' is no topic"),
-        ("publish", {"topic": "/_midspan/x", "type": "std_msgs/String", "message": {}}, "is no topic"),
+        ("definition", {"type": "std_msgs/String", "kind": "action"}, "definition: kind must be one of topic, service"),
+        ("publish", {"topic": "/x", "type": "std_msgs/String", "message": []}, "publish: message must be an object"),
+        ("publish", {"topic": "x y", "type": "std_msgs/String", "message": {}}, "'x y' is not a topic name"),
+        ("publish", {"topic": "/_midspan/x", "type": "std_msgs/String", "message": {}}, "is not a topic name"),
         (
             "publish", {"topic": "/x", "type": "std_msgs/String", "message": {"dat": "y"}},
             "std_msgs/msg/String: std_msgs/msg/String has no field 'dat'; did you mean 'data'?",
@@ -62,7 +64,7 @@ def test_a_services_definition_has_request_and_response(desk: Desk) -> None:
             "publish", {"topic": "/x", "type": "std_msgs/Int8", "message": {"data": 300}},
             "std_msgs/msg/Int8: data is int8, not 300",
         ),
-        ("call_service", {"name": "/x/_action/send_goal", "type": "a/srv/B", "request": {}}, "is no service"),
+        ("call_service", {"name": "/x/_action/send_goal", "type": "a/srv/B", "request": {}}, "is not a service name"),
     ],
 )  # fmt: skip
 def test_invalid_messages_and_calls_are_refused(desk: Desk, verb: str, args: dict[str, Any], why: str) -> None:
@@ -91,18 +93,18 @@ def test_velocities_are_refused(desk: Desk, topic: str, type_name: str) -> None:
     )
     with TestPage(desk.port) as page:
         error = page.call("publish", topic=topic, type=type_name, message={})["error"]
-        assert "drive by hand in the view Drive" in error
+        assert "drive manually in the view Drive" in error
         assert not desk.far.hub.graph.publishers(topic)
 
 
 def test_a_message_is_published_once_and_not_latched(desk: Desk) -> None:
     subscription = desk.far.subscribe("/said", "std_msgs/String")
     with TestPage(desk.port) as page:
-        page.until(lambda: desk.console.host.node.hub.graph.subscriptions("/said"), "the listener is known")
+        page.until(lambda: desk.console.host.node.hub.graph.subscriptions("/said"), "the subscriber is discovered")
         reply = page.call("publish", topic="/said", type="std_msgs/String", message={"data": "hello"})
         assert reply["value"] == "published on /said"
         assert desk.far.wait(subscription, 1)[0] == {"data": "hello"}
-        (end,) = until(lambda: desk.far.hub.graph.publishers("/said"), "the graph tells of its publisher")
+        (end,) = until(lambda: desk.far.hub.graph.publishers("/said"), "its publisher is in the graph")
         assert end.qos.durability is Durability.VOLATILE
         second = page.call("publish", topic="/said", type="std_msgs/String", message={"data": "again"})
         while not second["ok"]:
@@ -115,7 +117,7 @@ def test_a_missing_subscriber_is_reported(desk: Desk, monkeypatch: pytest.Monkey
     monkeypatch.setattr(sending, "_MATCH_SECONDS", 0.2)
     with TestPage(desk.port) as page:
         reply = page.call("publish", topic="/void", type="std_msgs/Empty", message={})
-        assert reply["value"] == "published on /void, and nobody on the hub listens to it"
+        assert reply["value"] == "published on /void, but the hub has no subscriber"
 
 
 def test_the_rate_of_messages_is_limited(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,10 +129,10 @@ def test_the_rate_of_messages_is_limited(desk: Desk, monkeypatch: pytest.MonkeyP
                 op="call", id=1000 + number, verb="publish",
                 args={"topic": "/often", "type": "std_msgs/String", "message": message},
             )  # fmt: skip
-        page.until(lambda: sum(m.get("id", 0) > 1000 for m in page.others) == 12, "all are answered")
+        page.until(lambda: sum(m.get("id", 0) > 1000 for m in page.others) == 12, "all calls get replies")
         errors = [m["error"] for m in page.others if m.get("id", 0) > 1000 and not m["ok"]]
         assert errors
-        assert all("at most 5 messages a second are published" in error for error in errors)
+        assert all("the limit is 5 messages per second" in error for error in errors)
 
 
 def test_a_service_call_returns_its_reply(desk: Desk) -> None:
@@ -149,4 +151,4 @@ def test_a_service_call_returns_its_reply(desk: Desk) -> None:
         other = page.call("call_service", name="/light", type="std_srvs/Trigger", request={})
         assert "/light is std_srvs/srv/SetBool on the hub, not std_srvs/srv/Trigger" in other["error"]
         graph = desk.far.hub.graph
-        until(lambda: not graph.clients("/light"), "its clients are withdrawn")
+        until(lambda: not graph.clients("/light"), "its clients are closed")

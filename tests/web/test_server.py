@@ -1,4 +1,4 @@
-"""The console's server refuses requests that other sites' pages cause."""
+"""The console's server refuses requests caused by pages of other sites."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_own_hosts_are_accepted(host: str) -> None:
 
 @pytest.mark.parametrize("host", ["evil.example:8480", "127.0.0.1", "127.0.0.1:80", "localhost:8480.evil.example", ""])
 def test_rebound_names_are_refused(host: str) -> None:
-    assert "no such host" in refusal(scope(host=host), OWN)
+    assert "unknown host" in refusal(scope(host=host), OWN)
 
 
 NAMED = frozenset({"robot.lab", "[fd00::1]"})
@@ -43,7 +43,7 @@ def test_configured_names_are_hosts_at_any_port(host: str) -> None:
 
 @pytest.mark.parametrize("host", ["x.robot.lab", "robot.lab.evil.example:8480", "robot.lab:8480:1", "127.0.0.1:80", ""])
 def test_other_names_than_the_configured_ones_are_refused(host: str) -> None:
-    assert "no such host" in refusal(scope(host=host), OWN, NAMED)
+    assert "unknown host" in refusal(scope(host=host), OWN, NAMED)
 
 
 PAGES: list[tuple[str, str, str | None, bool]] = [
@@ -155,7 +155,7 @@ def test_unknown_hosts_are_refused(desk: Desk) -> None:
 def test_clients_cannot_forge_their_address(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "midspan.web"):
         ask(desk.port, "/", **{"Host": "evil.example", "X-Forwarded-For": "10.9.8.7"})
-    assert "a request from 127.0.0.1 is refused" in caplog.text
+    assert "refused a request from 127.0.0.1" in caplog.text
 
 
 def test_foreign_pages_get_no_socket(desk: Desk) -> None:
