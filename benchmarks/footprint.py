@@ -39,7 +39,7 @@ from benchmarks.processes import Processes
 from benchmarks.rows import Row, add_json_option, report
 from bridge.cli.client import connect
 from bridge.cli.output import CliError
-from bridge.demo.rooms import CONFIG, laid_over
+from bridge.demo.rooms import CONFIG, overrides
 from bridge.state_file import with_state
 from tests.support.ports import free_port
 
@@ -60,9 +60,9 @@ PARTS = ("start", "robot", "idle", "metrics", "cli")
 SCRAPE_SECONDS = 5.0
 
 
-def _laid_over() -> dict[str, Any]:
-    """Return the demo's overrides without the console, because the aims are for bridging and driving."""
-    return {**laid_over(CONFIG), "web": {"enabled": False}}
+def _overrides() -> dict[str, Any]:
+    """What the demo lays over its configuration, without the console: the aims are of what bridges and drives."""
+    return {**overrides(CONFIG), "web": {"enabled": False}}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -74,14 +74,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_json_option(parser)
     args = parser.parse_args(arguments)
     rows: list[Row] = []
-    with Processes(_laid_over(), CONFIG, yarp=True) as bare:
+    with Processes(_overrides(), CONFIG, yarp=True) as bare:
         bare.start_master()
         peers, peer_seconds = _peers(bare)
         if "start" in args.parts:
             rows += _start(bare, peers, peer_seconds)
         idle_floor = _idle_floor(bare, args.seconds) if "idle" in args.parts else 0.0
     if "robot" in args.parts or "cli" in args.parts:
-        with _daemon(Processes(_laid_over(), CONFIG, yarp=True), (*SIDES, DRIVER)) as (robot, seconds):
+        with _daemon(Processes(_overrides(), CONFIG, yarp=True), (*SIDES, DRIVER)) as (robot, seconds):
             if "robot" in args.parts:
                 rows += [*seconds, *_robot(robot, peers, args.seconds)]
             if "cli" in args.parts:

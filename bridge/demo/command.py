@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
                 code = _topics(args, shutdown, stack) if args.what == "topics" else _rooms(args, shutdown, stack)
         except KeyboardInterrupt:
             code = INTERRUPTED
-    shutdown.leave(code)
+    shutdown.exit_if_interrupted(code)
     return code
 
 
@@ -77,28 +77,28 @@ def _rooms(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitS
     from bridge.demo.sandbox import missing, too_slow, without_ros1
 
     template = args.config or rooms.CONFIG
-    here = _sandbox(shutdown, stack, template, rooms.laid_over(template), ports=False)
-    without = without_ros1(here.config)
+    sandbox = _sandbox(shutdown, stack, template, rooms.overrides(template), ports=False)
+    without = without_ros1(sandbox.config)
     if without:
-        here.leave_out_ros1()
-    _require([*missing(here.config), *_simulation(here), *too_slow()])
+        sandbox.leave_out_ros1()
+    _require([*missing(sandbox.config), *_simulation(sandbox), *too_slow()])
     with shutdown.held():
         view = stack.enter_context(RoomsView())
-    view.say(_console(here))
+    view.print_line(_console(sandbox))
     if without:
-        view.say(f"{without}\nthe demo goes on without ROS 1: its client is left out")
+        view.print_line(f"{without}\nthe demo goes on without ROS 1: its client is left out")
     result = None
     try:
-        demo = rooms.RoomsDemo(here, view.tick, shutdown)
+        demo = rooms.RoomsDemo(sandbox, view.tick, shutdown)
         with demo.started() as course:
             result = demo.run(course, args.to)
             view.show(result, course)
             _draw(course, Path(args.png))
-            view.say(f"{result.seconds:.0f} s; the path is drawn in {args.png}")
+            view.print_line(f"{result.seconds:.0f} s; the path is drawn in {args.png}")
             if args.json is not None:
                 _write(args.json, result.as_dict())
             if args.stay:
-                view.say(f"try: {demo.next}")
+                view.print_line(f"try: {demo.suggestion}")
                 demo.stay(course)
     except DemoError as err:
         raise CliError(str(err)) from None
@@ -106,7 +106,7 @@ def _rooms(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitS
         if not args.stay or result is None:
             raise
     if not args.stay:
-        view.say("next: 'STAY=1 make demo' waits for your commands; docs/start/quickstart.md goes on to your own robot")
+        view.print_line("next: 'STAY=1 make demo' waits for your commands; docs/start/quickstart.md goes on to your own robot")
     return 0 if result.ok else 1
 
 
@@ -118,14 +118,14 @@ def _sandbox(
     from bridge.demo.sandbox import Sandbox
 
     def leave_nothing() -> None:
-        erase(here.folder, here.domain_ports)
-        here.close()
+        erase(sandbox.folder, sandbox.domain_ports)
+        sandbox.close()
 
     with shutdown.held():
-        here = stack.enter_context(Sandbox(template, more, ports=ports))
+        sandbox = stack.enter_context(Sandbox(template, more, ports=ports))
         shutdown.guard(leave_nothing)
-        stack.callback(shutdown.calm)
-    return here
+        stack.callback(shutdown.ignore_signals)
+    return sandbox
 
 
 def _draw(course: Any, file: Path) -> None:
@@ -142,17 +142,17 @@ def _topics(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.Exit
     from bridge.demo.topics_demo.view import TopicsView
 
     template = args.config or (CONFIG if CONFIG.is_file() else None)
-    here = _sandbox(shutdown, stack, template, {}, ports=True)
-    _require([*missing(here.config), *_simulation(here), *too_slow()])
+    sandbox = _sandbox(shutdown, stack, template, {}, ports=True)
+    _require([*missing(sandbox.config), *_simulation(sandbox), *too_slow()])
     result = TopicsResult()
     with shutdown.held():
-        view = stack.enter_context(TopicsView(here))
+        view = stack.enter_context(TopicsView(sandbox))
     try:
-        with TopicsDemo(here, view.tick, shutdown) as demo:
+        with TopicsDemo(sandbox, view.tick, shutdown) as demo:
             result = demo.run(args.seconds)
-            view.look()
-            view.ask_why(result.checks)
-            view.say(f"checked after {result.seconds:.0f} s")
+            view.refresh()
+            view.explain_failures(result.checks)
+            view.print_line(f"checked after {result.seconds:.0f} s")
             if args.stay:
                 view.show(result.checks)
                 demo.stay()

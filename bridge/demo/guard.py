@@ -48,12 +48,12 @@ def main() -> int:
 
 def _children() -> list[int]:
     """Process ids of what this process has still below it; none where there is no proc(5)."""
-    found = []
+    pids = []
     for file in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):  # it has ended
             if int(file.read_text(errors="replace").rpartition(")")[2].split()[1]) == os.getpid():
-                found.append(int(file.parent.name))
-    return found
+                pids.append(int(file.parent.name))
+    return pids
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ def erase(folder: Path, ports: range) -> list[str]:
     Processes are stopped before they are killed, so that none starts another, or makes a file, meanwhile.
     """
     stopped: list[psutil.Process] = []
-    while new := [pid for pid in marked(folder) if pid not in {one.pid for one in stopped}]:
+    while new := [pid for pid in marked(folder) if pid not in {process_.pid for process_ in stopped}]:
         for pid in new:
             with contextlib.suppress(psutil.Error):
                 stopped.append(psutil.Process(pid))
@@ -56,32 +56,32 @@ def erase(folder: Path, ports: range) -> list[str]:
 def shared_memory(folder: Path, ports: range) -> tuple[set[Path], set[Path]]:
     """A run's files in shared memory now, on Linux: its own, by its domain's ports, and Fast DDS's common ports."""
     used = {file for pid in marked(folder) for file in used_by(pid)}
-    own = {file for file in used if is_own(file.name, ports)}
-    return own, _shared_ports(used - own)
+    own_files = {file for file in used if is_own(file.name, ports)}
+    return own_files, _shared_ports(used - own_files)
 
 
 def _shared_ports(files: set[Path]) -> set[Path]:
-    return {_MEMORY / f"fastrtps_port{found[1]}" for file in files if (found := _PORT.fullmatch(file.name))}
+    return {_MEMORY / f"fastrtps_port{match[1]}" for file in files if (match := _PORT.fullmatch(file.name))}
 
 
 def remove_unused(files: set[Path]) -> list[Path]:
     """Remove those files that are still there and that no process uses; returns them."""
-    there = {file for file in files if file.exists()}
-    if there:
-        there -= {file for pid in psutil.pids() for file in used_by(pid)}
-    for file in there:
+    unused = {file for file in files if file.exists()}
+    if unused:
+        unused -= {file for pid in psutil.pids() for file in used_by(pid)}
+    for file in unused:
         file.unlink(missing_ok=True)
-    return sorted(there)
+    return sorted(unused)
 
 
 def marked(folder: Path) -> list[int]:
     """Process ids of a run's living processes."""
-    found = []
+    pids = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):
             if process.pid != os.getpid() and process.environ().get(MARK) == str(folder):
-                found.append(process.pid)
-    return found
+                pids.append(process.pid)
+    return pids
 
 
 def is_own(name: str, ports: range) -> bool:
@@ -92,8 +92,8 @@ def is_own(name: str, ports: range) -> bool:
 
 def _of_ports(ports: range) -> set[Path]:
     """Files of a ROS domain's ports: those of a domain that the run holds are its own, in use or not."""
-    found = {file: _PORT.fullmatch(file.name) for file in _MEMORY.iterdir()} if _MEMORY.is_dir() else {}
-    return {file for file, port in found.items() if port is not None and int(port[1]) in ports}
+    matches = {file: _PORT.fullmatch(file.name) for file in _MEMORY.iterdir()} if _MEMORY.is_dir() else {}
+    return {file for file, port in matches.items() if port is not None and int(port[1]) in ports}
 
 
 def remove_unread(ports: set[Path]) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 
 from bridge.demo import guard
 
-_LAST_WORDS = 1500
+_MOST_TEXT = 1500
 _KEPT_LINES = 400
 
 
@@ -80,9 +80,9 @@ class DemoProcess:
     def _read(self) -> None:
         assert self._popen.stdout is not None
         with self._popen.stdout as lines:
-            self._take(lines)
+            self._on_output(lines)
 
-    def _take(self, lines: Iterable[bytes]) -> None:
+    def _on_output(self, lines: Iterable[bytes]) -> None:
         raise NotImplementedError
 
 
@@ -98,14 +98,14 @@ class DemoChild(DemoProcess):
         with self._log.open("wb") as log:
             super().__init__(command, env, folder, log)
 
-    def last_words(self) -> str:
+    def last_output(self) -> str:
         """The last whole lines of what it wrote to its error output, and its exit code where it ended."""
-        words = self._log.read_text(errors="replace").strip() if self._log.exists() else ""
-        if len(words) > _LAST_WORDS:
-            words = words[-_LAST_WORDS:]
-            words = words.partition("\n")[2] or words  # a line that is cut elsewhere each time would be news
+        text = self._log.read_text(errors="replace").strip() if self._log.exists() else ""
+        if len(text) > _MOST_TEXT:
+            text = text[-_MOST_TEXT:]
+            text = text.partition("\n")[2] or text  # a line that is cut elsewhere each time would be news
         code = self._popen.poll()
-        return words if code is None else f"{words}\n(exit code {code})".strip()
+        return text if code is None else f"{text}\n(exit code {code})".strip()
 
     def ask(self, do: str, **params: Any) -> None:
         """Send a command; a dead program is not an error here; the checks find it."""
@@ -130,7 +130,7 @@ class DemoChild(DemoProcess):
         with self._changed:
             return event in self._events
 
-    def _take(self, lines: Iterable[bytes]) -> None:
+    def _on_output(self, lines: Iterable[bytes]) -> None:
         for line in lines:
             try:
                 values = json.loads(line)
@@ -154,7 +154,7 @@ class Program(DemoProcess):
         self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
         super().__init__(guarded(*command), env, folder, subprocess.STDOUT)
 
-    def _take(self, lines: Iterable[bytes]) -> None:
+    def _on_output(self, lines: Iterable[bytes]) -> None:
         self.lines.extend(line.decode(errors="replace").rstrip() for line in lines)
 
 

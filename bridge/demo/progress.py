@@ -21,7 +21,7 @@ from bridge.demo.shutdown import Shutdown
 STILL_SECONDS = 60.0
 """A demo in which nothing has moved for so long ends; a slow machine moves slowly, and is waited for."""
 
-_METRES, _RADIANS, _WORK = 0.1, math.radians(15.0), 0.5
+_METERS, _RADIANS, _WORK = 0.1, math.radians(15.0), 0.5
 """What counts: of a robot's way, of its turning, and seconds of processor time."""
 
 _NUMBERS = re.compile(r"\d+(\.\d+)?")
@@ -32,7 +32,7 @@ class DemoError(RuntimeError):
     """The demo cannot go on; says what is missing and how to mend it."""
 
 
-def wordless(text: str) -> str:
+def without_numbers(text: str) -> str:
     """A text without its numbers: seconds that are counted, or noise in a place, are nothing new."""
     return _NUMBERS.sub("#", text)
 
@@ -63,26 +63,26 @@ class DemoProgress:
         """Whether that is too long."""
         return self.still > STILL_SECONDS
 
-    def heard(self, who: str, text: str, *, numbers: bool = False) -> bool:
+    def note(self, who: str, text: str, *, numbers: bool = False) -> bool:
         """Somebody says something; whether that is new, by its words alone unless its numbers count."""
-        said = who, text if numbers else wordless(text)
-        if said in self._seen or len(self._seen) >= _MOST:
+        entry = who, text if numbers else without_numbers(text)
+        if entry in self._seen or len(self._seen) >= _MOST:
             return False
-        self._seen.add(said)
+        self._seen.add(entry)
         self._moved = self._clock()
         return True
 
-    def at(self, x: float, y: float, yaw: float) -> None:
+    def note_pose(self, x: float, y: float, yaw: float) -> None:
         """The robot is there: metres, radians."""
         before = self._at
         if before is not None:
             turned = abs(math.remainder(yaw - before[2], math.tau))
-            if math.dist(before[:2], (x, y)) < _METRES and turned < _RADIANS:
+            if math.dist(before[:2], (x, y)) < _METERS and turned < _RADIANS:
                 return
         self._at = x, y, yaw
         self._moved = self._clock()
 
-    def works(self, pids: Iterable[int]) -> None:
+    def note_work(self, pids: Iterable[int]) -> None:
         """These processes are starting: what they compute now is progress."""
         now = {pid: seconds for pid in pids if (seconds := _spent(pid)) is not None}
         self._worked += sum(max(0.0, spent - self._work.get(pid, spent)) for pid, spent in now.items())
@@ -154,32 +154,32 @@ class Parts:
     def all(self) -> list[PartState]:
         """As they were at the last look."""
         answers = bool(self._workers)
-        own = [
+        processes = [
             PartState(name, "running" if name != "daemon" or answers else "not answering yet", pid=child.pid)
             for name, child in self._children.items()
         ]
-        return [*own, *self._workers]
+        return [*processes, *self._workers]
 
-    def look(self, progress: DemoProgress) -> None:
+    def refresh(self, progress: DemoProgress) -> None:
         """Ask the daemon, now and then, and note what is new."""
         now = time.monotonic()
         if now - self._asked < _ASK_EVERY:
             return
         self._asked = now
-        said = ask_daemon(self._config) if "daemon" in self._children else None
-        if said is not None:
+        status = ask_daemon(self._config) if "daemon" in self._children else None
+        if status is not None:
             self._workers = [
-                PartState(clean(one["worker"]), one["phase"], clean(one["text"]), one["pid"], one["restarts"])
-                for one in said["workers"]
-                if one["phase"] != Phase.OFF.value
+                PartState(clean(worker["worker"]), worker["phase"], clean(worker["text"]), worker["pid"], worker["restarts"])
+                for worker in status["workers"]
+                if worker["phase"] != Phase.OFF.value
             ]
         for part in self.all:
-            progress.heard(part.name, f"{part.phase} {part.text}")
+            progress.note(part.name, f"{part.phase} {part.text}")
         for name, child in self._children.items():
-            for line in child.last_words().splitlines():
-                progress.heard(name, line)
+            for line in child.last_output().splitlines():
+                progress.note(name, line)
         coming = [part.pid for part in self.all if part.coming]
-        progress.works(pid for one in (*coming, *self.starting) for pid in _with_children(one))
+        progress.note_work(pid for worker in (*coming, *self.starting) for pid in _with_children(worker))
 
     def up(self, name: str) -> bool:
         """Whether a worker runs."""
@@ -190,22 +190,22 @@ class Parts:
         """One that failed."""
         return next((part for part in self._workers if part.failed), None)
 
-    def why_failed(self, part: PartState) -> str:
+    def failure_text(self, part: PartState) -> str:
         """What to say of a part that failed."""
         again = f" (started again {part.restarts} times)" if part.restarts else ""
-        return "\n".join([f"{part}{again}", *self._words([part]), _TRY])
+        return "\n".join([f"{part}{again}", *self._log_lines([part]), _TRY])
 
-    def why_still(self, what: str) -> str:
+    def stall_text(self, what: str) -> str:
         """What to say where nothing has moved while something was waited for."""
         blamed = [part for part in self.all if part.idle] or self.all
         still = f"nothing has moved for {STILL_SECONDS:.0f} s, and {what} is not there:"
-        return "\n".join([still, *(f"  {part}" for part in blamed), *self._words(blamed), _TRY])
+        return "\n".join([still, *(f"  {part}" for part in blamed), *self._log_lines(blamed), _TRY])
 
-    def _words(self, blamed: Iterable[PartState]) -> list[str]:
+    def _log_lines(self, blamed: Iterable[PartState]) -> list[str]:
         """The last lines of the daemon's log, of these parts where there are any of theirs."""
         if "daemon" not in self._children:
             return []
-        lines = self._children["daemon"].last_words().splitlines()
+        lines = self._children["daemon"].last_output().splitlines()
         theirs = [line for line in lines if any(part.name in line for part in blamed)] or lines
         return ["The last words of the log:", *(f"  {line}" for line in theirs[-_LAST_LINES:])]
 
@@ -240,20 +240,20 @@ class DemoRun:
         daemon = guarded(sys.executable, "-m", "bridge.cli.main", "run", "--config", sandbox.config_file)
         self._launch("daemon", daemon, sandbox.environment())
 
-    def _look(self) -> None:
+    def _check_processes(self) -> None:
         """Raise `KeyboardInterrupt` where the demo is interrupted, `DemoError` where a process has ended."""
-        self._shutdown.look()
+        self._shutdown.check()
         for child in self._children.values():
             if not child.running:
-                raise DemoError(f"{child.name} ended before its time:\n{child.last_words()}")
+                raise DemoError(f"{child.name} ended before its time:\n{child.last_output()}")
 
     def _check(self, what: str) -> None:
         """Raise `DemoError` where something that is waited for will not come: a part failed, or nothing moves."""
         self._fail_with_a_part()
         if self._progress.stalled:
-            raise DemoError(self._parts.why_still(what))
+            raise DemoError(self._parts.stall_text(what))
 
     def _fail_with_a_part(self) -> None:
         failed = self._parts.failed
         if failed is not None:
-            raise DemoError(self._parts.why_failed(failed))
+            raise DemoError(self._parts.failure_text(failed))

@@ -35,7 +35,7 @@ _CLIENTS = {YARP: "goto_location_yarp.py", ROS1: "goto_location_rospy.py", ROS2:
 ROOMS = ("kitchen", "corridor", "bathroom")
 """Where a YARP, a ROS 1 and a ROS 2 client send the robot, unless told otherwise."""
 
-_DOORS = ("/navigation2D_nws_yarp/rpc", "/map2D_nws_yarp/rpc", "/localization2D_nws_yarp/rpc")
+_ENTRY_POINTS = ("/navigation2D_nws_yarp/rpc", "/map2D_nws_yarp/rpc", "/localization2D_nws_yarp/rpc")
 
 Tick = Callable[[str, RobotTracker | None, Sequence[PartState]], None]
 """Called several times a second with what the demo is at, its robot's way once that is known, and its parts."""
@@ -95,7 +95,7 @@ class RoomsDemo(DemoRun):
                 self._until(lambda: course.localized, "the robot and its localiser", course)
                 names = NameClient(Address("127.0.0.1", sandbox.yarp_port))
                 self._until(
-                    lambda: all(connections.exists(names, door) for door in _DOORS),
+                    lambda: all(connections.exists(names, door) for door in _ENTRY_POINTS),
                     "the doors for YARP's clients",
                     course,
                 )
@@ -132,7 +132,7 @@ class RoomsDemo(DemoRun):
         return result
 
     @property
-    def next(self) -> str:
+    def suggestion(self) -> str:
         """What can be tried while it runs, in one line."""
         sandbox = self._sandbox
         page = f"http://127.0.0.1:{sandbox.web_port}/ in a browser, or " if sandbox.config.web.enabled else ""
@@ -144,7 +144,7 @@ class RoomsDemo(DemoRun):
     def stay(self, course: RobotTracker) -> None:
         """Go on until interrupted, or until a part ends."""
         while True:
-            self._wait(f"staying: {self.next}; Ctrl-C ends the demo", course)
+            self._wait(f"staying: {self.suggestion}; Ctrl-C ends the demo", course)
 
     def _drive(self, client: str, room: str, course: RobotTracker) -> RoomDrive:
         sandbox = self._sandbox
@@ -159,19 +159,19 @@ class RoomsDemo(DemoRun):
             self._programs.append(program)
         self._progress.begin()
         while program.running and not self._progress.stalled:
-            said = program.lines[-1] if program.lines else "asks"
-            self._progress.heard(client, said)
+            output = program.lines[-1] if program.lines else "asks"
+            self._progress.note(client, output)
             self._parts.starting = () if program.lines else (program.pid,)
-            self._wait(f"{client} client, to the {room}: {said}", course)
+            self._wait(f"{client} client, to the {room}: {output}", course)
             self._fail_with_a_part()
         self._parts.starting = ()
-        said = program.lines[-1] if program.lines else ""
+        output = program.lines[-1] if program.lines else ""
         if program.running:
-            said = f"nothing has moved for {STILL_SECONDS:.0f} s: {course.state}; {said}"
+            output = f"nothing has moved for {STILL_SECONDS:.0f} s: {course.state}; {output}"
             program.begin_stop()
-        off = course.off(room)
+        off = course.distance_to(room)
         reached = program.code == 0 and off < NEAR
-        return RoomDrive(client, room, reached, round(off, 3), round(time.monotonic() - began, 1), said)
+        return RoomDrive(client, room, reached, round(off, 3), round(time.monotonic() - began, 1), output)
 
     def _until(self, ready: Callable[[], object], what: str, course: RobotTracker | None = None) -> None:
         """Wait for something as long as anything moves; raises `DemoError` where nothing does, or a part failed."""
@@ -181,10 +181,10 @@ class RoomsDemo(DemoRun):
             self._check(what)
 
     def _wait(self, doing: str, course: RobotTracker | None = None) -> None:
-        self._look()
-        self._parts.look(self._progress)
+        self._check_processes()
+        self._parts.refresh(self._progress)
         if course is not None:
-            course.look(self._progress)
+            course.refresh(self._progress)
         self._tick(doing, course, self._parts.all)
         time.sleep(0.1)
 
@@ -193,7 +193,7 @@ class RoomsDemo(DemoRun):
         end_all(self._sandbox, self._shutdown, ((self._programs, 4.0), (daemon, 9.0), (roscore, 9.0)))
 
 
-def laid_over(template: Path) -> dict[str, Any]:
+def overrides(template: Path) -> dict[str, Any]:
     """What the demo changes of a configuration: whole paths of the store's files, nobody to wait for, a console."""
     config = load(template)
     files = {"maps": config.store.maps, "locations": config.store.locations}

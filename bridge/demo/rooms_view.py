@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bridge.cli.output import make_console
-from bridge.demo.progress import PartState, wordless
+from bridge.demo.progress import PartState, without_numbers
 from bridge.demo.rooms import RoomDrive, RoomsResult
 from bridge.demo.tracking import RobotTracker
 
@@ -29,7 +29,7 @@ class RoomsView:
         self._live: Live | None = None
         self._shown, self._began = -_PLAIN_EVERY, time.monotonic()
         self._doing, self._up = "", False
-        self._told: dict[str, str] = {}
+        self._printed: dict[str, str] = {}
 
     def __enter__(self) -> Self:
         if self._console.is_terminal:
@@ -47,20 +47,20 @@ class RoomsView:
         now = time.monotonic()
         self._up = self._up or (course is not None and course.localized)
         if course is None or not self._up:
-            self._coming_up(now, doing, parts)
+            self._show_start(now, doing, parts)
             return
         begins = doing.partition(":")[0] != self._doing
         if not begins and now - self._shown < (_LIVE_EVERY if self._live else _PLAIN_EVERY):
             return
         self._shown, self._doing = now, doing.partition(":")[0]
-        words = course.words()
-        line = f"{self._time(now)}  {doing}  |  {words['where']}  {words['left']}  {words['state']}"
+        texts = course.texts()
+        line = f"{self._time(now)}  {doing}  |  {texts['where']}  {texts['left']}  {texts['state']}"
         if self._live is not None:
             self._live.update(Group(*course.picture(self._width(), coloured=True), Text(line)), refresh=True)
         else:
             self._console.print(Text(line))
 
-    def _coming_up(self, now: float, doing: str, parts: Sequence[PartState]) -> None:
+    def _show_start(self, now: float, doing: str, parts: Sequence[PartState]) -> None:
         """Each part and what it is at; elsewhere than on a terminal a line where that is something else."""
         if self._live is not None:
             if now - self._shown >= _LIVE_EVERY:
@@ -69,8 +69,8 @@ class RoomsView:
                 self._live.update(Group(*lines), refresh=True)
             return
         for name, line in (("", doing), *((part.name, str(part)) for part in parts)):
-            if self._told.get(name) != wordless(line):
-                self._told[name] = wordless(line)
+            if self._printed.get(name) != without_numbers(line):
+                self._printed[name] = without_numbers(line)
                 self._console.print(Text(f"{self._time(now)}  {line}"))
 
     def show(self, result: RoomsResult, course: RobotTracker) -> None:
@@ -86,7 +86,7 @@ class RoomsView:
         verdict = "every client's robot came to its room" if result.ok else "not every room was reached"
         self._console.print(Text(verdict, style="bold green" if result.ok else "bold red"))
 
-    def say(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Print one line."""
         self._console.print(Text(text))
 

@@ -88,12 +88,12 @@ class Sandbox:
 
     def environment(self) -> dict[str, str]:
         """Environment of the daemon and of the programs that run on Midspan's own Python."""
-        own = {
+        inherited = {
             k: v
             for k, v in os.environ.items()
             if not k.startswith(("ROS_", "ZENOH_", "RMW_", "FASTDDS_", "FASTRTPS_", "YARP_"))
         }
-        return own | {
+        return inherited | {
             MARK: str(self.folder),
             "ROS_MASTER_URI": self.master,
             "ROS_IP": "127.0.0.1",
@@ -104,7 +104,7 @@ class Sandbox:
             "ROS_LOG_DIR": str(self.folder / "log"),
             "PYTHONUNBUFFERED": "1",
             # where Midspan runs from a checkout that is not installed
-            "PYTHONPATH": os.pathsep.join(filter(None, [own.get("PYTHONPATH"), str(_ROOT)])),
+            "PYTHONPATH": os.pathsep.join(filter(None, [inherited.get("PYTHONPATH"), str(_ROOT)])),
         }
 
     def ros1_environment(self) -> dict[str, str]:
@@ -132,7 +132,7 @@ class Sandbox:
         if ports and not (base.get("yarp") or {}).get("topics"):  # what the demo's YARP program expects on its ports
             shipped = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["yarp"]
             base = _merged(base, {"yarp": shipped})
-        own = {
+        addresses = {
             "name": f"demo-{os.getpid()}",
             "state": str(self.folder / "state"),
             "hub": {"listen": f"tcp/127.0.0.1:{self.router_port}", "domain": self.domain, "router": True},
@@ -141,7 +141,7 @@ class Sandbox:
             "yarp": {"enabled": yarp, "nameserver": "embedded", "address": f"127.0.0.1:{self.yarp_port}"},
             "web": {"listen": f"127.0.0.1:{self.web_port}"},
         }
-        return self._written(_merged(base, own))
+        return self._written(_merged(base, addresses))
 
     def _written(self, document: dict[str, Any]) -> Config:
         self.config_file.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
@@ -244,9 +244,9 @@ def ros1_packages(config: Config) -> Path:
 
 def roscore(config: Config) -> Path:
     """The program ``roscore``."""
-    found = shutil.which("roscore", path=f"{ros1_packages(config).parents[2] / 'bin'}:{os.environ.get('PATH', '')}")
-    assert found is not None
-    return Path(found)
+    program = shutil.which("roscore", path=f"{ros1_packages(config).parents[2] / 'bin'}:{os.environ.get('PATH', '')}")
+    assert program is not None
+    return Path(program)
 
 
 def without_ros1(config: Config) -> str:

@@ -20,7 +20,7 @@ from bridge.demo.sandbox import Sandbox
 SECONDS = 3.0
 """Within so long after Ctrl-C the demo has ended."""
 
-_POLITE, _LATEST = 0.9, 1.7
+_KILL_SECONDS, _EXIT_SECONDS = 0.9, 1.7
 """Seconds after Ctrl-C at which parts that have not ended are killed, and at which all is, whatever still waits."""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -36,7 +36,7 @@ class Shutdown:
     """
 
     def __init__(self) -> None:
-        self._asked_at: float | None = None
+        self._interrupted_at: float | None = None
         self._held = 0
         self._erase: Callable[[], Any] = lambda: None
         self._old: dict[signal.Signals, Any] = {}
@@ -47,12 +47,12 @@ class Shutdown:
         os.set_blocking(self._writes, False)
         threading.Thread(target=self._watch, name="ending", daemon=True).start()
         self._old_wakeup = signal.set_wakeup_fd(self._writes, warn_on_full_buffer=False)
-        self._old = {number: signal.signal(number, self._asked) for number in _SIGNALS}
+        self._old = {number: signal.signal(number, self._on_signal) for number in _SIGNALS}
         return self
 
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
-        self.calm()
-        if self._asked_at is not None:
+        self.ignore_signals()
+        if self._interrupted_at is not None:
             return  # until the process has ended
         for number, handler in self._old.items():
             signal.signal(number, handler)
@@ -67,9 +67,9 @@ class Shutdown:
             yield
         finally:
             self._held -= 1
-        self.look()
+        self.check()
 
-    def calm(self) -> None:
+    def ignore_signals(self) -> None:
         """Undo in peace: nothing is raised any more."""
         self._held += 1
 
@@ -77,9 +77,9 @@ class Shutdown:
         """What leaves nothing behind, on any thread, where the main one is not in time."""
         self._erase = erase
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Raise `KeyboardInterrupt` where the demo is to end."""
-        if self._asked_at is not None and not self._held:
+        if self._interrupted_at is not None and not self._held:
             raise KeyboardInterrupt
 
     def until(self, seconds: float) -> Callable[[], bool]:
@@ -87,26 +87,26 @@ class Shutdown:
         end = time.monotonic() + seconds
 
         def may() -> bool:
-            latest = end if self._asked_at is None else min(end, self._asked_at + _POLITE)
+            latest = end if self._interrupted_at is None else min(end, self._interrupted_at + _KILL_SECONDS)
             return time.monotonic() < latest
 
         return may
 
-    def leave(self, code: int) -> None:
+    def exit_if_interrupted(self, code: int) -> None:
         """End the process at once where the demo was interrupted: zenoh's threads take Python up to 2 s to end."""
-        if self.asked:
+        if self.interrupted:
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(code)
 
     @property
-    def asked(self) -> bool:
+    def interrupted(self) -> bool:
         """Whether it was interrupted."""
-        return self._asked_at is not None
+        return self._interrupted_at is not None
 
-    def _asked(self, _number: int, _frame: FrameType | None) -> None:
-        first = self._asked_at is None
-        self._asked_at = self._asked_at or time.monotonic()
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        first = self._interrupted_at is None
+        self._interrupted_at = self._interrupted_at or time.monotonic()
         if first and not self._held:
             raise KeyboardInterrupt
 
@@ -118,7 +118,7 @@ class Shutdown:
         if not numbers:
             os.close(self._reads)
             return
-        time.sleep(_LATEST)
+        time.sleep(_EXIT_SECONDS)
         with contextlib.suppress(Exception):
             self._erase()
         if sys.stdout.isatty():
@@ -127,7 +127,7 @@ class Shutdown:
 
 
 _log = logging.getLogger(__name__)
-_LOOK_SECONDS = 0.02
+_POLL_SECONDS = 0.02
 _MEMORY_SECONDS = 0.2
 """So often it is looked which shared memory the processes use: one that ends as it comes up may leave some."""
 
@@ -137,27 +137,27 @@ Stage = tuple[Sequence[DemoChild | Program], float]
 
 def end_all(sandbox: Sandbox, shutdown: Shutdown, stages: Sequence[Stage]) -> None:
     """Ask stage after stage, all at once where the demo was interrupted; then kill what has not ended."""
-    shutdown.calm()
+    shutdown.ignore_signals()
     memory, ports = shared_memory(sandbox.folder, sandbox.domain_ports)
-    every = [one for stage, _ in stages for one in stage]
-    if shutdown.asked:
+    every = [process for stage, _ in stages for process in stage]
+    if shutdown.interrupted:
         stages = [(every, max((seconds for _, seconds in stages), default=0.0))]
     for stage, seconds in stages:
-        for one in stage:
-            one.begin_stop()
+        for process in stage:
+            process.begin_stop()
         may = shutdown.until(seconds)
         looked = time.monotonic()
-        while any(one.running for one in stage) and may():
-            time.sleep(_LOOK_SECONDS)
+        while any(process.running for process in stage) and may():
+            time.sleep(_POLL_SECONDS)
             if time.monotonic() > looked + _MEMORY_SECONDS:
                 looked = time.monotonic()
-                own, shared = shared_memory(sandbox.folder, sandbox.domain_ports)
-                memory, ports = memory | own, ports | shared
+                own_files, shared = shared_memory(sandbox.folder, sandbox.domain_ports)
+                memory, ports = memory | own_files, ports | shared
     left = erase(sandbox.folder, sandbox.domain_ports)
-    if left and not shutdown.asked:
+    if left and not shutdown.interrupted:
         _log.warning("these processes had to be killed: %s", ", ".join(left))
     remove_unused(memory)
     remove_unread(ports)
-    for one in every:
-        if not shutdown.asked:
-            one.close()  # what it says last is read
+    for process in every:
+        if not shutdown.interrupted:
+            process.close()  # what it says last is read

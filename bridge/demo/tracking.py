@@ -44,47 +44,47 @@ class RobotTracker:
     @property
     def localized(self) -> bool:
         """Whether the robot knows where it is, and there is a gateway for goals."""
-        said = self._localized.wait(0.0)
-        return said is not None and said["data"] == "localized_ok" and None not in (self._status.wait(0.0), self._at())
+        message = self._localized.wait(0.0)
+        return message is not None and message["data"] == "localized_ok" and None not in (self._status.wait(0.0), self._location())
 
     @property
     def state(self) -> str:
         """The gateway's state, in words."""
-        said = self._status.wait(0.0)
-        return state_text(said) if said is not None else "the gateway has published nothing yet"
+        message = self._status.wait(0.0)
+        return state_text(message) if message is not None else "the gateway has published nothing yet"
 
-    def _at(self) -> Map2DLocation | None:
-        said = self._truth.wait(0.0)
-        if said is None:
+    def _location(self) -> Map2DLocation | None:
+        message = self._truth.wait(0.0)
+        if message is None:
             return None
-        _, x, y, degrees = place_of({"header": said["header"], "pose": said["pose"]["pose"]})
+        _, x, y, degrees = place_of({"header": message["header"], "pose": message["pose"]["pose"]})
         return Map2DLocation(self.grid.name, x, y, degrees)
 
-    def look(self, progress: DemoProgress) -> None:
+    def refresh(self, progress: DemoProgress) -> None:
         """Keep the robot's place, and note what has moved."""
-        at, localized = self._at(), self._localized.wait(0.0)
-        progress.heard("the gateway", self.state)
-        progress.heard("the localiser", localized["data"] if localized is not None else "")
+        at, localized = self._location(), self._localized.wait(0.0)
+        progress.note("the gateway", self.state)
+        progress.note("the localiser", localized["data"] if localized is not None else "")
         if at is not None:
-            progress.at(at.x, at.y, math.radians(at.theta))
+            progress.note_pose(at.x, at.y, math.radians(at.theta))
         if at is not None and (not self.driven or math.dist(self.driven[-1], (at.x, at.y)) >= _STEP):
             self.driven.append((at.x, at.y))
 
-    def off(self, room: str) -> float:
+    def distance_to(self, room: str) -> float:
         """Metres from the robot to a room's place, in truth."""
-        at, place = self._at(), self._places.locations.get(room)
+        at, place = self._location(), self._places.locations.get(room)
         return math.inf if at is None or place is None else math.dist((at.x, at.y), (place.x, place.y))
 
     @property
     def left(self) -> list[Place]:
         """What is left of the path from the robot on; none where it has no goal."""
-        said, at = self._path.wait(0.0), self._at()
-        if said is None or at is None or not said["poses"]:
+        message, at = self._path.wait(0.0), self._location()
+        if message is None or at is None or not message["poses"]:
             return []
-        line, here = [(x, y) for _, x, y, _ in map(place_of, said["poses"])], (at.x, at.y)
+        line, robot = [(x, y) for _, x, y, _ in map(place_of, message["poses"])], (at.x, at.y)
         parts = list(itertools.pairwise(line))
-        passed = min(range(len(parts)), key=lambda part: _aside(here, *parts[part]), default=-1)
-        return [here, *line[passed + 1 :]]
+        passed = min(range(len(parts)), key=lambda part: _distance_to_line(robot, *parts[part]), default=-1)
+        return [robot, *line[passed + 1 :]]
 
     def picture(self, width: int, *, coloured: bool) -> list[Text]:
         """The map's lines in the terminal: the robot, its path, the rooms."""
@@ -95,20 +95,20 @@ class RobotTracker:
         drawing.draw(self.grid, self._marked(), {}, path=self.driven).save(file, format="PNG")
 
     def _marked(self) -> dict[str, Map2DLocation]:
-        at = self._at()
+        at = self._location()
         return {**self._places.locations, **({} if at is None else {"robot": at})}
 
-    def words(self) -> dict[str, Any]:
+    def texts(self) -> dict[str, Any]:
         """Where the robot is and what it does, for one line."""
-        at, left = self._at(), self.left
-        way = sum(math.dist(a, b) for a, b in itertools.pairwise(left))
+        at, left = self._location(), self.left
+        distance = sum(math.dist(a, b) for a, b in itertools.pairwise(left))
         where = "?" if at is None else f"{at.x:5.2f} {at.y:5.2f} m"
-        return {"where": where, "left": f"{way:4.1f} m to go" if left else "", "state": self.state}
+        return {"where": where, "left": f"{distance:4.1f} m to go" if left else "", "state": self.state}
 
 
-def _aside(here: Place, one: Place, other: Place) -> float:
+def _distance_to_line(place: Place, start: Place, end: Place) -> float:
     """How far a place is from a line between two others, metres."""
-    dx, dy = other[0] - one[0], other[1] - one[1]
-    along = ((here[0] - one[0]) * dx + (here[1] - one[1]) * dy) / max(dx * dx + dy * dy, 1e-12)
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    along = ((place[0] - start[0]) * dx + (place[1] - start[1]) * dy) / max(dx * dx + dy * dy, 1e-12)
     along = min(1.0, max(0.0, along))
-    return math.dist(here, (one[0] + along * dx, one[1] + along * dy))
+    return math.dist(place, (start[0] + along * dx, start[1] + along * dy))

@@ -111,7 +111,7 @@ import signal, sys, time
 from bridge.demo.shutdown import Shutdown
 with Shutdown() as ending:
     ending.guard(lambda: print("erased", flush=True))
-    ending.calm()
+    ending.ignore_signals()
     print("stuck", flush=True)
     time.sleep(600)
 """
@@ -143,11 +143,11 @@ with Shutdown() as ending:
         print("never", flush=True)
     except KeyboardInterrupt:
         print("raised", flush=True)
-    ending.calm()
+    ending.ignore_signals()
     os.kill(os.getpid(), signal.SIGINT)
-    ending.look()
+    ending.check()
     print("undone", flush=True)
-ending.leave(3)
+ending.exit_if_interrupted(3)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (done.stdout.split(), done.returncode) == (["whole", "raised", "undone"], 3), done.stderr
@@ -157,7 +157,7 @@ def test_without_a_signal_handlers_are_as_they_were() -> None:
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     threads = psutil.Process().num_threads()
     with Shutdown() as ending:
-        assert not ending.asked
+        assert not ending.interrupted
         assert signal.getsignal(signal.SIGINT) not in before
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
     until(lambda: psutil.Process().num_threads() <= threads, "its thread ends", 20.0)

@@ -21,7 +21,7 @@ from bridge.demo import command, leftovers, sandbox
 from bridge.demo.processes import guarded
 from bridge.demo.sandbox import Sandbox, missing
 from bridge.demo.topics_demo import messages
-from bridge.demo.topics_demo.checks import ROS1, ROS2, YARP, YARP_TEXT, ZENOH, Drive, evaluate, promises
+from bridge.demo.topics_demo.checks import ROS1, ROS2, YARP, YARP_TEXT, ZENOH, Drive, evaluate, expectations
 from bridge.demo.topics_demo.report import TopicReceived
 
 ROOT = Path(__file__).parents[2]
@@ -45,7 +45,7 @@ def reports() -> dict[str, dict[str, Any]]:
         messages.FROM_ZENOH: "hello 9 from zenoh",
         messages.FROM_YARP: "hello 9 from YARP",
     }
-    robot = {promise.topic: promise.reads for promise in promises(MAP, IMAGE)} | greetings
+    robot = {expectation.topic: expectation.reads for expectation in expectations(MAP, IMAGE)} | greetings
 
     def heard(reads: dict[str, str]) -> dict[str, Any]:
         return {"heard": {topic: {"count": 100, "repeated": 0, "detail": text} for topic, text in reads.items()}}

@@ -52,7 +52,7 @@ class Drive:
 
 
 @dataclass(frozen=True, slots=True)
-class Promise:
+class Expectation:
     """A topic that crosses: how many messages at least, and how each reads."""
 
     name: str
@@ -62,16 +62,16 @@ class Promise:
     latched: bool = False
 
 
-def promises(map_text: str, image: str) -> tuple[Promise, ...]:
+def expectations(map_text: str, image: str) -> tuple[Expectation, ...]:
     """What ROS 1's topics must give to each of the others, with the robot's own words on its map and image."""
     return (
-        Promise("laser scan", messages.SCAN, 20, f"{messages.BEAMS} ranges"),
-        Promise("odometry", messages.ODOM, 40, "at "),
-        Promise("transforms", messages.TF, 40, "odom to base_link"),
-        Promise("camera image", messages.IMAGE, 8, image),
-        Promise("greeting", messages.FROM_ROS1, 3, "from ROS 1"),
-        Promise("map, joined late", messages.MAP, 1, map_text, latched=True),
-        Promise(
+        Expectation("laser scan", messages.SCAN, 20, f"{messages.BEAMS} ranges"),
+        Expectation("odometry", messages.ODOM, 40, "at "),
+        Expectation("transforms", messages.TF, 40, "odom to base_link"),
+        Expectation("camera image", messages.IMAGE, 8, image),
+        Expectation("greeting", messages.FROM_ROS1, 3, "from ROS 1"),
+        Expectation("map, joined late", messages.MAP, 1, map_text, latched=True),
+        Expectation(
             "static transforms, joined late", messages.TF_STATIC, 1, ", ".join(messages.STATIC_FRAMES), latched=True
         ),
     )
@@ -92,14 +92,14 @@ GREETINGS = (
 
 def evaluate(reports: Mapping[str, Mapping[str, Any]], drives: Sequence[Drive]) -> list[CrossingCheck]:
     """All checks, by the last report of each program and the drives."""
-    map_text, image = (str(reports[ROS1].get(what) or f"no {what} was published") for what in ("map", "image"))
+    map_text, image = (str(reports[ROS1].get(kind) or f"no {kind} was published") for kind in ("map", "image"))
     checks = [
-        _heard(promise, ROS1, target, reports[target])
-        for promise in promises(map_text, image)
+        _check_received(promise, ROS1, target, reports[target])
+        for promise in expectations(map_text, image)
         for target in (ROS2, ZENOH, YARP)
     ]
     for source, target, topic in GREETINGS:
-        checks.append(_heard(Promise("greeting", topic, 3, f"from {source}"), source, target, reports[target]))
+        checks.append(_check_received(Expectation("greeting", topic, 3, f"from {source}"), source, target, reports[target]))
     for source, topic in zip((ROS1, ROS2, ZENOH, YARP), messages.HELLOS, strict=True):
         checks.append(_not_echoed(source, topic, reports[source]))
     for source in (ROS2, ZENOH, YARP, YARP_TEXT):
@@ -108,18 +108,18 @@ def evaluate(reports: Mapping[str, Mapping[str, Any]], drives: Sequence[Drive]) 
 
 
 def _received(report: Mapping[str, Any], topic: str) -> tuple[int, int, str]:
-    heard = report.get("heard", {}).get(topic, {})
-    return heard.get("count", 0), heard.get("repeated", 0), heard.get("detail", "")
+    topic_report = report.get("heard", {}).get(topic, {})
+    return topic_report.get("count", 0), topic_report.get("repeated", 0), topic_report.get("detail", "")
 
 
-def _heard(promise: Promise, source: str, target: str, report: Mapping[str, Any]) -> CrossingCheck:
-    count, repeated, detail = _received(report, promise.topic)
-    ok = count >= promise.least and repeated == 0 and promise.reads in detail
+def _check_received(expectation: Expectation, source: str, target: str, report: Mapping[str, Any]) -> CrossingCheck:
+    count, repeated, detail = _received(report, expectation.topic)
+    ok = count >= expectation.least and repeated == 0 and expectation.reads in detail
     seen = f"{count}: {detail}" if count else "nothing"
     if repeated:
         seen += f"; {repeated} of them twice"
-    expected = f"the whole of it: {promise.reads}" if promise.latched else f"{promise.least} or more: {promise.reads}"
-    return CrossingCheck(promise.name, source, target, promise.topic, expected.rstrip(": "), seen, ok)
+    expected = f"the whole of it: {expectation.reads}" if expectation.latched else f"{expectation.least} or more: {expectation.reads}"
+    return CrossingCheck(expectation.name, source, target, expectation.topic, expected.rstrip(": "), seen, ok)
 
 
 def _not_echoed(source: str, topic: str, report: Mapping[str, Any]) -> CrossingCheck:
@@ -136,7 +136,7 @@ def _driven(source: str, drive: Drive | None) -> list[CrossingCheck]:
     linear, angular = drive.command
     moved = ((drive.after[0] - drive.before[0]) ** 2 + (drive.after[1] - drive.before[1]) ** 2) ** 0.5
     turned = drive.after[2] - drive.before[2]
-    way = f"{linear:g} m/s" if linear else f"{angular:g} rad/s"
+    velocity = f"{linear:g} m/s" if linear else f"{angular:g} rad/s"
     far = (moved if linear else abs(turned)) >= _MOVED
     arrived = f"{drive.received} of {drive.sent} commands, moved {moved:.2f} m, turned {turned:+.2f} rad"
     at_rest = far and all(abs(v) < 1e-6 for v in drive.velocity)
@@ -145,7 +145,7 @@ def _driven(source: str, drive: Drive | None) -> list[CrossingCheck]:
     )
     seen = "it does" if drive.seen else "it does not"
     return [
-        CrossingCheck("drive", source, ROS1, messages.CMD_VEL, f"the robot moves at {way}", arrived, far),
+        CrossingCheck("drive", source, ROS1, messages.CMD_VEL, f"the robot moves at {velocity}", arrived, far),
         CrossingCheck("drive seen", ROS1, source, messages.ODOM, "its driver sees the robot move", seen, drive.seen),
         CrossingCheck("silence stops it", source, ROS1, messages.CMD_VEL, "no command, no motion", resting, at_rest),
     ]

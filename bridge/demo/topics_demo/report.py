@@ -79,7 +79,7 @@ class TopicsProgram:
     def _send(self, linear: float, angular: float) -> None:
         raise NotImplementedError
 
-    def _say(self, text: str) -> None:
+    def _publish_hello(self, text: str) -> None:
         raise NotImplementedError
 
     def _send_velocity(
@@ -91,14 +91,14 @@ class TopicsProgram:
             send(linear, angular)
             sent += 1
             time.sleep(1 / messages.DRIVE_RATE)
-        self.reporter.tell("drove", before=before, after=self._pose, sent=sent)
+        self.reporter.write("drove", before=before, after=self._pose, sent=sent)
 
     def say_hello(self, who: str, ended: threading.Event) -> None:
         """Say hello once in a while until the event is set."""
         number = 0
         while not ended.wait(1 / messages.HELLO_RATE):
             number += 1
-            self._say(f"hello {number} from {who}")
+            self._publish_hello(f"hello {number} from {who}")
 
     def _odometry(self, message: Any) -> str:
         self._pose = messages.pose(message)
@@ -118,8 +118,8 @@ def serve(program: TopicsProgram, who: str) -> None:
     hello = threading.Thread(target=program.say_hello, args=(who, ended), name="hello", daemon=True)
     hello.start()
     try:
-        program.reporter.tell("ready")
-        program.reporter.obey({"drive": program.drive, "join_late": program.join_late})
+        program.reporter.write("ready")
+        program.reporter.run({"drive": program.drive, "join_late": program.join_late})
     finally:
         ended.set()
         hello.join(2.0)
@@ -141,13 +141,13 @@ class Reporter:
         """What was received on a topic so far."""
         return self._received.setdefault(topic, TopicReceived())
 
-    def tell(self, event: str, **values: Any) -> None:
+    def write(self, event: str, **values: Any) -> None:
         """Write one line."""
         with self._write_lock:
             sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
             sys.stdout.flush()
 
-    def obey(self, commands: dict[str, Callable[..., None]]) -> None:
+    def run(self, commands: dict[str, Callable[..., None]]) -> None:
         """Report every while and obey commands until the input ends; each command runs on this thread."""
         reporter = threading.Thread(target=self._report, name="report", daemon=True)
         reporter.start()
@@ -171,7 +171,7 @@ class Reporter:
         while not self._ended.is_set():
             more = self._more() if self._more is not None else {}
             try:
-                self.tell(
+                self.write(
                     "report",
                     heard={topic: received.as_dict() for topic, received in list(self._received.items())},
                     **more,

@@ -52,9 +52,9 @@ class Robot:
         self._map = rospy.Publisher(messages.MAP, OccupancyGrid, queue_size=1, latch=True)
         self._image = rospy.Publisher(messages.IMAGE, Image, queue_size=2)
         self._hello = rospy.Publisher(messages.FROM_ROS1, String, queue_size=5)
-        rospy.Subscriber(messages.CMD_VEL, Twist, self._obey, queue_size=1, tcp_nodelay=True)
+        rospy.Subscriber(messages.CMD_VEL, Twist, self._on_command, queue_size=1, tcp_nodelay=True)
         for topic in messages.HELLOS:
-            rospy.Subscriber(topic, String, self._listen, callback_args=topic, queue_size=20)
+            rospy.Subscriber(topic, String, self._on_greeting, callback_args=topic, queue_size=20)
 
     def run(self, ended: threading.Event) -> None:
         """Publish and move until the event is set."""
@@ -97,7 +97,7 @@ class Robot:
             "image": f"{width} x {height} rgb8, {self._picture.nbytes} bytes",
         }
 
-    def _obey(self, command: Twist) -> None:
+    def _on_command(self, command: Twist) -> None:
         try:
             with self._lock:
                 self._simulation.command(Velocity(command.linear.x, 0.0, command.angular.z))
@@ -105,7 +105,7 @@ class Robot:
             rospy.logwarn("%s", err)
         self.reporter.received(messages.CMD_VEL).add(None, f"{command.linear.x:.2f} m/s, {command.angular.z:.2f} rad/s")
 
-    def _listen(self, message: String, topic: str) -> None:
+    def _on_greeting(self, message: String, topic: str) -> None:
         self.reporter.received(topic).add(message.data, message.data)
 
     def _publish_odometry(self, now: rospy.Time) -> None:
@@ -119,12 +119,12 @@ class Robot:
         self._tf.publish(TFMessage([_transform(now, "odom", "base_link", at, 0.0)]))
 
     def _publish_scan(self, now: rospy.Time) -> None:
-        found = self._simulation.scan
-        scan = LaserScan(angle_min=found.first, angle_increment=found.step, range_min=found.nearest)
+        simulated = self._simulation.scan
+        scan = LaserScan(angle_min=simulated.first, angle_increment=simulated.step, range_min=simulated.nearest)
         scan.header.stamp, scan.header.frame_id = now, "laser"
-        scan.angle_max = found.first + (len(found.ranges) - 1) * found.step
-        scan.scan_time, scan.range_max = 1 / messages.SCAN_RATE, found.farthest
-        scan.ranges = found.ranges.tolist()
+        scan.angle_max = simulated.first + (len(simulated.ranges) - 1) * simulated.step
+        scan.scan_time, scan.range_max = 1 / messages.SCAN_RATE, simulated.farthest
+        scan.ranges = simulated.ranges.tolist()
         self._scan.publish(scan)
 
     def _publish_image(self, now: rospy.Time) -> None:
@@ -160,8 +160,8 @@ def main() -> int:
     moving = threading.Thread(target=robot.run, args=(ended,), name="simulation", daemon=True)
     moving.start()
     try:
-        robot.reporter.tell("ready")
-        robot.reporter.obey({})
+        robot.reporter.write("ready")
+        robot.reporter.run({})
     finally:
         ended.set()
         moving.join(2.0)

@@ -63,7 +63,7 @@ class Ros2Program(TopicsProgram):
         twist.linear.x, twist.angular.z = linear, angular
         self._velocity.publish(twist)
 
-    def _say(self, text: str) -> None:
+    def _publish_hello(self, text: str) -> None:
         self._hello.publish(String(data=text))
 
     def _subscribe(

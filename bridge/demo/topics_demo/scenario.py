@@ -84,7 +84,7 @@ class TopicsDemo(DemoRun):
             self._wait(0.25, "waiting for what has not crossed yet", watch=False)
             for check in result.checks:
                 if not check.ok:
-                    self._progress.heard(check.name, f"{check.target} {check.topic} {check.seen}", numbers=True)
+                    self._progress.note(check.name, f"{check.target} {check.topic} {check.seen}", numbers=True)
         self._wait(seconds - (time.monotonic() - self._began), "the programs go on listening")
         return self.result()
 
@@ -100,21 +100,21 @@ class TopicsDemo(DemoRun):
 
     def _start(self) -> None:
         sandbox = self._sandbox
-        own = sandbox.environment()
+        environment = sandbox.environment()
         self._launch_roscore_and_daemon()
-        self._launch_program(ROS2, "ros2_program", own)
-        self._launch_program(YARP, "yarp_program", own, sandbox.yarp_port)
-        self._need(sandbox.master_answers, "roscore")
-        self._launch_program(ROS1, "robot", worker_environment(sandbox.config, own))
-        self._need(lambda: self._parts.up("router"), "the hub's router")  # the SDK does not wait for it
-        self._launch_program(ZENOH, "zenoh_program", own, sandbox.router_port, sandbox.config.hub.domain)
+        self._launch_program(ROS2, "ros2_program", environment)
+        self._launch_program(YARP, "yarp_program", environment, sandbox.yarp_port)
+        self._wait_for(sandbox.master_answers, "roscore")
+        self._launch_program(ROS1, "robot", worker_environment(sandbox.config, environment))
+        self._wait_for(lambda: self._parts.up("router"), "the hub's router")  # the SDK does not wait for it
+        self._launch_program(ZENOH, "zenoh_program", environment, sandbox.router_port, sandbox.config.hub.domain)
         for program in PROGRAMS:
-            self._need(partial(self._children[program].has_event, "ready"), program)
+            self._wait_for(partial(self._children[program].has_event, "ready"), program)
 
     def _launch_program(self, who: str, module: str, env: Mapping[str, str], *arguments: int) -> None:
         self._launch(who, [sys.executable, "-m", f"bridge.demo.topics_demo.{module}", *map(str, arguments)], env)
 
-    def _need(self, ready: Callable[[], bool], what: str) -> None:
+    def _wait_for(self, ready: Callable[[], bool], what: str) -> None:
         """Wait for a part as long as anything moves; raises `DemoError` where nothing does, or a part failed."""
         self._progress.begin()
         while not ready():
@@ -127,7 +127,7 @@ class TopicsDemo(DemoRun):
         """Wait until each program received something of the robot; the checks find what never crosses."""
         listeners = [self._children[program] for program in (ROS2, ZENOH, YARP)]
         self._until(
-            lambda: all(_heard_anything(child.report) for child in listeners),
+            lambda: all(_received_anything(child.report) for child in listeners),
             0.2,
             "waiting for the first messages to cross",
         )
@@ -138,13 +138,13 @@ class TopicsDemo(DemoRun):
         zenoh-ros2-sdk asks once for what is kept, and on a busy machine before it is told who keeps it; so its program
         comes second, and asks again.
         """
-        child, end, again = self._children[program], time.monotonic() + LATE_SECONDS, 0.0
+        child, end, retry = self._children[program], time.monotonic() + LATE_SECONDS, 0.0
         while time.monotonic() < end:
-            if not again or (program == ZENOH and time.monotonic() > again):
+            if not retry or (program == ZENOH and time.monotonic() > retry):
                 child.ask("join_late")
-                again = time.monotonic() + ASK_AGAIN
-            heard = child.report.get("heard", {})
-            if all(heard.get(topic, {}).get("count") for topic in (messages.MAP, messages.TF_STATIC)):
+                retry = time.monotonic() + ASK_AGAIN
+            topics = child.report.get("heard", {})
+            if all(topics.get(topic, {}).get("count") for topic in (messages.MAP, messages.TF_STATIC)):
                 return
             self._wait(0.1, f"{program} joins late")
 
@@ -185,9 +185,9 @@ class TopicsDemo(DemoRun):
             time.sleep(min(left, 0.2))
 
     def _show(self, doing: str, *, watch: bool) -> None:
-        self._look()
+        self._check_processes()
         if watch:
-            self._parts.look(self._progress)
+            self._parts.refresh(self._progress)
             self._watch_the_robot()
         self._tick(doing)
 
@@ -195,8 +195,8 @@ class TopicsDemo(DemoRun):
         report = self._children[ROS1].report if ROS1 in self._children else {}
         if report:
             x, y, yaw = report.get("pose", [0.0] * 3)
-            self._progress.at(x, y, yaw)
-            self._progress.heard("the robot", f"commands: {_received(report)}", numbers=True)
+            self._progress.note_pose(x, y, yaw)
+            self._progress.note("the robot", f"commands: {_received(report)}", numbers=True)
 
     def stop(self) -> None:
         """End all processes, those that depend on others first."""
@@ -206,9 +206,9 @@ class TopicsDemo(DemoRun):
         end_all(self._sandbox, self._shutdown, stages)
 
 
-def _heard_anything(report: dict[str, Any]) -> bool:
-    heard = report.get("heard", {})
-    return any(heard.get(topic, {}).get("count") for topic in (messages.ODOM, messages.TF, messages.SCAN))
+def _received_anything(report: dict[str, Any]) -> bool:
+    topics = report.get("heard", {})
+    return any(topics.get(topic, {}).get("count") for topic in (messages.ODOM, messages.TF, messages.SCAN))
 
 
 def _received(report: dict[str, Any]) -> int:

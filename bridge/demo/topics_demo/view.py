@@ -34,7 +34,7 @@ class TopicsView:
         self._stack = contextlib.ExitStack()
         self._client: CliClient | None = None
         self._documents: Sequence[Document] = ()
-        self._looked = self._began = time.monotonic()
+        self._refreshed = self._began = time.monotonic()
         self._doing = ""
         self._reasons: dict[str, list[str]] = {}
 
@@ -52,17 +52,17 @@ class TopicsView:
     def tick(self, doing: str) -> None:
         """Show what the demo is at, and once in a while how the routes are."""
         if doing != self._doing:
-            self.say(doing)
-        if time.monotonic() - self._looked < (_LIVE_EVERY if self._live else _PLAIN_EVERY):
+            self.print_line(doing)
+        if time.monotonic() - self._refreshed < (_LIVE_EVERY if self._live else _PLAIN_EVERY):
             return
-        self.look()
+        self.refresh()
         self._doing = doing
         if self._live:
             self._live.update(self._picture(), refresh=True)
         elif self._documents:
             self._console.print(f"{self._time()} {_one_line(self._documents)}")
 
-    def say(self, doing: str) -> None:
+    def print_line(self, doing: str) -> None:
         """Show one line."""
         self._doing = doing
         if self._live:
@@ -70,9 +70,9 @@ class TopicsView:
         else:
             self._console.print(f"{self._time()} {doing}")
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Ask the workers how their routes are; keeps what they said last where they do not answer."""
-        self._looked = time.monotonic()
+        self._refreshed = time.monotonic()
         try:
             if self._client is None:
                 self._client = self._stack.enter_context(connect(self._sandbox.config, 0.2))
@@ -80,7 +80,7 @@ class TopicsView:
         except CliError:
             return  # not up yet, or just ended: the demo itself watches its processes
 
-    def ask_why(self, checks: Sequence[CrossingCheck]) -> None:
+    def explain_failures(self, checks: Sequence[CrossingCheck]) -> None:
         """Ask the workers about the topics of failed checks, while they are there to answer."""
         topics = dict.fromkeys(check.topic for check in checks if not check.ok)
         self._reasons = {topic: _reasons(self._client, topic) for topic in topics} if self._client else {}
@@ -122,13 +122,13 @@ class TopicsView:
 
 def _reasons(client: CliClient, topic: str) -> list[str]:
     """What each worker says of a topic that it does not carry as it should."""
-    told = []
+    lines = []
     for answer in client.ask("explain", {"topic": topic}):
         for entry in answer.value if isinstance(answer.value, list) else ():
             if isinstance(entry, dict) and entry.get("decision") not in ("bridged", "own"):
-                words = (entry.get("direction"), entry.get("decision"), entry.get("why"), entry.get("cure"))
-                told.append(f"{answer.worker}: " + ", ".join(clean(word) for word in words if word))
-    return told
+                parts = (entry.get("direction"), entry.get("decision"), entry.get("why"), entry.get("cure"))
+                lines.append(f"{answer.worker}: " + ", ".join(clean(part) for part in parts if part))
+    return lines
 
 
 def _one_line(documents: Sequence[Document]) -> str:

@@ -56,8 +56,8 @@ class YarpProgram(TopicsProgram):
                 return
             time.sleep(0.1)
 
-    def _port(self, name: str, hear: Callable[[PortMessage], None] | None = None) -> PortCore:
-        core = PortCore(name, naming=self._naming, on_message=hear)
+    def _port(self, name: str, on_message: Callable[[PortMessage], None] | None = None) -> PortCore:
+        core = PortCore(name, naming=self._naming, on_message=on_message)
         core.open()
         self._ports.append(core)
         return core
@@ -66,11 +66,11 @@ class YarpProgram(TopicsProgram):
         """Hear a topic's port once it is there."""
         received = self.reporter.received(topic)
 
-        def hear(message: PortMessage) -> None:
-            told = describe(bytes(message.payload))
-            received.add(message.envelope.partition(" ")[2] or None if stamped else told, told)
+        def on_message(message: PortMessage) -> None:
+            text = describe(bytes(message.payload))
+            received.add(message.envelope.partition(" ")[2] or None if stamped else text, text)
 
-        core = self._port(f"/demo{topic}:i", hear)
+        core = self._port(f"/demo{topic}:i", on_message)
         link = threading.Thread(target=self._connect, args=(f"/midspan{topic}:o", core.name), name=topic, daemon=True)
         link.start()
 
@@ -104,7 +104,7 @@ class YarpProgram(TopicsProgram):
         self._line.sendall(b"CONNECT driver\r\n")
         return lambda linear, angular: self._line.sendall(f"D\r\n{linear} 0.0 {angular}\r\n".encode())
 
-    def _say(self, text: str) -> None:
+    def _publish_hello(self, text: str) -> None:
         linked = {route.target for route in self._speaker.outputs()}
         for target in {f"/midspan{messages.FROM_YARP}:i", f"/demo{messages.FROM_YARP}:i"} - linked:
             self._speaker.add_output(target)

@@ -55,7 +55,7 @@ class ZenohProgram(TopicsProgram):
         vector: Any = _JAZZY.types["geometry_msgs/msg/Vector3"]
         self._velocity.publish(linear=vector(x=linear, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=angular))
 
-    def _say(self, text: str) -> None:
+    def _publish_hello(self, text: str) -> None:
         self._hello.publish(data=text)
 
     def close(self) -> None:
