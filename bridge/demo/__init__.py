@@ -1,1 +1,1 @@
-"""The verb ``demo``: a robot sent to rooms by clients of every side, or topics of every side, bridged."""
+"""The verb ``demo``: clients of every side send a robot to rooms, or topics of every side are bridged."""

@@ -1,4 +1,4 @@
-"""``midspan demo``: the simulated R1 sent to rooms by clients of every side; or topics of every side, bridged."""
+"""``midspan demo``: clients of every side send the simulated R1 to rooms; or topics of every side are bridged."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Describe the verb and its arguments."""
     parser.description = (
         "rooms: a YARP, a ROS 1 and a ROS 2 client in turn send the R1 to named rooms of a simulated apartment, with"
-        " nothing but Midspan in between (configs/navigation.yaml); shows the map and the path. topics: a roscore, the"
-        " simulated R1 as a ROS 1 robot, the daemon, and real rclpy, zenoh and YARP programs that listen and drive;"
-        " shows every route, and checks by the programs' own reports that everything crossed. Both use their"
+        " only Midspan in between (configs/navigation.yaml); shows the map and the path. topics: a roscore, the"
+        " simulated R1 as a ROS 1 robot, the daemon, and real rclpy, zenoh and YARP programs that subscribe and drive;"
+        " shows every route, and checks from the programs' reports that everything was bridged. Both use their"
         " own ports and ROS domain, and leave no process or file on the machine. Exit code 1 if a room was not"
-        " reached, or something did not cross."
+        " reached, or something was not bridged."
     )
     parser.add_argument("what", nargs="?", choices=("rooms", "topics"), default="rooms", help="default rooms")
     stay = os.environ.get("STAY", "") not in ("", "0")
     file: Any = {"type": Path, "metavar": "FILE"}
     parser.add_argument(
-        "--stay", action="store_true", default=stay, help="go on until Ctrl-C after the checks (STAY=1)"
+        "--stay", action="store_true", default=stay, help="continue until Ctrl-C after the checks (STAY=1)"
     )
-    parser.add_argument(
-        "--json", **file, default=os.environ.get("JSON") or None, help="write what was seen (JSON=FILE)"
-    )
+    parser.add_argument("--json", **file, default=os.environ.get("JSON") or None, help="write the results (JSON=FILE)")
     png = os.environ.get("PNG") or Path("midspan-demo.png")
     parser.add_argument("--png", **file, default=png, help="rooms: the drawn path (default midspan-demo.png; PNG=FILE)")
     rooms = ("kitchen", "corridor", "bathroom")
     parser.add_argument(
-        "--to", nargs=3, metavar="ROOM", default=rooms, help=f"rooms: one for each client (default {' '.join(rooms)})"
+        "--to", nargs=3, metavar="ROOM", default=rooms, help=f"rooms: one per client (default {' '.join(rooms)})"
     )
-    parser.add_argument("--seconds", type=float, metavar="N", default=20.0, help="topics: least time (default 20)")
+    parser.add_argument(
+        "--seconds", type=float, metavar="N", default=20.0, help="topics: minimum duration (default 20)"
+    )
     default = "configs/navigation.yaml or configs/demo.yaml"
     parser.add_argument("-c", "--config", **file, help=f"configuration (default {default})")
     parser.set_defaults(run=run)
@@ -86,7 +86,7 @@ def _rooms(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitS
         view = stack.enter_context(RoomsView())
     view.print_line(_console(sandbox))
     if without:
-        view.print_line(f"{without}\nthe demo goes on without ROS 1: its client is left out")
+        view.print_line(f"{without}\nthe demo continues without its ROS 1 client")
     result = None
     try:
         demo = rooms.RoomsDemo(sandbox, view.tick, shutdown)
@@ -94,7 +94,7 @@ def _rooms(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitS
             result = demo.run(course, args.to)
             view.show(result, course)
             _draw(course, Path(args.png))
-            view.print_line(f"{result.seconds:.0f} s; the path is drawn in {args.png}")
+            view.print_line(f"{result.seconds:.0f} s; the path was drawn to {args.png}")
             if args.json is not None:
                 _write(args.json, result.as_dict())
             if args.stay:
@@ -106,14 +106,14 @@ def _rooms(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitS
         if not args.stay or result is None:
             raise
     if not args.stay:
-        view.print_line("next: 'STAY=1 make demo' waits for your commands; docs/start/quickstart.md goes on to your own robot")
+        view.print_line("next: 'STAY=1 make demo' waits for commands; docs/start/quickstart.md: your own robot")
     return 0 if result.ok else 1
 
 
 def _sandbox(
     shutdown: Shutdown, stack: contextlib.ExitStack, template: Path | None, more: dict[str, Any], *, ports: bool
 ) -> Sandbox:
-    """Return a sandbox for the run; the machine is left unchanged whatever happens."""
+    """Return a sandbox for the run; in any case the machine is left unchanged."""
     from bridge.demo.leftovers import erase
     from bridge.demo.sandbox import Sandbox
 
@@ -172,7 +172,7 @@ def _console(sandbox: Sandbox) -> str:
     from bridge.daemon.workers import worker_kinds
 
     if sandbox.config.web.enabled:
-        return f"console: http://127.0.0.1:{sandbox.web_port}/ (answers a few seconds after the start)"
+        return f"console: http://127.0.0.1:{sandbox.web_port}/ (responds a few seconds after the start)"
     return f"console: off; {worker_kinds()['web'].missing(sandbox.config) or 'the configuration disables it'}"
 
 

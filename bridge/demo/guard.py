@@ -1,7 +1,7 @@
-"""Runs a command and ends it when the guard's standard input ends, so that nothing outlives a demo that was killed.
+"""Runs a command and ends it when the guard's standard input ends, so that nothing outlives a killed demo.
 
-Usage: ``python guard.py COMMAND...``. Standard library only. What the command leaves behind is killed (Linux): a daemon
-that had to be killed leaves its router, a roscore its master, which sessions of their own keep from its signals.
+Usage: ``python guard.py COMMAND...``. Standard library only. Processes left by the command are killed (Linux): a killed
+daemon leaves its router, and a roscore its master, which do not receive its signals because of their own sessions.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h: orphans below this process become
 
 
 def main() -> int:
-    """Run the command; returns its exit code."""
+    """Run the command, and return its exit code."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     child = subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL)
@@ -47,7 +47,7 @@ def main() -> int:
 
 
 def _children() -> list[int]:
-    """Process ids of what this process has still below it; none where there is no proc(5)."""
+    """Return the process ids of the remaining children; empty without proc(5)."""
     pids = []
     for file in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):  # it has ended

@@ -1,4 +1,4 @@
-"""What a run of the demo could leave behind: processes, and files in shared memory."""
+"""What a run of the demo may leave behind: processes, and files in shared memory."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from bridge.demo.sandbox import MARK
 _MEMORY = Path("/dev/shm")  # noqa: S108 - where the system keeps POSIX shared memory
 _MAPPED = re.compile(rf"{_MEMORY}/\S+")
 _OWN = re.compile(r"\d+\.zenoh|fastrtps_[0-9a-f]{16}(_el)?")
-"""zenoh's pools and Fast DDS's segments; their names are never used again."""
+"""zenoh's pools and Fast DDS's segments; their names are never reused."""
 _END_SECONDS = 0.5
-"""How long the end of killed processes is waited for, which keep their files until then."""
+"""How long to wait for the end of killed processes, which keep their files until then."""
 
 _LOCK = "_el"
 _PORT = re.compile(r"(?:sem\.)?fastrtps_port(\d+)(?:_el|_mutex)?")
 
 
 def erase(folder: Path, ports: range) -> list[str]:
-    """End what is left of a run at once, with its files in shared memory; returns the names of its processes.
+    """End the remaining processes of a run at once and remove its files in shared memory; return the processes' names.
 
-    Processes are stopped before they are killed, so that none starts another, or makes a file, meanwhile.
+    Processes are stopped before they are killed, so that none starts another or creates a file meanwhile.
     """
     stopped: list[psutil.Process] = []
     while new := [pid for pid in marked(folder) if pid not in {process_.pid for process_ in stopped}]:
@@ -54,7 +54,7 @@ def erase(folder: Path, ports: range) -> list[str]:
 
 
 def shared_memory(folder: Path, ports: range) -> tuple[set[Path], set[Path]]:
-    """A run's files in shared memory now, on Linux: its own, by its domain's ports, and Fast DDS's common ports."""
+    """Return a run's files in shared memory on Linux: its own, by its domain's ports, and Fast DDS's common ones."""
     used = {file for pid in marked(folder) for file in used_by(pid)}
     own_files = {file for file in used if is_own(file.name, ports)}
     return own_files, _shared_ports(used - own_files)
@@ -65,7 +65,7 @@ def _shared_ports(files: set[Path]) -> set[Path]:
 
 
 def remove_unused(files: set[Path]) -> list[Path]:
-    """Remove those files that are still there and that no process uses; returns them."""
+    """Remove those files that still exist and are not used by a process; return them."""
     unused = {file for file in files if file.exists()}
     if unused:
         unused -= {file for pid in psutil.pids() for file in used_by(pid)}
@@ -75,7 +75,7 @@ def remove_unused(files: set[Path]) -> list[Path]:
 
 
 def marked(folder: Path) -> list[int]:
-    """Process ids of a run's living processes."""
+    """Return the process ids of a run's living processes."""
     pids = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):
@@ -85,23 +85,23 @@ def marked(folder: Path) -> list[int]:
 
 
 def is_own(name: str, ports: range) -> bool:
-    """Whether a file's name in shared memory can only be a run's own."""
+    """Return whether a file in shared memory can only belong to the run, by its name."""
     port = _PORT.fullmatch(name)
     return bool(_OWN.fullmatch(name)) or (port is not None and int(port[1]) in ports)
 
 
 def _of_ports(ports: range) -> set[Path]:
-    """Files of a ROS domain's ports: those of a domain that the run holds are its own, in use or not."""
+    """Return the files of a ROS domain's ports: the domain held by a run belongs to it, in use or not."""
     matches = {file: _PORT.fullmatch(file.name) for file in _MEMORY.iterdir()} if _MEMORY.is_dir() else {}
     return {file for file, port in matches.items() if port is not None and int(port[1]) in ports}
 
 
 def remove_unread(ports: set[Path]) -> None:
-    """Remove the files of those ports of Fast DDS's that nobody reads any more: whoever does holds a port's lock.
+    """Remove the files of those Fast DDS ports that are no longer read: a reader holds its port's lock.
 
-    Beside those of its domain each participant takes the first of the machine's that is free, from 7000 on. One that
-    ended between making the port and locking it leaves no lock, so the lock is made here: who comes now finds the port
-    taken, and tries the next.
+    In addition to its domain's ports each participant takes the machine's first free one, from 7000 on. A participant
+    that ended after creating the port and before locking it leaves no lock, so the lock is taken here: a new
+    participant then finds the port in use, and tries the next.
     """
     for port in ports:
         lock = port.with_name(port.name + _LOCK)
@@ -112,7 +112,7 @@ def remove_unread(ports: set[Path]) -> None:
 
 
 def used_by(pid: int) -> set[Path]:
-    """The files in shared memory that a process uses."""
+    """Return the files in shared memory that a process uses."""
     used: set[Path] = set()
     with contextlib.suppress(OSError):
         used.update(map(Path, _MAPPED.findall(Path(f"/proc/{pid}/maps").read_text())))

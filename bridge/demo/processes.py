@@ -1,4 +1,4 @@
-"""Processes of the demo: in groups of their own, with their output kept, and ended when their input ends."""
+"""The demo's processes: in their own process groups, with recorded output, and ended when their input ends."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ class DemoProcess:
 
     @property
     def pid(self) -> int:
-        """Process id, of its guard where it has one."""
+        """Process id; of its guard if it has one."""
         return self._popen.pid
 
     @property
     def code(self) -> int | None:
-        """Its exit code; None while it runs."""
+        """Exit code; None while it runs."""
         code = self._popen.poll()
         if code is not None:
             self._reader.join(1.0)
@@ -52,17 +52,17 @@ class DemoProcess:
 
     @property
     def running(self) -> bool:
-        """Whether it lives."""
+        """Whether it runs."""
         return self._popen.poll() is None
 
     def begin_stop(self) -> None:
-        """Ask it to end, by the end of its input."""
+        """Request its end by closing its input."""
         assert self._popen.stdin is not None
         with contextlib.suppress(OSError):
             self._popen.stdin.close()
 
     def finish_stop(self, seconds: float) -> None:
-        """Wait for the end; SIGTERM, then SIGKILL to its whole group after ``seconds``."""
+        """Wait for its end; after ``seconds`` send SIGTERM, then SIGKILL, to the whole group."""
         for number in (signal.SIGTERM, signal.SIGKILL):
             try:
                 self._popen.wait(seconds)
@@ -73,7 +73,7 @@ class DemoProcess:
         self.close()
 
     def close(self) -> None:
-        """Read what it wrote last; it has ended."""
+        """Read the remaining output of the ended process."""
         self._popen.wait()
         self._reader.join(1.0)
 
@@ -87,7 +87,7 @@ class DemoProcess:
 
 
 class DemoChild(DemoProcess):
-    """A process that reports as `bridge.demo.topics_demo.report` does, or not at all; ``report`` is the last one."""
+    """A process that may report with `bridge.demo.topics_demo.report`; ``report`` is the last report."""
 
     def __init__(self, name: str, command: Sequence[str | Path], env: Mapping[str, str], folder: Path) -> None:
         self.name = name
@@ -99,23 +99,23 @@ class DemoChild(DemoProcess):
             super().__init__(command, env, folder, log)
 
     def last_output(self) -> str:
-        """The last whole lines of what it wrote to its error output, and its exit code where it ended."""
+        """Return the last complete lines of its error output, and its exit code if it has ended."""
         text = self._log.read_text(errors="replace").strip() if self._log.exists() else ""
         if len(text) > _MOST_TEXT:
             text = text[-_MOST_TEXT:]
-            text = text.partition("\n")[2] or text  # a line that is cut elsewhere each time would be news
+            text = text.partition("\n")[2] or text  # a line truncated differently each time would count as progress
         code = self._popen.poll()
         return text if code is None else f"{text}\n(exit code {code})".strip()
 
     def ask(self, do: str, **params: Any) -> None:
-        """Send a command; a dead program is not an error here; the checks find it."""
+        """Send a command; a dead program is not an error here, since the checks detect it."""
         assert self._popen.stdin is not None
         with contextlib.suppress(OSError, ValueError):
             self._popen.stdin.write(json.dumps({"do": do, **params}).encode() + b"\n")
             self._popen.stdin.flush()
 
     def wait_for(self, event: str, seconds: float) -> dict[str, Any] | None:
-        """An event with this name, each given once; None where it does not come in time, or the process ended."""
+        """Return an event of this name, each once; None if it does not arrive in time, or the process has ended."""
         end = time.monotonic() + seconds
         with self._changed:
             while event not in self._events:
@@ -126,7 +126,7 @@ class DemoChild(DemoProcess):
             return self._events.pop(event)
 
     def has_event(self, event: str) -> bool:
-        """Whether there is an event of this name that `wait_for` has not given yet."""
+        """Return whether there is an event of this name that `wait_for` has not returned."""
         with self._changed:
             return event in self._events
 
@@ -148,7 +148,7 @@ class DemoChild(DemoProcess):
 
 
 class Program(DemoProcess):
-    """A guarded process that prints for people; ``lines`` are the last ones, errors included."""
+    """A guarded process that prints for people; ``lines`` are its last lines, errors included."""
 
     def __init__(self, command: Sequence[str | Path], env: Mapping[str, str], folder: Path) -> None:
         self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
@@ -159,5 +159,5 @@ class Program(DemoProcess):
 
 
 def guarded(*command: str | Path) -> list[str | Path]:
-    """A command that does not read its input, made to end with it."""
+    """Return a command, which does not read its input, wrapped so that it ends with it."""
     return [sys.executable, "-I", Path(guard.__file__), *command]

@@ -1,4 +1,4 @@
-"""One run of a demo, and whether it makes progress: the state of its parts, its robot's way, what starts."""
+"""One run of a demo, and whether it makes progress: the state of its parts, its robot's motion, starting processes."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from bridge.demo.sandbox import SYSTEM_PYTHON, Sandbox, roscore
 from bridge.demo.shutdown import Shutdown
 
 STILL_SECONDS = 60.0
-"""A demo in which nothing has moved for so long ends; a slow machine moves slowly, and is waited for."""
+"""A demo without progress for this long ends; a slow machine still makes progress, and is waited for."""
 
 _METERS, _RADIANS, _WORK = 0.1, math.radians(15.0), 0.5
-"""What counts: of a robot's way, of its turning, and seconds of processor time."""
+"""Thresholds of progress: the robot's translation and rotation, and seconds of processor time."""
 
 _NUMBERS = re.compile(r"\d+(\.\d+)?")
 _MOST = 10_000
 
 
 class DemoError(RuntimeError):
-    """The demo cannot go on; says what is missing and how to mend it."""
+    """The demo cannot continue; the text has the reason and the cure."""
 
 
 def without_numbers(text: str) -> str:
-    """A text without its numbers: seconds that are counted, or noise in a place, are nothing new."""
+    """Return a text without its numbers: counted seconds or a noisy position are not progress."""
     return _NUMBERS.sub("#", text)
 
 
 class DemoProgress:
-    """Tells whether anything was new lately; ``clock`` gives seconds."""
+    """Detects whether there was progress recently; ``clock`` returns seconds."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -49,22 +49,22 @@ class DemoProgress:
         self._moved = clock()
 
     def begin(self) -> None:
-        """Something else is waited for from now on."""
+        """Restart for the next condition to wait for."""
         self._seen.clear()
         self._moved = self._clock()
 
     @property
     def still(self) -> float:
-        """Seconds since anything moved."""
+        """Seconds since the last progress."""
         return self._clock() - self._moved
 
     @property
     def stalled(self) -> bool:
-        """Whether that is too long."""
+        """Whether there has been no progress for too long."""
         return self.still > STILL_SECONDS
 
     def note(self, who: str, text: str, *, numbers: bool = False) -> bool:
-        """Somebody says something; whether that is new, by its words alone unless its numbers count."""
+        """Note a text from a source; return whether it is new, without its numbers unless ``numbers``."""
         entry = who, text if numbers else without_numbers(text)
         if entry in self._seen or len(self._seen) >= _MOST:
             return False
@@ -73,7 +73,7 @@ class DemoProgress:
         return True
 
     def note_pose(self, x: float, y: float, yaw: float) -> None:
-        """The robot is there: metres, radians."""
+        """Note the robot's pose: meters, radians."""
         before = self._at
         if before is not None:
             turned = abs(math.remainder(yaw - before[2], math.tau))
@@ -83,7 +83,7 @@ class DemoProgress:
         self._moved = self._clock()
 
     def note_work(self, pids: Iterable[int]) -> None:
-        """These processes are starting: what they compute now is progress."""
+        """Note the processor time of starting processes, which counts as progress."""
         now = {pid: seconds for pid in pids if (seconds := _spent(pid)) is not None}
         self._worked += sum(max(0.0, spent - self._work.get(pid, spent)) for pid, spent in now.items())
         self._work |= now
@@ -92,7 +92,7 @@ class DemoProgress:
 
 
 def _spent(pid: int) -> float | None:
-    """Processor time of a process, seconds; None where it has ended."""
+    """Return a process's processor time in seconds; None if it has ended."""
     try:
         times = psutil.Process(pid).cpu_times()
     except psutil.Error:
@@ -102,19 +102,19 @@ def _spent(pid: int) -> float | None:
 
 _ASK_EVERY = 0.5
 _MOST_RESTARTS = 3
-"""A worker that was started again so often has failed."""
+"""A worker that was restarted this often has failed."""
 
 _LAST_LINES = 8
 _COMING = {Phase.STARTING.value, "not answering yet"}
 _TRY = (
-    "What to try: 'midspan doctor' says what this machine lacks; 'free -m' and 'uptime' say whether it has memory left"
-    " and how busy it is; then run the demo again."
+    "'midspan doctor' shows what this machine lacks, 'free -m' and 'uptime' whether it is out of memory or overloaded;"
+    " then run the demo again."
 )
 
 
 @dataclass(frozen=True, slots=True)
 class PartState:
-    """One part of a demo: what it does in the daemon's words, its process, and how often it restarted."""
+    """One part of a demo: its phase as reported by the daemon, its process, and its restarts."""
 
     name: str
     phase: str
@@ -127,22 +127,22 @@ class PartState:
 
     @property
     def failed(self) -> bool:
-        """Whether it will not come up by being waited for."""
+        """Whether waiting will not bring it up."""
         return self.phase == Phase.FAILED.value or self.restarts >= _MOST_RESTARTS
 
     @property
     def coming(self) -> bool:
-        """Whether it is coming up: what it computes until then is progress."""
+        """Whether it is starting: its processor time counts as progress."""
         return self.phase in _COMING
 
     @property
     def idle(self) -> bool:
-        """Whether it says that it does not run as it should."""
+        """Whether it reports that it is not working."""
         return self.phase != Phase.UP.value or self.text.startswith("waiting")
 
 
 class Parts:
-    """Looks at all parts of a demo; ``starting`` are the process ids of other programs that come up."""
+    """The state of all parts of a demo; ``starting`` are the process ids of other starting programs."""
 
     def __init__(self, sandbox: Sandbox, children: Mapping[str, DemoChild]) -> None:
         self._config, self._children = sandbox.config, children
@@ -152,7 +152,7 @@ class Parts:
 
     @property
     def all(self) -> list[PartState]:
-        """As they were at the last look."""
+        """The parts at the last refresh."""
         answers = bool(self._workers)
         processes = [
             PartState(name, "running" if name != "daemon" or answers else "not answering yet", pid=child.pid)
@@ -161,7 +161,7 @@ class Parts:
         return [*processes, *self._workers]
 
     def refresh(self, progress: DemoProgress) -> None:
-        """Ask the daemon, now and then, and note what is new."""
+        """Query the daemon, at a limited rate, and note what is new."""
         now = time.monotonic()
         if now - self._asked < _ASK_EVERY:
             return
@@ -169,7 +169,9 @@ class Parts:
         status = ask_daemon(self._config) if "daemon" in self._children else None
         if status is not None:
             self._workers = [
-                PartState(clean(worker["worker"]), worker["phase"], clean(worker["text"]), worker["pid"], worker["restarts"])
+                PartState(
+                    clean(worker["worker"]), worker["phase"], clean(worker["text"]), worker["pid"], worker["restarts"]
+                )
                 for worker in status["workers"]
                 if worker["phase"] != Phase.OFF.value
             ]
@@ -182,36 +184,36 @@ class Parts:
         progress.note_work(pid for worker in (*coming, *self.starting) for pid in _with_children(worker))
 
     def up(self, name: str) -> bool:
-        """Whether a worker runs."""
+        """Return whether a worker runs."""
         return any(part.name == name and part.phase == Phase.UP.value for part in self._workers)
 
     @property
     def failed(self) -> PartState | None:
-        """One that failed."""
+        """A failed part, or None."""
         return next((part for part in self._workers if part.failed), None)
 
     def failure_text(self, part: PartState) -> str:
-        """What to say of a part that failed."""
-        again = f" (started again {part.restarts} times)" if part.restarts else ""
+        """Return the error message for a failed part."""
+        again = f" (restarted {part.restarts} times)" if part.restarts else ""
         return "\n".join([f"{part}{again}", *self._log_lines([part]), _TRY])
 
     def stall_text(self, what: str) -> str:
-        """What to say where nothing has moved while something was waited for."""
+        """Return the error message if nothing has progressed while waiting for ``what``."""
         blamed = [part for part in self.all if part.idle] or self.all
-        still = f"nothing has moved for {STILL_SECONDS:.0f} s, and {what} is not there:"
+        still = f"no progress for {STILL_SECONDS:.0f} s while waiting for {what}:"
         return "\n".join([still, *(f"  {part}" for part in blamed), *self._log_lines(blamed), _TRY])
 
     def _log_lines(self, blamed: Iterable[PartState]) -> list[str]:
-        """The last lines of the daemon's log, of these parts where there are any of theirs."""
+        """Return the last lines of the daemon's log, those about these parts if there are any."""
         if "daemon" not in self._children:
             return []
         lines = self._children["daemon"].last_output().splitlines()
         theirs = [line for line in lines if any(part.name in line for part in blamed)] or lines
-        return ["The last words of the log:", *(f"  {line}" for line in theirs[-_LAST_LINES:])]
+        return ["Last lines of the log:", *(f"  {line}" for line in theirs[-_LAST_LINES:])]
 
 
 def _with_children(pid: int) -> list[int]:
-    """A process and all below it; of the daemon's guard that is the daemon, too."""
+    """Return a process and all its descendants; below the daemon's guard that includes the daemon."""
     try:
         process = psutil.Process(pid)
         return [pid, *(child.pid for child in process.children(recursive=True))]
@@ -241,14 +243,14 @@ class DemoRun:
         self._launch("daemon", daemon, sandbox.environment())
 
     def _check_processes(self) -> None:
-        """Raise `KeyboardInterrupt` where the demo is interrupted, `DemoError` where a process has ended."""
+        """Raise `KeyboardInterrupt` if the demo is interrupted, `DemoError` if a process has ended."""
         self._shutdown.check()
         for child in self._children.values():
             if not child.running:
-                raise DemoError(f"{child.name} ended before its time:\n{child.last_output()}")
+                raise DemoError(f"{child.name} ended unexpectedly:\n{child.last_output()}")
 
     def _check(self, what: str) -> None:
-        """Raise `DemoError` where something that is waited for will not come: a part failed, or nothing moves."""
+        """Raise `DemoError` if waiting is pointless: a part has failed, or there is no progress."""
         self._fail_with_a_part()
         if self._progress.stalled:
             raise DemoError(self._parts.stall_text(what))

@@ -1,4 +1,4 @@
-"""The demo that drives: a YARP, a ROS 1 and a ROS 2 client in turn send the R1 to rooms of an apartment."""
+"""The driving demo: a YARP, a ROS 1 and a ROS 2 client in turn send the R1 to rooms of an apartment."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ from yarp_compat.naming.config import Address
 CONFIG = shipped_folder() / "configs" / "navigation.yaml"
 EXAMPLES = shipped_folder() / "examples"
 NEAR = 0.3
-"""Metres from a room's place within which the robot is there, in truth."""
+"""Distance to a room's place in meters, by ground truth, within which the room counts as reached."""
 
 YARP, ROS1, ROS2 = "YARP", "ROS 1", "ROS 2"
 _CLIENTS = {YARP: "goto_location_yarp.py", ROS1: "goto_location_rospy.py", ROS2: "goto_location_rclpy.py"}
 ROOMS = ("kitchen", "corridor", "bathroom")
-"""Where a YARP, a ROS 1 and a ROS 2 client send the robot, unless told otherwise."""
+"""The rooms for the YARP, the ROS 1 and the ROS 2 client, by default."""
 
 _ENTRY_POINTS = ("/navigation2D_nws_yarp/rpc", "/map2D_nws_yarp/rpc", "/localization2D_nws_yarp/rpc")
 
 Tick = Callable[[str, RobotTracker | None, Sequence[PartState]], None]
-"""Called several times a second with what the demo is at, its robot's way once that is known, and its parts."""
+"""Called several times a second with the current activity, the robot's tracker once it exists, and the parts."""
 
 
 @dataclass(frozen=True)
 class RoomDrive:
-    """One client's drive to a room: metres off the room's place in truth, and the client's last words."""
+    """One client's drive to a room: distance to the room's place in meters, and the client's last output."""
 
     client: str
     room: str
@@ -55,7 +55,7 @@ class RoomDrive:
 
 @dataclass
 class RoomsResult:
-    """What a run showed."""
+    """The results of a run."""
 
     wanted: int
     drives: list[RoomDrive] = field(default_factory=list)
@@ -63,11 +63,11 @@ class RoomsResult:
 
     @property
     def ok(self) -> bool:
-        """Whether the robot came to every room."""
+        """Whether the robot reached every room."""
         return len(self.drives) == self.wanted and all(drive.reached for drive in self.drives)
 
     def as_dict(self) -> dict[str, Any]:
-        """As it stands in the demo's JSON file."""
+        """Return the content of the demo's JSON file."""
         return {"ok": self.ok, "seconds": round(self.seconds, 1), "drives": [asdict(drive) for drive in self.drives]}
 
 
@@ -81,7 +81,7 @@ class RoomsDemo(DemoRun):
 
     @contextmanager
     def started(self) -> Iterator[RobotTracker]:
-        """Roscore and the daemon, and a look at the robot; all is ended in the end. Raises `DemoError`."""
+        """Start roscore and the daemon, and track the robot; everything is ended on exit. Raises `DemoError`."""
         sandbox = self._sandbox
         conf = sandbox.folder / "yarp"
         conf.mkdir(exist_ok=True)
@@ -92,11 +92,11 @@ class RoomsDemo(DemoRun):
                 self._until(sandbox.master_answers, "roscore")
             self._until(lambda: self._parts.up("router"), "the hub's router")
             with self._course() as course:
-                self._until(lambda: course.localized, "the robot and its localiser", course)
+                self._until(lambda: course.localized, "the robot and its localizer", course)
                 names = NameClient(Address("127.0.0.1", sandbox.yarp_port))
                 self._until(
                     lambda: all(connections.exists(names, door) for door in _ENTRY_POINTS),
-                    "the doors for YARP's clients",
+                    "the ports for YARP clients",
                     course,
                 )
                 yield course
@@ -105,7 +105,7 @@ class RoomsDemo(DemoRun):
 
     @contextmanager
     def _course(self) -> Iterator[RobotTracker]:
-        """Join the hub, more patiently each time: a busy router answers late."""
+        """Connect to the hub, with a longer time limit each time, since a busy router responds slowly."""
         self._progress.begin()
         for patience in itertools.chain((0.5, 1.0, 2.0), itertools.repeat(4.0)):
             try:
@@ -117,7 +117,7 @@ class RoomsDemo(DemoRun):
                 self._check("the hub")
 
     def run(self, course: RobotTracker, rooms: Sequence[str] = ROOMS) -> RoomsResult:
-        """Have each client send the robot to its room; the ROS 1 client only where there is ROS 1."""
+        """Let each client send the robot to its room; the ROS 1 client only if there is ROS 1."""
         drives = [
             (client, room)
             for client, room in zip(_CLIENTS, rooms, strict=True)
@@ -133,7 +133,7 @@ class RoomsDemo(DemoRun):
 
     @property
     def suggestion(self) -> str:
-        """What can be tried while it runs, in one line."""
+        """Suggestions for the running demo, in one line."""
         sandbox = self._sandbox
         page = f"http://127.0.0.1:{sandbox.web_port}/ in a browser, or " if sandbox.config.web.enabled else ""
         networks = f"ROS_MASTER_URI={sandbox.master}, ROS_DOMAIN_ID={sandbox.domain}, YARP's names at 127.0.0.1:"
@@ -142,7 +142,7 @@ class RoomsDemo(DemoRun):
         )
 
     def stay(self, course: RobotTracker) -> None:
-        """Go on until interrupted, or until a part ends."""
+        """Continue until interrupted, or until a part ends."""
         while True:
             self._wait(f"staying: {self.suggestion}; Ctrl-C ends the demo", course)
 
@@ -159,7 +159,7 @@ class RoomsDemo(DemoRun):
             self._programs.append(program)
         self._progress.begin()
         while program.running and not self._progress.stalled:
-            output = program.lines[-1] if program.lines else "asks"
+            output = program.lines[-1] if program.lines else "starting"
             self._progress.note(client, output)
             self._parts.starting = () if program.lines else (program.pid,)
             self._wait(f"{client} client, to the {room}: {output}", course)
@@ -167,14 +167,14 @@ class RoomsDemo(DemoRun):
         self._parts.starting = ()
         output = program.lines[-1] if program.lines else ""
         if program.running:
-            output = f"nothing has moved for {STILL_SECONDS:.0f} s: {course.state}; {output}"
+            output = f"no progress for {STILL_SECONDS:.0f} s: {course.state}; {output}"
             program.begin_stop()
         off = course.distance_to(room)
         reached = program.code == 0 and off < NEAR
         return RoomDrive(client, room, reached, round(off, 3), round(time.monotonic() - began, 1), output)
 
     def _until(self, ready: Callable[[], object], what: str, course: RobotTracker | None = None) -> None:
-        """Wait for something as long as anything moves; raises `DemoError` where nothing does, or a part failed."""
+        """Wait for a condition while there is progress; raises `DemoError` if there is none, or a part failed."""
         self._progress.begin()
         while not _holds(ready):
             self._wait(f"waiting for {what}", course)
@@ -194,7 +194,7 @@ class RoomsDemo(DemoRun):
 
 
 def overrides(template: Path) -> dict[str, Any]:
-    """What the demo changes of a configuration: whole paths of the store's files, nobody to wait for, a console."""
+    """Return the demo's changes to a configuration: absolute paths of the store's files, no people, the console."""
     config = load(template)
     files = {"maps": config.store.maps, "locations": config.store.locations}
     return {

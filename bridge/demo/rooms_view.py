@@ -1,4 +1,4 @@
-"""What the demo that drives shows: the map with the robot, live on a terminal and as lines elsewhere; the drives."""
+"""The output of the driving demo: the map with the robot, live on a terminal, else as lines; the drives."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class RoomsView:
             self._live = None
 
     def tick(self, doing: str, course: RobotTracker | None, parts: Sequence[PartState]) -> None:
-        """Show what the demo is at: its parts while they come up, then where the robot is."""
+        """Show the current activity: the parts while they start, then the robot."""
         now = time.monotonic()
         self._up = self._up or (course is not None and course.localized)
         if course is None or not self._up:
@@ -61,7 +61,7 @@ class RoomsView:
             self._console.print(Text(line))
 
     def _show_start(self, now: float, doing: str, parts: Sequence[PartState]) -> None:
-        """Each part and what it is at; elsewhere than on a terminal a line where that is something else."""
+        """Show each part and its state; without a terminal, print a line for each change."""
         if self._live is not None:
             if now - self._shown >= _LIVE_EVERY:
                 self._shown = now
@@ -77,13 +77,13 @@ class RoomsView:
         """Print the map and the drives."""
         for line in course.picture(self._width(), coloured=self._console.is_terminal):
             self._console.print(line)
-        table = Table(title="Who sent the robot where", title_justify="left")
-        for column in ("", "client", "to", "seconds", "off the place", "the client's last word"):
+        table = Table(title="Drives", title_justify="left")
+        for column in ("", "client", "room", "seconds", "distance", "last output of the client"):
             table.add_column(column, overflow="fold")
         for drive in result.drives:
             table.add_row(*_row(drive))
         self._console.print(table)
-        verdict = "every client's robot came to its room" if result.ok else "not every room was reached"
+        verdict = "every room was reached" if result.ok else "not every room was reached"
         self._console.print(Text(verdict, style="bold green" if result.ok else "bold red"))
 
     def print_line(self, text: str) -> None:

@@ -1,4 +1,4 @@
-"""A sandbox in which one run of the demo meets nobody else: free ports, a ROS domain and a folder of its own."""
+"""An isolated environment for one run of the demo: free ports, a separate ROS domain and folder."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ from bridge.shipped import shipped_folder
 from navigation.status import not_compiled
 
 MARK = "MIDSPAN_DEMO"
-"""Variable in the environment of all processes of one run; its value is the run's folder."""
+"""Environment variable of all processes of one run; its value is the run's folder."""
 
 _ROOT = Path(bridge.__file__).parents[1]
 CONFIG = shipped_folder() / "configs" / "demo.yaml"
 
 _NOT_OURS = ("ROS_HOSTNAME", "ROS_NAMESPACE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS")
 _NOT_OURS_PREFIXES = ("ZENOH_", "RMW_", "FASTDDS_", "FASTRTPS_", "MIDSPAN_")
-"""Settings of the user's own networks, which the demo does not touch."""
+"""Settings of the user's networks, which the demo does not inherit."""
 
 _LONGEST_BASE = 50
 _DOMAINS = range(10, 101)
 _PORT_BASE, _DOMAIN_GAIN = 7400, 250  # DDSI-RTPS 2.5, 9.6.2.4: ports of a domain
 _TCP_BASE, _TCP_EACH = 30_000, 20
-"""Below what Linux gives to connections going out (from 32768 on): one of those would take a port before its server."""
+"""Below the ports that Linux assigns to outgoing connections (from 32768), which could take a server's port."""
 
 
 class Sandbox:
     """Ports, ROS domain, folder and configuration of one run.
 
-    The configuration is the file ``template`` with ``more`` laid over it, and with addresses of its own. ``ports``:
-    topics have the YARP ports that the demo's YARP program expects; ``yarp``: there is a YARP network.
+    The configuration is the file ``template``, overridden by ``more`` and by the sandbox's addresses. ``ports``:
+    whether topics have the YARP ports that the demo's YARP program expects; ``yarp``: whether there is a YARP network.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Sandbox:
         try:
             self._hold, self.domain = hold_domain()
             self.master_port, self.router_port, self.yarp_port, self.web_port = free_ports(4, self.domain)
-            # a package alone on a path of its own: what else lies beside it must not reach the system's Python
+            # a path with only this package: its neighbors must not be visible to the system's Python
             self.system_path = self.folder / "system"
             self.system_path.mkdir()
             (self.system_path / "bridge").symlink_to(Path(bridge.__file__).parent)
@@ -78,7 +78,7 @@ class Sandbox:
         return _ports(self.domain)
 
     def master_answers(self) -> bool:
-        """Whether the ROS master is up, its ``/run_id`` included; a rospy program that comes earlier fails."""
+        """Return whether the ROS master is up, including its ``/run_id``; a rospy program that starts earlier fails."""
         try:
             with xmlrpc.client.ServerProxy(self.master) as proxy:
                 answer: Any = proxy.hasParam("/demo", "/run_id")
@@ -87,7 +87,7 @@ class Sandbox:
         return bool(answer[0] == 1 and answer[2])
 
     def environment(self) -> dict[str, str]:
-        """Environment of the daemon and of the programs that run on Midspan's own Python."""
+        """Return the environment of the daemon and of the programs on Midspan's own Python."""
         inherited = {
             k: v
             for k, v in os.environ.items()
@@ -103,12 +103,12 @@ class Sandbox:
             "YARP_CONFIG_HOME": str(self.folder / "yarp"),
             "ROS_LOG_DIR": str(self.folder / "log"),
             "PYTHONUNBUFFERED": "1",
-            # where Midspan runs from a checkout that is not installed
+            # for running from a checkout that is not installed
             "PYTHONPATH": os.pathsep.join(filter(None, [inherited.get("PYTHONPATH"), str(_ROOT)])),
         }
 
     def ros1_environment(self) -> dict[str, str]:
-        """Environment of roscore and of ROS 1 programs, which run on the system's Python."""
+        """Return the environment of roscore and of ROS 1 programs, which run on the system's Python."""
         packages = ros1_packages(self.config)
         drop = ("LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "VIRTUAL_ENV", "PYTHONHOME", "ROS_DOMAIN_ID")
         env = {k: v for k, v in self.environment().items() if k not in drop}
@@ -118,7 +118,7 @@ class Sandbox:
         return env
 
     def close(self) -> None:
-        """Give everything back."""
+        """Release the domain, and remove the folder."""
         if self._hold is not None:
             self._hold.close()
         shutil.rmtree(self.folder, ignore_errors=True)
@@ -126,10 +126,10 @@ class Sandbox:
     def _write_config(self, template: Path | None, more: Mapping[str, Any], *, ports: bool, yarp: bool) -> Config:
         base: dict[str, Any] = {}
         if template is not None:
-            load(template)  # its mistakes are told with file and line
+            load(template)  # reports errors with file and line
             base = yaml.safe_load(template.read_text(encoding="utf-8")) or {}
         base = _merged(base, more)
-        if ports and not (base.get("yarp") or {}).get("topics"):  # what the demo's YARP program expects on its ports
+        if ports and not (base.get("yarp") or {}).get("topics"):  # as the demo's YARP program expects
             shipped = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["yarp"]
             base = _merged(base, {"yarp": shipped})
         addresses = {
@@ -148,7 +148,7 @@ class Sandbox:
         return load(self.config_file)
 
     def leave_out_ros1(self) -> None:
-        """Switch the side ROS 1 off, where this machine has none."""
+        """Disable the side ROS 1, because this machine lacks it."""
         document = yaml.safe_load(self.config_file.read_text(encoding="utf-8"))
         self.config = self._written(_merged(document, {"ros1": {"enabled": False}}))
 
@@ -160,8 +160,8 @@ class Sandbox:
 
 
 def _base() -> str | None:
-    """Where the folder is made; a deep one of the user's would make the names of the daemon's sockets too long."""
-    short = Path("/tmp")  # noqa: S108 - mkdtemp makes a folder of its own in it
+    """Return the folder's parent; a user's deep path would make the names of the daemon's sockets too long."""
+    short = Path("/tmp")  # noqa: S108 - mkdtemp creates a private folder in it
     return str(short) if len(tempfile.gettempdir()) > _LONGEST_BASE and short.is_dir() else None
 
 
@@ -174,7 +174,7 @@ def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def free_ports(count: int, domain: int) -> list[int]:
-    """TCP ports that nobody uses; those of a domain that is held are no other demo's."""
+    """Return free TCP ports; those of a held domain are not used by other demos."""
     first = _TCP_BASE + _TCP_EACH * domain
     ports = [port for port in range(first, first + _TCP_EACH) if _is_free(port, socket.SOCK_STREAM)][:count]
     if len(ports) < count:
@@ -183,12 +183,12 @@ def free_ports(count: int, domain: int) -> list[int]:
 
 
 def hold_domain() -> tuple[socket.socket, int]:
-    """A ROS domain that nobody uses, held by a socket on the last of its ports, which participants do not reach."""
+    """Return an unused ROS domain, held by a socket on the last of its ports, which participants do not use."""
     domains = list(_DOMAINS)
     random.shuffle(domains)
     for domain in domains:
         ports = _ports(domain)
-        if not _is_free(ports[0]) or not _is_free(ports[10]):  # discovery: everybody's, the first participant's
+        if not _is_free(ports[0]) or not _is_free(ports[10]):  # discovery ports: multicast, and the first participant's
             continue
         hold = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -215,7 +215,7 @@ def _is_free(port: int, kind: socket.SocketKind = socket.SOCK_DGRAM) -> bool:
 
 
 SYSTEM_PYTHON = Path("/usr/bin/python3")
-"""The Python that ROS 1's packages are installed for."""
+"""The Python for which ROS 1's packages are installed."""
 
 _APT = (
     "apt install python3-rospy python3-roslaunch python3-std-msgs python3-sensor-msgs python3-nav-msgs"
@@ -224,33 +224,33 @@ _APT = (
 
 
 def missing(config: Config) -> list[str]:
-    """What is missing, each with its cure; empty where the demo can run."""
+    """Return what is missing, each with its cure; empty if the demo can run."""
     ros1_reason = without_ros1(config) if config.ros1.enabled else ""
     return [reason for reason in (ros1_reason, _ros2(config), _zenoh()) if reason]
 
 
 def too_slow() -> list[str]:
-    """Why the robot would not be driven, with the cure; empty where all kernels are compiled."""
+    """Return why driving would be too slow, with the cure; empty if all kernels are compiled."""
     reason = not_compiled()
     return [f"kernels: {reason}"] if reason else []
 
 
 def ros1_packages(config: Config) -> Path:
-    """Folder of ROS 1's Python packages; to be asked only where nothing is `missing`."""
+    """Return the folder of ROS 1's Python packages; only valid if nothing is `missing`."""
     folder = ros1.packages_folder(config, os.environ)
     assert folder is not None
     return folder
 
 
 def roscore(config: Config) -> Path:
-    """The program ``roscore``."""
+    """Return the path of ``roscore``."""
     program = shutil.which("roscore", path=f"{ros1_packages(config).parents[2] / 'bin'}:{os.environ.get('PATH', '')}")
     assert program is not None
     return Path(program)
 
 
 def without_ros1(config: Config) -> str:
-    """What is missing of ROS 1, with its cure; "" where it is there."""
+    """Return what is missing of ROS 1, with its cure; "" if it is complete."""
     reason = ros1.available(config)
     if reason:
         return f"ROS 1: {reason}"

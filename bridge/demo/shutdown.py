@@ -1,4 +1,4 @@
-"""How a demo ends: in good order, or at once after Ctrl-C, and with nothing left behind."""
+"""How a demo ends: orderly, or quickly after Ctrl-C, in any case without leftovers."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from bridge.demo.processes import DemoChild, Program
 from bridge.demo.sandbox import Sandbox
 
 SECONDS = 3.0
-"""Within so long after Ctrl-C the demo has ended."""
+"""Time from Ctrl-C until the demo has ended."""
 
 _KILL_SECONDS, _EXIT_SECONDS = 0.9, 1.7
-"""Seconds after Ctrl-C at which parts that have not ended are killed, and at which all is, whatever still waits."""
+"""Seconds after Ctrl-C at which remaining processes are killed, and at which the demo exits in any case."""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 INTERRUPTED = 130
-"""Exit code."""
+"""Exit code after an interrupt."""
 
 
 class Shutdown:
-    """Turns the first signal to end into one `KeyboardInterrupt`, and none while something is made or undone.
+    """Turns the first termination signal into a `KeyboardInterrupt`, deferred while resources are created or released.
 
-    Python acts on a signal between two steps of its main thread alone, and drops what is raised where an object is
-    taken down. So `look` raises it once more, and a thread ends the process where the main one does not get there.
+    Python handles signals only between two steps of its main thread, and discards exceptions raised in destructors. So
+    `check` raises it again, and a thread ends the process if the main thread does not.
     """
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class Shutdown:
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
         self.ignore_signals()
         if self._interrupted_at is not None:
-            return  # until the process has ended
+            return  # keep the handlers until the process ends
         for number, handler in self._old.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(self._old_wakeup)
@@ -61,7 +61,7 @@ class Shutdown:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """What is done within is done whole; a signal is acted on after it."""
+        """Defer the handling of a signal to the end of the block."""
         self._held += 1
         try:
             yield
@@ -70,20 +70,20 @@ class Shutdown:
         self.check()
 
     def ignore_signals(self) -> None:
-        """Undo in peace: nothing is raised any more."""
+        """Ignore signals from now on, for the cleanup."""
         self._held += 1
 
     def guard(self, erase: Callable[[], Any]) -> None:
-        """What leaves nothing behind, on any thread, where the main one is not in time."""
+        """Set the function that removes all leftovers if the main thread is too late; called on any thread."""
         self._erase = erase
 
     def check(self) -> None:
-        """Raise `KeyboardInterrupt` where the demo is to end."""
+        """Raise `KeyboardInterrupt` if the demo was interrupted."""
         if self._interrupted_at is not None and not self._held:
             raise KeyboardInterrupt
 
     def until(self, seconds: float) -> Callable[[], bool]:
-        """Whether parts may still end by themselves: for so long from now on, less once the demo was interrupted."""
+        """Return whether processes may still end by themselves: for ``seconds``, or less after an interrupt."""
         end = time.monotonic() + seconds
 
         def may() -> bool:
@@ -93,7 +93,7 @@ class Shutdown:
         return may
 
     def exit_if_interrupted(self, code: int) -> None:
-        """End the process at once where the demo was interrupted: zenoh's threads take Python up to 2 s to end."""
+        """Exit the process at once if the demo was interrupted: zenoh's threads delay a normal exit by up to 2 s."""
         if self.interrupted:
             sys.stdout.flush()
             sys.stderr.flush()
@@ -101,7 +101,7 @@ class Shutdown:
 
     @property
     def interrupted(self) -> bool:
-        """Whether it was interrupted."""
+        """Whether the demo was interrupted."""
         return self._interrupted_at is not None
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
@@ -111,7 +111,7 @@ class Shutdown:
             raise KeyboardInterrupt
 
     def _watch(self) -> None:
-        """From the signal itself on, which the main thread may not have seen yet."""
+        """Wait for the signal itself, which the main thread may not have handled yet."""
         numbers = os.read(self._reads, 1)
         while numbers and numbers[0] not in _SIGNALS:
             numbers = os.read(self._reads, 1)
@@ -129,14 +129,14 @@ class Shutdown:
 _log = logging.getLogger(__name__)
 _POLL_SECONDS = 0.02
 _MEMORY_SECONDS = 0.2
-"""So often it is looked which shared memory the processes use: one that ends as it comes up may leave some."""
+"""Interval of checks for shared memory in use: a process that ends during its start may leave some."""
 
 Stage = tuple[Sequence[DemoChild | Program], float]
-"""Processes that are asked to end at the same time, and how many seconds they may take."""
+"""Processes that are asked to end at the same time, and their time limit in seconds."""
 
 
 def end_all(sandbox: Sandbox, shutdown: Shutdown, stages: Sequence[Stage]) -> None:
-    """Ask stage after stage, all at once where the demo was interrupted; then kill what has not ended."""
+    """End the stages in sequence, or all at once after an interrupt; then kill what has not ended."""
     shutdown.ignore_signals()
     memory, ports = shared_memory(sandbox.folder, sandbox.domain_ports)
     every = [process for stage, _ in stages for process in stage]
@@ -160,4 +160,4 @@ def end_all(sandbox: Sandbox, shutdown: Shutdown, stages: Sequence[Stage]) -> No
     remove_unread(ports)
     for process in every:
         if not shutdown.interrupted:
-            process.close()  # what it says last is read
+            process.close()  # to read the remaining output

@@ -1,4 +1,4 @@
-"""Where the demo's robot is and where it goes, as the hub shows it; drawn on its map."""
+"""The pose and path of the demo's robot, as the hub shows them; drawn on its map."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from yarp_compat.dev.places import Places
 Place = tuple[float, float]
 
 _STEP = 0.1
-"""Metres between two places of the way that was driven."""
+"""Distance in meters between two stored places of the driven path."""
 
 
 class RobotTracker:
-    """Follows the robot on the hub; ``driven`` are places of its way, in metres."""
+    """Follows the robot on the hub; ``driven`` are the places along its path, in meters."""
 
     def __init__(self, client: CliClient) -> None:
         store = client.config.store
         if store.maps is None or store.locations is None:
-            raise DemoError("the configuration names no store.maps and store.locations")
+            raise DemoError("the configuration lacks store.maps and store.locations")
         self.grid = MapGrid2D.load(store.maps)
         self._places = Places.load(store.locations)
         types = Types(client)
@@ -43,15 +43,19 @@ class RobotTracker:
 
     @property
     def localized(self) -> bool:
-        """Whether the robot knows where it is, and there is a gateway for goals."""
+        """Whether the robot is localized, and there is a gateway for goals."""
         message = self._localized.wait(0.0)
-        return message is not None and message["data"] == "localized_ok" and None not in (self._status.wait(0.0), self._location())
+        return (
+            message is not None
+            and message["data"] == "localized_ok"
+            and None not in (self._status.wait(0.0), self._location())
+        )
 
     @property
     def state(self) -> str:
-        """The gateway's state, in words."""
+        """The gateway's state as text."""
         message = self._status.wait(0.0)
-        return state_text(message) if message is not None else "the gateway has published nothing yet"
+        return state_text(message) if message is not None else "waiting for the gateway"
 
     def _location(self) -> Map2DLocation | None:
         message = self._truth.wait(0.0)
@@ -61,23 +65,23 @@ class RobotTracker:
         return Map2DLocation(self.grid.name, x, y, degrees)
 
     def refresh(self, progress: DemoProgress) -> None:
-        """Keep the robot's place, and note what has moved."""
+        """Store the robot's location, and note progress."""
         at, localized = self._location(), self._localized.wait(0.0)
         progress.note("the gateway", self.state)
-        progress.note("the localiser", localized["data"] if localized is not None else "")
+        progress.note("the localizer", localized["data"] if localized is not None else "")
         if at is not None:
             progress.note_pose(at.x, at.y, math.radians(at.theta))
         if at is not None and (not self.driven or math.dist(self.driven[-1], (at.x, at.y)) >= _STEP):
             self.driven.append((at.x, at.y))
 
     def distance_to(self, room: str) -> float:
-        """Metres from the robot to a room's place, in truth."""
+        """Return the distance in meters from the robot to a room's place, by ground truth."""
         at, place = self._location(), self._places.locations.get(room)
         return math.inf if at is None or place is None else math.dist((at.x, at.y), (place.x, place.y))
 
     @property
     def left(self) -> list[Place]:
-        """What is left of the path from the robot on; none where it has no goal."""
+        """The rest of the path from the robot on; empty without a goal."""
         message, at = self._path.wait(0.0), self._location()
         if message is None or at is None or not message["poses"]:
             return []
@@ -87,11 +91,11 @@ class RobotTracker:
         return [robot, *line[passed + 1 :]]
 
     def picture(self, width: int, *, coloured: bool) -> list[Text]:
-        """The map's lines in the terminal: the robot, its path, the rooms."""
+        """Return the map's lines for the terminal: the robot, its path, the rooms."""
         return drawing.lines(self.grid, self._marked(), {}, width, coloured=coloured, path=self.left)
 
     def png(self, file: Path) -> None:
-        """Write the map with the way that was driven; raises `OSError`."""
+        """Write the map with the driven path; raises `OSError`."""
         drawing.draw(self.grid, self._marked(), {}, path=self.driven).save(file, format="PNG")
 
     def _marked(self) -> dict[str, Map2DLocation]:
@@ -99,7 +103,7 @@ class RobotTracker:
         return {**self._places.locations, **({} if at is None else {"robot": at})}
 
     def texts(self) -> dict[str, Any]:
-        """Where the robot is and what it does, for one line."""
+        """Return the robot's location, remaining distance and state, for one line."""
         at, left = self._location(), self.left
         distance = sum(math.dist(a, b) for a, b in itertools.pairwise(left))
         where = "?" if at is None else f"{at.x:5.2f} {at.y:5.2f} m"
@@ -107,7 +111,7 @@ class RobotTracker:
 
 
 def _distance_to_line(place: Place, start: Place, end: Place) -> float:
-    """How far a place is from a line between two others, metres."""
+    """Return the distance of a place from a line between two others, in meters."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     along = ((place[0] - start[0]) * dx + (place[1] - start[1]) * dy) / max(dx * dx + dy * dy, 1e-12)
     along = min(1.0, max(0.0, along))

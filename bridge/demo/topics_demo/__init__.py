@@ -1,1 +1,1 @@
-"""The demo ``topics``: real programs of every side publish, listen and drive, and all that crosses is checked."""
+"""The demo ``topics``: real programs of every side publish, subscribe and drive, and every bridged topic is checked."""

@@ -1,4 +1,4 @@
-"""What must have crossed, by what the real programs report."""
+"""Checks of what must have been bridged, from the reports of the real programs."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from bridge.demo.topics_demo import messages
 
 ROS1, ROS2, ZENOH, YARP = "ROS 1", "ROS 2", "zenoh", "YARP"
 YARP_TEXT = "YARP text"
-"""The YARP program once more, by lines of text."""
+"""The YARP program with lines of text."""
 
 _MOVED = 0.4
-"""Metres or radians that a drive moves the robot at least."""
+"""Minimum motion in meters or radians of a drive."""
 
 
 @dataclass(frozen=True, slots=True)
 class CrossingCheck:
-    """One promise and what became of it."""
+    """One check with its result."""
 
     name: str
     source: str
@@ -29,14 +29,14 @@ class CrossingCheck:
     ok: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """As it stands in the demo's JSON file."""
+        """Return the entry for the demo's JSON file."""
         values = asdict(self)
         return {"name": values.pop("name"), "from": values.pop("source"), "to": values.pop("target"), **values}
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """One drive: its command (m/s, rad/s), the robot's x, y, yaw before and after, and its velocity after the silence.
+    """One drive: its command (m/s, rad/s), the robot's x, y, yaw before and after, and its velocity in the end.
 
     ``received`` of ``sent`` commands reached the robot; ``seen``: the driver saw the pose change.
     """
@@ -53,7 +53,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """A topic that crosses: how many messages at least, and how each reads."""
+    """A bridged topic: the minimum number of messages, and a text in each."""
 
     name: str
     topic: str
@@ -63,7 +63,7 @@ class Expectation:
 
 
 def expectations(map_text: str, image: str) -> tuple[Expectation, ...]:
-    """What ROS 1's topics must give to each of the others, with the robot's own words on its map and image."""
+    """Return the expectations for ROS 1's topics at each other side, with the robot's descriptions of map and image."""
     return (
         Expectation("laser scan", messages.SCAN, 20, f"{messages.BEAMS} ranges"),
         Expectation("odometry", messages.ODOM, 40, "at "),
@@ -91,7 +91,7 @@ GREETINGS = (
 
 
 def evaluate(reports: Mapping[str, Mapping[str, Any]], drives: Sequence[Drive]) -> list[CrossingCheck]:
-    """All checks, by the last report of each program and the drives."""
+    """Return all checks, from each program's last report and the drives."""
     map_text, image = (str(reports[ROS1].get(kind) or f"no {kind} was published") for kind in ("map", "image"))
     checks = [
         _check_received(promise, ROS1, target, reports[target])
@@ -99,7 +99,9 @@ def evaluate(reports: Mapping[str, Mapping[str, Any]], drives: Sequence[Drive]) 
         for target in (ROS2, ZENOH, YARP)
     ]
     for source, target, topic in GREETINGS:
-        checks.append(_check_received(Expectation("greeting", topic, 3, f"from {source}"), source, target, reports[target]))
+        checks.append(
+            _check_received(Expectation("greeting", topic, 3, f"from {source}"), source, target, reports[target])
+        )
     for source, topic in zip((ROS1, ROS2, ZENOH, YARP), messages.HELLOS, strict=True):
         checks.append(_not_echoed(source, topic, reports[source]))
     for source in (ROS2, ZENOH, YARP, YARP_TEXT):
@@ -118,7 +120,9 @@ def _check_received(expectation: Expectation, source: str, target: str, report: 
     seen = f"{count}: {detail}" if count else "nothing"
     if repeated:
         seen += f"; {repeated} of them twice"
-    expected = f"the whole of it: {expectation.reads}" if expectation.latched else f"{expectation.least} or more: {expectation.reads}"
+    expected = (
+        f"complete: {expectation.reads}" if expectation.latched else f"{expectation.least} or more: {expectation.reads}"
+    )
     return CrossingCheck(expectation.name, source, target, expectation.topic, expected.rstrip(": "), seen, ok)
 
 
@@ -131,7 +135,7 @@ def _not_echoed(source: str, topic: str, report: Mapping[str, Any]) -> CrossingC
 def _driven(source: str, drive: Drive | None) -> list[CrossingCheck]:
     if drive is None:
         return [
-            CrossingCheck("drive", source, ROS1, messages.CMD_VEL, "the robot moves", "no drive was done", ok=False)
+            CrossingCheck("drive", source, ROS1, messages.CMD_VEL, "the robot moves", "there was no drive", ok=False)
         ]
     linear, angular = drive.command
     moved = ((drive.after[0] - drive.before[0]) ** 2 + (drive.after[1] - drive.before[1]) ** 2) ** 0.5
@@ -140,12 +144,10 @@ def _driven(source: str, drive: Drive | None) -> list[CrossingCheck]:
     far = (moved if linear else abs(turned)) >= _MOVED
     arrived = f"{drive.received} of {drive.sent} commands, moved {moved:.2f} m, turned {turned:+.2f} rad"
     at_rest = far and all(abs(v) < 1e-6 for v in drive.velocity)
-    resting = (
-        "it stands" if at_rest else f"at {drive.velocity[0]:.2f} m/s, {drive.velocity[1]:.2f} rad/s after {arrived}"
-    )
-    seen = "it does" if drive.seen else "it does not"
+    resting = "stopped" if at_rest else f"at {drive.velocity[0]:.2f} m/s, {drive.velocity[1]:.2f} rad/s after {arrived}"
+    seen = "yes" if drive.seen else "no"
     return [
         CrossingCheck("drive", source, ROS1, messages.CMD_VEL, f"the robot moves at {velocity}", arrived, far),
-        CrossingCheck("drive seen", ROS1, source, messages.ODOM, "its driver sees the robot move", seen, drive.seen),
-        CrossingCheck("silence stops it", source, ROS1, messages.CMD_VEL, "no command, no motion", resting, at_rest),
+        CrossingCheck("drive seen", ROS1, source, messages.ODOM, "its driver observes the motion", seen, drive.seen),
+        CrossingCheck("timeout stops it", source, ROS1, messages.CMD_VEL, "no command, no motion", resting, at_rest),
     ]

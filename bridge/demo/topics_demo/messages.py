@@ -1,4 +1,4 @@
-"""Names and rates of the demo's topics, and what the programs say about a message.
+"""Names and rates of the demo's topics, and short descriptions of messages.
 
 The message classes of rclpy and of rosbags have the same fields.
 """
@@ -13,7 +13,7 @@ SCAN, ODOM, TF, TF_STATIC, MAP, IMAGE = "/scan", "/odom", "/tf", "/tf_static", "
 CMD_VEL = "/cmd_vel"
 FROM_ROS1, FROM_ROS2 = "/hello/from_ros1", "/hello/from_ros2"
 FROM_ZENOH, FROM_YARP = "/hello/from_zenoh", "/hello/from_yarp"
-"""On each of these one program says something once in a while, and the others listen."""
+"""On each of these, one program publishes a greeting periodically, and the others subscribe."""
 
 HELLOS = (FROM_ROS1, FROM_ROS2, FROM_ZENOH, FROM_YARP)
 
@@ -26,53 +26,53 @@ STATIC_FRAMES = ("camera", "laser", "odom")
 
 
 def stamp(message: Any) -> tuple[int, int]:
-    """Tells stamped messages apart."""
+    """Return the stamp, which distinguishes messages."""
     return message.header.stamp.sec, message.header.stamp.nanosec
 
 
 def first_stamp(message: Any) -> tuple[int, int, str]:
-    """Tells transforms apart."""
+    """Return what distinguishes messages of transforms."""
     first = message.transforms[0]
     return first.header.stamp.sec, first.header.stamp.nanosec, first.child_frame_id
 
 
 def text(message: Any) -> str:
-    """A string's content."""
+    """Return a string's content."""
     return str(message.data)
 
 
 def scan(message: Any) -> str:
-    """A laser scan."""
+    """Describe a laser scan."""
     return f"{len(message.ranges)} ranges, nearest {min(message.ranges):.2f} m"
 
 
 def frames(message: Any) -> str:
-    """Transforms."""
+    """Describe transforms."""
     return ", ".join(f"{t.header.frame_id} to {t.child_frame_id}" for t in message.transforms)
 
 
 def image(message: Any) -> str:
-    """An image."""
+    """Describe an image."""
     return f"{message.width} x {message.height} {message.encoding}, {len(message.data)} bytes"
 
 
 def grid(message: Any) -> str:
-    """A map, with a check sum of all its cells."""
+    """Describe a map, with a checksum of all its cells."""
     return grid_text(message.info.width, message.info.height, message.data.tobytes())
 
 
 def grid_text(width: int, height: int, cells: bytes) -> str:
-    """As `grid`."""
+    """Describe a map by its size and cells."""
     return f"{width} x {height} cells, CRC {zlib.crc32(cells):08x}"
 
 
 def pose(message: Any) -> list[float]:
-    """x, y in metres and yaw in radians of an odometry message."""
+    """Return x, y in meters and yaw in radians of an odometry message."""
     at = message.pose.pose
     return [at.position.x, at.position.y, 2 * math.atan2(at.orientation.z, at.orientation.w)]
 
 
 def position(message: Any) -> str:
-    """An odometry message."""
+    """Describe an odometry message."""
     at = message.pose.pose.position
     return f"at {at.x:.2f}, {at.y:.2f} m"

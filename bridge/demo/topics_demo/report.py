@@ -1,7 +1,7 @@
-"""How a program of the demo reports what it received: JSON lines on its output, and commands on its input.
+"""How a demo program reports what it received: JSON lines on its output, and commands on its input.
 
-The end of the input ends the program, so that none is left when the demo dies: also one that waits for ever for what
-died with it, as rospy for its master.
+The end of the input ends the program, so that none is left when the demo dies, not even one that waits forever for a
+process that died with it, like rospy for its master.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ EVERY = 0.5
 """Seconds between two reports."""
 
 LAST_SECONDS = 4
-"""A program that has not ended by itself so long after its input is ended by the system, wherever it hangs."""
+"""A program that is still running this long after the end of its input is ended by the system, wherever it hangs."""
 
 _REMEMBERED = 2000
 
 
 class TopicReceived:
-    """What a program received on one topic."""
+    """The messages that a program received on one topic."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -38,7 +38,7 @@ class TopicReceived:
         self._keys: OrderedDict[Hashable, None] = OrderedDict()
 
     def add(self, key: Hashable, detail: str) -> None:
-        """Count a message; one whose key came before was duplicated on its way (None: nothing tells them apart)."""
+        """Count a message; a known key shows a duplicate in transit (None: messages cannot be distinguished)."""
         with self._lock:
             self.count += 1
             self.detail = detail
@@ -51,13 +51,13 @@ class TopicReceived:
                 self._keys.popitem(last=False)
 
     def as_dict(self) -> dict[str, Any]:
-        """As it stands in a report."""
+        """Return the entry for a report."""
         with self._lock:
             return {"count": self.count, "repeated": self.repeated, "detail": self.detail}
 
 
 class TopicsProgram:
-    """A program that says hello, drives, and joins late; each side has one."""
+    """A program that publishes greetings, drives, and joins late; each side has one."""
 
     def __init__(self) -> None:
         self._pose: list[float] | None = None
@@ -65,11 +65,11 @@ class TopicsProgram:
         self.reporter = Reporter(lambda: {"pose": self._pose})
 
     def join_late(self) -> None:
-        """Subscribe to what was published once, long ago."""
+        """Subscribe to topics that were published once, long ago."""
         raise NotImplementedError
 
     def drive(self, linear: float, angular: float, seconds: float) -> None:
-        """Publish a velocity for some seconds, then fall silent; reports where the robot was and is."""
+        """Publish a velocity for some seconds, then stop; report the robot's pose before and after."""
         self._send_velocity(self._send, linear, angular, seconds)
 
     def close(self) -> None:
@@ -94,7 +94,7 @@ class TopicsProgram:
         self.reporter.write("drove", before=before, after=self._pose, sent=sent)
 
     def say_hello(self, who: str, ended: threading.Event) -> None:
-        """Say hello once in a while until the event is set."""
+        """Publish a greeting periodically until the event is set."""
         number = 0
         while not ended.wait(1 / messages.HELLO_RATE):
             number += 1
@@ -127,7 +127,7 @@ def serve(program: TopicsProgram, who: str) -> None:
 
 
 class Reporter:
-    """One program's line to the demo, made before anything that may wait for others; ``more`` adds to each report."""
+    """A program's connection to the demo, opened before anything that may block; ``more`` adds to each report."""
 
     def __init__(self, more: Callable[[], dict[str, Any]] | None = None) -> None:
         self._received: dict[str, TopicReceived] = {}
@@ -138,7 +138,7 @@ class Reporter:
         threading.Thread(target=self._read, name="commands", daemon=True).start()
 
     def received(self, topic: str) -> TopicReceived:
-        """What was received on a topic so far."""
+        """Return what was received on a topic so far."""
         return self._received.setdefault(topic, TopicReceived())
 
     def write(self, event: str, **values: Any) -> None:
@@ -148,7 +148,7 @@ class Reporter:
             sys.stdout.flush()
 
     def run(self, commands: dict[str, Callable[..., None]]) -> None:
-        """Report every while and obey commands until the input ends; each command runs on this thread."""
+        """Report periodically, and run commands until the input ends; each command runs on this thread."""
         reporter = threading.Thread(target=self._report, name="report", daemon=True)
         reporter.start()
         try:
@@ -160,7 +160,7 @@ class Reporter:
             reporter.join(2.0)
 
     def _read(self) -> None:
-        # unbuffered: a thread that reads sys.stdin holds its lock as Python ends
+        # unbuffered: a thread that reads sys.stdin holds its lock at Python's exit
         with open(0, "rb", buffering=0, closefd=False) as lines:
             for line in lines:
                 self._commands.put(line)
@@ -177,5 +177,5 @@ class Reporter:
                     **more,
                 )
             except OSError:
-                return  # nobody reads any more
+                return  # the demo has closed the pipe
             self._ended.wait(EVERY)

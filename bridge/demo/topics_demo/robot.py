@@ -1,4 +1,4 @@
-"""A ROS 1 robot in one program: the simulated R1 (`sim`) with rospy's endpoints, which obeys ``/cmd_vel``.
+"""A ROS 1 robot in one program: the simulated R1 (`sim`) with rospy's endpoints, driven by ``/cmd_vel``.
 
 Runs on Midspan's Python in the environment of the ROS 1 worker: ``python -m bridge.demo.topics_demo.robot``.
 """
@@ -128,7 +128,7 @@ class Robot:
         self._scan.publish(scan)
 
     def _publish_image(self, now: rospy.Time) -> None:
-        """Publish the floor as a camera above it sees it."""
+        """Publish the floor as seen by a camera above it."""
         self._picture = export.draw(self._simulation)
         height, width = self._picture.shape[:2]
         image = Image(width=width, height=height, encoding="rgb8", step=3 * width, data=self._picture.tobytes())

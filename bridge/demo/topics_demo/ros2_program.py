@@ -1,4 +1,4 @@
-"""A ROS 2 program of the demo: listens to the robot, says hello and drives; plain typed rclpy over DDS."""
+"""A ROS 2 program of the demo: subscribes to the robot, publishes greetings and drives; plain typed rclpy over DDS."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)  #
 
 
 class Ros2Program(TopicsProgram):
-    """The node and what it received."""
+    """The node, and what it received."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -48,7 +48,7 @@ class Ros2Program(TopicsProgram):
             return
 
     def join_late(self) -> None:
-        """Listen to what was published once, long ago."""
+        """Subscribe to topics that were published once, long ago."""
         self._subscribe(OccupancyGrid, messages.MAP, messages.stamp, messages.grid, _LATCHED)
         self._subscribe(TFMessage, messages.TF_STATIC, lambda _message: None, self._mounts, _LATCHED)
 

@@ -1,4 +1,4 @@
-"""One run of the demo: start the real programs and the daemon, let them drive, look what crossed, end everything."""
+"""One run of the demo: start the real programs and the daemon, drive, check what was bridged, end everything."""
 
 from __future__ import annotations
 
@@ -20,43 +20,43 @@ from bridge.demo.topics_demo.checks import ROS1, ROS2, YARP, YARP_TEXT, ZENOH, C
 PROGRAMS = (ROS1, ROS2, ZENOH, YARP)
 
 SHOW_SECONDS = 20.0
-"""How long a run lasts at least, so that a person sees the table move."""
+"""Minimum duration of a run, so that a person sees the table change."""
 
 ASK_AGAIN = 1.5
-"""Seconds after which a late subscriber that received nothing asks once more."""
+"""Seconds after which a late subscriber that received nothing subscribes again."""
 
 LATE_SECONDS = 5.0
-"""How long what was said before is waited for by each one that joins late."""
+"""How long each late subscriber waits for earlier messages."""
 
 CROSS_SECONDS = 10.0
-"""How long what has not crossed is waited for in the end, once nothing of it comes any more."""
+"""How long to wait in the end for missing messages, once none arrive any longer."""
 
 SILENCE = 2.0
-"""Seconds after a drive; by then the command's time-out (0.5 s) is over, and the robot has braked (1 s)."""
+"""Seconds after a drive; by then the command's timeout (0.5 s) is over, and the robot has braked (1 s)."""
 
 Tick = Callable[[str], None]
-"""Called several times a second with what the demo is at."""
+"""Called several times a second with the current activity."""
 
 
 @dataclass
 class TopicsResult:
-    """What a run showed."""
+    """The results of a run."""
 
     checks: list[CrossingCheck] = field(default_factory=list)
     seconds: float = 0.0
 
     @property
     def ok(self) -> bool:
-        """Whether all that should cross did."""
+        """Whether everything was bridged as expected."""
         return bool(self.checks) and all(check.ok for check in self.checks)
 
     def as_dict(self) -> dict[str, Any]:
-        """As it stands in the demo's JSON file."""
+        """Return the content of the demo's JSON file."""
         return {"ok": self.ok, "seconds": round(self.seconds, 1), "checks": [check.as_dict() for check in self.checks]}
 
 
 class TopicsDemo(DemoRun):
-    """One run of the demo, as a context; calls ``tick`` while it waits."""
+    """One run of the demo, a context manager; calls ``tick`` while it waits."""
 
     def __init__(self, sandbox: Sandbox, tick: Tick, shutdown: Shutdown) -> None:
         super().__init__(sandbox, shutdown)
@@ -70,7 +70,7 @@ class TopicsDemo(DemoRun):
         self.stop()
 
     def run(self, seconds: float = SHOW_SECONDS) -> TopicsResult:
-        """Start, drive, check, for so many seconds at least; raises `DemoError` where a part does not start."""
+        """Start, drive and check, for at least ``seconds``; raises `DemoError` if a part does not start."""
         self._start()
         self._wait_until_joined()
         for program in (ROS2, ZENOH, YARP):
@@ -81,20 +81,20 @@ class TopicsDemo(DemoRun):
         self._drive(YARP_TEXT, 0.0, -0.8, 1.5)
         self._progress.begin()
         while not (result := self.result()).ok and self._progress.still < CROSS_SECONDS:
-            self._wait(0.25, "waiting for what has not crossed yet", watch=False)
+            self._wait(0.25, "waiting for missing messages", watch=False)
             for check in result.checks:
                 if not check.ok:
                     self._progress.note(check.name, f"{check.target} {check.topic} {check.seen}", numbers=True)
-        self._wait(seconds - (time.monotonic() - self._began), "the programs go on listening")
+        self._wait(seconds - (time.monotonic() - self._began), "the programs keep receiving")
         return self.result()
 
     def result(self) -> TopicsResult:
-        """How it stands now."""
+        """Return the current results."""
         reports = {name: self._children[name].report for name in PROGRAMS}
         return TopicsResult(evaluate(reports, self._drives), time.monotonic() - self._began)
 
     def stay(self) -> None:
-        """Go on until interrupted, or until a part ends."""
+        """Continue until interrupted, or until a part ends."""
         while True:
             self._wait(0.5, "staying; Ctrl-C ends the demo")
 
@@ -106,7 +106,7 @@ class TopicsDemo(DemoRun):
         self._launch_program(YARP, "yarp_program", environment, sandbox.yarp_port)
         self._wait_for(sandbox.master_answers, "roscore")
         self._launch_program(ROS1, "robot", worker_environment(sandbox.config, environment))
-        self._wait_for(lambda: self._parts.up("router"), "the hub's router")  # the SDK does not wait for it
+        self._wait_for(lambda: self._parts.up("router"), "the hub's router")  # the SDK requires it
         self._launch_program(ZENOH, "zenoh_program", environment, sandbox.router_port, sandbox.config.hub.domain)
         for program in PROGRAMS:
             self._wait_for(partial(self._children[program].has_event, "ready"), program)
@@ -115,7 +115,7 @@ class TopicsDemo(DemoRun):
         self._launch(who, [sys.executable, "-m", f"bridge.demo.topics_demo.{module}", *map(str, arguments)], env)
 
     def _wait_for(self, ready: Callable[[], bool], what: str) -> None:
-        """Wait for a part as long as anything moves; raises `DemoError` where nothing does, or a part failed."""
+        """Wait for a part while there is progress; raises `DemoError` if there is none, or a part failed."""
         self._progress.begin()
         while not ready():
             silent = [child for name, child in self._children.items() if name in PROGRAMS and not child.report]
@@ -124,19 +124,19 @@ class TopicsDemo(DemoRun):
             self._check(what)
 
     def _wait_until_joined(self) -> None:
-        """Wait until each program received something of the robot; the checks find what never crosses."""
+        """Wait until each program has received something from the robot; the checks find what is missing."""
         listeners = [self._children[program] for program in (ROS2, ZENOH, YARP)]
         self._until(
             lambda: all(_received_anything(child.report) for child in listeners),
             0.2,
-            "waiting for the first messages to cross",
+            "waiting for the first bridged messages",
         )
 
     def _join_late(self, program: str) -> None:
-        """Have a program listen to what was said long ago, and wait a moment for that.
+        """Let a program subscribe to earlier messages, and wait a moment for them.
 
-        zenoh-ros2-sdk asks once for what is kept, and on a busy machine before it is told who keeps it; so its program
-        comes second, and asks again.
+        zenoh-ros2-sdk queries latched messages once, and on a busy machine before it has discovered the publishers; so
+        its program comes second, and subscribes again.
         """
         child, end, retry = self._children[program], time.monotonic() + LATE_SECONDS, 0.0
         while time.monotonic() < end:
@@ -173,7 +173,7 @@ class TopicsDemo(DemoRun):
         )
 
     def _until(self, ready: Callable[[], bool], every: float, doing: str) -> None:
-        """Wait for something as long as anything moves. The checks find what never comes."""
+        """Wait for a condition while there is progress. The checks find what is missing."""
         self._progress.begin()
         while not ready() and not self._progress.stalled:
             self._wait(every, doing)
@@ -199,7 +199,7 @@ class TopicsDemo(DemoRun):
             self._progress.note("the robot", f"commands: {_received(report)}", numbers=True)
 
     def stop(self) -> None:
-        """End all processes, those that depend on others first."""
+        """End all processes, dependent ones first."""
         groups = (((ZENOH, ROS2, ROS1, YARP), 4.0), (("daemon",), 9.0), (("roscore",), 9.0))
         children = self._children
         stages = [([children[name] for name in names if name in children], seconds) for names, seconds in groups]

@@ -1,4 +1,4 @@
-"""What the demo shows: every route, in a live table on a terminal and as a line now and then elsewhere; the checks."""
+"""The output of the demo: every route, in a live table on a terminal, else in periodic lines; the checks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from bridge.demo.sandbox import Sandbox
 from bridge.demo.topics_demo.checks import CrossingCheck
 
 _LIVE_EVERY, _PLAIN_EVERY = 0.5, 2.0
-"""Seconds between two looks at the workers."""
+"""Seconds between two queries of the workers."""
 
 
 class TopicsView:
@@ -50,7 +50,7 @@ class TopicsView:
         self._live = self._client = None
 
     def tick(self, doing: str) -> None:
-        """Show what the demo is at, and once in a while how the routes are."""
+        """Show the current activity, and periodically the routes."""
         if doing != self._doing:
             self.print_line(doing)
         if time.monotonic() - self._refreshed < (_LIVE_EVERY if self._live else _PLAIN_EVERY):
@@ -71,17 +71,17 @@ class TopicsView:
             self._console.print(f"{self._time()} {doing}")
 
     def refresh(self) -> None:
-        """Ask the workers how their routes are; keeps what they said last where they do not answer."""
+        """Query the workers' routes; keep the last answer if they do not respond."""
         self._refreshed = time.monotonic()
         try:
             if self._client is None:
                 self._client = self._stack.enter_context(connect(self._sandbox.config, 0.2))
             self._documents = ask_status(self._client)
         except CliError:
-            return  # not up yet, or just ended: the demo itself watches its processes
+            return  # still starting, or just ended: the demo itself watches its processes
 
     def explain_failures(self, checks: Sequence[CrossingCheck]) -> None:
-        """Ask the workers about the topics of failed checks, while they are there to answer."""
+        """Query the decisions on the topics of failed checks, while the workers run."""
         topics = dict.fromkeys(check.topic for check in checks if not check.ok)
         self._reasons = {topic: _reasons(self._client, topic) for topic in topics} if self._client else {}
 
@@ -90,8 +90,8 @@ class TopicsView:
         console = self._live.console if self._live else self._console
         if self._documents:
             console.print(routes_table(self._documents))
-        table = Table(title="What crossed, by the programs' own word", title_justify="left")
-        for column in ("", "what", "from", "to", "topic", "expected", "seen"):
+        table = Table(title="Bridged topics, as reported by the programs", title_justify="left")
+        for column in ("", "check", "from", "to", "topic", "expected", "seen"):
             table.add_column(column, overflow="fold")
         for check in checks:
             mark = Text("ok", style="green") if check.ok else Text("NO", style="bold red")
@@ -102,11 +102,11 @@ class TopicsView:
             for reason in reasons:
                 console.print(Text(f"{topic}: {reason}", style="yellow"))
         failed = sum(1 for check in checks if not check.ok)
-        verdict = f"{failed} of {len(checks)} did not cross" if failed else f"all {len(checks)} crossed"
+        verdict = f"{failed} of {len(checks)} checks failed" if failed else f"all {len(checks)} checks passed"
         console.print(Text(verdict, style="bold red" if failed else "bold green"))
 
     def routes(self) -> list[dict[str, Any]]:
-        """Every route as its worker described it last."""
+        """Return every route as its worker reported it last."""
         return [
             {"worker": document.get("worker"), **route}
             for document in self._documents
@@ -121,7 +121,7 @@ class TopicsView:
 
 
 def _reasons(client: CliClient, topic: str) -> list[str]:
-    """What each worker says of a topic that it does not carry as it should."""
+    """Return each worker's reason for not bridging a topic as expected."""
     lines = []
     for answer in client.ask("explain", {"topic": topic}):
         for entry in answer.value if isinstance(answer.value, list) else ():

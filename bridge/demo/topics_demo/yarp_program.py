@@ -1,4 +1,4 @@
-"""A YARP program of the demo: listens to ports, drives by short Bottles, and once by lines of text on a bare socket.
+"""A YARP program of the demo: reads from ports, drives with short Bottles, and once with text lines on a socket.
 
 Usage: ``python -m bridge.demo.topics_demo.yarp_program NAME_SERVER_PORT``.
 """
@@ -32,7 +32,7 @@ from yarp_compat.wire.profile import Profile
 
 
 class YarpProgram(TopicsProgram):
-    """The program's ports and what it received."""
+    """The program's ports, and what it received."""
 
     def __init__(self, port: int) -> None:
         super().__init__()
@@ -49,7 +49,7 @@ class YarpProgram(TopicsProgram):
             self._subscribe(topic, _text, stamped=False)
 
     def _wait_for_names(self) -> None:
-        """The demo says how long that may take."""
+        """Wait for the name server; the demo limits the time."""
         while True:
             with contextlib.suppress(NamingError):
                 self._naming.list()
@@ -63,7 +63,7 @@ class YarpProgram(TopicsProgram):
         return core
 
     def _subscribe(self, topic: str, describe: Callable[[bytes], str], *, stamped: bool = True) -> None:
-        """Hear a topic's port once it is there."""
+        """Connect to a topic's port once it is registered."""
         received = self.reporter.received(topic)
 
         def on_message(message: PortMessage) -> None:
@@ -82,12 +82,12 @@ class YarpProgram(TopicsProgram):
             self._closed.wait(0.1)
 
     def join_late(self) -> None:
-        """Listen to what was published once, long ago."""
+        """Connect to topics that were published once, long ago."""
         self._subscribe(messages.MAP, _map)
         self._subscribe(messages.TF_STATIC, self._mounts, stamped=False)
 
     def drive(self, linear: float, angular: float, seconds: float, text: bool = False) -> None:
-        """Send a velocity for some seconds, then fall silent; reports where the robot was and is."""
+        """Send a velocity for some seconds, then stop; report the robot's pose before and after."""
         self._send_velocity(self._text_sender() if text else self._binary_sender(), linear, angular, seconds)
 
     def _binary_sender(self) -> Callable[[float, float], object]:
@@ -97,7 +97,7 @@ class YarpProgram(TopicsProgram):
         return lambda linear, angular: self._driver.write(encode([linear, 0.0, angular], Profile.YARP3))
 
     def _text_sender(self) -> Callable[[float, float], object]:
-        """What anybody can do with telnet: introduce oneself, then two lines for each message."""
+        """Send as with telnet: introduce the client, then two lines for each message."""
         contact = self._naming.query(f"/midspan{messages.CMD_VEL}:i")
         assert contact is not None
         self._line = socket.create_connection((contact.host, contact.port), 5.0)
@@ -140,14 +140,14 @@ def _text(payload: bytes) -> str:
 
 
 def _map(payload: bytes) -> str:
-    """A ``MapGrid2D``: rows from the top down, 255 for unknown."""
+    """Describe a ``MapGrid2D``: rows from the top down, 255 for unknown."""
     width, height, *_, occupancy, _flags = decode(payload)
     cells = np.frombuffer(occupancy, np.uint8).reshape(height, width)[::-1]
     return messages.grid_text(width, height, cells.astype(np.int8).tobytes())
 
 
 def _pairs(payload: bytes) -> list[tuple[str, str]]:
-    """Frame and child frame of each transform, in the layout of YARP's converter of ROS messages."""
+    """Return frame and child frame of each transform, in the layout of YARP's converter of ROS messages."""
     values: list[Any] = decode(payload)
     return [(head[2], child) for head, child, _ in values[0]]
 

@@ -1,7 +1,7 @@
 """A zenoh program of the demo: ROS 2 topics without ROS 2, by zenoh-ros2-sdk, which shares no code with Midspan.
 
 Usage: ``python -m bridge.demo.topics_demo.zenoh_program ROUTER_PORT DOMAIN``. Message definitions and type hashes are
-rosbags', given to the SDK whole, since it would fetch them from the network otherwise.
+from rosbags, passed to the SDK, which would otherwise fetch them from the network.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class ZenohProgram(TopicsProgram):
             self._subscribe("std_msgs/msg/String", topic, messages.text, messages.text)
 
     def join_late(self) -> None:
-        """Listen to what was published once, long ago; asked again, to what has not come."""
+        """Subscribe to topics that were published once, long ago; when called again, to the missing ones."""
         for topic, type_, key, detail in (
             (messages.MAP, "nav_msgs/msg/OccupancyGrid", messages.stamp, messages.grid),
             (messages.TF_STATIC, "tf2_msgs/msg/TFMessage", lambda _message: None, self._mounts),
